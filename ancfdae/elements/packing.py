@@ -1,0 +1,65 @@
+"""Packed symmetric Gram matrices of relative node vectors.
+
+The strain of an ANCF element depends on its coordinates only through
+Gram = Y Y^T, and linearly. A symmetric n_y x n_y matrix is stored as the
+vector g of its upper triangle (15 entries for n_y = 5, 28 for n_y = 7).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ancfdae.numerics.arrays import Array
+
+
+@lru_cache(maxsize=8)
+def upper_triangle(n_y: int) -> tuple[Array, Array]:
+    """Row and column of each packed entry."""
+    rows, columns = np.triu_indices(n_y)
+    return rows, columns
+
+
+@lru_cache(maxsize=8)
+def _unpack_index(n_y: int) -> tuple[Array, Array]:
+    rows, columns = upper_triangle(n_y)
+    index = np.zeros((n_y, n_y), dtype=np.intp)
+    index[rows, columns] = index[columns, rows] = np.arange(len(rows))
+    # dU = p . dg; a diagonal entry Y_i . Y_i contributes 2 p Y_i to dU/dY_i, an
+    # off-diagonal one p Y_j.
+    factor = np.where(rows == columns, 2.0, 1.0)
+    return index, factor
+
+
+@lru_cache(maxsize=8)
+def gram_derivative(n_y: int) -> Array:
+    """Constant T with dg_k/dY_m = sum_j T[k, m, j] Y_j, shape (n_g n_y, n_y)."""
+    rows, columns = upper_triangle(n_y)
+    n_g = len(rows)
+    T = np.zeros((n_g, n_y, n_y))
+    T[np.arange(n_g), rows, columns] += 1.0
+    T[np.arange(n_g), columns, rows] += 1.0
+    return T.reshape(n_g * n_y, n_y)
+
+
+def packed_gram(Y: Array) -> Array:
+    """Packed Y Y^T; Y of shape (n, n_y, d), result (n, n_g)."""
+    rows, columns = upper_triangle(Y.shape[1])
+    g: Array = np.matmul(Y, Y.transpose(0, 2, 1))[:, rows, columns]
+    return g
+
+
+def packed_gram_direction(Y: Array, U: Array) -> Array:
+    """Return packed Y U^T + U Y^T, the derivative of `packed_gram` at Y in direction U."""
+    rows, columns = upper_triangle(Y.shape[1])
+    product = np.matmul(Y, U.transpose(0, 2, 1))
+    direction: Array = product[:, rows, columns] + product[:, columns, rows]
+    return direction
+
+
+def unpacked_stress(p: Array, n_y: int) -> Array:
+    """Symmetric W with dU/dY = W Y from p = dU/dg; shapes (n, n_g) and (n, n_y, n_y)."""
+    index, factor = _unpack_index(n_y)
+    W: Array = (p * factor)[:, index]
+    return W

@@ -1,0 +1,169 @@
+"""Errors of the project's own kind, and outcomes of a run in words.
+
+An error is raised before anything is integrated and reads
+``where: rule; got value. Repair.`` Trouble *during* a run is not an
+exception but an `Outcome`, so that what was computed stays usable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import final
+
+
+class AncfdaeError(Exception):
+    """Base class of every error that this package raises on purpose."""
+
+
+class InvalidInput(AncfdaeError, ValueError):
+    """Input that breaks a rule.
+
+    Parameters
+    ----------
+    where : str
+        The argument or object at fault, as the user wrote it.
+    rule : str
+        What is required.
+    got : object
+        The value that came instead.
+    repair : str
+        What to change.
+    """
+
+    def __init__(self, where: str, rule: str, got: object, repair: str) -> None:
+        super().__init__(f"{where}: {rule}; got {got}. {repair}")
+        self.where = where
+        self.rule = rule
+        self.got = got
+        self.repair = repair
+
+
+@final
+class UnknownName(InvalidInput):
+    """A name that nothing in the scene has; the message lists the known ones."""
+
+    def __init__(self, where: str, name: object, known: Iterable[str]) -> None:
+        listed = ", ".join(sorted(known)) or "(none)"
+        super().__init__(where, "must be a known name", repr(name), f"Known names: {listed}.")
+
+
+@final
+class RedundantConstraints(InvalidInput):
+    """Constraints that are linearly dependent at the start; the message names the joints."""
+
+
+@final
+class InconsistentStart(InvalidInput):
+    """A start that violates a constraint; the message names the joint and the size."""
+
+
+@final
+class SingularMatrix(AncfdaeError):
+    """A matrix that cannot be factorised; caught by integrators and turned into an outcome."""
+
+
+@final
+class StabilityWarning(UserWarning):
+    """A setting that is admissible but known to lose accuracy or stability."""
+
+
+class Verdict(Enum):
+    """How a run ended; the value is the sentence that a reader sees."""
+
+    FINISHED = "the end time was reached"
+    NO_CONVERGENCE = "the Newton iteration did not converge"
+    SINGULAR = "the iteration matrix is singular"
+    NOT_FINITE = "the residual is not finite"
+    INTERRUPTED = "the run was interrupted"
+
+
+@final
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended and where.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        The kind of ending.
+    time : float
+        Time reached, in the scene's unit of time.
+    step : int
+        Number of steps accepted.
+    residual : float
+        Size of the last Newton correction relative to the motion (dimensionless);
+        zero when the run finished.
+    """
+
+    verdict: Verdict
+    time: float
+    step: int
+    residual: float
+
+    @property
+    def success(self) -> bool:
+        """Whether the end time was reached."""
+        return self.verdict is Verdict.FINISHED
+
+    def __str__(self) -> str:
+        """Return the outcome as a sentence."""
+        if self.success:
+            return f"{self.verdict.value} (t = {self.time:.6g}, {self.step} steps)."
+        return (
+            f"{self.verdict.value} at t = {self.time:.6g}, after {self.step} accepted steps, with "
+            f"a last relative correction of {self.residual:.3g}; results up to there are kept."
+        )
+
+
+def require_finite(where: str, value: float, repair: str = "Give a finite number.") -> None:
+    """Refuse a value that is not a finite real number.
+
+    Raises
+    ------
+    InvalidInput
+        If `value` is not a real number, is NaN or is infinite.
+    """
+    if isinstance(value, bool) or not _is_real(value) or not math.isfinite(value):
+        raise InvalidInput(where, "must be a finite real number", repr(value), repair)
+
+
+def require_positive(where: str, value: float) -> None:
+    """Refuse a value that is not a finite positive number.
+
+    Raises
+    ------
+    InvalidInput
+        If `value` is not finite or not positive.
+    """
+    require_finite(where, value, "Give a positive number.")
+    if value <= 0:
+        raise InvalidInput(where, "must be positive", repr(value), "Give a positive number.")
+
+
+def require_vector(where: str, value: Iterable[float], sizes: tuple[int, ...] = (2, 3)) -> None:
+    """Refuse anything but a vector of finite numbers with an allowed number of components.
+
+    Raises
+    ------
+    InvalidInput
+        If the number of components is not in `sizes` or a component is not finite.
+    """
+    components = tuple(value)
+    if len(components) not in sizes:
+        allowed = " or ".join(str(size) for size in sizes)
+        raise InvalidInput(
+            where, f"must have {allowed} components", components, f"Give {allowed} numbers."
+        )
+    for component in components:
+        require_finite(where, component)
+
+
+def _is_real(value: object) -> bool:
+    try:
+        float(value)  # type: ignore[arg-type]  # the question is whether this works
+    except (TypeError, ValueError):
+        return False
+    return not isinstance(value, str | bytes)

@@ -1,0 +1,6 @@
+"""Integrators: HHT-I3, and the consistent start that all of them share."""
+
+from ancfdae.integrators.contract import Integrator
+from ancfdae.integrators.hht import HHT
+
+__all__ = ["HHT", "Integrator"]

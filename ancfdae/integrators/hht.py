@@ -1,0 +1,263 @@
+"""HHT-I3 with a fixed step (eqs. 2-6, Fig. 1)."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from tqdm import tqdm
+
+from ancfdae.errors import (
+    InvalidInput,
+    Outcome,
+    SingularMatrix,
+    StabilityWarning,
+    Verdict,
+    require_finite,
+    require_positive,
+)
+from ancfdae.integrators.contract import Integrator
+from ancfdae.integrators.hht_equations import (
+    Coefficients,
+    Node,
+    NodeSensitivity,
+    correct,
+    factor_jacobian,
+    force_jacobians,
+    predict,
+    residual,
+    start_node,
+    start_node_sensitivity,
+    step_sensitivity,
+)
+from ancfdae.integrators.initial import consistent_start, saddle_point, start_sensitivity
+from ancfdae.integrators.recorder import Recorder
+from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.solution import Solution
+from ancfdae.system import MechanicalSystem
+
+# A frozen matrix is replaced when it gains less than this factor per iteration.
+_SLOW = 0.1
+# Corrections that stop shrinking are round-off if they are this small against the motion.
+_ROUND_OFF = 1e-6
+# Steps may miss the end time by this many parts of their number (accumulated round-off).
+_WHOLE = 1e-9
+
+
+@final
+@dataclass(frozen=True)
+class HHT(Integrator):
+    """HHT-I3 at a fixed step (Negrut, Rampalli, Ottarsson & Sajdak 2007).
+
+    Parameters
+    ----------
+    step : float
+        Step size h; s.
+    hht_alpha : float
+        Numerical damping, in [-1/3, 0]. Second order throughout; -1/3 damps frequencies above
+        1/h most. At 0 the multipliers oscillate and do not converge, which is warned about.
+    newton_tolerance : float
+        Estimated error of a and lam after the last iteration, relative to the forces of the
+        motion; free of units.
+    max_iterations : int
+        Newton iterations per step before the run ends with an outcome.
+
+    Raises
+    ------
+    InvalidInput
+        If a setting is out of range.
+    """
+
+    step: float
+    hht_alpha: float = -0.3
+    newton_tolerance: float = 1e-13
+    max_iterations: int = 25
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_positive("HHT.step", self.step)
+        require_finite("HHT.hht_alpha", self.hht_alpha)
+        if not -1 / 3 <= self.hht_alpha <= 0:
+            raise InvalidInput(
+                "HHT.hht_alpha",
+                "must lie in [-1/3, 0]",
+                self.hht_alpha,
+                "-0.3 damps fast motion strongly, -0.05 hardly.",
+            )
+        require_positive("HHT.newton_tolerance", self.newton_tolerance)
+        if self.max_iterations < 1:
+            raise InvalidInput(
+                "HHT.max_iterations", "must be at least 1", self.max_iterations, "25 is plenty."
+            )
+        if self.hht_alpha == 0:
+            warnings.warn(
+                "HHT.hht_alpha = 0 leaves errors of the multipliers undamped: they oscillate and "
+                "grow with the number of steps. Use a negative value, such as -0.05.",
+                StabilityWarning,
+                stacklevel=3,
+            )
+
+    def integrate(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        *,
+        sensitivities: bool = False,
+        progress: bool = False,
+    ) -> Solution:
+        """Integrate from t = 0 to `t_end`, a whole number of steps."""
+        count = self._count_steps(t_end)
+        c = Coefficients.of(self.step, self.hht_alpha)
+        matrices = saddle_point(system, 0.0)
+        initial = consistent_start(system, matrices, 0.0)
+        recorder = Recorder(system, count + 1, sensitivities)
+        node, a = start_node(system, matrices, c, initial), initial.a
+        node_b, a_b, state_b = None, None, None
+        if sensitivities:
+            derivative = start_sensitivity(system, matrices, initial)
+            node_b = start_node_sensitivity(system, matrices, c, initial, derivative)
+            a_b = derivative.a_b
+            state_b = (derivative.q_b, derivative.v_b, a_b, derivative.lam_b)
+        recorder.record(initial.t, (initial.q, initial.v, a, initial.lam), state_b)
+        solver = _StepSolver(system, matrices, c, self, recorder)
+        verdict = Verdict.FINISHED
+        try:
+            for n in tqdm(range(1, count + 1), disable=not progress, unit="step"):
+                # A run that blows up overflows; its outcome tells so, not NumPy's warnings.
+                with np.errstate(over="ignore", invalid="ignore"):
+                    after = solver.advance(node, n * self.step)
+                    if after is None:
+                        verdict = solver.verdict
+                        break
+                    node, a = after, _acceleration_at(c, after.a, a)
+                    if node_b is not None and a_b is not None:
+                        node_b = solver.advance_sensitivity(node_b, node)
+                        a_b = _acceleration_at(c, node_b.a_b, a_b)
+                        state_b = (node_b.q_b, node_b.v_b, a_b, node_b.lam_b)
+                recorder.record(node.t, (node.q, node.v, a, node.lam), state_b)
+        except SingularMatrix:
+            verdict = Verdict.SINGULAR
+        except KeyboardInterrupt:
+            verdict = Verdict.INTERRUPTED
+        size = 0.0 if verdict is Verdict.FINISHED else solver.correction
+        steps = recorder.steps
+        return recorder.solution(Outcome(verdict, steps * self.step, steps, size))
+
+    def _count_steps(self, t_end: float) -> int:
+        require_positive("t_end", t_end)
+        steps = t_end / self.step
+        count = round(steps)
+        if count < 1 or not math.isclose(steps, count, rel_tol=_WHOLE):
+            raise InvalidInput(
+                "t_end",
+                f"must be a whole number of steps of {self.step:.6g}",
+                f"{t_end:.6g}, that is {steps:.6g} steps",
+                f"Use t_end = {max(count, 1) * self.step:.6g}, or another step.",
+            )
+        return count
+
+
+def _acceleration_at(c: Coefficients, a: Array, A_n: Array) -> Array:
+    """Acceleration at t_{n+1} from the algorithm's, which stands for t_n + (1 + alpha) h.
+
+    With A = -M^{-1} f, eq. (4) reads a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n.
+    """
+    return (a + c.alpha * A_n) / (1 + c.alpha)
+
+
+@final
+class _StepSolver:
+    """Newton's method for one step after another, with the matrix kept while it serves."""
+
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        matrices: SaddlePoint,
+        c: Coefficients,
+        settings: HHT,
+        recorder: Recorder,
+    ) -> None:
+        self._system, self._matrices, self._c = system, matrices, c
+        self._settings, self._recorder = settings, recorder
+        self._jacobian: Factorization | None = None
+        self.verdict = Verdict.NO_CONVERGENCE
+        self.correction = math.inf
+
+    def advance(self, before: Node, t: float) -> Node | None:
+        """Solve eqs. (4) and (5) at t; None, with `verdict` set, if that fails."""
+        system, c, tolerance = self._system, self._c, self._settings.newton_tolerance
+        q_p, v_p = predict(c, before.q, before.v, before.a)
+        a, lam = before.a, before.lam
+        is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
+        jacobian = None if is_complex else self._jacobian
+        last, settled = math.inf, 0
+        for _ in range(self._settings.max_iterations):
+            q, v = correct(c, q_p, v_p, a)
+            reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
+            R = residual(system, c, t, q, a, reaction - Q, before.f)
+            self._recorder.residuals += 1
+            self._recorder.iterations += 1
+            if not is_finite(R):
+                self.verdict = Verdict.NOT_FINITE
+                return None
+            fresh = jacobian is None
+            if jacobian is None:
+                jacobian = self._factor(t, q, v, lam)
+            x = jacobian.solve(R)
+            a, lam = a - x[: system.n_q], lam - x[system.n_q :]
+            size = self._size(t, q, x) / self._motion(a, reaction, Q)
+            self.correction = size
+            rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
+            # Error left after the correction: quadratic convergence squares the rate once more.
+            left = size * (min(1.0, rate * rate) if fresh else rate / max(1.0 - rate, 1e-3))
+            stuck = rate > 0.5 and size <= _ROUND_OFF
+            if left <= tolerance or size <= tolerance or stuck:
+                # The imaginary part of a complex step lags the real part by one iteration.
+                settled += 1
+                if not is_complex or settled == 3:
+                    self._jacobian = None if is_complex else jacobian
+                    return self._node(before, t, q_p, v_p, a, lam)
+            if is_complex or (fresh and rate > _SLOW) or (not fresh and rate > _SLOW):
+                jacobian = None
+            last = size
+        self.verdict = Verdict.NO_CONVERGENCE
+        return None
+
+    def advance_sensitivity(self, before: NodeSensitivity, node: Node) -> NodeSensitivity:
+        """Differentiate the step at its converged state; its matrix serves the next step too."""
+        system, c = self._system, self._c
+        f_q, f_v = force_jacobians(system, node.t, node.q, node.v, node.lam)
+        jacobian = factor_jacobian(system, self._matrices, c, node.t, node.q, f_q, f_v)
+        self._recorder.factorisations += 1
+        self._jacobian = jacobian
+        return step_sensitivity(system, c, before, node, jacobian, f_q, f_v)
+
+    def _factor(self, t: float, q: Array, v: Array, lam: Array) -> Factorization:
+        f_q, f_v = force_jacobians(self._system, t, q, v, lam)
+        self._recorder.factorisations += 1
+        return factor_jacobian(self._system, self._matrices, self._c, t, q, f_q, f_v)
+
+    def _node(self, before: Node, t: float, q_p: Array, v_p: Array, a: Array, lam: Array) -> Node:
+        """Close the step; f follows from eq. (4) without another evaluation."""
+        c = self._c
+        q, v = correct(c, q_p, v_p, a)
+        inertia = self._system.mass_times(a)
+        f = (c.alpha * before.f - inertia) / (1 + c.alpha)
+        return Node(t, q, v, a, lam, f)
+
+    def _size(self, t: float, q: Array, x: Array) -> float:
+        """Size of a correction: of the accelerations and of the reactions, in units of force."""
+        system = self._system
+        reaction = system.constraint_force(q, x[system.n_q :], t)
+        return real_norm(x[: system.n_q], system.weights) + real_norm(reaction, 1 / system.weights)
+
+    def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
+        """Size of inertia, reactions and forces in the same norm; one for a system at rest."""
+        inverse = 1 / self._system.weights
+        size = real_norm(a, self._system.weights)
+        size += real_norm(reaction, inverse) + real_norm(Q, inverse)
+        return size if size > 0 else float(np.finfo(float).tiny)

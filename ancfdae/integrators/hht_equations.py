@@ -1,0 +1,250 @@
+"""The discrete equations of HHT-I3, written once (eqs. 2-6).
+
+Forward run, direct differentiation and complex step all read them from here.
+With f = Phi_q^T lam - Q, unknowns (a, lam) at t_{n+1}, and
+
+    q = q~ + beta h^2 a,   q~ = q_n + h v_n + h^2 (1/2 - beta) a_n      (2)
+    v = v~ + gamma h a,    v~ = v_n + h (1 - gamma) a_n                 (3)
+
+the residual is
+
+    R_1 = M a / (1 + alpha) + f - alpha/(1 + alpha) f_n                 (4)
+    R_2 = Phi / (beta h^2)                                              (5)
+
+and its Jacobian
+
+    J = [ M/(1 + alpha) + beta h^2 f_q - gamma h Q_v    Phi_q^T ]       (6)
+        [ Phi_q                                         0       ].
+
+Start-up (docs/theory.md, section 5). a_n stands for q'' at t_n + alpha h, so
+
+    a_0 = q''(0) + alpha h q'''(0).
+
+A smooth error of (2) in the constraints, C h^3 Phi_q q''' per step with
+C = -(1 + 3 alpha^2)/12, forces Phi_q v_n to carry C h^2 Phi_q q''' for ever.
+A start with Phi_q v_0 = 0 would reach that value through a transient of first
+order in the multipliers; starting with it leaves them second order:
+
+    v_0 = v(0) + dv,   M dv + Phi_q^T eta = 0,   Phi_q dv = C h^2 S,  S = Phi_q q'''.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.integrators.initial import InitialSensitivity, InitialState
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.system import MechanicalSystem
+
+
+@final
+@dataclass(frozen=True)
+class Coefficients:
+    """Step size and Newmark coefficients (below eq. 6).
+
+    Attributes
+    ----------
+    h, alpha, beta, gamma : float
+    """
+
+    h: float
+    alpha: float
+    beta: float
+    gamma: float
+
+    @staticmethod
+    def of(step: float, hht_alpha: float) -> Coefficients:
+        """Return gamma = (1 - 2 alpha)/2 and beta = (1 - alpha)^2/4 with the step."""
+        return Coefficients(step, hht_alpha, (1 - hht_alpha) ** 2 / 4, (1 - 2 * hht_alpha) / 2)
+
+
+@final
+@dataclass(frozen=True)
+class Node:
+    """State of the recurrence after a step.
+
+    Attributes
+    ----------
+    t : float
+    q, v : array, shape (n_q,)
+    a : array, shape (n_q,)
+        The algorithm's acceleration, q'' at t + alpha h.
+    lam : array, shape (n_lam,)
+    f : array, shape (n_q,)
+        Phi_q^T lam - Q at (t, q, v, lam).
+    """
+
+    t: float
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+    f: Array
+
+
+@final
+@dataclass(frozen=True)
+class NodeSensitivity:
+    """Design derivatives of a `Node`; every array has a trailing axis n_b."""
+
+    q_b: Array
+    v_b: Array
+    a_b: Array
+    lam_b: Array
+    f_b: Array
+
+
+def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """q~ and v~ of eqs. (2) and (3); arrays of derivatives go through unchanged."""
+    return q + c.h * v + (c.h**2 * (0.5 - c.beta)) * a, v + (c.h * (1 - c.gamma)) * a
+
+
+def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
+    """Q and v of eqs. (2) and (3) from their predictors and a_{n+1}."""
+    return q_p + (c.beta * c.h**2) * a, v_p + (c.gamma * c.h) * a
+
+
+def unbalanced_force(system: MechanicalSystem, t: float, q: Array, v: Array, lam: Array) -> Array:
+    """Return f = Phi_q^T lam - Q."""
+    return system.constraint_force(q, lam, t) - system.force(q, v, t)
+
+
+def residual(
+    system: MechanicalSystem, c: Coefficients, t: float, q: Array, a: Array, f: Array, f_n: Array
+) -> Array:
+    """Eqs. (4) and (5), shape (n_q + n_lam,)."""
+    R_1 = system.mass_times(a) / (1 + c.alpha) + f - c.alpha / (1 + c.alpha) * f_n
+    return np.concatenate([R_1, system.constraint(q, t) / (c.beta * c.h**2)])
+
+
+def force_jacobians(
+    system: MechanicalSystem, t: float, q: Array, v: Array, lam: Array
+) -> tuple[Array, Array | None]:
+    """Values of f_q and f_v on the system's pattern; None where f does not depend on v."""
+    f_q = -system.force_q(q, v, t)
+    if not system.linear_constraints:
+        f_q = f_q + system.constraint_force_q(q, lam, t)
+    return f_q, -system.force_v(q, v, t) if system.velocity_forces else None
+
+
+def factor_jacobian(
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    c: Coefficients,
+    t: float,
+    q: Array,
+    f_q: Array,
+    f_v: Array | None,
+) -> Factorization:
+    """Factorise eq. (6).
+
+    Raises
+    ------
+    SingularMatrix
+    """
+    K = system.mass() / (1 + c.alpha) + (c.beta * c.h**2) * f_q
+    if f_v is not None:
+        K = K + (c.gamma * c.h) * f_v
+    return matrices.factor(K, system.constraint_q(q, t))
+
+
+def start_node(
+    system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, initial: InitialState
+) -> Node:
+    """Second-order start of the recurrence (module description)."""
+    t, q = initial.t, initial.q
+    S = system.jerk_side(q, initial.v, initial.a, t)
+    v = initial.v + _velocity_shift(system, matrices, c, t, q, S)[0]
+    a = initial.a + (c.alpha * c.h) * initial.jerk
+    f = unbalanced_force(system, t, q, initial.v, initial.lam)
+    return Node(t, q, v, a, initial.lam, f)
+
+
+def start_node_sensitivity(
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    c: Coefficients,
+    initial: InitialState,
+    derivative: InitialSensitivity,
+) -> NodeSensitivity:
+    """Differentiate `start_node`."""
+    t, q, v, a = initial.t, initial.q, initial.v, initial.a
+    q_b, v_b, a_b = derivative.q_b, derivative.v_b, derivative.a_b
+    S = system.jerk_side(q, v, a, t)
+    dv, eta, factors = _velocity_shift(system, matrices, c, t, q, S)
+    # M dv_b + Phi_q^T eta_b = -M_b dv - (Phi_q^T eta)_total
+    # Phi_q dv_b = C h^2 S_total - (Phi_q dv)_total
+    right = -system.mass_b_times(dv) - system.constraint_force_b(q, eta, t)
+    if not system.linear_constraints:
+        right = right - system.pattern.dot(system.constraint_force_q(q, eta, t), q_b)
+    side = _constraint_error(c) * system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
+    side = side - system.constraint_q_times_total(q, dv, t, q_b)
+    dv_b = factors.solve(np.concatenate([right, side]))[: system.n_q]
+    f_b = -system.mass_times(a_b) - system.mass_b_times(a)  # f = -M q''(0)
+    return NodeSensitivity(
+        q_b=q_b,
+        v_b=v_b + dv_b,
+        a_b=a_b + (c.alpha * c.h) * derivative.jerk_b,
+        lam_b=derivative.lam_b,
+        f_b=f_b,
+    )
+
+
+def step_sensitivity(
+    system: MechanicalSystem,
+    c: Coefficients,
+    before: NodeSensitivity,
+    node: Node,
+    jacobian: Factorization,
+    f_q: Array,
+    f_v: Array | None,
+) -> NodeSensitivity:
+    """Differentiate one step of eqs. (2)-(5) at its converged state (eqs. 22, 23).
+
+    With the predictors' derivatives q~_b, v~_b,
+
+        J [a_b; lam_b] = - [ M_b a/(1 + alpha) + f_q q~_b + f_v v~_b + (Phi_q^T lam)_b - Q_b
+                             - alpha/(1 + alpha) f_nb ;
+                             (Phi_q q~_b + Phi_b)/(beta h^2) ].
+
+    The derivative of (4) as a whole vanishes, which yields f_b without another product.
+    """
+    t, q, v, a, lam = node.t, node.q, node.v, node.a, node.lam
+    q_pb, v_pb = predict(c, before.q_b, before.v_b, before.a_b)
+    inertia_b = system.mass_b_times(a)
+    memory = c.alpha / (1 + c.alpha) * before.f_b
+    right = inertia_b / (1 + c.alpha) - memory + system.pattern.dot(f_q, q_pb)
+    right += system.constraint_force_b(q, lam, t) - system.force_b(q, v, t)
+    if f_v is not None:
+        right += system.pattern.dot(f_v, v_pb)
+    side = system.constraint_pattern.dot(system.constraint_q(q, t), q_pb)
+    side = (side + system.constraint_b(q, t)) / (c.beta * c.h**2)
+    x = jacobian.solve(-np.concatenate([right, side]))
+    a_b, lam_b = x[: system.n_q], x[system.n_q :]
+    q_b, v_b = correct(c, q_pb, v_pb, a_b)
+    f_b = memory - (system.mass_times(a_b) + inertia_b) / (1 + c.alpha)
+    return NodeSensitivity(q_b, v_b, a_b, lam_b, f_b)
+
+
+def _constraint_error(c: Coefficients) -> float:
+    """C h^2 of the module description."""
+    return -(1 + 3 * c.alpha**2) / 12 * c.h**2
+
+
+def _velocity_shift(
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    c: Coefficients,
+    t: float,
+    q: Array,
+    S: Array,
+) -> tuple[Array, Array, Factorization]:
+    """Dv, its multiplier eta, and the factorised saddle point of M and Phi_q."""
+    factors = matrices.factor(system.mass(), system.constraint_q(q, t))
+    zero = np.zeros(system.n_q, dtype=q.dtype)
+    x = factors.solve(np.concatenate([zero, _constraint_error(c) * S]))
+    return x[: system.n_q], x[system.n_q :], factors

@@ -1,0 +1,1 @@
+"""Complex-safe array helpers, quadrature, sparsity patterns and linear solvers."""

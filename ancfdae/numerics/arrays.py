@@ -1,0 +1,34 @@
+"""Array type and norms that keep complex perturbations out of decisions.
+
+A complex-step run carries a perturbation of size 1e-40 in the imaginary
+part. Values must keep it (no ``abs``, no conjugation); decisions, such as
+convergence tests, must look at the real part only.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+Array: TypeAlias = npt.NDArray[Any]
+
+
+def real_norm(x: Array, weights: Array) -> float:
+    """Weighted Euclidean norm of the real part, sqrt(sum(weights x^2)), for decisions only.
+
+    Parameters
+    ----------
+    x : array, shape (n,)
+        Vector, real or complex.
+    weights : array, shape (n,)
+        Non-negative real weights.
+    """
+    x = x.real
+    return float(np.sqrt(np.dot(weights, x * x)))
+
+
+def is_finite(x: Array) -> bool:
+    """Whether every entry is finite, at the price of one reduction."""
+    return bool(np.isfinite(np.sum(x)))

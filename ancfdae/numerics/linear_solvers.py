@@ -1,0 +1,245 @@
+"""Factorisation of the saddle-point matrices that all methods share.
+
+    [ K      B^T ]     K on the system's pattern (n x n),
+    [ B      0   ]     B on its constraint pattern (m x n).
+
+The matrix is scaled symmetrically before it is factorised, coordinates by
+1/sqrt(weight) and constraints so that their scaled rows have unit length:
+pivoting then does not depend on the units of the scene. Small systems are
+factorised densely; larger ones as a band after a reverse Cuthill-McKee
+numbering, which puts multipliers beside their nodes; SuperLU takes over where
+the band is wide (many closed loops meeting in one body).
+"""
+
+from __future__ import annotations
+
+import abc
+import warnings
+from typing import final
+
+import numpy as np
+from scipy import linalg, sparse
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.sparse.linalg import splu
+
+from ancfdae.errors import SingularMatrix
+from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.numerics.patterns import Pattern
+
+# Dense LU costs 2/3 N^3 and beats the band below about this size (docs/theory.md, section 7).
+_DENSE_SIZE = 160
+# Band LU costs 2 N k (k + k) for half-width k; SuperLU on chains costs about as much as k = 60.
+_BAND_HALF_WIDTH = 150
+
+
+class Factorization(abc.ABC):
+    """A factorised matrix; right-hand sides are vectors or columns of an array."""
+
+    @abc.abstractmethod
+    def solve(self, right: Array) -> Array:
+        """Solve with the matrix."""
+
+    @abc.abstractmethod
+    def solve_transposed(self, right: Array) -> Array:
+        """Solve with the transposed (not conjugated) matrix."""
+
+
+class _Storage(abc.ABC):
+    """Where the scaled values go, and how they are factorised."""
+
+    @abc.abstractmethod
+    def factor(self, values: Array) -> Factorization:
+        """Factorise the matrix of these values; raises SingularMatrix."""
+
+
+@final
+class SaddlePoint:
+    """Saddle-point matrices of one system: constant pattern, numbering and scaling.
+
+    Parameters
+    ----------
+    pattern, constraint_pattern : Pattern
+        Patterns of K and B.
+    weights : array, shape (n,)
+        Positive coordinate weights, usually the diagonal of the mass matrix.
+    constraint_values : array
+        Values of B at the start, from which the constraint rows are scaled.
+    """
+
+    def __init__(
+        self,
+        pattern: Pattern,
+        constraint_pattern: Pattern,
+        weights: Array,
+        constraint_values: Array,
+    ) -> None:
+        n, m = pattern.shape[0], constraint_pattern.shape[0]
+        self.size = n + m
+        scale = 1.0 / np.sqrt(weights)
+        squared = (constraint_values.real * scale[constraint_pattern.columns]) ** 2
+        length = np.sqrt(np.bincount(constraint_pattern.rows, squared, minlength=m))
+        self.scale = np.concatenate([scale, 1.0 / np.where(length > 0, length, 1.0)])
+        r, c = constraint_pattern.rows + n, constraint_pattern.columns
+        rows = np.concatenate([pattern.rows, r, c])
+        columns = np.concatenate([pattern.columns, c, r])
+        self._factors = self.scale[rows] * self.scale[columns]
+        self._storage = _choose_storage(self.size, rows, columns)
+
+    def factor(self, K: Array, B: Array) -> Factorization:
+        """Factorise for the given values of K and B.
+
+        Raises
+        ------
+        SingularMatrix
+            If the matrix is singular to working precision or not finite.
+        """
+        values = np.concatenate([K, B, B]) * self._factors
+        if not is_finite(values):
+            raise SingularMatrix("the saddle-point matrix is not finite")
+        return _Scaled(self._storage.factor(values), self.scale)
+
+
+@final
+class _Scaled(Factorization):
+    """Undoes the symmetric scaling around a factorisation."""
+
+    def __init__(self, inner: Factorization, scale: Array) -> None:
+        self._inner = inner
+        self._scale = scale
+
+    def solve(self, right: Array) -> Array:
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        return scale * self._inner.solve(scale * right)
+
+    def solve_transposed(self, right: Array) -> Array:
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        return scale * self._inner.solve_transposed(scale * right)
+
+
+def _choose_storage(size: int, rows: Array, columns: Array) -> _Storage:
+    if size <= _DENSE_SIZE:
+        return _DenseStorage(size, rows, columns)
+    graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
+    order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
+    place = np.empty(size, dtype=np.int64)
+    place[order] = np.arange(size)
+    half_width = int(np.max(np.abs(place[rows] - place[columns])))
+    if half_width <= _BAND_HALF_WIDTH:
+        return _BandStorage(order, place[rows], place[columns], half_width)
+    return _SparseStorage(size, rows, columns)
+
+
+@final
+class _DenseStorage(_Storage):
+    def __init__(self, size: int, rows: Array, columns: Array) -> None:
+        self._size = size
+        # The matrix is built transposed in C order, which is Fortran order of the matrix.
+        self._flat = columns * size + rows
+
+    def factor(self, values: Array) -> Factorization:
+        matrix = np.zeros(self._size * self._size, dtype=values.dtype)
+        matrix[self._flat] = values
+        return _DenseFactorization(matrix.reshape(self._size, self._size).T)
+
+
+@final
+class _DenseFactorization(Factorization):
+    def __init__(self, matrix: Array) -> None:
+        getrf, self._getrs = linalg.get_lapack_funcs(("getrf", "getrs"), (matrix,))
+        self._lu, self._pivots, info = getrf(matrix, overwrite_a=True)
+        if info > 0:
+            raise SingularMatrix(f"zero pivot {info} of {len(matrix)}")
+
+    def solve(self, right: Array) -> Array:
+        return self._call(right, 0)
+
+    def solve_transposed(self, right: Array) -> Array:
+        return self._call(right, 1)
+
+    def _call(self, right: Array, transposed: int) -> Array:
+        if self._lu.dtype.kind != "c" and right.dtype.kind == "c":
+            return self._call(right.real, transposed) + 1j * self._call(right.imag, transposed)
+        x, _ = self._getrs(self._lu, self._pivots, right, trans=transposed)
+        return np.asarray(x)
+
+
+@final
+class _BandStorage(_Storage):
+    def __init__(self, order: Array, rows: Array, columns: Array, half_width: int) -> None:
+        self._order, self._half_width = order, half_width
+        size = len(order)
+        # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j; built
+        # transposed in C order as above.
+        self._shape = (size, 3 * half_width + 1)
+        self._flat = columns * self._shape[1] + 2 * half_width + rows - columns
+
+    def factor(self, values: Array) -> Factorization:
+        band = np.zeros(self._shape[0] * self._shape[1], dtype=values.dtype)
+        band[self._flat] = values
+        return _BandFactorization(band.reshape(self._shape).T, self._half_width, self._order)
+
+
+@final
+class _BandFactorization(Factorization):
+    def __init__(self, band: Array, half_width: int, order: Array) -> None:
+        gbtrf, self._gbtrs = linalg.get_lapack_funcs(("gbtrf", "gbtrs"), (band,))
+        self._k, self._order = half_width, order
+        self._lu, self._pivots, info = gbtrf(band, half_width, half_width, overwrite_ab=True)
+        if info > 0:
+            raise SingularMatrix(f"zero pivot {info} of {len(order)}")
+
+    def solve(self, right: Array) -> Array:
+        return self._call(right, 0)
+
+    def solve_transposed(self, right: Array) -> Array:
+        return self._call(right, 1)
+
+    def _call(self, right: Array, transposed: int) -> Array:
+        if self._lu.dtype.kind != "c" and right.dtype.kind == "c":
+            return self._call(right.real, transposed) + 1j * self._call(right.imag, transposed)
+        permuted = right[self._order].astype(np.result_type(right, self._lu))
+        columns = permuted if permuted.ndim == 2 else permuted[:, None]
+        x, _ = self._gbtrs(self._lu, self._k, self._k, columns, self._pivots, trans=transposed)
+        result = np.empty_like(permuted)
+        result[self._order] = x if permuted.ndim == 2 else x[:, 0]
+        return result
+
+
+@final
+class _SparseStorage(_Storage):
+    def __init__(self, size: int, rows: Array, columns: Array) -> None:
+        self._size = size
+        self._order = np.lexsort((rows, columns))
+        self._rows = rows[self._order]
+        self._indptr = np.searchsorted(columns[self._order], np.arange(size + 1))
+
+    def factor(self, values: Array) -> Factorization:
+        matrix = sparse.csc_array(
+            (values[self._order], self._rows, self._indptr), shape=(self._size, self._size)
+        )
+        return _SparseFactorization(matrix)
+
+
+@final
+class _SparseFactorization(Factorization):
+    def __init__(self, matrix: sparse.csc_array) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            try:
+                self._lu = splu(matrix)
+            except (RuntimeError, Warning) as error:
+                raise SingularMatrix(str(error)) from error
+        self._complex = matrix.dtype.kind == "c"
+
+    def solve(self, right: Array) -> Array:
+        return self._call(right, "N")
+
+    def solve_transposed(self, right: Array) -> Array:
+        return self._call(right, "T")
+
+    def _call(self, right: Array, transposed: str) -> Array:
+        if self._complex:
+            return np.asarray(self._lu.solve(right.astype(complex), transposed))
+        if right.dtype.kind == "c":
+            return self._call(right.real, transposed) + 1j * self._call(right.imag, transposed)
+        return np.asarray(self._lu.solve(np.ascontiguousarray(right), transposed))

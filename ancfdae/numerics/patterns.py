@@ -1,0 +1,93 @@
+"""Fixed sparsity patterns: a matrix is a vector of values on its pattern.
+
+All matrices of a mechanical system keep their pattern during a run, so they
+are passed around as plain value vectors. That makes sums of matrices sums of
+vectors, and batched assembly one product with a constant 0/1 matrix.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from scipy import sparse
+
+from ancfdae.numerics.arrays import Array
+
+# Up to this many entries a dense product beats a sparse one (measured: 84 x 84 dense times
+# 6 columns 5 us, sparse 20 us).
+_DENSE_ENTRIES = 40_000
+
+
+@final
+class Pattern:
+    """Sorted, duplicate-free positions of the entries of a matrix.
+
+    Parameters
+    ----------
+    shape : (int, int)
+    rows, columns : array of int
+        Positions in any order, duplicates allowed; they are merged.
+    """
+
+    def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
+        self.shape = shape
+        self._flat = np.unique(np.asarray(rows, dtype=np.int64) * shape[1] + columns)
+        self.rows = self._flat // max(shape[1], 1)
+        self.columns = self._flat - self.rows * shape[1]
+        self._indptr = np.searchsorted(self.rows, np.arange(shape[0] + 1))
+        self._dense = shape[0] * shape[1] <= _DENSE_ENTRIES
+
+    @staticmethod
+    def full(shape: tuple[int, int]) -> Pattern:
+        """Return the pattern of a dense matrix; its values are ``matrix.ravel()``."""
+        rows, columns = np.indices(shape)
+        return Pattern(shape, rows.ravel(), columns.ravel())
+
+    @property
+    def size(self) -> int:
+        """Number of stored entries."""
+        return len(self._flat)
+
+    def index(self, rows: Array, columns: Array) -> Array:
+        """Where the given positions stand in the value vector; they must be in the pattern."""
+        return np.searchsorted(
+            self._flat, np.asarray(rows, dtype=np.int64) * self.shape[1] + columns
+        )
+
+    def gather(self, rows: Array, columns: Array, signs: Array | None = None) -> sparse.csr_array:
+        """Constant matrix that sums raw contributions, one per position, into the values.
+
+        Parameters
+        ----------
+        rows, columns : array of int, shape (n_raw,)
+        signs : array, shape (n_raw,), optional
+            Factor of each contribution.
+        """
+        data = np.ones(len(rows)) if signs is None else signs
+        raw = np.arange(len(rows))
+        return sparse.csr_array(
+            (data, (self.index(rows, columns), raw)), shape=(self.size, len(rows))
+        )
+
+    def dense(self, values: Array) -> Array:
+        """Return the matrix as a two-dimensional array."""
+        matrix = np.zeros(self.shape[0] * self.shape[1], dtype=values.dtype)
+        matrix[self._flat] = values
+        return matrix.reshape(self.shape)
+
+    def csr(self, values: Array) -> sparse.csr_array:
+        """Return the matrix in compressed sparse row form."""
+        return sparse.csr_array((values, self.columns, self._indptr), shape=self.shape)
+
+    def dot(self, values: Array, x: Array) -> Array:
+        """Product of the matrix with a vector or with the columns of an array."""
+        if self._dense:
+            return self.dense(values) @ x
+        return np.asarray(self.csr(values) @ x)
+
+    def dot_transposed(self, values: Array, x: Array) -> Array:
+        """Product of the transposed (not conjugated) matrix with a vector or columns."""
+        if self._dense:
+            return self.dense(values).T @ x
+        return np.asarray(self.csr(values).T @ x)

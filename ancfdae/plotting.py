@@ -1,0 +1,343 @@
+"""Line plots for reports: the one module that imports matplotlib.
+
+A plot is declared as data (`Series` in `Panel`), drawn by `draw` and written by `save`. Neither
+uses pyplot, so no figure stays open and no backend is chosen for the rest of the process.
+
+A label stands for one thing in the whole figure: series with the same label share colour, line and
+marker in every panel and one entry in the legend, which stands below the panels and thus never on
+the data. Later series are drawn thinner and over earlier ones, so that two curves which coincide
+show both of their colours.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import matplotlib.style
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from ancfdae.errors import InvalidInput
+
+__all__ = ["Figure", "Panel", "Scale", "Series", "draw", "save"]
+
+Scale = Literal["linear", "log"]
+
+# Okabe and Ito (2008), without the yellow: it is too faint for a line on white.
+_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
+_DASHES: Final = ((5.0, 2.0), (1.2, 1.0), (5.0, 2.5, 1.2, 2.5))
+_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
+_PANEL_SIZE: Final = (6.4, 4.0)  # inches
+_LEGEND_CHARACTER: Final = 0.085  # inches, a little above the mean at the legend's font size
+_LEGEND_HANDLE: Final = 0.75  # inches: line sample and gaps beside each label
+_LEGEND_ROW: Final = 0.25  # inches
+_MARKERS_ON_LINE: Final = 15
+_UNIT: Final = re.compile(r"\S.*\[[^\[\]]+\]$")
+_SETTINGS: Final[dict[str, object]] = {
+    "font.size": 11.0,
+    "axes.titlesize": 12.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.fontsize": 10.0,
+    "legend.frameon": False,
+    "lines.markersize": 5.5,
+    "svg.hashsalt": "ancfdae",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One curve or set of points.
+
+    Parameters
+    ----------
+    label : str
+        Name in the legend.
+    x, y : array_like, shape (n,)
+        Coordinates; a pair with a value that is not finite leaves a gap.
+    line : bool
+        Connect the points.
+    marker : bool
+        Mark the points; at most about 15 marks where there is a line, all of them otherwise.
+    dashed : bool or None
+        Force a dashed (True) or solid (False) line; None chooses by the place of the label in the
+        figure.
+
+    Raises
+    ------
+    InvalidInput
+        If `x` and `y` are not real vectors of equal length with at least one finite pair, if the
+        label is empty or starts with an underscore, or if there is neither line nor marker.
+    """
+
+    label: str
+    x: npt.ArrayLike
+    y: npt.ArrayLike
+    line: bool = True
+    marker: bool = False
+    dashed: bool | None = None
+
+    def __post_init__(self) -> None:
+        if not self.label.strip() or self.label.startswith("_"):
+            raise InvalidInput(
+                "Series.label",
+                "must be visible in the legend",
+                repr(self.label),
+                "Give it a name that does not start with an underscore.",
+            )
+        where = f"Series {self.label!r}"
+        if not (self.line or self.marker):
+            raise InvalidInput(
+                where,
+                "must have a line or markers",
+                "neither",
+                "Set line=True or marker=True.",
+            )
+        if not np.isfinite(self.points()).all(axis=0).any():
+            raise InvalidInput(
+                where, "at least one point must be finite", "none", "Leave the series out."
+            )
+
+    def points(self) -> npt.NDArray[np.float64]:
+        """Return the coordinates as an array of shape (2, n), rows x and y."""
+        x, y = np.asarray(self.x), np.asarray(self.y)
+        if x.ndim != 1 or x.shape != y.shape or np.iscomplexobj(x) or np.iscomplexobj(y):
+            raise InvalidInput(
+                f"Series {self.label!r}",
+                "x and y must be real vectors of equal length",
+                f"shapes {x.shape} and {y.shape}, types {x.dtype} and {y.dtype}",
+                "Pass one real y for each real x.",
+            )
+        return np.array([x, y], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes with its series.
+
+    Parameters
+    ----------
+    title : str
+        What the panel shows.
+    x_label, y_label : str
+        Quantity and unit, for example ``"t [s]"``; ``[-]`` for a number without unit.
+    series : sequence of Series
+        At least one, each label once.
+    x_scale, y_scale : {"linear", "log"}
+        On a logarithmic axis points that are not positive leave gaps.
+
+    Raises
+    ------
+    InvalidInput
+        If a text is missing, a label has no unit, a scale is unknown, there is no series, a label
+        occurs twice, or a series has no point that its axes can show.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    series: Sequence[Series]
+    x_scale: Scale = "linear"
+    y_scale: Scale = "linear"
+
+    def __post_init__(self) -> None:
+        if not self.title.strip():
+            raise InvalidInput(
+                "Panel.title", "must not be empty", repr(self.title), "Say what it shows."
+            )
+        where = f"Panel {self.title!r}"
+        for label in (self.x_label, self.y_label):
+            if not _UNIT.match(label):
+                raise InvalidInput(
+                    where,
+                    "an axis label must end with its unit in brackets",
+                    repr(label),
+                    "Write 't [s]', or 'n [-]' for a number without unit.",
+                )
+        for scale in (self.x_scale, self.y_scale):
+            if scale not in ("linear", "log"):
+                raise InvalidInput(
+                    where, "a scale must be 'linear' or 'log'", repr(scale), "Choose one."
+                )
+        labels = [series.label for series in self.series]
+        if not labels or len(set(labels)) < len(labels):
+            raise InvalidInput(
+                where,
+                "must have at least one series, each label once",
+                labels,
+                "Leave an empty panel out; rename a repeated label.",
+            )
+        for series in self.series:
+            self._require_visible(series)
+
+    def _require_visible(self, series: Series) -> None:
+        x, y = series.points()
+        visible = np.isfinite(x) & np.isfinite(y)
+        visible &= (x > 0) | (self.x_scale == "linear")
+        visible &= (y > 0) | (self.y_scale == "linear")
+        if not visible.any():
+            raise InvalidInput(
+                f"Panel {self.title!r}, series {series.label!r}",
+                "at least one point must be positive on every logarithmic axis",
+                "none",
+                "Use a linear scale or leave the series out.",
+            )
+
+
+def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
+    """Draw panels row by row into one figure with one legend below them.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        At least one.
+    columns : int
+        Number of panels beside each other, at least 1.
+    title : str
+        Title of the whole figure; empty for none.
+
+    Returns
+    -------
+    Figure
+        To be passed to `save`.
+
+    Raises
+    ------
+    InvalidInput
+        If there is no panel, `columns` is below 1, or one label is asked to look differently in
+        two panels.
+    """
+    if not panels or columns < 1:
+        raise InvalidInput(
+            "draw",
+            "there must be at least one panel and one column",
+            f"{len(panels)} panels, {columns} columns",
+            "Pass a panel; leave columns out to stack the panels.",
+        )
+    places = _places(panels)
+    columns = min(columns, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    width, height = _PANEL_SIZE[0] * columns, _PANEL_SIZE[1] * rows
+    with _settings():
+        figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
+        entries: dict[str, Line2D] = {}
+        for number, panel in enumerate(panels, start=1):
+            axes = figure.add_subplot(rows, columns, number)
+            _draw_panel(axes, panel, places, entries)
+        _add_legend(figure, {label: entries[label] for label in places})
+        if title:
+            figure.suptitle(title)
+    return figure
+
+
+def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
+    """Write a figure as SVG and PNG and return the two paths in that order.
+
+    The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
+    folders are created.
+
+    Raises
+    ------
+    InvalidInput
+        If the path already ends with .svg or .png.
+    """
+    path = Path(path_without_suffix)
+    if path.suffix in (".svg", ".png"):
+        raise InvalidInput(
+            "save",
+            "the path must come without suffix, as both .svg and .png are written",
+            repr(str(path)),
+            f"Leave out {path.suffix!r}.",
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    svg, png = path.with_name(path.name + ".svg"), path.with_name(path.name + ".png")
+    with _settings():
+        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": "ancfdae"})
+        figure.savefig(png, format="png", metadata={"Software": "ancfdae"})
+    return svg, png
+
+
+@contextmanager
+def _settings() -> Iterator[None]:
+    """Shield a figure from the user's matplotlibrc, and the user's settings from the figure."""
+    with matplotlib.style.context(["default", _SETTINGS]):
+        yield
+
+
+def _places(panels: Sequence[Panel]) -> dict[str, int]:
+    """Give each label its place in the order of appearance, and check that it has one look."""
+    looks: dict[str, tuple[bool, bool, bool | None]] = {}
+    for panel in panels:
+        for series in panel.series:
+            look = (series.line, series.marker, series.dashed)
+            if looks.setdefault(series.label, look) != look:
+                raise InvalidInput(
+                    f"draw, series {series.label!r}",
+                    "(line, marker, dashed) must be the same in every panel",
+                    f"{looks[series.label]} and {look}",
+                    "Make them alike or use another label.",
+                )
+    return {label: place for place, label in enumerate(looks)}
+
+
+def _add_legend(figure: Figure, entries: dict[str, Line2D]) -> None:
+    """Put the legend below all panels, in as many columns as fit, and make room for its rows."""
+    width, height = figure.get_size_inches()
+    entry_width = _LEGEND_HANDLE + _LEGEND_CHARACTER * max(len(label) for label in entries)
+    columns = max(1, min(len(entries), int(width / entry_width)))
+    figure.set_size_inches(width, height + _LEGEND_ROW * math.ceil(len(entries) / columns))
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
+
+
+def _draw_panel(
+    axes: Axes, panel: Panel, places: dict[str, int], entries: dict[str, Line2D]
+) -> None:
+    """Draw one panel; note in `entries` the first line of each label for the legend."""
+    axes.set_title(panel.title)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    axes.set_xscale(panel.x_scale, **_gaps(panel.x_scale))
+    axes.set_yscale(panel.y_scale, **_gaps(panel.y_scale))
+    for series in panel.series:
+        entries.setdefault(series.label, _draw_series(axes, series, places[series.label]))
+
+
+def _gaps(scale: Scale) -> dict[str, str]:
+    """Ask a logarithmic axis to leave out what it cannot show instead of moving it."""
+    return {"nonpositive": "mask"} if scale == "log" else {}
+
+
+def _draw_series(axes: Axes, series: Series, place: int) -> Line2D:
+    x, y = series.points()
+    (line,) = axes.plot(
+        x,
+        y,
+        color=_COLOURS[place % len(_COLOURS)],
+        linewidth=max(1.2, 3.0 * 0.85**place),
+        linestyle=_line_style(series, place),
+        zorder=2.0 + 0.01 * place,
+    )
+    if series.marker:
+        line.set_marker(_MARKERS[place % len(_MARKERS)])
+        line.set_markerfacecolor("white")
+        line.set_markevery(max(1, x.size // _MARKERS_ON_LINE) if series.line else 1)
+    return line
+
+
+def _line_style(series: Series, place: int) -> str | tuple[float, tuple[float, ...]]:
+    if not series.line:
+        return "none"
+    position = place % (1 + len(_DASHES))
+    dashed = position > 0 if series.dashed is None else series.dashed
+    return (0.0, _DASHES[(position - 1) % len(_DASHES)]) if dashed else "solid"

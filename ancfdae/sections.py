@@ -1,0 +1,73 @@
+"""Cross-sections and materials: what a beam is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.errors import InvalidInput, require_finite, require_positive
+
+
+@final
+@dataclass(frozen=True)
+class Rectangle:
+    """Rectangular cross-section.
+
+    Parameters
+    ----------
+    height : float
+        Extent along the section's y axis (in the plane of a planar scene); m.
+    width : float
+        Extent along the section's z axis (the thickness of a planar scene); m.
+
+    Raises
+    ------
+    InvalidInput
+        If an extent is not finite and positive.
+    """
+
+    height: float
+    width: float
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_positive("Rectangle.height", self.height)
+        require_positive("Rectangle.width", self.width)
+
+
+@final
+@dataclass(frozen=True)
+class Material:
+    """Isotropic St. Venant-Kirchhoff material.
+
+    Parameters
+    ----------
+    density : float
+        Mass density rho; kg/m^3.
+    youngs_modulus : float
+        Young's modulus E; N/m^2.
+    poisson_ratio : float
+        Poisson's ratio nu, in the open interval (-1, 0.5).
+
+    Raises
+    ------
+    InvalidInput
+        If density or modulus is not finite and positive, or nu lies outside (-1, 0.5).
+    """
+
+    density: float
+    youngs_modulus: float
+    poisson_ratio: float
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_positive("Material.density", self.density)
+        require_positive("Material.youngs_modulus", self.youngs_modulus)
+        require_finite("Material.poisson_ratio", self.poisson_ratio)
+        if not -1.0 < self.poisson_ratio < 0.5:
+            raise InvalidInput(
+                "Material.poisson_ratio",
+                "must lie in the open interval (-1, 0.5)",
+                self.poisson_ratio,
+                "At 0.5 the material is incompressible and the elastic moduli are infinite.",
+            )

@@ -1,0 +1,356 @@
+"""Solution of a run: trajectories, sensitivities, statistics and how it ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.elements import ElementParameter
+from ancfdae.errors import InvalidInput, Outcome, UnknownName, Verdict
+from ancfdae.layout import BeamLayout, JointLayout, Layout, Naming
+from ancfdae.numerics.arrays import Array
+
+_FORMAT = "ancfdae solution 1"
+# Imaginary perturbation of observables: any value whose square underflows against one is exact.
+_STEP = 1e-40
+
+
+@final
+@dataclass(frozen=True)
+class Statistics:
+    """What a run cost.
+
+    Attributes
+    ----------
+    steps : int
+        Accepted steps.
+    iterations : int
+        Newton iterations.
+    factorisations : int
+        Factorised iteration matrices.
+    residuals : int
+        Evaluations of the residual.
+    wall_seconds : float
+        Elapsed time of the integration.
+    """
+
+    steps: int
+    iterations: int
+    factorisations: int
+    residuals: int
+    wall_seconds: float
+
+
+@final
+@dataclass(frozen=True)
+class Sensitivities:
+    """Total derivatives of a trajectory in the design variables.
+
+    Attributes
+    ----------
+    names : tuple of str
+    values : array, shape (n_b,)
+        Design variables and their values.
+    q_b, v_b, a_b : array, shape (n_t, n_q, n_b)
+    lam_b : array, shape (n_t, n_lam, n_b)
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    q_b: Array
+    v_b: Array
+    a_b: Array
+    lam_b: Array
+
+
+@final
+@dataclass(frozen=True)
+class Solution:
+    """Trajectory of a mechanical system.
+
+    Attributes
+    ----------
+    t : array, shape (n_t,)
+        Times; a run that failed holds what was reached.
+    q, v, a : array, shape (n_t, n_q)
+        Coordinates, velocities and accelerations at these times.
+    lam : array, shape (n_t, n_lam)
+        Multipliers.
+    statistics : Statistics
+    outcome : Outcome
+    naming : Naming or None
+        Names of points and joints; None for a system that is not an ANCF scene.
+    sensitivities : Sensitivities or None
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+    statistics: Statistics
+    outcome: Outcome
+    naming: Naming | None
+    sensitivities: Sensitivities | None = None
+
+    # -- named access --------------------------------------------------------------------------
+
+    def nodes(self, beam: str) -> Array:
+        """Node vectors of a beam, shape (n_t, n_nodes, n_s, d): position, then slopes."""
+        return self._nodes(self.q, beam)
+
+    def position(self, beam: str, fraction: float, y: float = 0.0, z: float = 0.0) -> Array:
+        """Position of a material point, shape (n_t, d).
+
+        Parameters
+        ----------
+        beam : str
+        fraction : float
+            Arc-length fraction along the beam, 0 to 1.
+        y, z : float
+            Offset along the section's axes; m.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such beam.
+        InvalidInput
+            If the fraction lies outside [0, 1].
+        """
+        return self._vector(self.q, beam, fraction, y, z, None)
+
+    def velocity(self, beam: str, fraction: float, y: float = 0.0, z: float = 0.0) -> Array:
+        """Velocity of a material point, shape (n_t, d); arguments as in `position`."""
+        return self._vector(self.v, beam, fraction, y, z, None)
+
+    def acceleration(self, beam: str, fraction: float, y: float = 0.0, z: float = 0.0) -> Array:
+        """Acceleration of a material point, shape (n_t, d); arguments as in `position`."""
+        return self._vector(self.a, beam, fraction, y, z, None)
+
+    def slope(
+        self, beam: str, fraction: float, axis: int = 0, y: float = 0.0, z: float = 0.0
+    ) -> Array:
+        """Slope vector along a section axis (0: along the beam), shape (n_t, d)."""
+        d = self._known_naming().layout.d
+        if axis not in range(d):
+            raise InvalidInput(
+                "slope, axis", f"must lie in 0 to {d - 1}", repr(axis), "0 is along the beam."
+            )
+        return self._vector(self.q, beam, fraction, y, z, axis)
+
+    def multipliers(self, joint: str) -> Array:
+        """Multipliers of a joint, shape (n_t, rows), in the order of its equations."""
+        place = self._known_naming().layout.joint(joint)
+        return self.lam[:, place.first_row : place.first_row + place.rows]
+
+    def reaction(self, joint: str) -> Array:
+        """Force of a joint on its first point, shape (n_t, d).
+
+        The first vector equation of every joint equates positions, so that the force is minus
+        its multipliers (eq. 1).
+        """
+        return -self.multipliers(joint)[:, : self._known_naming().layout.d]
+
+    def derivative(self, observable: Callable[[Solution], Array]) -> Array:
+        """Total design derivative of anything computed from a solution.
+
+        Parameters
+        ----------
+        observable : callable
+            Takes a solution and returns an array, shape (n_t, ...); written with operations
+            that accept complex numbers (no abs, norm or comparison). It is evaluated at
+            q + i eps q_b, which is exact to round-off.
+
+        Returns
+        -------
+        array, shape (n_t, ..., n_b)
+
+        Raises
+        ------
+        InvalidInput
+            If the solution has no sensitivities, or the observable drops the imaginary part.
+        """
+        s, naming = self._known_sensitivities(), self.naming
+        columns = []
+        for i in range(len(s.names)):
+            if naming is not None and self.naming is not None:
+                lengths = self.naming.lengths + 1j * _STEP * naming.lengths_b[:, i]
+                naming = replace(self.naming, lengths=lengths)
+            shifted = replace(
+                self,
+                q=self.q + 1j * _STEP * s.q_b[..., i],
+                v=self.v + 1j * _STEP * s.v_b[..., i],
+                a=self.a + 1j * _STEP * s.a_b[..., i],
+                lam=self.lam + 1j * _STEP * s.lam_b[..., i],
+                naming=naming,
+                sensitivities=None,
+            )
+            value = np.asarray(observable(shifted))
+            if value.dtype.kind != "c":
+                raise InvalidInput(
+                    "observable",
+                    "must keep the imaginary part of its input",
+                    f"a result of type {value.dtype}",
+                    "Replace abs, norm and comparisons by complex-safe operations.",
+                )
+            columns.append(value.imag / _STEP)
+        return np.stack(columns, axis=-1)
+
+    def design_index(self, name: str) -> int:
+        """Return the place of a design variable in the last axis of every sensitivity.
+
+        Raises
+        ------
+        UnknownName
+        """
+        names = self._known_sensitivities().names
+        if name not in names:
+            raise UnknownName("design variable", name, names)
+        return names.index(name)
+
+    def _vector(
+        self, states: Array, beam: str, fraction: float, y: float, z: float, axis: int | None
+    ) -> Array:
+        naming = self._known_naming()
+        layout = naming.layout
+        place, element = layout.beam(beam), layout.element
+        local, xi = place.locate(fraction)
+        parameters = np.ones((1, 6), dtype=naming.lengths.dtype)
+        parameters[0, ElementParameter.LENGTH] = naming.lengths[place.first_element + local]
+        # Unit height and width: the reference coordinates are y and z themselves.
+        point = np.array([[xi, y, z][: layout.d]])
+        X = self._nodes(states, beam)[:, local : local + 2].reshape(len(states), -1, layout.d)
+        if axis is None:
+            return np.asarray(np.einsum("a,tad->td", element.shape(point, parameters)[0, 0], X))
+        n_s = element.n_s
+        Y = np.concatenate([X[:, n_s : n_s + 1] - X[:, :1], X[:, 1:n_s], X[:, n_s + 1 :]], axis=1)
+        N = element.gradient(point, parameters)[0, 0, :, axis]
+        return np.asarray(np.einsum("y,tyd->td", N, Y))
+
+    def _nodes(self, states: Array, beam: str) -> Array:
+        layout = self._known_naming().layout
+        place, per_node = layout.beam(beam), layout.d * layout.element.n_s
+        first, count = place.first_node * per_node, (place.element_count + 1) * per_node
+        part = states[:, first : first + count]
+        return part.reshape(len(states), -1, layout.element.n_s, layout.d)
+
+    def _known_naming(self) -> Naming:
+        if self.naming is None:
+            raise InvalidInput(
+                "named access",
+                "needs the solution of an ANCF scene",
+                "a system of another kind",
+                "Use the arrays q, v, a and lam.",
+            )
+        return self.naming
+
+    def _known_sensitivities(self) -> Sensitivities:
+        if self.sensitivities is None:
+            raise InvalidInput(
+                "sensitivities",
+                "must have been computed",
+                "a solution of `simulate`",
+                "Call `differentiate` instead.",
+            )
+        return self.sensitivities
+
+    # -- files ---------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the solution to one file, complete or not at all.
+
+        The file is a NumPy archive without pickled objects; it is written beside its final
+        name and moved there when it is complete.
+
+        Parameters
+        ----------
+        path : path-like
+            By convention with the ending ``.npz``.
+        """
+        path = Path(path)
+        arrays = {name: getattr(self, name) for name in ("t", "q", "v", "a", "lam")}
+        meta: dict[str, Any] = {
+            "format": _FORMAT,
+            "statistics": asdict(self.statistics),
+            "outcome": {**asdict(self.outcome), "verdict": self.outcome.verdict.name},
+            "layout": None,
+            "names": None,
+        }
+        if self.naming is not None:
+            meta["layout"] = asdict(self.naming.layout)
+            arrays["lengths"] = self.naming.lengths
+            arrays["lengths_b"] = self.naming.lengths_b
+        if self.sensitivities is not None:
+            s = self.sensitivities
+            meta["names"] = list(s.names)
+            for name in ("values", "q_b", "v_b", "a_b", "lam_b"):
+                arrays[f"sensitivity_{name}"] = getattr(s, name)
+        arrays["meta"] = np.array(json.dumps(meta))
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+        return path
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Solution:
+        """Read a solution written by `save`.
+
+        Raises
+        ------
+        InvalidInput
+            If the file is not such a solution.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            meta = json.loads(str(arrays["meta"]))
+            if meta["format"] != _FORMAT:
+                raise KeyError(meta["format"])
+            return _rebuild(arrays, meta)
+        except FileNotFoundError:
+            raise
+        except (KeyError, ValueError, OSError, EOFError, TypeError) as error:
+            raise InvalidInput(
+                f"solution file {os.fspath(path)!r}",
+                f"must be a file written by Solution.save ({_FORMAT})",
+                f"{type(error).__name__}: {error}",
+                "Choose another file.",
+            ) from error
+
+
+def _rebuild(arrays: dict[str, Array], meta: dict[str, Any]) -> Solution:
+    outcome = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
+    naming = None
+    if meta["layout"] is not None:
+        beams = tuple(
+            BeamLayout(**{**beam, "fractions": tuple(beam["fractions"])})
+            for beam in meta["layout"]["beams"]
+        )
+        joints = tuple(JointLayout(**joint) for joint in meta["layout"]["joints"])
+        layout = Layout(meta["layout"]["d"], beams, joints)
+        naming = Naming(layout, arrays["lengths"], arrays["lengths_b"])
+    sensitivities = None
+    if meta["names"] is not None:
+        parts = ("values", "q_b", "v_b", "a_b", "lam_b")
+        sensitivities = Sensitivities(
+            tuple(meta["names"]), *(arrays[f"sensitivity_{name}"] for name in parts)
+        )
+    return Solution(
+        **{name: arrays[name] for name in ("t", "q", "v", "a", "lam")},
+        statistics=Statistics(**meta["statistics"]),
+        outcome=Outcome(**outcome),
+        naming=naming,
+        sensitivities=sensitivities,
+    )

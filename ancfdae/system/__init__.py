@@ -1,0 +1,6 @@
+"""Mechanical systems: the protocol that integrators see, and the ANCF assembler behind it."""
+
+from ancfdae.system.ancf import AncfSystem, assemble
+from ancfdae.system.contract import MechanicalSystem
+
+__all__ = ["AncfSystem", "MechanicalSystem", "assemble"]

@@ -1,0 +1,99 @@
+"""From design variables to element parameters, and back for derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.bodies import PARAMETER_NAMES
+from ancfdae.design import DesignVariable, parse_target
+from ancfdae.elements import ElementParameter
+from ancfdae.errors import InvalidInput
+from ancfdae.numerics.arrays import Array
+from ancfdae.scene import Scene
+
+
+@final
+@dataclass(frozen=True)
+class ParameterMap:
+    """Which element parameters each design variable writes to.
+
+    One entry per pair (element, parameter) that a variable drives; the element's parameter
+    is `weight` times the variable.
+
+    Attributes
+    ----------
+    base : array, shape (n, 6)
+        Parameters of the scene as declared.
+    elements, parameters, variables : array of int, shape (n_pairs,)
+    weights : array, shape (n_pairs,)
+        One, except for a length: share of the element in the length of its beam.
+    """
+
+    base: Array
+    elements: Array
+    parameters: Array
+    variables: Array
+    weights: Array
+
+    def values(self, b: Array) -> Array:
+        """Return element parameters at design values b, shape (n, 6), in the dtype of b."""
+        P = self.base.astype(np.result_type(self.base, b))
+        P[self.elements, self.parameters] = self.weights * b[self.variables]
+        return P
+
+    def pairs(self, which: ElementParameter) -> Array:
+        """Return the indices of the pairs of one parameter."""
+        return np.flatnonzero(self.parameters == which)
+
+    def driven(self) -> tuple[ElementParameter, ...]:
+        """Return the parameters that some design variable drives."""
+        return tuple(ElementParameter(int(k)) for k in np.unique(self.parameters))
+
+
+def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMap:
+    """Resolve the targets of all design variables.
+
+    Raises
+    ------
+    UnknownName
+        If a target names a beam or a parameter that does not exist.
+    InvalidInput
+        If two targets write to the same parameter of the same element.
+    """
+    base = scene.element_parameters()
+    elements, parameters, variables, weights = [], [], [], []
+    owner: dict[tuple[int, int], str] = {}
+    for index, variable in enumerate(design):
+        for text in variable.targets:
+            target = parse_target(text)
+            which = PARAMETER_NAMES.get(target.parameter)
+            rows = scene.target_elements(target)
+            assert which is not None  # target_elements refuses unknown parameters
+            share = np.ones(len(rows))
+            if which is ElementParameter.LENGTH:
+                share = base[rows, which] / np.sum(base[rows, which])
+            for row in rows.tolist():
+                other = owner.setdefault((row, which), text)
+                if other != text:
+                    raise InvalidInput(
+                        "design",
+                        "two targets may not write to the same parameter of an element",
+                        f"{other} and {text}",
+                        "Remove one of them.",
+                    )
+            elements.append(rows)
+            parameters.append(np.full(len(rows), int(which)))
+            variables.append(np.full(len(rows), index))
+            weights.append(share)
+    empty = [np.zeros(0, dtype=np.int64)]
+    return ParameterMap(
+        base=base,
+        elements=np.concatenate(elements or empty),
+        parameters=np.concatenate(parameters or empty),
+        variables=np.concatenate(variables or empty),
+        weights=np.concatenate(weights or [np.zeros(0)]),
+    )

@@ -1,0 +1,203 @@
+"""Plots are refused when they would show nothing, and are otherwise reproducible and readable."""
+
+import itertools
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from ancfdae.errors import InvalidInput
+from ancfdae.plotting import Figure, Panel, Series, draw, save
+
+T = np.linspace(0.0, 1.0, 201)
+SINE = Series("sine", T, np.sin(9.0 * T))
+COSINE = Series("cosine", T, np.cos(9.0 * T))
+
+
+def panel(*series: Series, title: str = "Motion") -> Panel:
+    return Panel(title, "t [s]", "y [m]", series)
+
+
+def two_panels() -> Figure:
+    return draw([panel(SINE, COSINE), panel(COSINE, title="Again")], columns=2, title="Both")
+
+
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [
+        ([0.0, 1.0], [0.0]),
+        ([], []),
+        ([[0.0, 1.0]], [[0.0, 1.0]]),
+        ([0.0, 1.0], [1.0j, 2.0j]),
+        ([0.0, 1.0], [np.nan, np.inf]),
+        ([0.0, np.nan], [np.nan, 1.0]),
+    ],
+    ids=["lengths", "empty", "matrix", "complex", "nothing finite", "no finite pair"],
+)
+def test_series_that_cannot_be_drawn_is_refused(x: object, y: object) -> None:
+    with pytest.raises(InvalidInput, match="Series 'curve'"):
+        Series("curve", x, y)
+
+
+@pytest.mark.parametrize("label", ["", "  ", "_hidden"])
+def test_label_that_the_legend_would_drop_is_refused(label: str) -> None:
+    with pytest.raises(InvalidInput, match=r"Series\.label"):
+        Series(label, T, T)
+
+
+def test_series_without_line_and_marker_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="line or markers"):
+        Series("nothing", T, T, line=False)
+
+
+def test_panel_without_series_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="at least one series"):
+        panel()
+
+
+def test_panel_with_one_label_for_two_series_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="each label once"):
+        panel(SINE, Series("sine", T, T))
+
+
+@pytest.mark.parametrize("label", ["time", "[s]", "t [s] later", "t []"])
+def test_axis_label_without_unit_is_refused(label: str) -> None:
+    with pytest.raises(InvalidInput, match="unit in brackets"):
+        Panel("Motion", label, "y [m]", [SINE])
+    with pytest.raises(InvalidInput, match="unit in brackets"):
+        Panel("Motion", "t [s]", label, [SINE])
+
+
+def test_panel_without_title_is_refused() -> None:
+    with pytest.raises(InvalidInput, match=r"Panel\.title"):
+        panel(SINE, title=" ")
+
+
+def test_unknown_scale_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="'linear' or 'log'"):
+        Panel("Motion", "t [s]", "y [m]", [SINE], y_scale="symlog")
+
+
+def test_series_that_a_logarithmic_axis_cannot_show_is_refused() -> None:
+    below = Series("below", [1.0, 2.0], [-1.0, 0.0])
+    assert Panel("Fine", "t [s]", "y [m]", [below], x_scale="log").series == [below]
+    with pytest.raises(InvalidInput, match="'below': at least one point must be positive"):
+        Panel("Lost", "t [s]", "y [m]", [below], y_scale="log")
+
+
+def test_nothing_to_draw_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="at least one panel"):
+        draw([])
+    with pytest.raises(InvalidInput, match="one column"):
+        draw([panel(SINE)], columns=0)
+
+
+def test_label_with_two_looks_is_refused() -> None:
+    marked = Series("sine", T, np.sin(9.0 * T), marker=True)
+    with pytest.raises(InvalidInput, match="same in every panel"):
+        draw([panel(SINE), panel(marked)])
+
+
+def test_axes_show_what_the_panel_declares() -> None:
+    error = Panel(
+        "Error", "h [s]", "error [-]", [Series("h", [0.1, 1.0], [1e-3, 0.0])], "log", "log"
+    )
+    axes = draw([error]).axes[0]
+    assert (axes.get_title(), axes.get_xlabel(), axes.get_ylabel()) == (
+        "Error",
+        "h [s]",
+        "error [-]",
+    )
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    np.testing.assert_array_equal(axes.lines[0].get_xydata(), [[0.1, 1e-3], [1.0, 0.0]])
+
+
+def test_label_looks_the_same_in_every_panel_and_is_listed_once() -> None:
+    figure = two_panels()
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["sine", "cosine"]
+    first, second = figure.axes[0].lines[1], figure.axes[1].lines[0]
+    assert first.get_color() == second.get_color()
+    assert first.get_linestyle() == second.get_linestyle()
+
+
+def test_overlapping_series_differ_in_colour_and_dashes_and_later_ones_are_thinner() -> None:
+    lines = draw([panel(*(Series(f"{k}", T, T) for k in range(4)))]).axes[0].lines
+    for earlier, later in itertools.combinations(lines, 2):
+        assert earlier.get_color() != later.get_color()
+        assert earlier._dash_pattern != later._dash_pattern
+        assert earlier.get_linewidth() > later.get_linewidth()
+        assert earlier.get_zorder() < later.get_zorder()
+
+
+def test_28_series_are_all_told_apart() -> None:
+    lines = draw([panel(*(Series(f"{k}", T, T) for k in range(28)))]).axes[0].lines
+    looks = {(line.get_color(), line._unscaled_dash_pattern) for line in lines}
+    assert len(looks) == 28
+
+
+def test_dashes_and_markers_can_be_demanded() -> None:
+    solid, dashed, marks = (
+        draw(
+            [
+                panel(
+                    Series("solid", T, T),
+                    Series("dashed", T, T + 1.0, dashed=True),
+                    Series("marks", T, T + 2.0, line=False, marker=True),
+                )
+            ]
+        )
+        .axes[0]
+        .lines
+    )
+    assert solid.get_linestyle() == "-"
+    assert dashed.get_linestyle() == "--"
+    assert marks.get_linestyle() == "None"
+    assert marks.get_marker() not in ("None", "", None)
+
+
+def test_first_series_is_dashed_and_second_solid_on_demand() -> None:
+    lines = (
+        draw([panel(Series("a", T, T, dashed=True), Series("b", T, T, dashed=False))]).axes[0].lines
+    )
+    assert [line.get_linestyle() for line in lines] == ["--", "-"]
+
+
+def test_legend_covers_no_panel() -> None:
+    figure = draw([panel(*(Series(f"series number {k}", T, T) for k in range(9)))])
+    figure.draw_without_rendering()
+    top_of_legend = figure.legends[0].get_window_extent().y1
+    assert top_of_legend <= figure.axes[0].get_tightbbox().y0
+    assert figure.legends[0].get_window_extent().x0 >= 0.0
+    assert figure.legends[0].get_window_extent().x1 <= figure.bbox.x1
+
+
+def test_saved_files_are_a_picture_each(tmp_path: Path) -> None:
+    svg, png = save(two_panels(), tmp_path / "new folder" / "motion-2.5")
+    assert (svg.name, png.name) == ("motion-2.5.svg", "motion-2.5.png")
+    assert ElementTree.parse(svg).getroot().tag == "{http://www.w3.org/2000/svg}svg"
+    assert png.read_bytes().startswith(b"\x89PNG\r\n")
+
+
+def test_same_declaration_gives_the_same_bytes(tmp_path: Path) -> None:
+    once = save(two_panels(), tmp_path / "once")
+    again = save(two_panels(), tmp_path / "again")
+    assert [path.read_bytes() for path in once] == [path.read_bytes() for path in again]
+    assert b"<dc:date>" not in once[0].read_bytes()
+
+
+def test_neither_reads_nor_changes_the_settings_of_the_user(tmp_path: Path) -> None:
+    plain = save(two_panels(), tmp_path / "plain")[0].read_bytes()
+    with mpl.rc_context({"font.size": 30.0, "axes.facecolor": "black", "svg.hashsalt": "mine"}):
+        before = dict(mpl.rcParams)
+        assert save(two_panels(), tmp_path / "user")[0].read_bytes() == plain
+        assert dict(mpl.rcParams) == before
+
+
+@pytest.mark.parametrize("name", ["motion.svg", "motion.png"])
+def test_path_with_suffix_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InvalidInput, match="without suffix"):
+        save(two_panels(), tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

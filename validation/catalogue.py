@@ -1,0 +1,46 @@
+"""The reports that can be run, as an explicit list.
+
+To add one, write a module with a function that fills a `Report`, and enter it in `CATALOGUE`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from validation import pendulum
+from validation.report import Report
+
+__all__ = ["CATALOGUE", "Definition"]
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A report that can be run.
+
+    Parameters
+    ----------
+    name : str
+        Name on the command line and of the output folder.
+    title : str
+        Heading of the report.
+    question : str
+        What the report answers, one sentence.
+    run : callable
+        ``run(report, quick)`` fills the report; `quick` asks for coarse settings that exercise
+        every part of it without giving figures worth quoting.
+    """
+
+    name: str
+    title: str
+    question: str
+    run: Callable[[Report, bool], None]
+
+
+CATALOGUE: tuple[Definition, ...] = (
+    Definition(
+        name="pendulum",
+        title="The paper's flexible pendulum",
+        question="Do the motion and the design sensitivities of the paper's planar pendulum come "
+        "out as printed, and how far are they from the continuous-in-time answer?",
+        run=pendulum.run,
+    ),
+)

@@ -1,0 +1,296 @@
+"""A report as Markdown for people and JSON for programs, written whole or not at all."""
+
+import importlib.metadata
+import json
+import math
+import numbers
+import platform
+import re
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import Enum
+from pathlib import Path
+from typing import Final, final
+
+from ancfdae import plotting
+from ancfdae.errors import InvalidInput
+
+__all__ = ["Report", "Verdict", "environment"]
+
+_FLAT_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
+_PACKAGES: Final = ("numpy", "scipy", "matplotlib", "scikit-sundae", "ancfdae")
+
+
+class Verdict(Enum):
+    """How a finding compares with a claim of the source paper."""
+
+    AGREES = "agrees"
+    PARTLY = "partly"
+    DISAGREES = "disagrees"
+    NOT_CHECKABLE = "not checkable"
+
+
+@dataclass(frozen=True)
+class _Claim:
+    statement: str
+    paper: str
+    found: str
+    verdict: Verdict
+
+
+@final
+class Report:
+    """A report under construction; nothing is on disk before `write`.
+
+    Parameters
+    ----------
+    title : str
+        First heading.
+    question : str
+        What the report answers; stands below the title.
+    directory : Path
+        Where `write` puts the files; created if missing.
+    command : str
+        Command that makes this report; kept with the results.
+    """
+
+    def __init__(self, title: str, question: str, directory: Path, command: str) -> None:
+        self._title = title
+        self._question = question
+        self._directory = directory
+        self._command = command
+        self._started = datetime.now(UTC)
+        self._clock = time.perf_counter()
+        self._body: list[str] = []
+        self._claims: list[_Claim] = []
+        self._figures: dict[str, float] = {}
+        self._plots: dict[str, plotting.Figure] = {}
+
+    def heading(self, text: str, level: int = 2) -> None:
+        """Start a section; `level` is 2 to 4, as 1 is the title of the report."""
+        if not 2 <= level <= 4:
+            raise InvalidInput("Report.heading", "level must be 2, 3 or 4", level, "Choose one.")
+        self._body.append(f"{'#' * level} {text}")
+
+    def text(self, markdown: str) -> None:
+        """Add a paragraph, list or other block of Markdown."""
+        self._body.append(markdown.strip())
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+        """Add a table.
+
+        Parameters
+        ----------
+        header : sequence of str
+            Column titles.
+        rows : sequence of sequences
+            Cells; real numbers are shown with six significant digits, anything else as `str` does.
+
+        Raises
+        ------
+        InvalidInput
+            If there are no rows or a row has not as many cells as the header.
+        """
+        self._body.append(_table(header, rows))
+
+    def figure(self, name: str, value: float) -> float:
+        """Keep a number under `name` in results.json and return it as a plain float.
+
+        A value that is not finite becomes ``null`` there, and the report says so.
+
+        Raises
+        ------
+        InvalidInput
+            If the name is taken or is not letters, digits, ``_``, ``.`` and ``-`` from a letter on.
+        """
+        if name in self._figures or not _FLAT_NAME.fullmatch(name):
+            raise InvalidInput(
+                "Report.figure",
+                "a name must be new and consist of letters, digits, '_', '.' and '-'",
+                repr(name),
+                "Choose another name.",
+            )
+        self._figures[name] = float(value)
+        return self._figures[name]
+
+    def plot(
+        self,
+        name: str,
+        panels: Sequence[plotting.Panel],
+        columns: int = 1,
+        title: str = "",
+        caption: str = "",
+    ) -> None:
+        """Add a plot, written as name.svg (embedded) and name.png.
+
+        Raises
+        ------
+        InvalidInput
+            If the name is taken or cannot be a file name, or if `plotting.draw` refuses the panels.
+        """
+        if name in self._plots or not _FLAT_NAME.fullmatch(name):
+            raise InvalidInput(
+                "Report.plot",
+                "a name must be new and consist of letters, digits, '_', '.' and '-'",
+                repr(name),
+                "Choose another name.",
+            )
+        self._plots[name] = plotting.draw(panels, columns, title)
+        self._body.append(f"![{title or panels[0].title}]({name}.svg)")
+        if caption:
+            self._body.append(f"*{caption.strip()}*")
+
+    def claim(self, statement: str, paper: str, found: str, verdict: Verdict) -> None:
+        """Add a row to the table that compares the paper with what is found here.
+
+        Parameters
+        ----------
+        statement : str
+            What is compared.
+        paper : str
+            What the paper says, with its place.
+        found : str
+            What this run shows.
+        verdict : Verdict
+            Whether the two agree.
+        """
+        self._claims.append(_Claim(statement, paper, found, verdict))
+
+    def write(self) -> Path:
+        """Write plots, results.json and report.md, and return the path of the last.
+
+        All files are made in a temporary folder first and then moved into place one by one, so that
+        no reader meets half a file and a failure leaves an older report as it was.
+        """
+        seconds = time.perf_counter() - self._clock
+        meta = environment() | {
+            "command": self._command,
+            "started": self._started.isoformat(timespec="seconds"),
+            "seconds": round(seconds, 3),
+        }
+        self._directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=self._directory, prefix=".report-") as folder:
+            staging = Path(folder)
+            made: list[Path] = []
+            for name, drawing in self._plots.items():
+                made += plotting.save(drawing, staging / name)
+            for name, content in (
+                ("results.json", self._results(meta)),
+                ("report.md", self._markdown(meta)),
+            ):
+                made.append(staging / name)
+                made[-1].write_text(content, encoding="utf-8")
+            for path in made:
+                path.replace(self._directory / path.name)
+        return self._directory / "report.md"
+
+    def _results(self, meta: dict[str, object]) -> str:
+        figures = {
+            name: value if math.isfinite(value) else None for name, value in self._figures.items()
+        }
+        content = {"figures": figures, "meta": meta}
+        return json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n"
+
+    def _markdown(self, meta: dict[str, object]) -> str:
+        blocks = [f"# {self._title}", self._question]
+        if self._claims:
+            rows = [(c.statement, c.paper, c.found, c.verdict.value) for c in self._claims]
+            header = ("claim", "what the paper says", "what we see", "agrees?")
+            blocks += ["## The paper and this run", _table(header, rows)]
+        blocks += self._body
+        lost = {name: value for name, value in self._figures.items() if not math.isfinite(value)}
+        if lost:
+            blocks += [
+                "## Figures that are not finite",
+                "`results.json` holds `null` for these.",
+                _table(("figure", "value"), list(lost.items())),
+            ]
+        return "\n\n".join([*blocks, _colophon(meta)]) + "\n"
+
+
+def environment() -> dict[str, object]:
+    """Describe what the figures depend on besides the code: versions, processor and commit.
+
+    Returns
+    -------
+    dict
+        ``python`` and each package's version (None if not installed), ``processor``, ``commit``
+        (None outside a git checkout) and ``dirty`` (None likewise): whether the checkout differs
+        from that commit.
+    """
+    found: dict[str, object] = {"python": platform.python_version(), "processor": _processor()}
+    for package in _PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = None
+    commit, changes = _git("rev-parse", "HEAD"), _git("status", "--porcelain")
+    found["commit"] = commit
+    found["dirty"] = None if commit is None or changes is None else bool(changes)
+    return found
+
+
+def _processor() -> str:
+    """Name the processor; Linux tells its model only in /proc/cpuinfo."""
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
+            key, _, value = line.partition(":")
+            if key.strip() == "model name":
+                return value.strip()
+    return platform.processor() or platform.machine()
+
+
+def _git(*words: str) -> str | None:
+    """Return what git says about the checkout of this file, or None if it has nothing to say."""
+    try:
+        answer = subprocess.run(
+            ["git", *words],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return answer.stdout.strip()
+
+
+def _colophon(meta: dict[str, object]) -> str:
+    commit = meta["commit"] or "unknown"
+    changed = " with uncommitted changes" if meta["dirty"] else ""
+    versions = ", ".join(f"{name} {meta[name]}" for name in ("python", *_PACKAGES))
+    return (
+        f"---\n\nMade by `{meta['command']}` on {meta['started']} in {meta['seconds']} s "
+        f"at commit {commit}{changed}; {versions}; {meta['processor']}. "
+        "The figures are in `results.json`."
+    )
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    if not rows or any(len(row) != len(header) for row in rows):
+        raise InvalidInput(
+            "Report.table",
+            f"there must be rows of {len(header)} cells each",
+            [len(row) for row in rows],
+            "Give every row one cell for each column.",
+        )
+    numeric = [all(_is_number(row[column]) for row in rows) for column in range(len(header))]
+    rule = ["---:" if right else "---" for right in numeric]
+    cells = [[_cell(value) for value in row] for row in (header, *rows)]
+    lines = [cells[0], rule, *cells[1:]]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, numbers.Real) and not isinstance(value, numbers.Integral):
+        return f"{float(value):.6g}"
+    return " ".join(str(value).replace("|", "\\|").split())
