@@ -9,6 +9,7 @@ being random, factors below 2 are seen.
 
 import numpy as np
 import pytest
+
 from oracle import plain_ancf as ancf
 
 EPS = np.finfo(float).eps

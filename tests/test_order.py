@@ -8,10 +8,11 @@ import itertools
 
 import numpy as np
 import pytest
-from mechanisms import CartesianPendulum
-from validation.scenes import pendulum
 
 from ancfdae import HHT, RigidMotion, differentiate, simulate
+from validation.scenes import pendulum
+
+from mechanisms import CartesianPendulum
 
 # The claim: 2 within 0.15.
 WITHIN = 0.15

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from mechanisms import CartesianPendulum
-from validation.scenes import deflection, pendulum
 
 from ancfdae import (
     HHT,
@@ -25,6 +23,9 @@ from ancfdae import (
     distribution,
     taylor_test,
 )
+from validation.scenes import deflection, pendulum
+
+from mechanisms import CartesianPendulum
 
 # The claim: relative 1e-9 in the norm over time.
 EXACT = 1e-9
