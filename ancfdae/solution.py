@@ -37,6 +37,8 @@ class Statistics:
         Factorised iteration matrices.
     residuals : int
         Evaluations of the residual.
+    round_off_steps : int
+        Steps whose Newton corrections stopped shrinking, at round-off, above the tolerance.
     wall_seconds : float
         Elapsed time of the integration.
     """
@@ -45,6 +47,7 @@ class Statistics:
     iterations: int
     factorisations: int
     residuals: int
+    round_off_steps: int
     wall_seconds: float
 
 

@@ -22,6 +22,13 @@ def upper_triangle(n_y: int) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=8)
+def _flat_index(n_y: int) -> Array:
+    rows, columns = upper_triangle(n_y)
+    flat: Array = rows * n_y + columns
+    return flat
+
+
+@lru_cache(maxsize=8)
 def _unpack_index(n_y: int) -> tuple[Array, Array]:
     rows, columns = upper_triangle(n_y)
     index = np.zeros((n_y, n_y), dtype=np.intp)
@@ -45,21 +52,20 @@ def gram_derivative(n_y: int) -> Array:
 
 def packed_gram(Y: Array) -> Array:
     """Packed Y Y^T; Y of shape (n, n_y, d), result (n, n_g)."""
-    rows, columns = upper_triangle(Y.shape[1])
-    g: Array = np.matmul(Y, Y.transpose(0, 2, 1))[:, rows, columns]
-    return g
+    n, n_y, _ = Y.shape
+    product: Array = np.matmul(Y, Y.transpose(0, 2, 1))
+    return product.reshape(n, n_y * n_y).take(_flat_index(n_y), axis=1)
 
 
 def packed_gram_direction(Y: Array, U: Array) -> Array:
     """Return packed Y U^T + U Y^T, the derivative of `packed_gram` at Y in direction U."""
-    rows, columns = upper_triangle(Y.shape[1])
-    product = np.matmul(Y, U.transpose(0, 2, 1))
-    direction: Array = product[:, rows, columns] + product[:, columns, rows]
-    return direction
+    n, n_y, _ = Y.shape
+    product: Array = np.matmul(Y, U.transpose(0, 2, 1))
+    product = product + product.transpose(0, 2, 1)
+    return product.reshape(n, n_y * n_y).take(_flat_index(n_y), axis=1)
 
 
 def unpacked_stress(p: Array, n_y: int) -> Array:
     """Symmetric W with dU/dY = W Y from p = dU/dg; shapes (n, n_g) and (n, n_y, n_y)."""
     index, factor = _unpack_index(n_y)
-    W: Array = (p * factor)[:, index]
-    return W
+    return (p * factor).take(index, axis=1)

@@ -40,8 +40,8 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
 
-# A frozen matrix is replaced when it gains less than this factor per iteration.
-_SLOW = 0.1
+# A matrix is replaced when an iteration shrinks the correction by less than this factor.
+_SLOW = 0.2
 # Corrections that stop shrinking are round-off if they are this small against the motion.
 _ROUND_OFF = 1e-6
 # Steps may miss the end time by this many parts of their number (accumulated round-off).
@@ -184,6 +184,7 @@ class _StepSolver:
         self._system, self._matrices, self._c = system, matrices, c
         self._settings, self._recorder = settings, recorder
         self._jacobian: Factorization | None = None
+        self._inverse_weights = 1 / system.weights
         self.verdict = Verdict.NO_CONVERGENCE
         self.correction = math.inf
 
@@ -194,7 +195,7 @@ class _StepSolver:
         a, lam = before.a, before.lam
         is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
         jacobian = None if is_complex else self._jacobian
-        last, settled = math.inf, 0
+        last, settled, motion = math.inf, 0, None
         for _ in range(self._settings.max_iterations):
             q, v = correct(c, q_p, v_p, a)
             reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
@@ -209,19 +210,26 @@ class _StepSolver:
                 jacobian = self._factor(t, q, v, lam)
             x = jacobian.solve(R)
             a, lam = a - x[: system.n_q], lam - x[system.n_q :]
-            size = self._size(t, q, x) / self._motion(a, reaction, Q)
-            self.correction = size
+            if motion is None:
+                motion = self._motion(a, reaction, Q)
+            size = self._size(t, q, x) / motion
             rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
+            self.correction = size
             # Error left after the correction: quadratic convergence squares the rate once more.
             left = size * (min(1.0, rate * rate) if fresh else rate / max(1.0 - rate, 1e-3))
-            stuck = rate > 0.5 and size <= _ROUND_OFF
+            stuck = fresh and rate > 0.5 and size <= _ROUND_OFF
+            if stuck and settled == 0:
+                self._recorder.round_off_steps += 1
             if left <= tolerance or size <= tolerance or stuck:
                 # The imaginary part of a complex step lags the real part by one iteration.
                 settled += 1
                 if not is_complex or settled == 3:
                     self._jacobian = None if is_complex else jacobian
                     return self._node(before, t, q_p, v_p, a, lam)
-            if is_complex or (fresh and rate > _SLOW) or (not fresh and rate > _SLOW):
+            # The matrix kept from the step before serves one iteration; a fresh one at the
+            # improved state then converges in two (measured: 3 iterations and 1 factorisation
+            # per step, against 6 and 0.3 with the old matrix throughout, and 1.5 times slower).
+            if is_complex or rate > _SLOW:
                 jacobian = None
             last = size
         self.verdict = Verdict.NO_CONVERGENCE
@@ -253,11 +261,13 @@ class _StepSolver:
         """Size of a correction: of the accelerations and of the reactions, in units of force."""
         system = self._system
         reaction = system.constraint_force(q, x[system.n_q :], t)
-        return real_norm(x[: system.n_q], system.weights) + real_norm(reaction, 1 / system.weights)
+        return real_norm(x[: system.n_q], system.weights) + real_norm(
+            reaction, self._inverse_weights
+        )
 
     def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
         """Size of inertia, reactions and forces in the same norm; one for a system at rest."""
-        inverse = 1 / self._system.weights
+        inverse = self._inverse_weights
         size = real_norm(a, self._system.weights)
         size += real_norm(reaction, inverse) + real_norm(Q, inverse)
         return size if size > 0 else float(np.finfo(float).tiny)

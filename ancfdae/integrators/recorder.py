@@ -37,6 +37,7 @@ class Recorder:
             self._state_b = [np.zeros((rows, n, n_b)) for n in (n_q, n_q, n_q, n_lam)]
         self._rows = 0
         self.iterations = self.factorisations = self.residuals = 0
+        self.round_off_steps = 0
         self._started = time.perf_counter()
 
     @property
@@ -77,6 +78,7 @@ class Recorder:
                 iterations=self.iterations,
                 factorisations=self.factorisations,
                 residuals=self.residuals,
+                round_off_steps=self.round_off_steps,
                 wall_seconds=time.perf_counter() - self._started,
             ),
             outcome=outcome,

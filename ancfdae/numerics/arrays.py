@@ -31,4 +31,4 @@ def real_norm(x: Array, weights: Array) -> float:
 
 def is_finite(x: Array) -> bool:
     """Whether every entry is finite, at the price of one reduction."""
-    return bool(np.isfinite(np.sum(x)))
+    return bool(np.isfinite(x.sum()))

@@ -13,6 +13,7 @@ from ancfdae.elements import ElementParameter, elastic
 from ancfdae.errors import InvalidInput
 from ancfdae.layout import Layout, Naming
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.scene import Scene
 from ancfdae.system.block import element_block
@@ -93,28 +94,26 @@ class AncfSystem(MechanicalSystem):
     def _place_elements(self, pair_variable: Array) -> None:
         """Constant maps between q, the relative node vectors and the assembled tangent."""
         numbering, (n_y, d) = self._numbering, (self.element.n_y, self.element.d)
-        self._R = numbering.relative()
-        self._R_T = self._R.T.tocsr()
+        R = numbering.relative()
+        self._R = LinearMap(R)
         absolute = numbering.coordinates(numbering.vectors).reshape(len(numbering.vectors), -1)
         rows, columns = np.broadcast_arrays(absolute[:, :, None], absolute[:, None, :])
         self.pattern = Pattern((self.n_q, self.n_q), rows.ravel(), columns.ravel())
         self._tangent_map = self._tangent_gather()
         # Q_b[:, i] = -sum over pairs of variable i of R^T F_pair.
         size = n_y * d
-        entry_rows, entry_columns, signs = numbering.relative_entries()
-        R = sparse.csr_array((signs, (entry_rows, entry_columns)), shape=self._R.shape)
         pair_rows = (self._pair_element[:, None] * size + np.arange(size)).ravel()
         picked = R[pair_rows].tocoo() if len(pair_rows) else sparse.coo_array((0, self.n_q))
         variable = np.repeat(pair_variable, size)[picked.row]
-        self._pair_map = sparse.csr_array(
-            (-picked.data, (picked.col * self.n_b + variable, picked.row)),
-            shape=(self.n_q * self.n_b, len(pair_rows)),
+        shape = (self.n_q * self.n_b, len(pair_rows))
+        self._pair_map = LinearMap.of(
+            picked.col * self.n_b + variable, picked.row, -picked.data, shape
         )
         self._pair_g_o = self._block.g_o
         if len(self._block.g_o) > 1:
             self._pair_g_o = self._block.g_o[self._pair_element]
 
-    def _tangent_gather(self) -> sparse.csr_array:
+    def _tangent_gather(self) -> LinearMap:
         """Constant matrix from the element tangents in Y to -Q_q on the pattern."""
         numbering = self._numbering
         n, size = len(numbering.vectors), self.element.n_y * self.element.d
@@ -122,7 +121,6 @@ class AncfSystem(MechanicalSystem):
         by_row = np.argsort(rows, kind="stable")
         rows, columns, signs = rows[by_row], columns[by_row], signs[by_row]
         element, local = rows // size, rows % size
-        raw, at_i, at_j, sign = [], [], [], []
         per_element = len(rows) // n
         i, j = (x.ravel() for x in np.indices((per_element, per_element)))
         offset = np.arange(n)[:, None] * per_element
@@ -130,23 +128,21 @@ class AncfSystem(MechanicalSystem):
         raw = element[I] * size * size + local[I] * size + local[J]
         at_i, at_j, sign = columns[I], columns[J], signs[I] * signs[J]
         index = self.pattern.index(at_i, at_j)
-        return sparse.csr_array((sign, (index, raw)), shape=(self.pattern.size, n * size * size))
+        return LinearMap.of(index, raw, sign, (self.pattern.size, n * size * size))
 
     def _place_mass(self, pair_element: Array, pair_variable: Array) -> None:
         """Assemble M and the stacked M_b."""
         d, n_q, n_b = self.element.d, self.n_q, self.n_b
         rows, columns, values = self._mass_entries(self._block.m, self._numbering.vectors)
         self._mass = np.asarray(self.pattern.gather(rows, columns) @ values)
-        self._mass_matrix = self.pattern.csr(self._mass)
+        self._mass_matrix = LinearMap(self.pattern.csr(self._mass))
         diagonal = self.pattern.index(np.arange(n_q), np.arange(n_q))
         self.weights = self._mass[diagonal].real
         vectors = self._numbering.vectors[pair_element]
         rows, columns, values = self._mass_entries(self._block.m_b, vectors)
         per_pair = d * self.element.n_a**2
         variable = np.repeat(pair_variable, per_pair)
-        self._mass_b = sparse.csr_array(
-            (values, (rows * n_b + variable, columns)), shape=(n_q * n_b, n_q)
-        )
+        self._mass_b = LinearMap.of(rows * n_b + variable, columns, values, (n_q * n_b, n_q))
 
     def _mass_entries(self, m: Array, vectors: Array) -> tuple[Array, Array, Array]:
         """Rows, columns and values of m (x) I_d for every element."""
@@ -164,9 +160,9 @@ class AncfSystem(MechanicalSystem):
         self.constraint_pattern = Pattern((self.n_lam, self.n_q), rows.rows, rows.columns)
         gather = self.constraint_pattern.gather(rows.rows, rows.columns)
         self._B_values = np.asarray(gather @ rows.values)
-        self._B = self.constraint_pattern.csr(self._B_values)
-        self._B_T = self._B.T.tocsr()
-        self._rows = rows
+        self._B = LinearMap(self.constraint_pattern.csr(self._B_values))
+        self._B_b, self._B_bT = LinearMap(rows.B_b), LinearMap(rows.B_bT)
+        self._c, self._c_b = rows.c, rows.c_b
         layout = Layout(self.element.d, self._numbering.beams, rows.joints)
         self.naming = Naming(layout, self.lengths, self.lengths_b)
         self.constraint_names = tuple(
@@ -215,23 +211,21 @@ class AncfSystem(MechanicalSystem):
 
     def mass_times(self, x: Array) -> Array:
         """M x."""
-        return np.asarray(self._mass_matrix @ x)
+        return self._mass_matrix(x)
 
     def mass_b_times(self, a: Array) -> Array:
         """(M a)_b."""
-        return np.asarray(self._mass_b @ a).reshape(self.n_q, self.n_b)
+        return self._mass_b(a).reshape(self.n_q, self.n_b)
 
     def force(self, q: Array, v: Array, t: float) -> Array:
         """Q = gravity - elastic force (eqs. 12, 13)."""
         F = elastic.force(self._block.A, self._block.g_o, self._relative(q))
-        Q: Array = self._gravity - self._R_T @ F.ravel()
-        return Q
+        return self._gravity - self._R.transposed(F.ravel())
 
     def force_q(self, q: Array, v: Array, t: float) -> Array:
         """Q_q (eq. 19)."""
         K = elastic.tangent(self._block.A, self._block.g_o, self._relative(q))
-        Q_q: Array = -(self._tangent_map @ K.ravel())
-        return Q_q
+        return -self._tangent_map(K.ravel())
 
     def force_v(self, q: Array, v: Array, t: float) -> Array:
         """No force of an ANCF scene depends on v yet."""
@@ -246,8 +240,7 @@ class AncfSystem(MechanicalSystem):
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Q_q v."""
         block, Y, U = self._block, self._relative(q), self._relative(v)
-        rate: Array = -(self._R_T @ elastic.force_direction(block.A, block.g_o, Y, U).ravel())
-        return rate
+        return -self._R.transposed(elastic.force_direction(block.A, block.g_o, Y, U).ravel())
 
     def force_rate_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
@@ -263,13 +256,12 @@ class AncfSystem(MechanicalSystem):
             Y_i, U_i = self._relative(q_b[:, i]), self._relative(v_b[:, i])
             F = elastic.force_second_direction(block.A, Y, U, Y_i)
             F = F + elastic.force_direction(block.A, block.g_o, Y, U_i)
-            total[:, i] -= self._R_T @ F.ravel()
+            total[:, i] -= self._R.transposed(F.ravel())
         return total
 
     def constraint(self, q: Array, t: float) -> Array:
         """Phi = B q - c."""
-        Phi: Array = self._B @ q - self._rows.c
-        return Phi
+        return self._B(q) - self._c
 
     def constraint_q(self, q: Array, t: float) -> Array:
         """Phi_q = B."""
@@ -277,12 +269,11 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_b(self, q: Array, t: float) -> Array:
         """Phi_b = B_b q - c_b."""
-        Phi_b: Array = (self._rows.B_b @ q).reshape(self.n_lam, self.n_b) - self._rows.c_b
-        return Phi_b
+        return self._B_b(q).reshape(self.n_lam, self.n_b) - self._c_b
 
     def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
         """B^T lam."""
-        return np.asarray(self._B_T @ lam)
+        return self._B.transposed(lam)
 
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
         """Zero: the constraints are linear."""
@@ -290,11 +281,11 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
         """(B^T lam)_b."""
-        return np.asarray(self._rows.B_bT @ lam).reshape(self.n_q, self.n_b)
+        return self._B_bT(lam).reshape(self.n_q, self.n_b)
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """B_b x."""
-        return np.asarray(self._rows.B_b @ x).reshape(self.n_lam, self.n_b)
+        return self._B_b(x).reshape(self.n_lam, self.n_b)
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """Zero: no joint is driven."""
@@ -350,8 +341,8 @@ class AncfSystem(MechanicalSystem):
 
     def _relative(self, q: Array) -> Array:
         """Relative node vectors Y of all elements, shape (n, n_y, d)."""
-        return np.asarray(self._R @ q).reshape(-1, self.element.n_y, self.element.d)
+        return self._R(q).reshape(-1, self.element.n_y, self.element.d)
 
     def _scatter_pairs(self, F: Array) -> Array:
         """Sum -F of all pairs into an array (n_q, n_b)."""
-        return np.asarray(self._pair_map @ F.ravel()).reshape(self.n_q, self.n_b)
+        return self._pair_map(F.ravel()).reshape(self.n_q, self.n_b)

@@ -1,0 +1,44 @@
+"""Constant linear maps, kept in whichever form multiplies faster."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from scipy import sparse
+
+from ancfdae.numerics.arrays import Array
+
+# A sparse product costs 7 us of overhead, a dense one 1 us and 0.2 ns per entry (measured with
+# SciPy 1.17 on one core), so up to this many entries the dense form wins.
+_DENSE_ENTRIES = 30_000
+
+
+@final
+class LinearMap:
+    """A constant matrix that is only ever multiplied with.
+
+    Parameters
+    ----------
+    matrix : sparse array, shape (n, m)
+    """
+
+    def __init__(self, matrix: sparse.csr_array) -> None:
+        small = matrix.shape[0] * matrix.shape[1] <= _DENSE_ENTRIES
+        self._form = matrix.toarray() if small else matrix
+        self._transposed = np.ascontiguousarray(self._form.T) if small else matrix.T.tocsr()
+
+    @staticmethod
+    def of(rows: Array, columns: Array, values: Array, shape: tuple[int, int]) -> LinearMap:
+        """Return the map with these entries; entries at the same place are summed."""
+        return LinearMap(sparse.csr_array((values, (rows, columns)), shape=shape))
+
+    def __call__(self, x: Array) -> Array:
+        """Multiply a vector or the columns of an array."""
+        product: Array = self._form @ x
+        return product
+
+    def transposed(self, x: Array) -> Array:
+        """Multiply with the transposed (not conjugated) matrix."""
+        product: Array = self._transposed @ x
+        return product
