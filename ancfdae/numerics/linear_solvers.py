@@ -26,10 +26,11 @@ from ancfdae.errors import SingularMatrix
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.patterns import Pattern
 
-# Dense LU costs 2/3 N^3 and beats the band below about this size (docs/theory.md, section 7).
-_DENSE_SIZE = 160
-# Band LU costs 2 N k (k + k) for half-width k; SuperLU on chains costs about as much as k = 60.
-_BAND_HALF_WIDTH = 150
+# Measured on chains of spatial elements (docs/theory.md, section 7): below this size dense LU is
+# as fast as the band.
+_DENSE_SIZE = 60
+# Band LU costs N k^2; at k = 25 it is 3.6 times faster than SuperLU, so they meet near here.
+_BAND_HALF_WIDTH = 64
 
 
 class Factorization(abc.ABC):
