@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from typing import final
 
 import numpy as np
@@ -31,6 +32,15 @@ PARAMETER_NAMES = {
     "width": ElementParameter.WIDTH,
     "length": ElementParameter.LENGTH,
 }
+
+
+class Quantity(IntEnum):
+    """A vector of a material point; slopes are derivatives along the section's axes."""
+
+    POSITION = 0
+    SLOPE_X = 1
+    SLOPE_Y = 2
+    SLOPE_Z = 3
 
 
 @final

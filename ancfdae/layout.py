@@ -10,7 +10,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements import BEAM_2D, BEAM_3D, BeamElement
+from ancfdae.bodies import Point, Quantity
+from ancfdae.elements import BEAM_2D, BEAM_3D, BeamElement, ElementParameter
 from ancfdae.errors import InvalidInput, UnknownName
 from ancfdae.numerics.arrays import Array
 
@@ -150,3 +151,88 @@ class Naming:
     layout: Layout
     lengths: Array
     lengths_b: Array
+
+    def vector(self, point: Point, quantity: Quantity) -> PointVector:
+        """Return how a vector of a material point is made of node vectors.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such beam.
+        """
+        beam = self.layout.beam(point.beam)
+        local, xi = beam.locate(point.fraction)
+        element = beam.first_element + local
+        n_s = self.layout.element.n_s
+        s, s_l = vector_weights(
+            self.layout.element, quantity, xi, point.y, point.z, self.lengths[element]
+        )
+        first = (beam.first_node + local) * n_s
+        return PointVector(first + np.arange(2 * n_s), s, s_l[:, None] * self.lengths_b[element])
+
+
+@final
+@dataclass(frozen=True)
+class PointVector:
+    """A position or slope vector of a material point as a combination of node vectors.
+
+    Attributes
+    ----------
+    vectors : array of int, shape (n_a,)
+        Scene-wide numbers of the node vectors; vector k has the coordinates d k to d k + d - 1.
+    weights : array, shape (n_a,)
+    weights_b : array, shape (n_a, n_b)
+        Design derivatives of the weights.
+    """
+
+    vectors: Array
+    weights: Array
+    weights_b: Array
+
+    def of(self, states: Array, d: int) -> Array:
+        """Return the vector in states of shape (..., n_q), shape (..., d)."""
+        X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
+        result: Array = np.einsum("a,...ad->...d", self.weights, X)
+        return result
+
+
+def vector_weights(
+    element: BeamElement, quantity: Quantity, xi: float, y: float, z: float, length: Array
+) -> tuple[Array, Array]:
+    """Weights of the node vectors in a vector of a material point, and their length derivative.
+
+    Parameters
+    ----------
+    element : BeamElement
+    quantity : Quantity
+    xi, y, z : float
+        Place in the element.
+    length : array, shape ()
+        Element length.
+
+    Returns
+    -------
+    s, s_l : array, shape (n_a,)
+    """
+    # Unit height and width, so that the reference coordinates eta and zeta are y and z.
+    parameters = np.ones((1, 6), dtype=np.result_type(length, float))
+    parameters[0, ElementParameter.LENGTH] = length
+    point = np.array([[xi, y, z][: element.d]])
+    l = ElementParameter.LENGTH
+    if quantity is Quantity.POSITION:
+        s = element.shape(point, parameters)
+        s_l = element.shape_partial(point, parameters, l)
+        return s[0, 0], s_l[0, 0].astype(s.dtype)
+    axis = int(quantity) - 1
+    N = element.gradient(point, parameters)[0, 0, :, axis]
+    N_l = element.gradient_partial(point, parameters, l)[0, 0, :, axis]
+    return _absolute(element, N), _absolute(element, N_l)
+
+
+def _absolute(element: BeamElement, relative: Array) -> Array:
+    """Weights of node vectors X from weights of relative node vectors Y."""
+    weights = np.zeros(element.n_a, dtype=relative.dtype)
+    weights[0], weights[element.n_s] = -relative[0], relative[0]
+    weights[1 : element.n_s] = relative[1 : element.n_s]
+    weights[element.n_s + 1 :] = relative[element.n_s :]
+    return weights

@@ -12,7 +12,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.elements import ElementParameter
+from ancfdae.bodies import Point, Quantity
 from ancfdae.errors import InvalidInput, Outcome, UnknownName, Verdict
 from ancfdae.layout import BeamLayout, JointLayout, Layout, Naming
 from ancfdae.numerics.arrays import Array
@@ -127,15 +127,15 @@ class Solution:
         InvalidInput
             If the fraction lies outside [0, 1].
         """
-        return self._vector(self.q, beam, fraction, y, z, None)
+        return self._vector(self.q, Point(beam, fraction, y, z), Quantity.POSITION)
 
     def velocity(self, beam: str, fraction: float, y: float = 0.0, z: float = 0.0) -> Array:
         """Velocity of a material point, shape (n_t, d); arguments as in `position`."""
-        return self._vector(self.v, beam, fraction, y, z, None)
+        return self._vector(self.v, Point(beam, fraction, y, z), Quantity.POSITION)
 
     def acceleration(self, beam: str, fraction: float, y: float = 0.0, z: float = 0.0) -> Array:
         """Acceleration of a material point, shape (n_t, d); arguments as in `position`."""
-        return self._vector(self.a, beam, fraction, y, z, None)
+        return self._vector(self.a, Point(beam, fraction, y, z), Quantity.POSITION)
 
     def slope(
         self, beam: str, fraction: float, axis: int = 0, y: float = 0.0, z: float = 0.0
@@ -146,7 +146,7 @@ class Solution:
             raise InvalidInput(
                 "slope, axis", f"must lie in 0 to {d - 1}", repr(axis), "0 is along the beam."
             )
-        return self._vector(self.q, beam, fraction, y, z, axis)
+        return self._vector(self.q, Point(beam, fraction, y, z), Quantity(axis + 1))
 
     def multipliers(self, joint: str) -> Array:
         """Multipliers of a joint, shape (n_t, rows), in the order of its equations."""
@@ -218,24 +218,9 @@ class Solution:
             raise UnknownName("design variable", name, names)
         return names.index(name)
 
-    def _vector(
-        self, states: Array, beam: str, fraction: float, y: float, z: float, axis: int | None
-    ) -> Array:
+    def _vector(self, states: Array, point: Point, quantity: Quantity) -> Array:
         naming = self._known_naming()
-        layout = naming.layout
-        place, element = layout.beam(beam), layout.element
-        local, xi = place.locate(fraction)
-        parameters = np.ones((1, 6), dtype=naming.lengths.dtype)
-        parameters[0, ElementParameter.LENGTH] = naming.lengths[place.first_element + local]
-        # Unit height and width: the reference coordinates are y and z themselves.
-        point = np.array([[xi, y, z][: layout.d]])
-        X = self._nodes(states, beam)[:, local : local + 2].reshape(len(states), -1, layout.d)
-        if axis is None:
-            return np.asarray(np.einsum("a,tad->td", element.shape(point, parameters)[0, 0], X))
-        n_s = element.n_s
-        Y = np.concatenate([X[:, n_s : n_s + 1] - X[:, :1], X[:, 1:n_s], X[:, n_s + 1 :]], axis=1)
-        N = element.gradient(point, parameters)[0, 0, :, axis]
-        return np.asarray(np.einsum("y,tyd->td", N, Y))
+        return naming.vector(point, quantity).of(states, naming.layout.d)
 
     def _nodes(self, states: Array, beam: str) -> Array:
         layout = self._known_naming().layout

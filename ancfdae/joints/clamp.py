@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.bodies import Point
-from ancfdae.joints.contract import Equation, Joint, Quantity, Term
+from ancfdae.bodies import Point, Quantity
+from ancfdae.joints.contract import Equation, Joint, Term
 
 
 @final

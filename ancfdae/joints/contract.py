@@ -9,19 +9,9 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import final
 
-from ancfdae.bodies import Point
-
-
-class Quantity(IntEnum):
-    """A vector of a material point; slopes are derivatives along the section's axes."""
-
-    POSITION = 0
-    SLOPE_X = 1
-    SLOPE_Y = 2
-    SLOPE_Z = 3
+from ancfdae.bodies import Point, Quantity
 
 
 @final

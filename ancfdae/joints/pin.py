@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.bodies import Point
+from ancfdae.bodies import Point, Quantity
 from ancfdae.errors import InvalidInput, require_vector
-from ancfdae.joints.contract import Equation, Joint, Quantity, Term
+from ancfdae.joints.contract import Equation, Joint, Term
 
 
 @final

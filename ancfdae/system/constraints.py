@@ -14,9 +14,8 @@ from typing import final
 import numpy as np
 from scipy import sparse
 
-from ancfdae.elements import BeamElement, ElementParameter
-from ancfdae.joints import Quantity, Term
-from ancfdae.layout import JointLayout
+from ancfdae.joints import Term
+from ancfdae.layout import JointLayout, vector_weights
 from ancfdae.numerics.arrays import Array
 from ancfdae.scene import Scene
 from ancfdae.system.numbering import Numbering
@@ -86,48 +85,6 @@ def linear_constraints(
     c_reference_b = (B_b @ start.q_reference).reshape(row, n_b) + B @ start.q_reference_b
     c_b = np.where(reference[:, None], c_reference_b, 0.0)
     return LinearConstraints(rows, columns, values, c, c_b, B_b, B_bT, tuple(joints))
-
-
-def vector_weights(
-    element: BeamElement, quantity: Quantity, xi: float, y: float, z: float, length: Array
-) -> tuple[Array, Array]:
-    """Weights of the node vectors in a vector of a material point, and their length derivative.
-
-    Parameters
-    ----------
-    element : BeamElement
-    quantity : Quantity
-    xi, y, z : float
-        Place in the element.
-    length : array, shape ()
-        Element length.
-
-    Returns
-    -------
-    s, s_l : array, shape (n_a,)
-    """
-    # Unit height and width, so that the reference coordinates eta and zeta are y and z.
-    parameters = np.ones((1, 6), dtype=np.result_type(length, float))
-    parameters[0, ElementParameter.LENGTH] = length
-    point = np.array([[xi, y, z][: element.d]])
-    l = ElementParameter.LENGTH
-    if quantity is Quantity.POSITION:
-        s = element.shape(point, parameters)
-        s_l = element.shape_partial(point, parameters, l)
-        return s[0, 0], s_l[0, 0].astype(s.dtype)
-    axis = int(quantity) - 1
-    N = element.gradient(point, parameters)[0, 0, :, axis]
-    N_l = element.gradient_partial(point, parameters, l)[0, 0, :, axis]
-    return _absolute(element, N), _absolute(element, N_l)
-
-
-def _absolute(element: BeamElement, relative: Array) -> Array:
-    """Weights of node vectors X from weights of relative node vectors Y."""
-    weights = np.zeros(element.n_a, dtype=relative.dtype)
-    weights[0], weights[element.n_s] = -relative[0], relative[0]
-    weights[1 : element.n_s] = relative[1 : element.n_s]
-    weights[element.n_s + 1 :] = relative[element.n_s :]
-    return weights
 
 
 @final

@@ -1,0 +1,809 @@
+"""The assembler behind the system protocol, and the linear solvers that factorise its matrices.
+
+Every partial of the protocol is compared with a complex step of the system's own values, the
+values with a plain assembly of oracle elements and shape functions written by hand. Complex
+steps have no truncation error: STEP^2 vanishes against one.
+"""
+
+import inspect
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    Beam,
+    Clamp,
+    CurvedBeam,
+    DesignVariable,
+    Material,
+    Pin,
+    Rectangle,
+    RigidMotion,
+    Scene,
+    assemble,
+    distribution,
+)
+from ancfdae.elements import BeamElement, ElementParameter
+from ancfdae.errors import InvalidInput, SingularMatrix
+from ancfdae.integrators.initial import consistent_start, saddle_point, start_sensitivity
+from ancfdae.joints import Joint
+from ancfdae.numerics import linear_solvers
+from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.numerics.patterns import Pattern
+
+from oracle import plain_ancf as ancf
+
+STEP = 1e-40
+# Two evaluations of one derivative differ by round-off: sums over up to 432 quadrature points and
+# 28 entries of g, with terms a few hundred times the result (the cancellation in the strain,
+# about 1e-1, and in the product rule): 1e3 eps = 2e-13, five times that is allowed.
+DERIVATIVE = 1e-12
+# Values against the oracle: sums as above without the product rule, and a reference that was
+# turned into the direction of the beam (a few eps more).
+VALUE = 3e-13
+
+STEEL = Material(density=2700.0, youngs_modulus=3e6, poisson_ratio=0.3)
+RUBBER = Material(density=1100.0, youngs_modulus=1e6, poisson_ratio=0.41)
+FLAT = Rectangle(height=0.06, width=0.04)
+THICK = Rectangle(height=0.09, width=0.05)
+TALL = Rectangle(height=0.08, width=0.04)
+
+
+# ---------------------------------------------------------------- scenes
+
+
+def arc(name, centre, radius, angles, dimension, pitch=0.0, section=FLAT, material=STEEL):
+    """Arc (with a pitch: helix) of one element per pair of angles; unit slopes."""
+    positions, frames = [], []
+    for theta in angles:
+        tangent = np.array([np.cos(theta), np.sin(theta), pitch]) / np.sqrt(1 + pitch**2)
+        normal = np.array([-np.sin(theta), np.cos(theta), 0.0])
+        place = radius * np.array([np.sin(theta), -np.cos(theta), pitch * theta])
+        positions.append(np.asarray(centre) + place[:dimension])
+        frame = np.array([tangent, normal, np.cross(tangent, normal)])
+        frames.append(frame[:dimension, :dimension])
+    return CurvedBeam(name, np.array(positions), np.array(frames), section, material)
+
+
+def one_planar_beam():
+    beam = Beam("rod", (0.2, 0.1), (1.4, 0.1), 2, FLAT, STEEL)
+    return Scene([beam], [Pin(beam.at_start)], gravity=(0.0, -9.81))
+
+
+def planar_pair():
+    """Oblique beams of per-element heights; pins at a y offset and at an interior fraction."""
+    heights = [Rectangle(h, 0.05) for h in (0.05, 0.06, 0.08)]
+    crank = Beam("crank", (0.0, 0.0), (0.6, 0.8), 3, heights, [STEEL, STEEL, RUBBER])
+    rod = Beam("rod", (0.6, 0.8), (1.8, 0.1), 2, FLAT, RUBBER)
+    joints = [
+        Pin(crank.at(0.0, y=0.02), name="ground"),
+        Pin(crank.at_end, rod.at_start, name="elbow"),
+        # Off the declared place, so that positions are projected, too.
+        Pin(rod.at(0.85, y=-0.01), ground=(1.6, 0.25), name="slot"),
+    ]
+    start = [RigidMotion("crank", 1.5, (0.0, 0.0), velocity=(0.1, 0.2))]
+    return Scene([crank, rod], joints, gravity=(1.0, -9.81), start=start, project_start=True)
+
+
+def planar_mixed():
+    """A clamped arc that carries a straight beam; clamp away from the nodes."""
+    bow = arc("bow", (0.0, 1.0), 1.0, (0.0, 0.5, 0.9), 2, section=[FLAT, TALL])
+    tip = bow.positions[-1]
+    rod = Beam("rod", tuple(tip), tuple(tip + np.array([0.5, 0.2])), 2, THICK, RUBBER)
+    joints = [Clamp(bow.at(0.2)), Pin(bow.at(1.0), rod.at(0.3, y=0.01), name="weld")]
+    return Scene([bow, rod], joints, project_start=True)
+
+
+def one_spatial_beam():
+    beam = Beam("rod", (0.0, 0.0, 0.0), (1.2, 0.0, 0.0), 2, FLAT, STEEL)
+    return Scene([beam], [Clamp(beam.at_start)], gravity=(0.0, -9.81, 2.0))
+
+
+def spatial_pair():
+    heights = [Rectangle(h, 0.05) for h in (0.05, 0.08)]
+    crank = Beam("crank", (0, 0, 0), (0.4, 0.8, 0.3), 2, heights, STEEL, height_axis=(1, 0, 1))
+    rod = Beam("rod", (0.4, 0.8, 0.3), (0.4, 0.8, 1.3), 2, FLAT, RUBBER)
+    joints = [
+        Pin(crank.at(0.15, y=0.02, z=-0.01), name="ground"),
+        Pin(crank.at_end, rod.at(0.3, y=0.01), name="elbow"),
+    ]
+    start = [RigidMotion("rod", (0.3, -0.2, 0.5), (0.1, 0.2, 0.0), velocity=(1.0, 0.0, 2.0))]
+    return Scene([crank, rod], joints, (0.3, -9.81, 1.0), start, project_start=True)
+
+
+def spatial_mixed():
+    coil = arc("coil", (0.0, 1.0, 0.2), 1.0, (0.0, 0.5, 0.9), 3, pitch=0.3)
+    tip = coil.positions[-1]
+    rod = Beam("rod", tuple(tip), tuple(tip + np.array([0.5, 0.2, -0.3])), 1, THICK, RUBBER)
+    joints = [Clamp(coil.at(0.3, y=0.01)), Pin(coil.at_end, rod.at_start, name="weld")]
+    return Scene([coil, rod], joints, gravity=(0.0, 0.0, -9.81))
+
+
+SCENES = {
+    scene.__name__: scene
+    for scene in (
+        one_planar_beam,
+        planar_pair,
+        planar_mixed,
+        one_spatial_beam,
+        spatial_pair,
+        spatial_mixed,
+    )
+}
+MATERIAL = ("youngs_modulus", "poisson_ratio", "density")
+ALL = (*MATERIAL, "width", "height", "length")
+
+
+def of(beam, *parameters):
+    return [f"{beam}.{parameter}" for parameter in parameters]
+
+
+#: Scene and design; together every parameter of every scene, one variable for several beams and
+#: one variable per element.
+CASES = {
+    "planar, all": ("one_planar_beam", of("rod", *ALL)),
+    "planar, none": ("one_planar_beam", []),
+    # One variable that enters the mass alone, one that enters the elastic force alone.
+    "planar, inertial": ("one_planar_beam", of("rod", "density")),
+    "planar, elastic": ("one_planar_beam", of("rod", "poisson_ratio")),
+    "pair, one each": ("planar_pair", [*of("crank", "width", "length"), *of("rod", *ALL)]),
+    "pair, shared": (
+        "planar_pair",
+        [
+            DesignVariable("E", ["rod.youngs_modulus", "crank.youngs_modulus[2]"]),
+            DesignVariable("rho", ["crank.density[0]", "crank.density[1]"]),
+            DesignVariable("h", ["rod.height", "crank.height[1]"]),
+        ],
+    ),
+    "pair, per element": (
+        "planar_pair",
+        [*distribution("crank.height", 3), *distribution("rod.poisson_ratio", 2), "crank.length"],
+    ),
+    "mixed, curved": ("planar_mixed", [*of("bow", *MATERIAL, "width", "length"), "rod.length"]),
+    "mixed, per element": (
+        "planar_mixed",
+        [
+            *distribution("bow.height", 2),
+            DesignVariable("nu", ["rod.poisson_ratio"]),
+            DesignVariable("h", ["rod.height"]),
+            DesignVariable("w", ["bow.width[0]", "bow.width[1]"]),
+        ],
+    ),
+    "spatial, all": ("one_spatial_beam", of("rod", *ALL)),
+    "spatial pair": (
+        "spatial_pair",
+        [*distribution("crank.height", 2), "crank.length", *of("rod", *ALL)],
+    ),
+    "spatial mixed": (
+        "spatial_mixed",
+        [*of("coil", *ALL), "rod.length", DesignVariable("E", ["rod.youngs_modulus"])],
+    ),
+    "spatial, shared": (
+        "spatial_mixed",
+        [DesignVariable("nothing but coil", ["coil.height[1]", "coil.height[0]"])],
+    ),
+}
+
+
+class Setting:
+    """A system with a random state beside its start and random design derivatives of it."""
+
+    def __init__(self, scene, design):
+        self.scene, self.design = SCENES[scene](), design
+        self.system = assemble(self.scene, design)
+        system, rng = self.system, np.random.default_rng(3)
+        self.q = system.start()[0] + 0.05 * rng.uniform(-1, 1, system.n_q)
+        self.v, self.a = rng.uniform(-1, 1, (2, system.n_q))
+        self.lam = rng.uniform(-1, 1, system.n_lam)
+        scale = 1.0 / np.where(system.b == 0, 1.0, system.b)
+        self.q_b, self.v_b, self.a_b = rng.uniform(-1, 1, (3, system.n_q, system.n_b)) * scale
+        self.t = 0.3
+
+    def by_design(self, value):
+        """Complex step of value(system, i, size) in every design variable, as a last axis."""
+        columns = []
+        for i in range(self.system.n_b):
+            size = STEP * self.system.b[i]
+            b = self.system.b.astype(complex)
+            b[i] += 1j * size
+            columns.append(np.imag(value(self.system.with_values(b), i, 1j * size)) / size)
+        return np.stack(columns, axis=-1)
+
+    def by_coordinate(self, value):
+        """Complex step of value(q) in every coordinate, as a last axis."""
+        columns = []
+        for k in range(self.system.n_q):
+            q = self.q.astype(complex)
+            q[k] += 1j * STEP
+            columns.append(np.imag(value(q)) / STEP)
+        return np.stack(columns, axis=-1)
+
+    def check_design(self, partial, value, magnitude, tolerance=DERIVATIVE):
+        """Compare column by column: design variables have units of their own.
+
+        `magnitude` is the size of the differentiated quantity, the scale where the exact
+        derivative vanishes.
+        """
+        system = self.system
+        if not system.n_b:
+            assert partial.shape[-1] == 0
+            return
+        expected = self.by_design(value)
+        assert partial.shape == expected.shape
+        for i in range(system.n_b):
+            scale = max(np.max(np.abs(expected[..., i])), magnitude / abs(system.b[i]))
+            assert np.max(np.abs(partial[..., i] - expected[..., i])) <= tolerance * scale, (
+                system.design_names[i]
+            )
+
+
+@pytest.fixture(scope="module", params=CASES)
+def setting(request):
+    return Setting(*CASES[request.param])
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def plain(request):
+    """Every scene once, without design variables."""
+    return Setting(request.param, [])
+
+
+def assert_close(value, expected, tolerance):
+    scale = np.max(np.abs(expected))
+    assert scale > 0
+    assert np.shape(value) == np.shape(expected)
+    assert np.max(np.abs(value - expected)) <= tolerance * scale
+
+
+# ---------------------------------------------------------------- completeness
+
+
+def concrete_subclasses(base):
+    found = set()
+    for kind in base.__subclasses__():
+        found |= concrete_subclasses(kind)
+        # Only classes of the package: other tests may define some of their own.
+        if not inspect.isabstract(kind) and kind.__module__.startswith("ancfdae."):
+            found.add(kind)
+    return found
+
+
+def test_every_joint_and_every_element_appears_in_the_scenes_of_this_file():
+    scenes = [scene() for scene in SCENES.values()]
+    assert concrete_subclasses(Joint) == {type(joint) for s in scenes for joint in s.joints}
+    assert concrete_subclasses(BeamElement) == {type(b.element) for s in scenes for b in s.beams}
+
+
+def test_every_scene_and_every_parameter_has_a_case():
+    assert {scene for scene, _ in CASES.values()} == set(SCENES)
+    for dimension in (2, 3):
+        driven = set()
+        for scene, design in CASES.values():
+            system = assemble(SCENES[scene](), design)
+            if system.element.d == dimension:
+                targets = [t for variable in system._design for t in variable.targets]
+                driven |= {target.split(".")[1].split("[")[0] for target in targets}
+        assert driven == set(ALL)
+
+
+# ---------------------------------------------------------------- partials by complex step
+
+
+def test_force_b(setting):
+    s = setting
+    Q = s.system.force(s.q, s.v, s.t)
+    partial = s.system.force_b(s.q, s.v, s.t)
+    s.check_design(partial, lambda x, i, e: x.force(s.q, s.v, s.t), np.max(np.abs(Q)))
+
+
+def test_mass_b_times(setting):
+    s = setting
+    partial = s.system.mass_b_times(s.a)
+    magnitude = np.max(np.abs(s.system.mass_times(s.a)))
+    s.check_design(partial, lambda x, i, e: x.mass_times(s.a), magnitude)
+
+
+def test_force_rate_total(setting):
+    s = setting
+    partial = s.system.force_rate_total(s.q, s.v, s.a, s.t, s.q_b, s.v_b, s.a_b)
+
+    def rate(x, i, e):
+        q, v, a = s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i], s.a + e * s.a_b[:, i]
+        return x.force_rate(q, v, a, s.t)
+
+    s.check_design(partial, rate, np.max(np.abs(s.system.force_rate(s.q, s.v, s.a, s.t))))
+
+
+def test_constraint_b(setting):
+    s = setting
+    partial = s.system.constraint_b(s.q, s.t)
+    s.check_design(partial, lambda x, i, e: x.constraint(s.q, s.t), 1.0)  # positions of 1 m
+
+
+def test_constraint_force_b(setting):
+    s = setting
+    partial = s.system.constraint_force_b(s.q, s.lam, s.t)
+    s.check_design(partial, lambda x, i, e: x.constraint_force(s.q, s.lam, s.t), 1.0)
+
+
+def test_constraint_q_times_total(setting):
+    s = setting
+    partial = s.system.constraint_q_times_total(s.q, s.v, s.t, s.q_b)
+
+    def product(x, i, e):
+        values = x.constraint_q(s.q + e * s.q_b[:, i], s.t)
+        return x.constraint_pattern.dot(values, s.v)
+
+    s.check_design(partial, product, 1.0)
+
+
+def test_start_b(setting):
+    s = setting
+    for k in (0, 1):
+        s.check_design(s.system.start_b()[k], lambda x, i, e, k=k: x.start()[k], 1.0)
+
+
+def test_lengths_b(setting):
+    s = setting
+    s.check_design(s.system.lengths_b, lambda x, i, e: x.lengths, 1.0)
+    assert np.array_equal(s.system.naming.lengths_b, s.system.lengths_b)
+
+
+def test_design_derivatives_of_the_constraints_are_not_all_zero():
+    # The checks above would accept zero for zero: pins away from the nodes move with the length.
+    s = Setting("planar_pair", ["crank.length", "rod.length"])
+    for partial in (
+        s.system.constraint_b(s.q, s.t),
+        s.system.constraint_force_b(s.q, s.lam, s.t),
+        s.system.constraint_q_times_total(s.q, s.v, s.t, s.q_b),
+    ):
+        # The crank is held at its ends only, the rod inside of its second element.
+        assert not np.any(partial[:, 0])
+        assert np.any(partial[:, 1])
+    q_b, v_b = s.system.start_b()
+    assert np.all(np.any(q_b, axis=0))
+    # Only the crank turns at the start.
+    assert np.any(v_b[:, 0])
+    assert not np.any(v_b[:, 1])
+
+
+def test_force_is_minus_the_gradient_of_the_energies(plain):
+    s, system = plain, plain.system
+    gradient = s.by_coordinate(
+        lambda q: np.sum(system.strain_energy(q)) + system.gravity_potential(q)
+    )
+    assert_close(system.force(s.q, s.v, s.t), -gradient, DERIVATIVE)
+
+
+def test_force_q(plain):
+    s, system = plain, plain.system
+    expected = s.by_coordinate(lambda q: system.force(q, s.v, s.t))
+    Q_q = system.pattern.dense(system.force_q(s.q, s.v, s.t))
+    assert_close(Q_q, expected, DERIVATIVE)
+    assert_close(Q_q, Q_q.T, VALUE)
+
+
+def test_force_rate(plain):
+    s, system = plain, plain.system
+    expected = system.force(s.q + 1j * STEP * s.v, s.v, s.t).imag / STEP
+    assert_close(system.force_rate(s.q, s.v, s.a, s.t), expected, DERIVATIVE)
+
+
+def test_constraint_q_and_its_transpose(plain):
+    s, system = plain, plain.system
+    expected = s.by_coordinate(lambda q: system.constraint(q, s.t))
+    B = system.constraint_pattern.dense(system.constraint_q(s.q, s.t))
+    assert_close(B, expected, DERIVATIVE)
+    assert_close(system.constraint_force(s.q, s.lam, s.t), B.T @ s.lam, VALUE)
+    columns = np.stack([s.lam, 2 * s.lam], axis=1)
+    assert_close(system.constraint_force(s.q, columns, s.t), B.T @ columns, VALUE)
+
+
+def test_linear_constraints_have_no_curvature(plain):
+    s, system = plain, plain.system
+    assert system.linear_constraints
+    values = system.constraint_q(s.q + 1j * STEP * s.v, s.t)
+    assert not np.any(np.imag(values))
+    for array in (
+        system.constraint_force_q(s.q, s.lam, s.t),
+        system.velocity_side(s.q, s.t),
+        system.acceleration_side(s.q, s.v, s.t),
+        system.jerk_side(s.q, s.v, s.a, s.t),
+        system.constraint_force_rate(s.q, s.v, s.lam, s.t),
+    ):
+        assert not np.any(array)
+
+
+def test_arrays_of_the_protocol_have_their_shapes(setting):
+    s, x = setting, setting.system
+    n_q, n_lam, n_b = x.n_q, x.n_lam, x.n_b
+    lam_b = np.zeros((n_lam, n_b))
+    for array, shape in (
+        (x.velocity_side_total(s.q, s.t, s.q_b), (n_lam, n_b)),
+        (x.acceleration_side_total(s.q, s.v, s.t, s.q_b, s.v_b), (n_lam, n_b)),
+        (x.jerk_side_total(s.q, s.v, s.a, s.t, s.q_b, s.v_b, s.a_b), (n_lam, n_b)),
+        (x.constraint_force_rate_total(s.q, s.v, s.lam, s.t, s.q_b, s.v_b, lam_b), (n_q, n_b)),
+        (x.constraint_q_times_total(s.q, s.v, s.t, s.q_b), (n_lam, n_b)),
+        (x.force_v(s.q, s.v, s.t), (x.pattern.size,)),
+        (x.mass(), (x.pattern.size,)),
+        (x.weights, (n_q,)),
+        (x.velocity_side(s.q, s.t), (n_lam,)),
+    ):
+        assert array.shape == shape
+    assert len(x.constraint_names) == n_lam
+    assert len(x.design_names) == n_b
+    assert np.all(x.weights > 0)
+
+
+# ---------------------------------------------------------------- values by hand
+
+
+def plain_elements(scene):
+    """(rows of q, parameters, reference node vectors, oracle rule) of every element."""
+    d = scene.dimension
+    size, node = (d + 1) * d, 0
+    for beam in scene.beams:
+        shape, parameters = beam.reference(), beam.element_parameters()
+        positions = [np.asarray(shape.start)]
+        for length, chord in zip(shape.lengths, shape.chords, strict=True):
+            positions.append(positions[-1] + length * chord)
+        rule = {} if shape.straight else {"n_xi": 12, "n_y": 6, "n_z": 6}
+        for k in range(beam.element_count):
+            X_o = [positions[k], *shape.slopes[k], positions[k + 1], *shape.slopes[k + 1]]
+            rows = np.arange((node + k) * size, (node + k + 2) * size)
+            yield rows, dict(zip(ALL_COLUMNS, parameters[k], strict=True)), np.array(X_o), rule
+        node += beam.element_count + 1
+
+
+ALL_COLUMNS = ("E", "nu", "rho", "h", "w", "l")
+
+
+def test_force_is_the_sum_of_oracle_elements(plain):
+    s, d = plain, plain.scene.dimension
+    expected = np.zeros(s.system.n_q)
+    g = s.scene.gravity
+    for rows, p, X_o, rule in plain_elements(s.scene):
+        section = (p["h"], p["w"], p["l"], X_o)
+        X = s.q[rows].reshape(-1, d)
+        expected[rows] -= ancf.force(X, p["E"], p["nu"], *section, **rule).ravel()
+        if g is not None:
+            expected[rows] += ancf.gravity_force(g, p["rho"], *section, **rule).ravel()
+    assert_close(s.system.force(s.q, s.v, s.t), expected, VALUE)
+
+
+def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(plain):
+    s, d = plain, plain.scene.dimension
+    expected, volumes = np.zeros((s.system.n_q, s.system.n_q)), 0.0
+    for rows, p, X_o, rule in plain_elements(s.scene):
+        section = (p["h"], p["w"], p["l"], X_o)
+        expected[np.ix_(rows, rows)] += ancf.mass(d, p["rho"], *section, **rule)
+        dV = [dV for *_, dV in ancf.quadrature_points(d, *section, **rule)]
+        volumes += p["rho"] * np.sum(dV)
+    M = s.system.pattern.dense(s.system.mass())
+    assert_close(M, expected, VALUE)
+    assert_close(s.system.mass_times(s.a), M @ s.a, VALUE)
+    assert_close(s.system.kinetic_energy(s.v), 0.5 * s.v @ M @ s.v, VALUE)
+    translation = np.zeros((s.system.n_q // d, d))
+    translation[:: d + 1, 0] = 1.0
+    total = translation.ravel() @ s.system.mass_times(translation.ravel())
+    assert_close(total, volumes, VALUE)
+    if all(beam.reference().straight for beam in s.scene.beams):
+        blocks = s.scene.element_parameters()
+        which = [
+            ElementParameter[name.upper()] for name in ("density", "height", "width", "length")
+        ]
+        assert_close(total, np.sum(np.prod(blocks[:, which], axis=1)), VALUE)
+
+
+def vector_by_hand(system, q, point, quantity):
+    """Position (0) or slope (1, 2, 3) of a point by the oracle's shape functions."""
+    d = system.element.d
+    place = system.naming.layout.beam(point.beam)
+    fractions = np.array(place.fractions)
+    k = max(int(np.sum(fractions < point.fraction)) - 1, 0)
+    xi = (point.fraction - fractions[k]) / (fractions[k + 1] - fractions[k])
+    l = system.lengths[place.first_element + k]
+    size = (d + 1) * d
+    first = (place.first_node + k) * size
+    X = q[first : first + 2 * size].reshape(-1, d)
+    if quantity == 0:
+        return ancf.shape(d, xi, point.y, point.z, l) @ X
+    return ancf.shape_gradient(d, xi, point.y, point.z, l)[:, quantity - 1] @ X
+
+
+def test_constraints_are_those_of_vectors_by_hand(plain):
+    s, system, expected = plain, plain.system, []
+    q_o = system.start()[0]  # the reference configuration: these scenes start in it
+    for joint in s.scene.joints:
+        quantities = range(s.scene.dimension + 1) if isinstance(joint, Clamp) else [0]
+        for quantity in quantities:
+            here = vector_by_hand(system, s.q, joint.points[0], quantity)
+            if len(joint.points) == 2:
+                there = vector_by_hand(system, s.q, joint.points[1], quantity)
+            elif isinstance(joint, Pin) and joint.ground is not None:
+                there = np.array(joint.ground)
+            else:
+                there = vector_by_hand(system, q_o, joint.points[0], quantity)
+            expected.append(here - there)
+    # Differences of positions of 1 m that differ by 0.05 m: 20 times the round-off of a sum of
+    # eight products.
+    assert_close(system.constraint(s.q, s.t), np.concatenate(expected), VALUE)
+
+
+def test_pin_holds_to_the_given_ground():
+    beam = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, FLAT, STEEL)
+    system = assemble(Scene([beam], [Pin(beam.at_end, ground=(0.7, 0.2))]))
+    # (1, 0) - (0.7, 0.2), one rounding.
+    assert system.constraint(system.start()[0], 0.0) == pytest.approx([0.3, -0.2], rel=1e-15)
+
+
+def test_rigid_motion_turns_positions_and_slopes():
+    for name in ("planar_pair", "spatial_pair"):
+        s = Setting(name, [])
+        (motion,) = s.scene.start
+        d = s.scene.dimension
+        omega = np.zeros(3)
+        omega[-1 if d == 2 else slice(None)] = motion.angular_velocity
+        expected = np.zeros(s.system.n_q).reshape(-1, d + 1, d)
+        place = s.system.naming.layout.beam(motion.beam)
+        nodes = slice(place.first_node, place.first_node + place.element_count + 1)
+        arms = s.system.start()[0].reshape(-1, d + 1, d)[nodes].copy()
+        arms[:, 0] -= motion.about
+        space = np.zeros((*arms.shape[:-1], 3))
+        space[..., :d] = arms
+        expected[nodes] = np.cross(omega, space)[..., :d]
+        expected[nodes, 0] += motion.velocity
+        assert_close(s.system.start()[1], expected.ravel(), 1e-15)  # two products and a sum
+
+
+# ---------------------------------------------------------------- consistent start
+
+
+def test_start_sensitivity_is_the_complex_step_of_the_consistent_start(setting):
+    s = setting
+    matrices = saddle_point(s.system, 0.0)
+    state = consistent_start(s.system, matrices, 0.0)
+    partials = start_sensitivity(s.system, matrices, state)
+    for name in ("q", "v", "a", "lam", "jerk"):
+        values = getattr(state, name)
+
+        def moved(x, i, e, name=name):
+            return getattr(consistent_start(x, saddle_point(x, 0.0), 0.0), name)
+
+        # Solves with a scaled matrix whose condition is below 1e4 come on top of DERIVATIVE; the
+        # rates are products of two such solves.
+        s.check_design(getattr(partials, f"{name}_b"), moved, np.max(np.abs(values)), 1e-9)
+
+
+def test_cases_contain_projected_starts():
+    # Otherwise the terms of the projection would not be seen above.
+    for name in ("planar_pair", "spatial_pair"):
+        system = assemble(SCENES[name]())
+        q, v = system.start()
+        state = consistent_start(system, saddle_point(system, 0.0), 0.0)
+        assert np.max(np.abs(state.q - q)) > 1e-3
+        assert np.max(np.abs(state.v - v)) > 1e-3
+
+
+# ---------------------------------------------------------------- design values
+
+
+def scaled_values(system, factor):
+    values = {}
+    for variable, value in zip(system._design, system.b, strict=True):
+        values |= {target: float(value) * factor for target in variable.targets}
+    return values
+
+
+def test_system_with_values_is_the_scene_with_values(setting):
+    s, factor = setting, 1.01
+    moved = s.system.with_values(s.system.b * factor)
+    scene = s.scene.with_values(scaled_values(s.system, factor))
+    other = assemble(scene, s.design)
+    # Lengths go through coordinates and back, or through a factor: a few eps; a force of this
+    # state changes by 10 times its relative error (strain of 0.1).
+    assert_close(moved.lengths, other.lengths, VALUE)
+    assert_close(moved.start()[0], other.start()[0], VALUE)
+    assert_close(moved.force(s.q, s.v, s.t), other.force(s.q, s.v, s.t), 10 * VALUE)
+    assert_close(moved.mass_times(s.a), other.mass_times(s.a), VALUE)
+    assert_close(moved.constraint(s.q, s.t), other.constraint(s.q, s.t), 10 * VALUE)
+    if s.system.n_b:
+        assert_close(other.b, s.system.b * factor, VALUE)
+        change = moved.force(s.q, s.v, s.t) - s.system.force(s.q, s.v, s.t)
+        assert np.max(np.abs(change)) > 0
+
+
+def test_naming_design_variables_changes_nothing(setting):
+    s = setting
+    plain = assemble(s.scene)
+    # Values are written through shares of a length: a rounding of the length or two.
+    assert_close(s.system.lengths, plain.lengths, VALUE)
+    assert_close(s.system.force(s.q, s.v, s.t), plain.force(s.q, s.v, s.t), 10 * VALUE)
+    assert_close(s.system.mass_times(s.a), plain.mass_times(s.a), VALUE)
+    assert_close(s.system.start()[0], plain.start()[0], VALUE)
+
+
+def test_with_values_of_the_same_values_is_the_same_system(setting):
+    s = setting
+    same = s.system.with_values(s.system.b)
+    assert np.array_equal(same.force(s.q, s.v, s.t), s.system.force(s.q, s.v, s.t))
+    assert np.array_equal(same.mass(), s.system.mass())
+    assert np.array_equal(same.constraint(s.q, s.t), s.system.constraint(s.q, s.t))
+
+
+def test_wrong_number_of_design_values_is_refused():
+    system = assemble(one_planar_beam(), ["rod.height"])
+    for b in (np.zeros(0), np.ones(2), np.ones((1, 1))):
+        with pytest.raises(InvalidInput, match="design values"):
+            system.with_values(b)
+
+
+def test_equal_elements_share_their_invariants_and_a_single_changed_one_does_not():
+    shared = assemble(one_planar_beam(), distribution("rod.height", 2))
+    assert len(shared._block.A) == 1
+    assert len(shared.with_values(shared.b * [1.0, 1.1])._block.A) == 2
+    # The imaginary part of a complex step makes an element different, too.
+    assert len(shared.with_values(shared.b + np.array([0.0, 1e-40j]))._block.A) == 2
+
+
+# ---------------------------------------------------------------- patterns
+
+
+@pytest.mark.parametrize("shape", [(4, 7), (250, 250)], ids=["dense", "sparse"])
+def test_pattern_products_are_those_of_the_dense_matrix(shape):
+    rng = np.random.default_rng(1)
+    rows, columns = rng.integers(0, shape[0], 60), rng.integers(0, shape[1], 60)
+    pattern = Pattern(shape, rows, columns)
+    raw = rng.uniform(-1, 1, 60) + 1j * rng.uniform(-1, 1, 60)
+    expected = np.zeros(shape, dtype=complex)
+    np.add.at(expected, (rows, columns), raw)
+    values = pattern.gather(rows, columns) @ raw
+    # Sums of at most 60 products of size one.
+    tolerance = 60 * np.finfo(float).eps
+    assert_close(pattern.dense(values), expected, tolerance)
+    assert_close(pattern.csr(values).toarray(), expected, tolerance)
+    for x, y in (
+        (rng.uniform(-1, 1, shape[1]), rng.uniform(-1, 1, shape[0])),
+        (rng.uniform(-1, 1, (shape[1], 3)), rng.uniform(-1, 1, (shape[0], 3))),
+    ):
+        assert_close(pattern.dot(values, x), expected @ x, tolerance)
+        assert_close(pattern.dot_transposed(values, y), expected.T @ y, tolerance)
+    signs = rng.choice([-1.0, 1.0], 60)
+    signed = pattern.gather(rows, columns, signs) @ raw
+    assert_close(signed, pattern.gather(rows, columns) @ (signs * raw), tolerance)
+
+
+# ---------------------------------------------------------------- linear solvers
+
+
+STORAGES = {
+    "dense": (10**9, 0, linear_solvers._DenseStorage),
+    "band": (0, 10**9, linear_solvers._BandStorage),
+    "sparse": (0, 0, linear_solvers._SparseStorage),
+}
+
+
+class Chain:
+    """Two pinned chains of beams, a matrix on their pattern and the same matrix densely."""
+
+    def __init__(self, kind, monkeypatch):
+        size, half_width, storage = STORAGES[kind]
+        monkeypatch.setattr(linear_solvers, "_DENSE_SIZE", size)
+        monkeypatch.setattr(linear_solvers, "_BAND_HALF_WIDTH", half_width)
+        self.system = chain_system()
+        system = self.system
+        self.B = system.constraint_q(system.start()[0], 0.0)
+        self.solver = SaddlePoint(system.pattern, system.constraint_pattern, system.weights, self.B)
+        assert isinstance(self.solver._storage, storage)
+
+    def values(self, is_complex):
+        """M plus an unsymmetric perturbation of a tenth of its diagonal."""
+        rng, pattern = np.random.default_rng(2), self.system.pattern
+        weights = np.sqrt(self.system.weights)
+        noise = rng.uniform(-1, 1, pattern.size) * weights[pattern.rows] * weights[pattern.columns]
+        K = self.system.mass() + 0.003 * noise
+        return K * (1 + 0.1j * rng.uniform(-1, 1, pattern.size)) if is_complex else K
+
+    def matrix(self, K):
+        n, m = self.system.n_q, self.system.n_lam
+        A = np.zeros((n + m, n + m), dtype=K.dtype)
+        A[:n, :n] = self.system.pattern.dense(K)
+        A[n:, :n] = self.system.constraint_pattern.dense(self.B)
+        A[:n, n:] = A[n:, :n].T
+        return A
+
+
+def chain_system():
+    crank = Beam("crank", (0.0, 0.0), (1.0, 0.0), 9, FLAT, STEEL)
+    rod = Beam("rod", (1.0, 0.0), (2.0, 0.5), 21, THICK, RUBBER)
+    joints = [Pin(crank.at_start), Pin(crank.at_end, rod.at_start, name="p"), Pin(rod.at_end)]
+    return assemble(Scene([crank, rod], joints))
+
+
+@pytest.mark.parametrize("kind", STORAGES)
+@pytest.mark.parametrize("is_complex", [False, True], ids=["real", "complex"])
+@pytest.mark.parametrize("right", ["vector", "columns", "complex vector", "complex columns"])
+def test_every_storage_solves_with_the_matrix_and_its_transpose(
+    kind, is_complex, right, monkeypatch
+):
+    chain = Chain(kind, monkeypatch)
+    K = chain.values(is_complex)
+    A, factors = chain.matrix(K), chain.solver.factor(K, chain.B)
+    rng = np.random.default_rng(4)
+    shape = (len(A), 4) if right.endswith("columns") else (len(A),)
+    b = rng.uniform(-1, 1, shape)
+    if right.startswith("complex"):
+        b = b + 1j * rng.uniform(-1, 1, shape)
+    kept = b.copy()
+    scale = chain.solver.scale
+    S = scale[:, None] * A * scale
+    # Error of a solution of the scaled system: condition times eps times growth, which for
+    # partial pivoting is a small power of N in practice: 100.
+    tolerance = 100 * np.linalg.cond(S) * np.finfo(float).eps
+    assert tolerance < 1e-6  # otherwise the matrix would be too bad to show anything
+    assert np.max(np.abs(A - A.T)) > 0.001 * np.max(np.abs(A))  # so that the transpose counts
+    for matrix, x in ((A, factors.solve(b)), (A.T, factors.solve_transposed(b))):
+        expected = np.linalg.solve(matrix, b)
+        assert x.shape == b.shape
+        unscaled = scale if b.ndim == 1 else scale[:, None]
+        assert_close(x / unscaled, expected / unscaled, tolerance)
+        assert (x.dtype.kind == "c") == (expected.dtype.kind == "c")
+    assert np.array_equal(b, kept)  # right-hand sides are left alone
+
+
+@pytest.mark.parametrize("kind", STORAGES)
+def test_imaginary_part_of_a_complex_step_survives_the_factorisation(kind, monkeypatch):
+    # (K + i eps N)^{-1} b has the imaginary part -eps K^{-1} N K^{-1} b.
+    chain = Chain(kind, monkeypatch)
+    K, rng = chain.values(False), np.random.default_rng(5)
+    N = rng.uniform(-1, 1, chain.system.pattern.size)
+    b = rng.uniform(-1, 1, chain.solver.size)
+    real = chain.solver.factor(K, chain.B)
+    x = real.solve(b)
+    n = chain.system.n_q
+    change = np.zeros_like(x)
+    change[:n] = chain.system.pattern.dot(N, x[:n])
+    expected = -real.solve(change)
+    stepped = chain.solver.factor(K + 1j * STEP * N, chain.B).solve(b)
+    A = chain.matrix(K)
+    scale = chain.solver.scale
+    tolerance = 100 * np.linalg.cond(scale[:, None] * A * scale) * np.finfo(float).eps
+    assert_close(stepped.imag / STEP / scale, expected / scale, tolerance)
+
+
+@pytest.mark.parametrize("kind", STORAGES)
+def test_no_right_hand_side_gives_no_solution(kind, monkeypatch):
+    chain = Chain(kind, monkeypatch)
+    factors = chain.solver.factor(chain.values(False), chain.B)
+    empty = np.zeros((chain.solver.size, 0))
+    assert factors.solve(empty).shape == factors.solve_transposed(empty).shape == empty.shape
+
+
+@pytest.mark.parametrize("kind", STORAGES)
+@pytest.mark.parametrize("is_complex", [False, True], ids=["real", "complex"])
+def test_singular_matrix_is_refused(kind, is_complex, monkeypatch):
+    chain = Chain(kind, monkeypatch)
+    K = chain.values(is_complex)
+    with pytest.raises(SingularMatrix):
+        chain.solver.factor(K, 0 * chain.B)  # a row of zeros
+    with pytest.raises(SingularMatrix):
+        chain.solver.factor(0 * K, chain.B)  # more coordinates than constraints
+    spoiled = K.copy()
+    spoiled[7] = np.nan
+    with pytest.raises(SingularMatrix, match="not finite"):
+        chain.solver.factor(spoiled, chain.B)
+
+
+def test_storage_is_chosen_by_size_and_band():
+    system = chain_system()
+    values = system.constraint_q(system.start()[0], 0.0)
+    arguments = (system.pattern, system.constraint_pattern, system.weights, values)
+    # 32 nodes of 6 coordinates: too many for the dense form, in a narrow band of two nodes and
+    # the multipliers between them.
+    storage = SaddlePoint(*arguments)._storage
+    assert isinstance(storage, linear_solvers._BandStorage)
+    assert storage._half_width <= 20
+    small = assemble(one_planar_beam())
+    values = small.constraint_q(small.start()[0], 0.0)
+    storage = SaddlePoint(small.pattern, small.constraint_pattern, small.weights, values)._storage
+    assert isinstance(storage, linear_solvers._DenseStorage)
