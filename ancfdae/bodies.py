@@ -15,8 +15,12 @@ from ancfdae.elements.hermite import end_weight_xi, slope_weights_xi
 from ancfdae.errors import (
     InvalidInput,
     UnknownName,
+    require_array,
+    require_count,
     require_finite,
+    require_kind,
     require_positive,
+    require_sequence,
     require_vector,
 )
 from ancfdae.numerics.arrays import Array
@@ -31,6 +35,7 @@ PARAMETER_NAMES = {
     "height": ElementParameter.HEIGHT,
     "width": ElementParameter.WIDTH,
     "length": ElementParameter.LENGTH,
+    "damping_time": ElementParameter.DAMPING_TIME,
 }
 
 
@@ -80,6 +85,31 @@ class Point:
                 self.fraction,
                 "0 is the start of the beam and 1 its end.",
             )
+
+
+def require_point(where: str, point: object, dimension: int = 3) -> None:
+    """Refuse what is no point, and a point off the plane of a planar beam.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require_kind(where, point, (Point,), "Write beam.at_start, beam.at_end or beam.at(fraction).")
+    assert isinstance(point, Point)
+    if dimension == 2 and point.z != 0.0:
+        raise InvalidInput(where, "a planar beam has no z axis", f"z = {point.z}", "Leave z out.")
+
+
+def name_at(kind: str, point: Point) -> str:
+    """Return the default name of a joint or load on a point, ``kind(beam@fraction)``.
+
+    Raises
+    ------
+    InvalidInput
+        If `point` is no point.
+    """
+    require_point(kind, point)
+    return f"{kind}({point.beam}@{point.fraction:g})"
 
 
 @final
@@ -168,10 +198,10 @@ class BeamBody(abc.ABC):
         return Point(self.name, fraction, y, z)
 
     def element_parameters(self) -> Array:
-        """Parameters of every element, shape (n, 6), columns as in `ElementParameter`."""
+        """Parameters of every element, shape (n, 7), columns as in `ElementParameter`."""
         sections, materials = self._per_element()
         rows = [
-            (m.youngs_modulus, m.poisson_ratio, m.density, s.height, s.width, l)
+            (m.youngs_modulus, m.poisson_ratio, m.density, s.height, s.width, l, m.damping_time)
             for s, m, l in zip(sections, materials, self.reference().lengths, strict=True)
         ]
         return np.array(rows, dtype=float)
@@ -236,11 +266,12 @@ class BeamBody(abc.ABC):
         return sections, materials
 
     def _check_parts(self) -> None:
-        if not self.name or "." in self.name or "[" in self.name:
+        name: object = self.name
+        if not isinstance(name, str) or not name or "." in name or "[" in name:
             raise InvalidInput(
                 "Beam.name",
-                "must be non-empty, without '.' and '['",
-                repr(self.name),
+                "must be a non-empty string without '.' and '['",
+                repr(name),
                 "Names appear in design targets such as 'rod.height[2]'.",
             )
         self._check_part(self.section, Rectangle)
@@ -299,15 +330,7 @@ class Beam(BeamBody):
         where = f"beam {self.name!r}"
         require_vector(f"{where}, start", self.start)
         require_vector(f"{where}, end", self.end, (len(tuple(self.start)),))
-        given: object = self.elements
-        whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
-        if not whole or self.elements < 1:
-            raise InvalidInput(
-                f"{where}, elements",
-                "must be a positive integer",
-                repr(self.elements),
-                "Use at least one element.",
-            )
+        require_count(f"{where}, elements", self.elements, "Use at least one element.")
         if not np.any(np.subtract(self.end, self.start)):
             raise InvalidInput(
                 where,
@@ -422,7 +445,7 @@ class CurvedBeam(BeamBody):
     def __post_init__(self) -> None:
         """Validate."""
         where = f"beam {self.name!r}"
-        positions, frames = np.asarray(self.positions, float), np.asarray(self.frames, float)
+        positions = require_array(f"{where}, positions", self.positions)
         if positions.ndim != 2 or positions.shape[0] < 2 or positions.shape[1] not in (2, 3):
             raise InvalidInput(
                 f"{where}, positions",
@@ -430,15 +453,8 @@ class CurvedBeam(BeamBody):
                 positions.shape,
                 "Give one row per node.",
             )
-        if frames.shape != (*positions.shape, positions.shape[1]):
-            raise InvalidInput(
-                f"{where}, frames",
-                f"must have shape {(*positions.shape, positions.shape[1])}",
-                frames.shape,
-                "Give one frame per node, slope vectors as rows.",
-            )
-        if not (np.all(np.isfinite(positions)) and np.all(np.isfinite(frames))):
-            raise InvalidInput(where, "nodes must be finite", "NaN or infinity", "Check the input.")
+        frame_shape = (*positions.shape, positions.shape[1])
+        frames = require_array(f"{where}, frames", self.frames, frame_shape)
         if not np.all(np.any(np.diff(positions, axis=0) != 0.0, axis=1)):
             raise InvalidInput(
                 f"{where}, positions",
@@ -454,15 +470,7 @@ class CurvedBeam(BeamBody):
                 "Order the rows tangent, height axis(, width axis).",
             )
         if self.element_lengths is not None:
-            if len(self.element_lengths) != len(positions) - 1:
-                raise InvalidInput(
-                    f"{where}, element_lengths",
-                    f"must have {len(positions) - 1} entries",
-                    len(self.element_lengths),
-                    "Give one length per element.",
-                )
-            for length in self.element_lengths:
-                require_positive(f"{where}, element_lengths", length)
+            self._check_lengths(f"{where}, element_lengths", self.element_lengths)
         self._check_parts()
 
     @property
@@ -506,6 +514,14 @@ class CurvedBeam(BeamBody):
     ) -> CurvedBeam:
         """Return the same beam with another section and material."""
         return replace(self, section=section, material=material)
+
+    def _check_lengths(self, where: str, given: object) -> None:
+        rule, repair = f"must have {self.element_count} entries", "Give one length per element."
+        lengths = require_sequence(where, given, rule, repair)
+        if len(lengths) != self.element_count:
+            raise InvalidInput(where, rule, len(lengths), repair)
+        for length in lengths:
+            require_positive(where, length)
 
 
 def _arc_lengths(steps: Array, tangents_1: Array, tangents_2: Array) -> Array:

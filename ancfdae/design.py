@@ -2,14 +2,51 @@
 
 from __future__ import annotations
 
+import abc
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Self, final
 
-from ancfdae.errors import InvalidInput, require_finite
+from ancfdae.errors import InvalidInput, require_sequence, require_vector
 
-_TARGET = re.compile(r"([^.\[\]]+)\.([a-z_]+)(?:\[(\d+)\])?")
+# The owner may contain dots: joints are named like pin(rod@0.5) by default.
+_TARGET = re.compile(r"(.+)\.([a-z_]+)(?:\[(\d+)\])?")
+
+
+class Parametrised(abc.ABC):
+    """A named part of a scene with numbers that design variables can drive.
+
+    Attributes
+    ----------
+    name : str
+        Unique in a scene.
+    """
+
+    name: str
+
+    @abc.abstractmethod
+    def parameters(self) -> dict[str, float]:
+        """Return the numbers that can be design targets, by name; the order is fixed."""
+
+    @abc.abstractmethod
+    def with_parameter(self, parameter: str, value: float) -> Self:
+        """Return the same part with one of its `parameters` changed."""
+
+
+def vector_parameters(prefix: str, vector: Sequence[float] | None) -> dict[str, float]:
+    """Name the components of a vector ``prefix_x``, ``prefix_y``(, ``prefix_z``)."""
+    if vector is None:
+        return {}
+    return {f"{prefix}_{axis}": value for axis, value in zip("xyz", vector, strict=False)}
+
+
+def replaced_component(
+    prefix: str, vector: Sequence[float], parameter: str, value: float
+) -> tuple[float, ...]:
+    """Return the vector with the component that `parameter` names replaced."""
+    place = "xyz".index(parameter.removeprefix(f"{prefix}_"))
+    return (*vector[:place], value, *vector[place + 1 :])
 
 
 @final
@@ -20,7 +57,7 @@ class Target:
     Parameters
     ----------
     owner : str
-        Name of the beam.
+        Name of the beam, joint or load.
     parameter : str
         Name of its parameter, such as ``height``.
     element : int or None
@@ -62,22 +99,19 @@ class DesignVariable:
 
     def __post_init__(self) -> None:
         """Validate."""
-        if isinstance(self.targets, str) or not self.targets:
-            raise InvalidInput(
-                f"design variable {self.name!r}",
-                "needs a non-empty sequence of targets",
-                repr(self.targets),
-                'Write DesignVariable("E", ["rod.youngs_modulus"]).',
-            )
-        for text in self.targets:
+        where = f"design variable {self.name!r}"
+        rule = "needs a non-empty sequence of targets"
+        repair = 'Write DesignVariable("E", ["rod.youngs_modulus"]).'
+        targets = require_sequence(where, self.targets, rule, repair)
+        if isinstance(self.targets, str) or not targets:
+            raise InvalidInput(where, rule, repr(self.targets), repair)
+        for text in targets:
             parse_target(text)
         if self.bounds is not None:
-            lower, upper = self.bounds
-            require_finite(f"design variable {self.name!r}, lower bound", lower)
-            require_finite(f"design variable {self.name!r}, upper bound", upper)
-            if not lower < upper:
+            require_vector(f"{where}, bounds", self.bounds, (2,))
+            if not self.bounds[0] < self.bounds[1]:
                 raise InvalidInput(
-                    f"design variable {self.name!r}",
+                    where,
                     "the lower bound must lie below the upper one",
                     self.bounds,
                     "Swap or widen the bounds.",
@@ -116,7 +150,7 @@ def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, .
         raise InvalidInput("design", "must be a sequence", repr(design), "Put it in a list.")
     variables = tuple(
         item if isinstance(item, DesignVariable) else DesignVariable(item, (item,))
-        for item in design
+        for item in require_sequence("design", design)
     )
     for kind, names in (
         ("name", [variable.name for variable in variables]),

@@ -11,7 +11,10 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import final
+from typing import Any, final
+
+import numpy as np
+import numpy.typing as npt
 
 
 class AncfdaeError(Exception):
@@ -118,16 +121,62 @@ class Outcome:
         )
 
 
-def require_finite(where: str, value: float, repair: str = "Give a finite number.") -> None:
+def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:
+    """Refuse an object that is of none of the given classes.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if not isinstance(value, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise InvalidInput(where, f"must be of type {names}", repr(value), repair)
+
+
+def require_sequence(
+    where: str, value: object, rule: str = "must be a sequence", repair: str = "Put it in a list."
+) -> tuple[Any, ...]:
+    """Return the entries of a sequence; refuse what has none.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    try:
+        # An iterator has no length: it could be read only once.
+        return tuple(value) if len(value) else ()  # type: ignore[arg-type]
+    except TypeError:
+        raise InvalidInput(where, rule, repr(value), repair) from None
+
+
+def require_finite(where: str, value: object, repair: str = "Give a finite number.") -> None:
     """Refuse a value that is not a finite real number.
 
     Raises
     ------
     InvalidInput
-        If `value` is not a real number, is NaN or is infinite.
+        If `value` is not a real number (a truth value is none), is NaN, is infinite or does not
+        fit a float.
     """
-    if isinstance(value, bool) or not _is_real(value) or not math.isfinite(value):
+    try:
+        is_number = isinstance(value, int | float | np.integer | np.floating)
+        good = is_number and not isinstance(value, bool) and math.isfinite(value)  # type: ignore[arg-type]
+    except OverflowError:
+        good = False
+    if not good:
         raise InvalidInput(where, "must be a finite real number", repr(value), repair)
+
+
+def require_count(where: str, value: object, repair: str) -> None:
+    """Refuse a value that is not a positive whole number.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < 1:  # type: ignore[operator]
+        raise InvalidInput(where, "must be a positive integer", repr(value), repair)
 
 
 def require_positive(where: str, value: float) -> None:
@@ -143,27 +192,46 @@ def require_positive(where: str, value: float) -> None:
         raise InvalidInput(where, "must be positive", repr(value), "Give a positive number.")
 
 
-def require_vector(where: str, value: Iterable[float], sizes: tuple[int, ...] = (2, 3)) -> None:
+def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
     """Refuse anything but a vector of finite numbers with an allowed number of components.
 
     Raises
     ------
     InvalidInput
-        If the number of components is not in `sizes` or a component is not finite.
+        If `value` is no sequence, the number of components is not in `sizes` or a component is
+        not finite.
     """
-    components = tuple(value)
+    allowed = " or ".join(str(size) for size in sizes)
+    rule, repair = f"must have {allowed} components", f"Give {allowed} numbers."
+    components = require_sequence(where, value, rule, repair)
     if len(components) not in sizes:
-        allowed = " or ".join(str(size) for size in sizes)
-        raise InvalidInput(
-            where, f"must have {allowed} components", components, f"Give {allowed} numbers."
-        )
+        raise InvalidInput(where, rule, components, repair)
     for component in components:
         require_finite(where, component)
 
 
-def _is_real(value: object) -> bool:
+def require_array(
+    where: str, value: object, shape: tuple[int, ...] | None = None
+) -> npt.NDArray[np.float64]:
+    """Return a copy as an array of floats; refuse what is none.
+
+    Raises
+    ------
+    InvalidInput
+        If entries are no numbers or not finite, rows differ in length, or the shape is another.
+    """
     try:
-        float(value)  # type: ignore[arg-type]  # the question is whether this works
-    except (TypeError, ValueError):
-        return False
-    return not isinstance(value, str | bytes)
+        array = np.asarray(value)
+    except ValueError:
+        got = "rows of different lengths"
+    else:
+        if array.dtype.kind not in "iuf":
+            got = f"entries of type {array.dtype}"
+        elif not np.all(np.isfinite(array)):
+            got = "NaN or infinity"
+        elif shape is not None and array.shape != shape:
+            got = f"shape {array.shape}"
+        else:
+            return array.astype(float)
+    rule = "must be an array of finite numbers" + ("" if shape is None else f" of shape {shape}")
+    raise InvalidInput(where, rule, got, "Give nested lists of numbers, or an array.")

@@ -70,11 +70,15 @@ class BeamLayout:
 @final
 @dataclass(frozen=True)
 class JointLayout:
-    """Place of a joint: `rows` multipliers from `first_row` on."""
+    """Place of a joint: `rows` multipliers from `first_row` on.
+
+    `holds_position` tells whether the first d of them are minus the force on its first point.
+    """
 
     name: str
     first_row: int
     rows: int
+    holds_position: bool
 
 
 @final
@@ -169,6 +173,30 @@ class Naming:
         )
         first = (beam.first_node + local) * n_s
         return PointVector(first + np.arange(2 * n_s), s, s_l[:, None] * self.lengths_b[element])
+
+    def centre_line(self, beam: str) -> PointVector:
+        """Return the integral of the position along the centre line of a beam.
+
+        Per element int r dx = l (r_1 + r_2)/2 + l^2 (r_x1 - r_x2)/12.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such beam.
+        """
+        place, n_s = self.layout.beam(beam), self.layout.element.n_s
+        count = place.element_count
+        elements = place.first_element + np.arange(count)
+        l, l_b = self.lengths[elements], self.lengths_b[elements]
+        weights = np.zeros((count + 1, n_s), dtype=l.dtype)
+        weights_b = np.zeros((count + 1, n_s, l_b.shape[1]), dtype=l.dtype)
+        for end, sign in ((slice(None, -1), 1.0), (slice(1, None), -1.0)):
+            weights[end, 0] += l / 2
+            weights[end, 1] += sign * l**2 / 12
+            weights_b[end, 0] += l_b / 2
+            weights_b[end, 1] += sign * l[:, None] * l_b / 6
+        vectors = place.first_node * n_s + np.arange((count + 1) * n_s)
+        return PointVector(vectors, weights.ravel(), weights_b.reshape(len(vectors), -1))
 
 
 @final

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import PARAMETER_NAMES, BeamBody
-from ancfdae.design import DesignVariable, Target, parse_target
+from ancfdae.bodies import PARAMETER_NAMES, BeamBody, Point, require_point
+from ancfdae.design import DesignVariable, Parametrised, Target, parse_target
 from ancfdae.elements import ElementParameter
-from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_vector
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    require_array,
+    require_finite,
+    require_kind,
+    require_sequence,
+    require_vector,
+)
 from ancfdae.joints import Joint
+from ancfdae.loads import CentreLine, Load
 from ancfdae.numerics.arrays import Array
+
+# Two targets hold the same value up to this relative difference: a length is summed from its n
+# elements, which moves it by n eps; this admits 4500 elements.
+_SAME = 1e-12
 
 
 @final
@@ -64,7 +77,7 @@ class NodeState:
 @final
 @dataclass(frozen=True)
 class Scene:
-    """Beams, joints and gravity, and how they start.
+    """Beams, joints, loads and gravity, and how they start.
 
     Nothing but what is declared is prepared or integrated: a planar scene has no spatial
     coordinate, a scene without gravity no load.
@@ -74,6 +87,7 @@ class Scene:
     beams : sequence of BeamBody
         All planar or all spatial.
     joints : sequence of Joint
+    loads : sequence of Load
     gravity : sequence of float, optional
         Acceleration of gravity; m/s^2.
     start : sequence of RigidMotion or NodeState
@@ -93,20 +107,23 @@ class Scene:
     beams: Sequence[BeamBody]
     joints: Sequence[Joint] = ()
     gravity: Sequence[float] | None = None
-    start: Sequence[RigidMotion | NodeState] = field(default=())
+    start: Sequence[RigidMotion | NodeState] = ()
+    loads: Sequence[Load] = ()
     project_start: bool = False
 
     def __post_init__(self) -> None:
         """Freeze the sequences and validate."""
-        object.__setattr__(self, "beams", tuple(self.beams))
-        object.__setattr__(self, "joints", tuple(self.joints))
-        object.__setattr__(self, "start", tuple(self.start))
+        self._freeze("beams", (BeamBody,), "Add a Beam.")
+        self._freeze("joints", (Joint,), "Add a Pin.")
+        self._freeze("loads", (Load,), "Add a PointForce.")
+        self._freeze("start", (RigidMotion, NodeState), "Add a RigidMotion.")
         self._check_beams()
+        self._check_names()
         self._check_joints()
+        self._check_loads()
         if self.gravity is not None:
             require_vector("Scene.gravity", self.gravity, (self.dimension,))
-        for motion in self.start:
-            self._check_start(motion)
+        object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
 
     @property
     def dimension(self) -> int:
@@ -125,6 +142,38 @@ class Scene:
                 return beam
         raise UnknownName("beam", name, (beam.name for beam in self.beams))
 
+    def parts(self) -> dict[str, Parametrised]:
+        """Return joints and loads by name; their numbers can be design targets."""
+        return {part.name: part for part in (*self.joints, *self.loads)}
+
+    def part(self, target: Target) -> Parametrised:
+        """Return the joint or load that a target names, with the parameter checked.
+
+        Raises
+        ------
+        UnknownName, InvalidInput
+        """
+        parts = self.parts()
+        if target.owner not in parts:
+            known = [*(beam.name for beam in self.beams), *parts]
+            raise UnknownName("beam, joint or load", target.owner, known)
+        part = parts[target.owner]
+        if target.element is not None:
+            raise InvalidInput(
+                f"design target {target}",
+                "only beams have elements",
+                f"[{target.element}]",
+                f"Use {target.owner}.{target.parameter}.",
+            )
+        if target.parameter not in part.parameters():
+            known = [f"{part.name}.{name}" for name in part.parameters()]
+            raise UnknownName("design target", str(target), known)
+        return part
+
+    def is_beam(self, target: Target) -> bool:
+        """Whether a target names a beam."""
+        return any(beam.name == target.owner for beam in self.beams)
+
     def first_elements(self) -> dict[str, int]:
         """Return the scene-wide number of the first element of each beam."""
         counts = np.cumsum([0] + [beam.element_count for beam in self.beams])
@@ -142,13 +191,31 @@ class Scene:
         ------
         InvalidInput, UnknownName
         """
-        beams = {beam.name: beam for beam in self.beams}
+        parts = {part.name: part for part in self._all_parts()}
         for text, value in values.items():
-            target = parse_target(text)
-            owner = self.beam(target.owner).name
-            require_finite(text, value)
-            beams[owner] = beams[owner].with_value(target.parameter, target.element, value)
-        return replace(self, beams=tuple(beams.values()))
+            target, _ = self._resolve(text)
+            parts[target.owner] = _with_value(parts[target.owner], target, text, value)
+        changed = tuple(parts.values())
+        return replace(
+            self,
+            beams=tuple(part for part in changed if isinstance(part, BeamBody)),
+            joints=tuple(part for part in changed if isinstance(part, Joint)),
+            loads=tuple(part for part in changed if isinstance(part, Load)),
+        )
+
+    def check_value(self, variable: DesignVariable, value: float) -> None:
+        """Refuse a value that a design variable cannot take, such as a negative height.
+
+        Each target is looked at by itself; whether all parts still fit together is not.
+
+        Raises
+        ------
+        InvalidInput
+            Naming the variable.
+        """
+        for text in variable.targets:
+            target, part = self._resolve(text)
+            _with_value(part, target, f"design variable {variable.name!r}", value)
 
     def value(self, variable: DesignVariable) -> float:
         """Return the current value of a design variable.
@@ -159,23 +226,26 @@ class Scene:
             If its targets hold different values, so that it has no single one.
         """
         parameters = self.element_parameters()
-        values = set()
+        values: list[float] = []
         for text in variable.targets:
             target = parse_target(text)
+            if not self.is_beam(target):
+                values.append(float(self.part(target).parameters()[target.parameter]))
+                continue
             beam = self.beam(target.owner)
             rows, which = self.target_elements(target), PARAMETER_NAMES[target.parameter]
             if which is ElementParameter.LENGTH:
-                values.add(float(np.sum(beam.reference().lengths)))
+                values.append(float(np.sum(beam.reference().lengths)))
             else:
-                values.update(parameters[rows, which].tolist())
-        if len(values) != 1:
+                values.extend(parameters[rows, which].tolist())
+        if max(values) - min(values) > _SAME * max(map(abs, values)):
             raise InvalidInput(
                 f"design variable {variable.name!r}",
                 "all its targets must hold one and the same value",
-                sorted(values),
+                sorted(set(values)),
                 "Set them equal with `with_values`, or use one variable per target.",
             )
-        return values.pop()
+        return values[0]
 
     def target_elements(self, target: Target) -> Array:
         """Return the scene-wide numbers of the elements that a target writes to.
@@ -190,16 +260,40 @@ class Scene:
         return elements if target.element is None else elements[[target.element]]
 
     def element_parameters(self) -> Array:
-        """Return the parameters of all elements, shape (n, 6), columns as `ElementParameter`."""
+        """Return the parameters of all elements, shape (n, 7), columns as `ElementParameter`."""
         return np.concatenate([beam.element_parameters() for beam in self.beams])
+
+    def _all_parts(self) -> tuple[BeamBody | Parametrised, ...]:
+        return (*self.beams, *self.joints, *self.loads)
+
+    def _resolve(self, text: str) -> tuple[Target, BeamBody | Parametrised]:
+        """Read a target and find its part; refuse one that the scene does not have."""
+        target = parse_target(text)
+        if not self.is_beam(target):
+            return target, self.part(target)
+        beam = self.beam(target.owner)
+        beam.check_target(target.parameter, target.element)
+        return target, beam
+
+    def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
+        """Turn a sequence of parts into a tuple and refuse what is none of them."""
+        parts = require_sequence(f"Scene.{name}", getattr(self, name))
+        for part in parts:
+            require_kind(f"Scene.{name}", part, kinds, repair)
+        object.__setattr__(self, name, parts)
+
+    def _check_names(self) -> None:
+        """Refuse names that stand for two parts, and beams that start twice."""
+        rule, repair = "every part needs a name of its own", "Rename one."
+        _require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
+        _require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)
+        _require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
+        starts = [motion.beam for motion in self.start]
+        _require_unique("Scene.start", "every beam starts once", starts, "Keep one of them.")
 
     def _check_beams(self) -> None:
         if not self.beams:
             raise InvalidInput("Scene.beams", "needs at least one beam", "none", "Add a beam.")
-        for beam in self.beams:
-            if not isinstance(beam, BeamBody):
-                raise InvalidInput("Scene.beams", "takes beams", repr(beam), "Add a Beam.")
-        _require_unique("beam", [beam.name for beam in self.beams])
         dimensions = {beam.dimension for beam in self.beams}
         if len(dimensions) > 1:
             raise InvalidInput(
@@ -211,63 +305,93 @@ class Scene:
 
     def _check_joints(self) -> None:
         for joint in self.joints:
-            if not isinstance(joint, Joint):
-                raise InvalidInput("Scene.joints", "takes joints", repr(joint), "Add a Pin.")
-        _require_unique("joint", [joint.name for joint in self.joints])
-        known = [beam.name for beam in self.beams]
-        for joint in self.joints:
             for point in joint.points:
-                if point.beam not in known:
-                    raise UnknownName(f"joint {joint.name!r}, beam", point.beam, known)
-                self._check_inside(joint, point.beam, point.y, point.fraction, point.z)
-            for equation in joint.equations(self.dimension):
-                if equation.value is not None:
-                    require_vector(f"joint {joint.name!r}", equation.value, (self.dimension,))
+                self._check_point(f"joint {joint.name!r}", point)
+            joint.vectors(self.dimension)
+            _check_components(f"joint {joint.name!r}", joint, self.dimension)
 
-    def _check_inside(self, joint: Joint, name: str, y: float, fraction: float, z: float) -> None:
-        beam = self.beam(name)
-        if self.dimension == 2 and z != 0.0:
+    def _check_loads(self) -> None:
+        for load in self.loads:
+            where = f"load {load.name!r}"
+            for vector in load.vectors():
+                if isinstance(vector, CentreLine):
+                    self._check_beam(where, vector.beam)
+                else:
+                    self._check_point(where, vector[0])
+            _check_components(where, load, self.dimension)
+
+    def _check_beam(self, where: str, name: str) -> None:
+        known = [beam.name for beam in self.beams]
+        if name not in known:
+            raise UnknownName(f"{where}, beam", name, known)
+
+    def _check_point(self, where: str, point: Point) -> None:
+        """Refuse a point outside the sections of the element, or the two elements, it lies in."""
+        require_point(where, point, self.dimension)
+        self._check_beam(where, point.beam)
+        parameters = self.beam(point.beam).element_parameters()
+        ends = np.cumsum(parameters[:, ElementParameter.LENGTH])
+        ends /= ends[-1]
+        starts = np.concatenate([[0.0], ends[:-1]])
+        # Widened by round-off, so that nodes belong to both elements and the surface to the beam.
+        touched = (starts <= point.fraction + 1e-12) & (point.fraction - 1e-12 <= ends)
+        sizes = parameters[touched][:, [ElementParameter.HEIGHT, ElementParameter.WIDTH]]
+        half = 0.5 * sizes.max(axis=0) * (1 + 1e-12)
+        if abs(point.y) > half[0] or abs(point.z) > half[1]:
             raise InvalidInput(
-                f"joint {joint.name!r}", "a planar beam has no z axis", f"z = {z}", "Leave z out."
-            )
-        # Half an extent, widened by round-off so that the surface itself belongs to the beam.
-        half = 0.5 * beam.element_parameters()[:, 3:5].max(axis=0) * (1 + 1e-12)
-        if abs(y) > half[0] or abs(z) > half[1]:
-            raise InvalidInput(
-                f"joint {joint.name!r}",
+                where,
                 f"the point must lie in the section (|y| <= {half[0]:.6g}, |z| <= {half[1]:.6g})",
-                f"y = {y}, z = {z} at fraction {fraction}",
+                f"y = {point.y}, z = {point.z} at fraction {point.fraction}",
                 "Move the point into the beam.",
             )
 
-    def _check_start(self, motion: RigidMotion | NodeState) -> None:
-        beam = self.beam(motion.beam)
+    def _checked_start(self, motion: RigidMotion | NodeState) -> RigidMotion | NodeState:
+        """Return a start with its arrays as such; refuse vectors of another size."""
+        beam, d = self.beam(motion.beam), self.dimension
+        where = f"start of {beam.name!r}"
         if isinstance(motion, RigidMotion):
-            require_vector(f"start of {beam.name!r}, about", motion.about, (self.dimension,))
+            require_vector(f"{where}, about", motion.about, (d,))
             if motion.velocity is not None:
-                require_vector(
-                    f"start of {beam.name!r}, velocity", motion.velocity, (self.dimension,)
-                )
-            spin = np.atleast_1d(np.asarray(motion.angular_velocity, dtype=float))
-            size = 1 if self.dimension == 2 else 3
-            require_vector(f"start of {beam.name!r}, angular_velocity", spin.tolist(), (size,))
-            return
-        wanted = (beam.element_count + 1, beam.element.n_s, self.dimension)
-        for what, array in (("coordinates", motion.coordinates), ("velocities", motion.velocities)):
-            if array is None:
-                continue
-            if np.shape(array) != wanted or not np.all(np.isfinite(array)):
-                raise InvalidInput(
-                    f"start of {beam.name!r}, {what}",
-                    f"must be finite numbers of shape {wanted}",
-                    f"shape {np.shape(array)}",
-                    "Give position and slopes of every node.",
-                )
+                require_vector(f"{where}, velocity", motion.velocity, (d,))
+            if d == 2:
+                require_finite(f"{where}, angular_velocity", motion.angular_velocity)
+            else:
+                require_vector(f"{where}, angular_velocity", motion.angular_velocity, (3,))
+            return motion
+        shape = (beam.element_count + 1, beam.element.n_s, d)
+        coordinates = require_array(f"{where}, coordinates", motion.coordinates, shape)
+        velocities = None
+        if motion.velocities is not None:
+            velocities = require_array(f"{where}, velocities", motion.velocities, shape)
+        return replace(motion, coordinates=coordinates, velocities=velocities)
 
 
-def _require_unique(kind: str, names: list[str]) -> None:
+def _with_value(
+    part: BeamBody | Parametrised, target: Target, where: str, value: float
+) -> BeamBody | Parametrised:
+    """Return the part with one number changed; errors name what the user wrote."""
+    require_finite(where, value)
+    try:
+        if isinstance(part, BeamBody):
+            return part.with_value(target.parameter, target.element, value)
+        return part.with_parameter(target.parameter, value)
+    except InvalidInput as error:
+        raise InvalidInput(where, error.rule, error.got, error.repair) from error
+
+
+def _require_unique(where: str, rule: str, names: list[str], repair: str) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InvalidInput(
-            f"Scene.{kind}s", f"every {kind} needs a name of its own", twice, "Rename one."
-        )
+        raise InvalidInput(where, rule, twice, repair)
+
+
+def _check_components(where: str, part: Parametrised, d: int) -> None:
+    """Refuse vectors of a joint or load that have another number of components than space."""
+    names = part.parameters()
+    prefixes = {name[:-2] for name in names if name.endswith("_x")}
+    for prefix in sorted(prefixes):
+        count = sum(name[:-2] == prefix and name[-2] == "_" for name in names)
+        if count != d:
+            raise InvalidInput(
+                f"{where}, {prefix}", f"must have {d} components", count, f"Give {d} numbers."
+            )

@@ -48,6 +48,9 @@ class Material:
         Young's modulus E; N/m^2.
     poisson_ratio : float
         Poisson's ratio nu, in the open interval (-1, 0.5).
+    damping_time : float
+        Retardation time tau of Kelvin-Voigt damping, stress = C (E + tau dE/dt); s. Zero, the
+        default, costs nothing.
 
     Raises
     ------
@@ -58,6 +61,7 @@ class Material:
     density: float
     youngs_modulus: float
     poisson_ratio: float
+    damping_time: float = 0.0
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -70,4 +74,12 @@ class Material:
                 "must lie in the open interval (-1, 0.5)",
                 self.poisson_ratio,
                 "At 0.5 the material is incompressible and the elastic moduli are infinite.",
+            )
+        require_finite("Material.damping_time", self.damping_time)
+        if self.damping_time < 0:
+            raise InvalidInput(
+                "Material.damping_time",
+                "must not be negative",
+                self.damping_time,
+                "Zero is undamped; a negative value would feed energy in.",
             )

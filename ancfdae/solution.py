@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
+import uuid
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,12 +14,14 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity
+from ancfdae.bodies import Point, Quantity, require_point
 from ancfdae.errors import InvalidInput, Outcome, UnknownName, Verdict
 from ancfdae.layout import BeamLayout, JointLayout, Layout, Naming
 from ancfdae.numerics.arrays import Array
 
 _FORMAT = "ancfdae solution 1"
+# What reading a file that is no archive, or a damaged one, ends in.
+_DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 # Imaginary perturbation of observables: any value whose square underflows against one is exact.
 _STEP = 1e-40
 
@@ -125,7 +129,7 @@ class Solution:
         UnknownName
             If there is no such beam.
         InvalidInput
-            If the fraction lies outside [0, 1].
+            If the fraction lies outside [0, 1], or z is not zero in the plane.
         """
         return self._vector(self.q, Point(beam, fraction, y, z), Quantity.POSITION)
 
@@ -156,10 +160,23 @@ class Solution:
     def reaction(self, joint: str) -> Array:
         """Force of a joint on its first point, shape (n_t, d).
 
-        The first vector equation of every joint equates positions, so that the force is minus
-        its multipliers (eq. 1).
+        For joints whose first d equations equate positions: the force is minus their
+        multipliers (eq. 1).
+
+        Raises
+        ------
+        InvalidInput
+            If the joint is of another kind; see `multipliers`.
         """
-        return -self.multipliers(joint)[:, : self._known_naming().layout.d]
+        layout = self._known_naming().layout
+        if not layout.joint(joint).holds_position:
+            raise InvalidInput(
+                f"reaction of {joint!r}",
+                "is defined for joints that hold a point in all directions",
+                "a joint of another kind",
+                "Use `multipliers` and the equations in the joint's documentation.",
+            )
+        return -self.multipliers(joint)[:, : layout.d]
 
     def derivative(self, observable: Callable[[Solution], Array]) -> Array:
         """Total design derivative of anything computed from a solution.
@@ -181,6 +198,8 @@ class Solution:
             If the solution has no sensitivities, or the observable drops the imaginary part.
         """
         s, naming = self._known_sensitivities(), self.naming
+        if not s.names:
+            return np.zeros((*np.shape(observable(self)), 0))
         columns = []
         for i in range(len(s.names)):
             if naming is not None and self.naming is not None:
@@ -220,6 +239,7 @@ class Solution:
 
     def _vector(self, states: Array, point: Point, quantity: Quantity) -> Array:
         naming = self._known_naming()
+        require_point(f"point of {point.beam!r}", point, naming.layout.d)
         return naming.vector(point, quantity).of(states, naming.layout.d)
 
     def _nodes(self, states: Array, beam: str) -> Array:
@@ -248,6 +268,42 @@ class Solution:
                 "Call `differentiate` instead.",
             )
         return self.sensitivities
+
+    def with_sensitivities(
+        self, own: Sensitivities, verdict: Verdict, steps: int, seconds: float
+    ) -> Solution:
+        """Return the solution with derivatives, cut to the steps that have them.
+
+        Parameters
+        ----------
+        own : Sensitivities
+        verdict : Verdict
+            How the pass ended; the outcome of the run stays if it finished.
+        steps : int
+            Steps with derivatives.
+        seconds : float
+            Time of the pass, added to the statistics.
+        """
+        outcome = self.outcome
+        if verdict is not Verdict.FINISHED:
+            outcome = Outcome(verdict, float(self.t[steps]), steps, 0.0)
+        rows = slice(steps + 1)
+        statistics = replace(
+            self.statistics,
+            factorisations=self.statistics.factorisations + steps,
+            wall_seconds=self.statistics.wall_seconds + seconds,
+        )
+        return replace(
+            self,
+            t=self.t[rows],
+            q=self.q[rows],
+            v=self.v[rows],
+            a=self.a[rows],
+            lam=self.lam[rows],
+            statistics=statistics,
+            outcome=outcome,
+            sensitivities=own,
+        )
 
     # -- files ---------------------------------------------------------------------------------
 
@@ -280,14 +336,16 @@ class Solution:
             meta["names"] = list(s.names)
             for name in ("values", "q_b", "v_b", "a_b", "lam_b"):
                 arrays[f"sensitivity_{name}"] = getattr(s, name)
-        arrays["meta"] = np.array(json.dumps(meta))
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        # Settings may be numbers of NumPy, which JSON does not know.
+        arrays["meta"] = np.array(json.dumps(meta, default=np.generic.item))
+        # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
+        temporary = path.parent / f"{path.name}.{uuid.uuid4().hex}.part"
         try:
-            with os.fdopen(handle, "wb") as file:
+            with temporary.open("xb") as file:
                 np.savez(file, allow_pickle=False, **arrays)
-            Path(temporary).replace(path)
+            temporary.replace(path)
         except BaseException:
-            Path(temporary).unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
             raise
         return path
 
@@ -301,7 +359,8 @@ class Solution:
             If the file is not such a solution.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            # Opened here, because np.load leaves a file open that is no whole archive.
+            with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
             meta = json.loads(str(arrays["meta"]))
             if meta["format"] != _FORMAT:
@@ -309,7 +368,7 @@ class Solution:
             return _rebuild(arrays, meta)
         except FileNotFoundError:
             raise
-        except (KeyError, ValueError, OSError, EOFError, TypeError) as error:
+        except (OSError, KeyError, ValueError, TypeError, *_DAMAGED) as error:
             raise InvalidInput(
                 f"solution file {os.fspath(path)!r}",
                 f"must be a file written by Solution.save ({_FORMAT})",

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from ancfdae import MechanicalSystem
+from ancfdae import OneByOneSystem
 from ancfdae.numerics.patterns import Pattern
 
 
-class CartesianPendulum(MechanicalSystem):
+class CartesianPendulum(OneByOneSystem):
     """Point mass on a rod in Cartesian coordinates; design variables L and g.
 
     m q'' + Phi_q^T lam = (0, -m g), Phi = (x^2 + y^2 - L^2)/2, m = 1. It starts at the angle
@@ -18,6 +18,7 @@ class CartesianPendulum(MechanicalSystem):
     constraint_names = ("rod",)
     linear_constraints = False
     velocity_forces = False
+    force_round_off = 0.0
     project_start = False
     naming = None
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from mechanisms import CartesianPendulum
 
 from ancfdae import HHT, Verdict, simulate
 from validation.scenes import pendulum
+
+from mechanisms import CartesianPendulum
 
 
 class Failing(CartesianPendulum):

@@ -6,9 +6,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import Beam, Material, NodeState, Pin, Rectangle, RigidMotion, Scene, Solution
+from ancfdae import (
+    Beam,
+    Material,
+    NodeState,
+    Pin,
+    PointOnLine,
+    Rectangle,
+    Revolute,
+    RigidMotion,
+    Scene,
+    Solution,
+    Spherical,
+)
 
-__all__ = ["deflection", "pendulum"]
+__all__ = ["crank_slider", "deflection", "pendulum"]
 
 
 def pendulum(
@@ -47,3 +59,21 @@ def deflection(solution: Solution) -> npt.NDArray[Any]:
     across = tangent[:, 0] * arm[:, 1] - tangent[:, 1] * arm[:, 0]
     result: npt.NDArray[Any] = across / length
     return result
+
+
+def crank_slider() -> Scene:
+    """Return the crank-slider of section 4.2 with the data of Table 1.
+
+    The paper's Fig. 7 is not legible in our copy. Taken here: the in-plane mechanism, stretched
+    out along +x at the start (slider at 2.7 m, so that 1.8 m is the middle of its travel), section
+    heights in the plane of motion, gravity along -y, massless slider.
+    """
+    section = Rectangle(height=0.05, width=0.05)
+    crank = Beam("crank", (0, 0, 0), (0.9, 0, 0), 2, section, Material(2770, 1e9, 0.3))
+    rod = Beam("rod", (0.9, 0, 0), (2.7, 0, 0), 4, section, Material(2770, 1e8, 0.3))
+    joints = [
+        Revolute(crank.at_start, axis=(0, 0, 1), name="bearing"),
+        Spherical(crank.at_end, rod.at_start, name="elbow"),
+        PointOnLine(rod.at_end, direction=(1, 0, 0), name="slider"),
+    ]
+    return Scene([crank, rod], joints, gravity=(0, -9.81, 0))

@@ -20,7 +20,7 @@ from ancfdae.numerics.arrays import Array
 
 
 class ElementParameter(IntEnum):
-    """Column of each design parameter in a block's parameter array, shape (n, 6)."""
+    """Column of each design parameter in a block's parameter array, shape (n, 7)."""
 
     YOUNGS_MODULUS = 0
     POISSON_RATIO = 1
@@ -28,6 +28,7 @@ class ElementParameter(IntEnum):
     HEIGHT = 3
     WIDTH = 4
     LENGTH = 5
+    DAMPING_TIME = 6
 
 
 #: Parameters that shape functions depend on.
@@ -69,7 +70,7 @@ class BeamElement(abc.ABC):
         ----------
         points : array, shape (n_p, d)
             Reference coordinates (xi, y/height[, z/width]).
-        parameters : array, shape (n, 6)
+        parameters : array, shape (n, 6 or 7)
             Columns as in `ElementParameter`.
 
         Returns

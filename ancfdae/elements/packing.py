@@ -51,21 +51,24 @@ def gram_derivative(n_y: int) -> Array:
 
 
 def packed_gram(Y: Array) -> Array:
-    """Packed Y Y^T; Y of shape (n, n_y, d), result (n, n_g)."""
-    n, n_y, _ = Y.shape
-    product: Array = np.matmul(Y, Y.transpose(0, 2, 1))
-    return product.reshape(n, n_y * n_y).take(_flat_index(n_y), axis=1)
+    """Packed Y Y^T; Y of shape (..., n_y, d), result (..., n_g)."""
+    return _packed(np.matmul(Y, np.swapaxes(Y, -1, -2)))
 
 
 def packed_gram_direction(Y: Array, U: Array) -> Array:
     """Return packed Y U^T + U Y^T, the derivative of `packed_gram` at Y in direction U."""
-    n, n_y, _ = Y.shape
-    product: Array = np.matmul(Y, U.transpose(0, 2, 1))
-    product = product + product.transpose(0, 2, 1)
-    return product.reshape(n, n_y * n_y).take(_flat_index(n_y), axis=1)
+    product: Array = np.matmul(Y, np.swapaxes(U, -1, -2))
+    return _packed(product + np.swapaxes(product, -1, -2))
 
 
 def unpacked_stress(p: Array, n_y: int) -> Array:
-    """Symmetric W with dU/dY = W Y from p = dU/dg; shapes (n, n_g) and (n, n_y, n_y)."""
+    """Symmetric W with dU/dY = W Y from p = dU/dg; shapes (..., n_g) and (..., n_y, n_y)."""
     index, factor = _unpack_index(n_y)
-    return (p * factor).take(index, axis=1)
+    return (p * factor).take(index, axis=-1)
+
+
+def _packed(symmetric: Array) -> Array:
+    """Upper triangle of symmetric matrices, shape (..., n_y, n_y) to (..., n_g)."""
+    n_y = symmetric.shape[-1]
+    flat = symmetric.reshape(*symmetric.shape[:-2], n_y * n_y)
+    return flat.take(_flat_index(n_y), axis=-1)

@@ -2,5 +2,6 @@
 
 from ancfdae.integrators.contract import Integrator
 from ancfdae.integrators.hht import HHT
+from ancfdae.integrators.seeds import Seeds
 
-__all__ = ["HHT", "Integrator"]
+__all__ = ["HHT", "Integrator", "Seeds"]

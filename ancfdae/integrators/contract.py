@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import abc
 
+from ancfdae.integrators.seeds import Seeds
+from ancfdae.numerics.arrays import Array
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
 
@@ -42,4 +44,22 @@ class Integrator(abc.ABC):
         ------
         InvalidInput
             If settings, end time or start make no sense; before anything is integrated.
+        """
+
+    @abc.abstractmethod
+    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+        """Return the gradient of an objective from its partials in the states (adjoint).
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+        solution : Solution
+            A finished run of this integrator on this system.
+        seeds : Seeds
+            dPsi/dq, dPsi/dv, dPsi/dlam at every instant.
+
+        Returns
+        -------
+        array, shape (n_b,)
+            Without the explicit partial of the objective in b.
         """

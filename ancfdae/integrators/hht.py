@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 import warnings
 from dataclasses import dataclass
 from typing import final
@@ -16,28 +17,34 @@ from ancfdae.errors import (
     SingularMatrix,
     StabilityWarning,
     Verdict,
+    require_count,
     require_finite,
     require_positive,
 )
+from ancfdae.integrators import hht_linear
 from ancfdae.integrators.contract import Integrator
 from ancfdae.integrators.hht_equations import (
     Coefficients,
     Node,
-    NodeSensitivity,
     correct,
     factor_jacobian,
-    force_jacobians,
     predict,
     residual,
     start_node,
     start_node_sensitivity,
-    step_sensitivity,
 )
-from ancfdae.integrators.initial import consistent_start, saddle_point, start_sensitivity
+from ancfdae.integrators.hht_linear import Trajectory
+from ancfdae.integrators.initial import (
+    InitialState,
+    consistent_start,
+    saddle_point,
+    start_sensitivity,
+)
 from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.seeds import Seeds
 from ancfdae.numerics.arrays import Array, is_finite, real_norm
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.solution import Solution
+from ancfdae.solution import Sensitivities, Solution
 from ancfdae.system import MechanicalSystem
 
 # A matrix is replaced when an iteration shrinks the correction by less than this factor.
@@ -74,7 +81,7 @@ class HHT(Integrator):
 
     step: float
     hht_alpha: float = -0.3
-    newton_tolerance: float = 1e-13
+    newton_tolerance: float = 1e-14
     max_iterations: int = 25
 
     def __post_init__(self) -> None:
@@ -89,10 +96,10 @@ class HHT(Integrator):
                 "-0.3 damps fast motion strongly, -0.05 hardly.",
             )
         require_positive("HHT.newton_tolerance", self.newton_tolerance)
-        if self.max_iterations < 1:
-            raise InvalidInput(
-                "HHT.max_iterations", "must be at least 1", self.max_iterations, "25 is plenty."
-            )
+        require_count("HHT.max_iterations", self.max_iterations, "25 is plenty.")
+        # A NumPy number of single precision would spread its precision.
+        for name in ("step", "hht_alpha", "newton_tolerance"):
+            object.__setattr__(self, name, float(getattr(self, name)))
         if self.hht_alpha == 0:
             warnings.warn(
                 "HHT.hht_alpha = 0 leaves errors of the multipliers undamped: they oscillate and "
@@ -111,46 +118,105 @@ class HHT(Integrator):
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, a whole number of steps."""
         count = self._count_steps(t_end)
-        c = Coefficients.of(self.step, self.hht_alpha)
+        c = self._coefficients()
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        recorder = Recorder(system, count + 1, sensitivities)
-        node, a = start_node(system, matrices, c, initial), initial.a
-        node_b, a_b, state_b = None, None, None
-        if sensitivities:
-            derivative = start_sensitivity(system, matrices, initial)
-            node_b = start_node_sensitivity(system, matrices, c, initial, derivative)
-            a_b = derivative.a_b
-            state_b = (derivative.q_b, derivative.v_b, a_b, derivative.lam_b)
-        recorder.record(initial.t, (initial.q, initial.v, a, initial.lam), state_b)
+        recorder = Recorder(system, count + 1)
         solver = _StepSolver(system, matrices, c, self, recorder)
+        node, a = start_node(system, matrices, c, initial), initial.a
+        recorder.record(initial.t, initial.q, initial.v, a, initial.lam)
         verdict = Verdict.FINISHED
         try:
             for n in tqdm(range(1, count + 1), disable=not progress, unit="step"):
                 # A run that blows up overflows; its outcome tells so, not NumPy's warnings.
                 with np.errstate(over="ignore", invalid="ignore"):
                     after = solver.advance(node, n * self.step)
-                    if after is None:
-                        verdict = solver.verdict
-                        break
-                    node, a = after, _acceleration_at(c, after.a, a)
-                    if node_b is not None and a_b is not None:
-                        node_b = solver.advance_sensitivity(node_b, node)
-                        a_b = _acceleration_at(c, node_b.a_b, a_b)
-                        state_b = (node_b.q_b, node_b.v_b, a_b, node_b.lam_b)
-                recorder.record(node.t, (node.q, node.v, a, node.lam), state_b)
+                if after is None:
+                    verdict = solver.verdict
+                    break
+                node, a = after, _acceleration_at(c, after.a, a)
+                recorder.record(node.t, node.q, node.v, a, node.lam)
         except SingularMatrix:
             verdict = Verdict.SINGULAR
         except KeyboardInterrupt:
             verdict = Verdict.INTERRUPTED
         size = 0.0 if verdict is Verdict.FINISHED else solver.correction
         steps = recorder.steps
-        return recorder.solution(Outcome(verdict, steps * self.step, steps, size))
+        solution = recorder.solution(Outcome(verdict, steps * self.step, steps, size))
+        return self.differentiate(system, solution) if sensitivities else solution
+
+    def differentiate(self, system: MechanicalSystem, solution: Solution) -> Solution:
+        """Add the design derivatives of a run of this integrator (eqs. 22-25).
+
+        If a matrix is singular or the pass is interrupted, the solution is cut to what has
+        derivatives and its outcome says so.
+        """
+        started, c = time.perf_counter(), self._coefficients()
+        matrices = saddle_point(system, 0.0)
+        initial = consistent_start(system, matrices, 0.0)
+        derivative = start_sensitivity(system, matrices, initial)
+        node_b = start_node_sensitivity(system, matrices, c, initial, derivative)
+        path = self._path(system, matrices, solution, initial)
+        arrays, verdict = hht_linear.differentiate(system, matrices, c, path, node_b)
+        rows = len(arrays[0])
+        q_b, v_b, a_b, lam_b = arrays
+        v_b[0], a_b[0] = derivative.v_b, derivative.a_b
+        for n in range(1, rows):
+            a_b[n] = _acceleration_at(c, a_b[n], a_b[n - 1])
+        own = Sensitivities(system.design_names, system.b, q_b, v_b, a_b, lam_b)
+        seconds = time.perf_counter() - started
+        return solution.with_sensitivities(own, verdict, rows - 1, seconds)
+
+    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+        """Return the gradient of an objective by the discrete adjoint."""
+        c, matrices = self._coefficients(), saddle_point(system, 0.0)
+        initial = consistent_start(system, matrices, 0.0)
+        derivative = start_sensitivity(system, matrices, initial)
+        node_b = start_node_sensitivity(system, matrices, c, initial, derivative)
+        path = self._path(system, matrices, solution, initial)
+        gradient, back = hht_linear.pull_back(system, matrices, c, path, seeds)
+        for covector, start_b in (
+            (back.q_b, node_b.q_b),
+            (back.v_b, node_b.v_b),
+            (back.a_b, node_b.a_b),
+            (back.f_b, node_b.f_b),
+        ):
+            gradient = gradient + covector @ start_b
+        # What an objective reads at t = 0 is the consistent start, not the shifted one.
+        for seed, start_b in (
+            (seeds.q, derivative.q_b),
+            (seeds.v, derivative.v_b),
+            (seeds.lam, derivative.lam_b),
+        ):
+            if seed is not None:
+                gradient = gradient + seed[0] @ start_b
+        return gradient
+
+    def _coefficients(self) -> Coefficients:
+        return Coefficients.of(self.step, self.hht_alpha)
+
+    def _path(
+        self,
+        system: MechanicalSystem,
+        matrices: SaddlePoint,
+        solution: Solution,
+        initial: InitialState,
+    ) -> Trajectory:
+        """States of the recurrence from the solution of a run.
+
+        a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n undoes `_acceleration_at`.
+        """
+        c = self._coefficients()
+        start = start_node(system, matrices, c, initial)
+        a, v = solution.a.copy(), solution.v.copy()
+        a[1:] = (1 + c.alpha) * solution.a[1:] - c.alpha * solution.a[:-1]
+        a[0], v[0] = start.a, start.v
+        return Trajectory(solution.t, solution.q, v, a, solution.lam)
 
     def _count_steps(self, t_end: float) -> int:
         require_positive("t_end", t_end)
         steps = t_end / self.step
-        count = round(steps)
+        count = round(steps) if math.isfinite(steps) else 0
         if count < 1 or not math.isclose(steps, count, rel_tol=_WHOLE):
             raise InvalidInput(
                 "t_end",
@@ -207,7 +273,7 @@ class _StepSolver:
                 return None
             fresh = jacobian is None
             if jacobian is None:
-                jacobian = self._factor(t, q, v, lam)
+                jacobian = self._factor(t, q, v, a, lam)
             x = jacobian.solve(R)
             a, lam = a - x[: system.n_q], lam - x[system.n_q :]
             if motion is None:
@@ -235,19 +301,10 @@ class _StepSolver:
         self.verdict = Verdict.NO_CONVERGENCE
         return None
 
-    def advance_sensitivity(self, before: NodeSensitivity, node: Node) -> NodeSensitivity:
-        """Differentiate the step at its converged state; its matrix serves the next step too."""
-        system, c = self._system, self._c
-        f_q, f_v = force_jacobians(system, node.t, node.q, node.v, node.lam)
-        jacobian = factor_jacobian(system, self._matrices, c, node.t, node.q, f_q, f_v)
+    def _factor(self, t: float, q: Array, v: Array, a: Array, lam: Array) -> Factorization:
         self._recorder.factorisations += 1
-        self._jacobian = jacobian
-        return step_sensitivity(system, c, before, node, jacobian, f_q, f_v)
-
-    def _factor(self, t: float, q: Array, v: Array, lam: Array) -> Factorization:
-        f_q, f_v = force_jacobians(self._system, t, q, v, lam)
-        self._recorder.factorisations += 1
-        return factor_jacobian(self._system, self._matrices, self._c, t, q, f_q, f_v)
+        state = Node(t, q.real, v.real, a.real, lam.real, a.real)
+        return factor_jacobian(self._system, self._matrices, self._c, state)
 
     def _node(self, before: Node, t: float, q_p: Array, v_p: Array, a: Array, lam: Array) -> Node:
         """Close the step; f follows from eq. (4) without another evaluation."""
@@ -266,8 +323,12 @@ class _StepSolver:
         )
 
     def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
-        """Size of inertia, reactions and forces in the same norm; one for a system at rest."""
+        """Size of inertia, reactions and forces in the same norm.
+
+        Where all of them vanish, as in a body at rest, corrections are compared with round-off.
+        """
         inverse = self._inverse_weights
         size = real_norm(a, self._system.weights)
         size += real_norm(reaction, inverse) + real_norm(Q, inverse)
-        return size if size > 0 else float(np.finfo(float).tiny)
+        floor = self._system.force_round_off / (0.1 * _ROUND_OFF)
+        return max(size, floor, float(np.finfo(float).tiny))

@@ -121,35 +121,20 @@ def residual(
     return np.concatenate([R_1, system.constraint(q, t) / (c.beta * c.h**2)])
 
 
-def force_jacobians(
-    system: MechanicalSystem, t: float, q: Array, v: Array, lam: Array
-) -> tuple[Array, Array | None]:
-    """Values of f_q and f_v on the system's pattern; None where f does not depend on v."""
-    f_q = -system.force_q(q, v, t)
-    if not system.linear_constraints:
-        f_q = f_q + system.constraint_force_q(q, lam, t)
-    return f_q, -system.force_v(q, v, t) if system.velocity_forces else None
-
-
 def factor_jacobian(
-    system: MechanicalSystem,
-    matrices: SaddlePoint,
-    c: Coefficients,
-    t: float,
-    q: Array,
-    f_q: Array,
-    f_v: Array | None,
+    system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, node: Node
 ) -> Factorization:
-    """Factorise eq. (6).
+    """Factorise eq. (6) at a state.
 
     Raises
     ------
     SingularMatrix
     """
-    K = system.mass() / (1 + c.alpha) + (c.beta * c.h**2) * f_q
-    if f_v is not None:
-        K = K + (c.gamma * c.h) * f_v
-    return matrices.factor(K, system.constraint_q(q, t))
+    local = system.linearise(np.array([node.t]), node.q[None], node.v[None], node.lam[None])
+    K = system.mass() / (1 + c.alpha) + (c.beta * c.h**2) * local.f_q[0]
+    if local.f_v is not None:
+        K = K + (c.gamma * c.h) * local.f_v[0]
+    return matrices.factor(K, local.Phi_q[0])
 
 
 def start_node(
@@ -192,42 +177,6 @@ def start_node_sensitivity(
         lam_b=derivative.lam_b,
         f_b=f_b,
     )
-
-
-def step_sensitivity(
-    system: MechanicalSystem,
-    c: Coefficients,
-    before: NodeSensitivity,
-    node: Node,
-    jacobian: Factorization,
-    f_q: Array,
-    f_v: Array | None,
-) -> NodeSensitivity:
-    """Differentiate one step of eqs. (2)-(5) at its converged state (eqs. 22, 23).
-
-    With the predictors' derivatives q~_b, v~_b,
-
-        J [a_b; lam_b] = - [ M_b a/(1 + alpha) + f_q q~_b + f_v v~_b + (Phi_q^T lam)_b - Q_b
-                             - alpha/(1 + alpha) f_nb ;
-                             (Phi_q q~_b + Phi_b)/(beta h^2) ].
-
-    The derivative of (4) as a whole vanishes, which yields f_b without another product.
-    """
-    t, q, v, a, lam = node.t, node.q, node.v, node.a, node.lam
-    q_pb, v_pb = predict(c, before.q_b, before.v_b, before.a_b)
-    inertia_b = system.mass_b_times(a)
-    memory = c.alpha / (1 + c.alpha) * before.f_b
-    right = inertia_b / (1 + c.alpha) - memory + system.pattern.dot(f_q, q_pb)
-    right += system.constraint_force_b(q, lam, t) - system.force_b(q, v, t)
-    if f_v is not None:
-        right += system.pattern.dot(f_v, v_pb)
-    side = system.constraint_pattern.dot(system.constraint_q(q, t), q_pb)
-    side = (side + system.constraint_b(q, t)) / (c.beta * c.h**2)
-    x = jacobian.solve(-np.concatenate([right, side]))
-    a_b, lam_b = x[: system.n_q], x[system.n_q :]
-    q_b, v_b = correct(c, q_pb, v_pb, a_b)
-    f_b = memory - (system.mass_times(a_b) + inertia_b) / (1 + c.alpha)
-    return NodeSensitivity(q_b, v_b, a_b, lam_b, f_b)
 
 
 def _constraint_error(c: Coefficients) -> float:

@@ -184,7 +184,7 @@ def _project_position(
     The last correction is applied, so the error left is the square of the tolerance.
     """
     q, nu = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
-    scale = real_norm(q_start, system.weights)
+    scale, settled = real_norm(q_start, system.weights), 0
     for _ in range(_PROJECTION_ITERATIONS):
         K = system.mass()
         if not system.linear_constraints:
@@ -195,10 +195,11 @@ def _project_position(
         q, nu = q + dq, nu + dnu
         if not is_finite(q):
             break
-        # A complex perturbation lags the real part by one sweep.
-        lag = real_norm(dq.imag, system.weights) > 1e-12 * real_norm(q.imag, system.weights)
-        if real_norm(dq, system.weights) <= 1e-12 * scale and not lag:
-            return q, nu
+        if real_norm(dq, system.weights) <= 1e-12 * scale:
+            # A complex perturbation lags the real part by one sweep.
+            settled += 1
+            if q.dtype.kind != "c" or settled == 3:
+                return q, nu
     raise InconsistentStart(
         "start",
         "must be close enough to the constraints to be projected",

@@ -1,7 +1,26 @@
-"""Joints: holonomic constraints between points of beams, and to ground."""
+"""Joints: holonomic constraints between points of beams, and to ground; one a file."""
 
 from ancfdae.joints.clamp import Clamp
-from ancfdae.joints.contract import Equation, Joint, Term
+from ancfdae.joints.contract import Coefficients, Joint
+from ancfdae.joints.distance import Distance
+from ancfdae.joints.drive import Drive, Guide
+from ancfdae.joints.laws import Harmonic, Law, Uniform
 from ancfdae.joints.pin import Pin, Spherical
+from ancfdae.joints.point_on_line import PointOnLine
+from ancfdae.joints.revolute import Revolute
 
-__all__ = ["Clamp", "Equation", "Joint", "Pin", "Spherical", "Term"]
+__all__ = [
+    "Clamp",
+    "Coefficients",
+    "Distance",
+    "Drive",
+    "Guide",
+    "Harmonic",
+    "Joint",
+    "Law",
+    "Pin",
+    "PointOnLine",
+    "Revolute",
+    "Spherical",
+    "Uniform",
+]

@@ -1,8 +1,13 @@
-"""What a joint states: vector equations between position and slope vectors of points.
+"""What a joint states: scalar equations between position and slope vectors of points.
 
-A joint never touches coordinates. It names material points and which vector
-of them takes part; the assembler turns every statement into constraint rows,
-Jacobians and design derivatives, for all joints of a scene at once.
+A joint never touches coordinates. It names the vectors U_i of material points
+that take part and gives the coefficients of its equations,
+
+    Phi_r = sum_i linear_ri . U_i + 1/2 sum_ij bilinear_rij U_i . U_j - offset_r = 0.
+
+The assembler turns the coefficients of all joints at once into constraints,
+Jacobians, (Phi_q^T lam)_q, the right sides of the velocity, acceleration and
+jerk equations, and all design derivatives.
 """
 
 from __future__ import annotations
@@ -11,53 +16,47 @@ import abc
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from ancfdae.bodies import Point, Quantity
+from ancfdae.design import Parametrised
+from ancfdae.numerics.arrays import Array
 
 
 @final
 @dataclass(frozen=True)
-class Term:
-    """A vector of a point, times a number.
+class Coefficients:
+    """Coefficients of a joint's equations, or one of their time derivatives.
 
-    Parameters
+    Attributes
     ----------
-    point : Point
-    quantity : Quantity
-    coefficient : float
+    linear : array, shape (n_rows, n_vectors, d)
+    bilinear : array, shape (n_rows, n_vectors, n_vectors)
+        Symmetric in the vectors.
+    offset : array, shape (n_rows,)
     """
 
-    point: Point
-    quantity: Quantity
-    coefficient: float = 1.0
+    linear: Array
+    bilinear: Array
+    offset: Array
 
 
-@final
-@dataclass(frozen=True)
-class Equation:
-    """The vector equation ``sum of terms - value = 0``, one row per direction of space.
-
-    Parameters
-    ----------
-    terms : tuple of Term
-    value : tuple of float or None
-        The right side. None: what the terms give in the reference configuration, so that the
-        scene as declared satisfies the equation.
-    """
-
-    terms: tuple[Term, ...]
-    value: tuple[float, ...] | None
-
-
-class Joint(abc.ABC):
+class Joint(Parametrised):
     """A joint between points of beams or to ground.
 
     Attributes
     ----------
     name : str
         Unique in a scene; reactions are asked for by it.
+    driven : bool
+        Whether the coefficients depend on time. Bilinear ones never do.
+    holds_position : bool
+        Whether the first d equations equate positions: their multipliers are then minus the
+        reaction force on the first point.
     """
 
-    name: str
+    driven: bool = False
+    holds_position: bool = False
 
     @property
     @abc.abstractmethod
@@ -65,5 +64,29 @@ class Joint(abc.ABC):
         """The points that the joint touches, the one that reactions act on first."""
 
     @abc.abstractmethod
-    def equations(self, dimension: int) -> tuple[Equation, ...]:
-        """Return the vector equations in space of this dimension, the position one first."""
+    def vectors(self, d: int) -> tuple[tuple[Point, Quantity], ...]:
+        """Return the point vectors that take part in space of dimension d."""
+
+    @abc.abstractmethod
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+        """Return the time derivative of this order of the coefficients.
+
+        Parameters
+        ----------
+        p : array
+            Values of `parameters`, in their order; may be complex, and must go through.
+        reference : array, shape (n_vectors, d)
+            The vectors in the reference configuration; may be complex.
+        t : float
+        order : int
+            0 to 3; above 0 only asked of driven joints.
+        """
+
+
+def empty_coefficients(rows: int, vectors: int, d: int, dtype: np.dtype) -> Coefficients:
+    """Return coefficients of zeros, to be filled by a joint."""
+    return Coefficients(
+        np.zeros((rows, vectors, d), dtype=dtype),
+        np.zeros((rows, vectors, vectors), dtype=dtype),
+        np.zeros(rows, dtype=dtype),
+    )

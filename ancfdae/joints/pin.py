@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
-from ancfdae.bodies import Point, Quantity
+import numpy as np
+
+from ancfdae.bodies import Point, Quantity, name_at
+from ancfdae.design import replaced_component, vector_parameters
 from ancfdae.errors import InvalidInput, require_vector
-from ancfdae.joints.contract import Equation, Joint, Term
+from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients
+from ancfdae.numerics.arrays import Array
 
 
 @final
@@ -16,7 +20,8 @@ from ancfdae.joints.contract import Equation, Joint, Term
 class Pin(Joint):
     """Hold a point of a beam to ground or to a point of another beam.
 
-    The constraint is r(point) - r(other) = 0, or r(point) - ground = 0.
+    The constraint is r(point) - r(other) = 0, or r(point) - ground = 0. Design targets:
+    ``ground_x``, ``ground_y``(, ``ground_z``) where `ground` is given.
 
     Parameters
     ----------
@@ -39,10 +44,12 @@ class Pin(Joint):
     ground: Sequence[float] | None = None
     name: str = ""
 
+    holds_position = True
+
     def __post_init__(self) -> None:
         """Validate and name."""
         if not self.name:
-            object.__setattr__(self, "name", f"pin({self.point.beam}@{self.point.fraction:g})")
+            object.__setattr__(self, "name", name_at("pin", self.point))
         if self.other is not None and self.ground is not None:
             raise InvalidInput(
                 f"joint {self.name!r}",
@@ -58,13 +65,36 @@ class Pin(Joint):
         """The joined points."""
         return (self.point,) if self.other is None else (self.point, self.other)
 
-    def equations(self, dimension: int) -> tuple[Equation, ...]:
-        """Return the one vector equation."""
-        here = Term(self.point, Quantity.POSITION)
-        if self.other is not None:
-            there = Term(self.other, Quantity.POSITION, -1.0)
-            return (Equation((here, there), (0.0,) * dimension),)
-        return (Equation((here,), None if self.ground is None else tuple(self.ground)),)
+    def parameters(self) -> dict[str, float]:
+        """Components of `ground`."""
+        return vector_parameters("ground", self.ground)
+
+    def with_parameter(self, parameter: str, value: float) -> Pin:
+        """Move the ground point."""
+        assert self.ground is not None
+        return replace(self, ground=replaced_component("ground", self.ground, parameter, value))
+
+    def vectors(self, d: int) -> tuple[tuple[Point, Quantity], ...]:
+        """Positions of the joined points."""
+        return tuple((point, Quantity.POSITION) for point in self.points)
+
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+        """r(point) - r(other), or r(point) - ground."""
+        n, d = reference.shape
+        c = empty_coefficients(d, n, d, np.result_type(p, reference))
+        place_coincidence(c, p if self.ground is not None else reference[0])
+        return c
+
+
+def place_coincidence(c: Coefficients, ground: Array) -> None:
+    """Enter the d equations U_0 - U_1 = 0, or U_0 - ground = 0 if there is only U_0."""
+    _, n, d = c.linear.shape
+    rows = np.arange(d)
+    c.linear[rows, 0, rows] = 1.0
+    if n > 1:
+        c.linear[rows, 1, rows] = -1.0
+    else:
+        c.offset[:d] = ground
 
 
 #: In space the pin is the spherical joint.

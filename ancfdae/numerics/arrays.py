@@ -32,3 +32,9 @@ def real_norm(x: Array, weights: Array) -> float:
 def is_finite(x: Array) -> bool:
     """Whether every entry is finite, at the price of one reduction."""
     return bool(np.isfinite(x.sum()))
+
+
+def only(batch: Array) -> Array:
+    """Return the one entry of a batch of one instant."""
+    entry: Array = batch[0]
+    return entry

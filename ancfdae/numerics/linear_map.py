@@ -34,8 +34,23 @@ class LinearMap:
         return LinearMap(sparse.csr_array((values, (rows, columns)), shape=shape))
 
     def __call__(self, x: Array) -> Array:
-        """Multiply a vector or the columns of an array."""
+        """Multiply a vector, shape (m,)."""
         product: Array = self._form @ x
+        return product
+
+    def columns(self, x: Array) -> Array:
+        """Multiply the columns of an array, shape (m, k)."""
+        product: Array = self._form @ x
+        return product
+
+    def rows(self, x: Array) -> Array:
+        """Multiply each row of an array, shape (k, m) to (k, n)."""
+        product: Array = (self._form @ x.T).T
+        return product
+
+    def rows_transposed(self, x: Array) -> Array:
+        """Multiply each row with the transposed matrix, shape (k, n) to (k, m)."""
+        product: Array = (self._transposed @ x.T).T
         return product
 
     def transposed(self, x: Array) -> Array:

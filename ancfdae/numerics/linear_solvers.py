@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import abc
 import warnings
+from collections.abc import Iterator
 from typing import final
 
 import numpy as np
@@ -94,10 +95,20 @@ class SaddlePoint:
         SingularMatrix
             If the matrix is singular to working precision or not finite.
         """
-        values = np.concatenate([K, B, B]) * self._factors
-        if not is_finite(values):
-            raise SingularMatrix("the saddle-point matrix is not finite")
-        return _Scaled(self._storage.factor(values), self.scale)
+        return next(self.factor_each(K[None], B[None]))
+
+    def factor_each(self, K: Array, B: Array) -> Iterator[Factorization]:
+        """Factorise a sequence of matrices, given as rows of values; as they are asked for.
+
+        Raises
+        ------
+        SingularMatrix
+            As `factor`, when the matrix is asked for.
+        """
+        for values in np.concatenate([K, B, B], axis=1) * self._factors:
+            if not is_finite(values):
+                raise SingularMatrix("the saddle-point matrix is not finite")
+            yield _Scaled(self._storage.factor(values), self.scale)
 
 
 @final

@@ -1,20 +1,37 @@
 """Design sensitivities of whole runs, by several independent methods, and their checks."""
 
+from ancfdae.sensitivity.adjoint import Adjoint
 from ancfdae.sensitivity.complex_step import ComplexStep
-from ancfdae.sensitivity.contract import Method
+from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
+from ancfdae.sensitivity.contract import Gradient, GradientMethod, Method, UnfinishedRun
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.finite_difference import FiniteDifference
-from ancfdae.sensitivity.run import as_system, differentiate, simulate
+from ancfdae.sensitivity.run import (
+    as_system,
+    cheapest,
+    differentiate,
+    gradient,
+    gradients,
+    simulate,
+)
 from ancfdae.sensitivity.taylor import TaylorTest, taylor_test
 
 __all__ = [
+    "Adjoint",
     "ComplexStep",
+    "ContinuousAdjoint",
     "Direct",
     "FiniteDifference",
+    "Gradient",
+    "GradientMethod",
     "Method",
     "TaylorTest",
+    "UnfinishedRun",
     "as_system",
+    "cheapest",
     "differentiate",
+    "gradient",
+    "gradients",
     "simulate",
     "taylor_test",
 ]

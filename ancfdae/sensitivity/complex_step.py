@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from ancfdae.integrators import Integrator
-from ancfdae.sensitivity.contract import Method, with_sensitivities
+from ancfdae.numerics.arrays import Array
+from ancfdae.objectives import Objective
+from ancfdae.observables import states_of
+from ancfdae.sensitivity.contract import Gradient, Method, finished, with_columns
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
 
@@ -32,11 +38,46 @@ class ComplexStep(Method):
         solution = integrator.integrate(system, t_end, progress=progress)
         columns = []
         for i in range(system.n_b):
-            b = system.b.astype(complex)
-            size = _STEP * (abs(float(system.b[i])) or 1.0)
-            b[i] += 1j * size
+            b, size = _moved(system, i)
             run = integrator.integrate(system.with_values(b), t_end, progress=progress)
             columns.append(
                 (run.q.imag / size, run.v.imag / size, run.a.imag / size, run.lam.imag / size)
             )
-        return with_sensitivities(system, solution, columns)
+        return with_columns(system, solution, columns)
+
+    def gradients(
+        self,
+        system: MechanicalSystem,
+        objectives: Sequence[Objective],
+        t_end: float,
+        integrator: Integrator,
+        progress: bool,
+    ) -> list[Gradient]:
+        """Imaginary parts of the objectives of complex runs."""
+        solution = finished(integrator.integrate(system, t_end, progress=progress))
+        slopes = np.zeros((len(objectives), system.n_b))
+        for i in range(system.n_b):
+            b, size = _moved(system, i)
+            moved = system.with_values(b)
+            states = states_of(finished(integrator.integrate(moved, t_end, progress=progress)))
+            slopes[:, i] = [
+                np.imag(objective.value(moved, states)) / size for objective in objectives
+            ]
+        return [
+            Gradient(
+                objective.value(system, states_of(solution)),
+                slope,
+                system.design_names,
+                self,
+                solution,
+            )
+            for objective, slope in zip(objectives, slopes, strict=True)
+        ]
+
+
+def _moved(system: MechanicalSystem, index: int) -> tuple[Array, float]:
+    """Complex design values and the size of the imaginary step."""
+    b = system.b.astype(complex)
+    size = _STEP * (abs(float(system.b[index])) or 1.0)
+    b[index] += 1j * size
+    return b, size

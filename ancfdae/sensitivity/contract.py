@@ -4,17 +4,84 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 
+from ancfdae.errors import AncfdaeError, Verdict
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
+from ancfdae.objectives import Objective
 from ancfdae.solution import Sensitivities, Solution
 from ancfdae.system import MechanicalSystem
 
 
-class Method(abc.ABC):
-    """Frozen settings of a method that differentiates a whole run."""
+@final
+class UnfinishedRun(AncfdaeError):
+    """A gradient was asked of a run that did not reach its end time.
+
+    Attributes
+    ----------
+    solution : Solution
+        What was computed, with its outcome.
+    """
+
+    def __init__(self, solution: Solution) -> None:
+        super().__init__(f"no gradient: {solution.outcome}")
+        self.solution = solution
+
+
+@final
+@dataclass(frozen=True)
+class Gradient:
+    """Value and gradient of an objective.
+
+    Attributes
+    ----------
+    value : float
+    gradient : array, shape (n_b,)
+        Total derivatives in the design variables.
+    names : tuple of str
+        Names of the design variables.
+    method : GradientMethod
+        How it was computed.
+    solution : Solution
+        The run at the design.
+    """
+
+    value: float
+    gradient: Array
+    names: tuple[str, ...]
+    method: GradientMethod
+    solution: Solution
+
+
+class GradientMethod(abc.ABC):
+    """Frozen settings of a method that differentiates objectives of a run."""
+
+    @abc.abstractmethod
+    def gradients(
+        self,
+        system: MechanicalSystem,
+        objectives: Sequence[Objective],
+        t_end: float,
+        integrator: Integrator,
+        progress: bool,
+    ) -> list[Gradient]:
+        """Return value and gradient of every objective from as few runs as possible.
+
+        Raises
+        ------
+        UnfinishedRun
+            If a run ends before `t_end`.
+        NonFiniteObjective
+            If an objective is not finite.
+        """
+
+
+class Method(GradientMethod):
+    """A method that differentiates the whole trajectory, and so any objective."""
 
     @abc.abstractmethod
     def differentiate(
@@ -26,7 +93,19 @@ class Method(abc.ABC):
         """
 
 
-def with_sensitivities(
+def finished(solution: Solution) -> Solution:
+    """Return a solution that reached its end time.
+
+    Raises
+    ------
+    UnfinishedRun
+    """
+    if solution.outcome.verdict is not Verdict.FINISHED:
+        raise UnfinishedRun(solution)
+    return solution
+
+
+def with_columns(
     system: MechanicalSystem,
     solution: Solution,
     columns: Sequence[tuple[Array, Array, Array, Array]],
@@ -42,16 +121,13 @@ def with_sensitivities(
         else np.zeros((rows, n, 0))
         for k, n in enumerate((system.n_q, system.n_q, system.n_q, system.n_lam))
     ]
-    return Solution(
+    own = Sensitivities(system.design_names, system.b, parts[0], parts[1], parts[2], parts[3])
+    return replace(
+        solution,
         t=solution.t[:rows],
         q=solution.q[:rows],
         v=solution.v[:rows],
         a=solution.a[:rows],
         lam=solution.lam[:rows],
-        statistics=solution.statistics,
-        outcome=solution.outcome,
-        naming=solution.naming,
-        sensitivities=Sensitivities(
-            system.design_names, system.b, parts[0], parts[1], parts[2], parts[3]
-        ),
+        sensitivities=own,
     )

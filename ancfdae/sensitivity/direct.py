@@ -1,12 +1,17 @@
-"""Direct differentiation (eqs. 22-25): sensitivities integrated along with the motion."""
+"""Direct differentiation (eqs. 21-25): sensitivities of the whole motion, then the chain rule."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from ancfdae.integrators import Integrator
-from ancfdae.sensitivity.contract import Method
+from ancfdae.objectives import Objective
+from ancfdae.observables import states_of
+from ancfdae.sensitivity.contract import Gradient, Method, finished
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
 
@@ -25,3 +30,26 @@ class Direct(Method):
     ) -> Solution:
         """Integrate motion and sensitivities."""
         return integrator.integrate(system, t_end, sensitivities=True, progress=progress)
+
+    def gradients(
+        self,
+        system: MechanicalSystem,
+        objectives: Sequence[Objective],
+        t_end: float,
+        integrator: Integrator,
+        progress: bool,
+    ) -> list[Gradient]:
+        """One run for all objectives (eq. 21)."""
+        solution = finished(self.differentiate(system, t_end, integrator, progress))
+        return [self._chain(system, objective, solution) for objective in objectives]
+
+    def _chain(
+        self, system: MechanicalSystem, objective: Objective, solution: Solution
+    ) -> Gradient:
+        partials, s = objective.partials(system, states_of(solution)), solution.sensitivities
+        assert s is not None
+        total = partials.b
+        for rows, x_b in ((partials.q, s.q_b), (partials.v, s.v_b), (partials.lam, s.lam_b)):
+            if rows is not None:
+                total = total + np.tensordot(rows, x_b, axes=2)
+        return Gradient(partials.value, total, system.design_names, self, solution)

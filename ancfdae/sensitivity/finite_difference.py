@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -9,7 +10,10 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_positive
 from ancfdae.integrators import Integrator
-from ancfdae.sensitivity.contract import Method, with_sensitivities
+from ancfdae.numerics.arrays import Array
+from ancfdae.objectives import Objective
+from ancfdae.observables import states_of
+from ancfdae.sensitivity.contract import Gradient, Method, finished, with_columns
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
 
@@ -56,14 +60,7 @@ class FiniteDifference(Method):
         InvalidInput
             If a design variable is zero, so that a relative perturbation does nothing.
         """
-        for name, value in zip(system.design_names, system.b, strict=True):
-            if value == 0:
-                raise InvalidInput(
-                    f"design variable {name!r}",
-                    "must not be zero for a relative perturbation",
-                    value,
-                    "Use direct differentiation or the complex step.",
-                )
+        self._refuse_zero(system)
         solution = integrator.integrate(system, t_end, progress=progress)
         columns = []
         for i in range(system.n_b):
@@ -81,7 +78,49 @@ class FiniteDifference(Method):
                     (ahead.lam[:rows] - behind.lam[:rows]) / difference,
                 )
             )
-        return with_sensitivities(system, solution, columns)
+        return with_columns(system, solution, columns)
+
+    def gradients(
+        self,
+        system: MechanicalSystem,
+        objectives: Sequence[Objective],
+        t_end: float,
+        integrator: Integrator,
+        progress: bool,
+    ) -> list[Gradient]:
+        """Differences of the objectives of whole runs."""
+        self._refuse_zero(system)
+        solution = finished(integrator.integrate(system, t_end, progress=progress))
+        base = [objective.value(system, states_of(solution)) for objective in objectives]
+        slopes = np.zeros((len(objectives), system.n_b))
+        for i in range(system.n_b):
+            values = [base]
+            for sign in (1.0, -1.0) if self.central else (1.0,):
+                moved = system.with_values(self._moved(system, i, sign))
+                run = finished(integrator.integrate(moved, t_end, progress=progress))
+                values.append([objective.value(moved, states_of(run)) for objective in objectives])
+            ahead, behind = values[1], values[-1] if self.central else base
+            difference = float(system.b[i]) * self.relative_step * (2.0 if self.central else 1.0)
+            slopes[:, i] = np.subtract(ahead, behind) / difference
+        return [
+            Gradient(value, slope, system.design_names, self, solution)
+            for value, slope in zip(base, slopes, strict=True)
+        ]
+
+    def _refuse_zero(self, system: MechanicalSystem) -> None:
+        for name, value in zip(system.design_names, system.b, strict=True):
+            if value == 0:
+                raise InvalidInput(
+                    f"design variable {name!r}",
+                    "must not be zero for a relative perturbation",
+                    value,
+                    "Use direct differentiation or the complex step.",
+                )
+
+    def _moved(self, system: MechanicalSystem, index: int, sign: float) -> Array:
+        b = np.array(system.b, dtype=float)
+        b[index] *= 1 + sign * self.relative_step
+        return b
 
     def _perturbed(
         self,
@@ -92,6 +131,5 @@ class FiniteDifference(Method):
         integrator: Integrator,
         progress: bool,
     ) -> Solution:
-        b = np.array(system.b, dtype=float)
-        b[index] *= 1 + sign * self.relative_step
-        return integrator.integrate(system.with_values(b), t_end, progress=progress)
+        moved = system.with_values(self._moved(system, index, sign))
+        return integrator.integrate(moved, t_end, progress=progress)

@@ -6,22 +6,29 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from scipy import sparse
 
+from ancfdae.bodies import Point, Quantity
 from ancfdae.design import DesignVariable, as_design
-from ancfdae.elements import ElementParameter, elastic
+from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput
-from ancfdae.layout import Layout, Naming
-from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_map import LinearMap
+from ancfdae.layout import Layout, Naming, PointVector
+from ancfdae.loads import CentreLine
+from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.scene import Scene
 from ancfdae.system.block import element_block
-from ancfdae.system.constraints import linear_constraints
-from ancfdae.system.contract import MechanicalSystem
+from ancfdae.system.constraints import JointConstraints, JointInput
+from ancfdae.system.contract import DesignPartials, Linearisation, MechanicalSystem
+from ancfdae.system.elastic_forces import ElasticForces
+from ancfdae.system.inertia import Inertia
+from ancfdae.system.load_forces import LoadForces, LoadInput
 from ancfdae.system.numbering import number
-from ancfdae.system.parameters import parameter_map
+from ancfdae.system.parameters import ParameterMap, parameter_map
 from ancfdae.system.reference import length_partials, start_state
+from ancfdae.system.vectors import Vectors
+
+# Imaginary step for total derivatives at the start; exact, its square vanishes.
+_STEP = 1e-40
 
 
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
@@ -40,145 +47,116 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
     """
     variables = as_design(design)
     mapping = parameter_map(scene, variables)  # refuses unknown targets before values are read
-    del mapping
     values = np.array([scene.value(variable) for variable in variables], dtype=float)
-    return AncfSystem(scene, variables, values)
+    return AncfSystem(scene, variables, mapping, values)
 
 
 @final
 class AncfSystem(MechanicalSystem):
-    """A scene at given values of its design variables.
+    """A scene at given values of its design variables; made by `assemble`.
 
     Parameters
     ----------
     scene : Scene
     design : tuple of DesignVariable
+    mapping : ParameterMap
     b : array, shape (n_b,)
         Values of the design variables, real or complex. Everything that depends on them is
         computed in their dtype.
 
     Attributes
     ----------
-    lengths : array, shape (n,)
-        Element lengths; `lengths_b`, shape (n, n_b), their design partials.
+    naming : Naming
+        Where beams and joints stand in q and lam, and the element lengths.
     """
 
-    linear_constraints = True
-    velocity_forces = False
+    naming: Naming
 
-    def __init__(self, scene: Scene, design: tuple[DesignVariable, ...], b: Array) -> None:
-        self._scene, self._design, self.b = scene, design, np.asarray(b)
+    def __init__(
+        self,
+        scene: Scene,
+        design: tuple[DesignVariable, ...],
+        mapping: ParameterMap,
+        b: Array,
+    ) -> None:
+        self._scene, self._design, self._mapping, self.b = scene, design, mapping, np.asarray(b)
         self.n_b = len(design)
         self.design_names = tuple(variable.name for variable in design)
         self.project_start = scene.project_start
-        mapping = parameter_map(scene, design)
         parameters = mapping.values(self.b)
         self._numbering = number(scene)
-        self.element = self._numbering.element
-        self.n_q = self._numbering.n_q
-        self.lengths = parameters[:, ElementParameter.LENGTH]
-        self.lengths_b = length_partials(mapping, self.n_b)
-        self._start = start_state(scene, self.lengths, self.lengths_b)
-        self._block = element_block(scene, mapping, parameters)
-        self._pair_element = mapping.elements[self._block.stiffness_pairs]
-        pair_variable = mapping.variables[self._block.stiffness_pairs]
-        self._place_elements(pair_variable)
-        self._place_mass(
-            mapping.elements[self._block.mass_pairs], mapping.variables[self._block.mass_pairs]
-        )
-        self._place_constraints()
-        self._place_gravity()
+        self.element, self.n_q = self._numbering.element, self._numbering.n_q
+        lengths = parameters[:, ElementParameter.LENGTH]
+        layout = Layout(self.element.d, self._numbering.beams, ())
+        self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
+        self._start = start_state(scene, lengths, self.naming.lengths_b)
+        self._constraints = self._joint_constraints()
+        self._loads = self._load_forces()
+        self.pattern = self._joint_pattern()
+        self._constraints.place_curvature(self.pattern)
+        self._loads.place(self.pattern)
+        block = element_block(scene, mapping, parameters)
+        common = (block, self._numbering, mapping, self.n_b, self.pattern)
+        self._elastic = ElasticForces(*common)
+        self._inertia = Inertia(*common, scene.gravity)
+        self._describe()
 
     # -- preparation ---------------------------------------------------------------------------
 
-    def _place_elements(self, pair_variable: Array) -> None:
-        """Constant maps between q, the relative node vectors and the assembled tangent."""
-        numbering, (n_y, d) = self._numbering, (self.element.n_y, self.element.d)
-        R = numbering.relative()
-        self._R = LinearMap(R)
-        absolute = numbering.coordinates(numbering.vectors).reshape(len(numbering.vectors), -1)
-        rows, columns = np.broadcast_arrays(absolute[:, :, None], absolute[:, None, :])
-        self.pattern = Pattern((self.n_q, self.n_q), rows.ravel(), columns.ravel())
-        self._tangent_map = self._tangent_gather()
-        # Q_b[:, i] = -sum over pairs of variable i of R^T F_pair.
-        size = n_y * d
-        pair_rows = (self._pair_element[:, None] * size + np.arange(size)).ravel()
-        picked = R[pair_rows].tocoo() if len(pair_rows) else sparse.coo_array((0, self.n_q))
-        variable = np.repeat(pair_variable, size)[picked.row]
-        shape = (self.n_q * self.n_b, len(pair_rows))
-        self._pair_map = LinearMap.of(
-            picked.col * self.n_b + variable, picked.row, -picked.data, shape
-        )
-        self._pair_g_o = self._block.g_o
-        if len(self._block.g_o) > 1:
-            self._pair_g_o = self._block.g_o[self._pair_element]
+    def _joint_constraints(self) -> JointConstraints:
+        d, inputs, points = self.element.d, [], []
+        q_o, q_ob = self._start.q_reference, self._start.q_reference_b
+        for joint in self._scene.joints:
+            own = [self.naming.vector(*vector) for vector in joint.vectors(d)]
+            vectors = Vectors(own, d, self.n_q, self.n_b)
+            reference = vectors.of(q_o[None])[0]
+            reference_b = vectors.of_b(q_o[None])[0]
+            for i in range(self.n_b):
+                reference_b[..., i] += vectors.of(q_ob[None, :, i])[0].real
+            p, p_b = self._mapping.part(joint.name, self.b)
+            inputs.append(JointInput(joint, p, p_b, reference, reference_b))
+            points += own
+        vectors = Vectors(points, d, self.n_q, self.n_b)
+        return JointConstraints(inputs, vectors, self.n_q, self.n_b, d)
 
-    def _tangent_gather(self) -> LinearMap:
-        """Constant matrix from the element tangents in Y to -Q_q on the pattern."""
+    def _load_forces(self) -> LoadForces:
+        inputs = []
+        for load in self._scene.loads:
+            own = [self._load_vector(vector) for vector in load.vectors()]
+            p, p_b = self._mapping.part(load.name, self.b)
+            vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
+            inputs.append(LoadInput(load, vectors, p, p_b))
+        return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
+
+    def _load_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
+        if isinstance(vector, CentreLine):
+            return self.naming.centre_line(vector.beam)
+        return self.naming.vector(*vector)
+
+    def _joint_pattern(self) -> Pattern:
+        """Pattern of everything: elements, curvature of joints, tangents of loads."""
         numbering = self._numbering
-        n, size = len(numbering.vectors), self.element.n_y * self.element.d
-        rows, columns, signs = numbering.relative_entries()
-        by_row = np.argsort(rows, kind="stable")
-        rows, columns, signs = rows[by_row], columns[by_row], signs[by_row]
-        element, local = rows // size, rows % size
-        per_element = len(rows) // n
-        i, j = (x.ravel() for x in np.indices((per_element, per_element)))
-        offset = np.arange(n)[:, None] * per_element
-        I, J = (offset + i).ravel(), (offset + j).ravel()
-        raw = element[I] * size * size + local[I] * size + local[J]
-        at_i, at_j, sign = columns[I], columns[J], signs[I] * signs[J]
-        index = self.pattern.index(at_i, at_j)
-        return LinearMap.of(index, raw, sign, (self.pattern.size, n * size * size))
-
-    def _place_mass(self, pair_element: Array, pair_variable: Array) -> None:
-        """Assemble M and the stacked M_b."""
-        d, n_q, n_b = self.element.d, self.n_q, self.n_b
-        rows, columns, values = self._mass_entries(self._block.m, self._numbering.vectors)
-        self._mass = np.asarray(self.pattern.gather(rows, columns) @ values)
-        self._mass_matrix = LinearMap(self.pattern.csr(self._mass))
-        diagonal = self.pattern.index(np.arange(n_q), np.arange(n_q))
-        self.weights = self._mass[diagonal].real
-        vectors = self._numbering.vectors[pair_element]
-        rows, columns, values = self._mass_entries(self._block.m_b, vectors)
-        per_pair = d * self.element.n_a**2
-        variable = np.repeat(pair_variable, per_pair)
-        self._mass_b = LinearMap.of(rows * n_b + variable, columns, values, (n_q * n_b, n_q))
-
-    def _mass_entries(self, m: Array, vectors: Array) -> tuple[Array, Array, Array]:
-        """Rows, columns and values of m (x) I_d for every element."""
-        coordinates = self._numbering.coordinates(vectors)
-        rows, columns, values = np.broadcast_arrays(
-            coordinates[:, :, None, :], coordinates[:, None, :, :], m[..., None]
-        )
-        return rows.ravel(), columns.ravel(), values.ravel()
-
-    def _place_constraints(self) -> None:
-        rows = linear_constraints(
-            self._scene, self._numbering, self._start, self.lengths, self.lengths_b
-        )
-        self.n_lam = len(rows.c)
-        self.constraint_pattern = Pattern((self.n_lam, self.n_q), rows.rows, rows.columns)
-        gather = self.constraint_pattern.gather(rows.rows, rows.columns)
-        self._B_values = np.asarray(gather @ rows.values)
-        self._B = LinearMap(self.constraint_pattern.csr(self._B_values))
-        self._B_b, self._B_bT = LinearMap(rows.B_b), LinearMap(rows.B_bT)
-        self._c, self._c_b = rows.c, rows.c_b
-        layout = Layout(self.element.d, self._numbering.beams, rows.joints)
-        self.naming = Naming(layout, self.lengths, self.lengths_b)
-        self.constraint_names = tuple(
-            joint.name for joint in rows.joints for _ in range(joint.rows)
+        own = numbering.coordinates(numbering.vectors).reshape(len(numbering.vectors), -1)
+        rows, columns = np.broadcast_arrays(own[:, :, None], own[:, None, :])
+        joint_rows, joint_columns, _, _ = self._constraints.couplings()
+        load_rows, load_columns = self._loads.couplings()
+        return Pattern(
+            (self.n_q, self.n_q),
+            np.concatenate([rows.ravel(), joint_rows, load_rows]),
+            np.concatenate([columns.ravel(), joint_columns, load_columns]),
         )
 
-    def _place_gravity(self) -> None:
-        """Q_e = M (field of unit translations times g): eq. (12) without its own integral."""
-        self._gravity = np.zeros(self.n_q, dtype=self._mass.dtype)
-        self._gravity_b = np.zeros((self.n_q, self.n_b), dtype=self._mass.dtype)
-        if self._scene.gravity is None:
-            return
-        field = np.zeros((self.n_q // self.element.d, self.element.d))
-        field[:: self.element.n_s] = self._scene.gravity
-        self._gravity = self.mass_times(field.ravel())
-        self._gravity_b = self.mass_b_times(field.ravel())
+    def _describe(self) -> None:
+        self.n_lam = self._constraints.n_lam
+        self.constraint_pattern = self._constraints.pattern
+        self.linear_constraints = self._constraints.linear
+        self.velocity_forces = self._elastic.damped or self._loads.uses_velocity
+        self.weights = self._inertia.weights
+        self.force_round_off = self._elastic.round_off(self._start.q, self.weights)
+        joints = self._constraints.joints
+        layout = Layout(self.element.d, self._numbering.beams, joints)
+        self.naming = Naming(layout, self.naming.lengths, self.naming.lengths_b)
+        self.constraint_names = tuple(joint.name for joint in joints for _ in range(joint.rows))
 
     # -- the protocol --------------------------------------------------------------------------
 
@@ -188,14 +166,17 @@ class AncfSystem(MechanicalSystem):
         Raises
         ------
         InvalidInput
-            If there are not n_b values.
+            If there are not n_b values, or one is not admissible.
         """
         b = np.asarray(b)
         if b.shape != (self.n_b,):
             raise InvalidInput(
                 "design values", f"must have shape ({self.n_b},)", b.shape, "One per variable."
             )
-        return AncfSystem(self._scene, self._design, b)
+        for variable, old, new in zip(self._design, self.b.real, b.real, strict=True):
+            if new != old:
+                self._scene.check_value(variable, new)
+        return AncfSystem(self._scene, self._design, self._mapping, b)
 
     def start(self) -> tuple[Array, Array]:
         """Return the declared start."""
@@ -207,142 +188,216 @@ class AncfSystem(MechanicalSystem):
 
     def mass(self) -> Array:
         """M (eq. 10)."""
-        return self._mass
+        return self._inertia.values
 
     def mass_times(self, x: Array) -> Array:
         """M x."""
-        return self._mass_matrix(x)
+        return self._inertia.times(x)
 
     def mass_b_times(self, a: Array) -> Array:
         """(M a)_b."""
-        return self._mass_b(a).reshape(self.n_q, self.n_b)
+        return only(self._inertia.times_b(a[None]))
 
     def force(self, q: Array, v: Array, t: float) -> Array:
-        """Q = gravity - elastic force (eqs. 12, 13)."""
-        F = elastic.force(self._block.A, self._block.g_o, self._relative(q))
-        return self._gravity - self._R.transposed(F.ravel())
+        """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
+        Q = self._inertia.gravity + self._elastic.force(q, v)
+        if self._scene.loads:
+            Q = Q + self._loads.force(q[None], v[None])[0]
+        return Q
 
     def force_q(self, q: Array, v: Array, t: float) -> Array:
         """Q_q (eq. 19)."""
-        K = elastic.tangent(self._block.A, self._block.g_o, self._relative(q))
-        return -self._tangent_map(K.ravel())
+        return only(self._tangents(q[None], v[None])[0])
 
     def force_v(self, q: Array, v: Array, t: float) -> Array:
-        """No force of an ANCF scene depends on v yet."""
-        return np.zeros(self.pattern.size)
+        """Q_v."""
+        Q_v = self._tangents(q[None], v[None])[1]
+        return np.zeros(self.pattern.size) if Q_v is None else Q_v[0]
 
     def force_b(self, q: Array, v: Array, t: float) -> Array:
         """Q_b (eqs. 24, 25)."""
-        Y = self._relative(q)[self._pair_element]
-        F = elastic.force_partial(self._block.A_b, self._block.c_b, self._pair_g_o, Y)
-        return self._gravity_b + self._scatter_pairs(F)
+        return only(self._forces_b(q[None], v[None]))
 
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Q_q v."""
-        block, Y, U = self._block, self._relative(q), self._relative(v)
-        return -self._R.transposed(elastic.force_direction(block.A, block.g_o, Y, U).ravel())
+        """Q_q v + Q_v a."""
+        rate = self._elastic.force_rate(q, v, a)
+        if self._scene.loads:
+            rate = rate + self._loads.force_rate(q[None], v[None], a[None])[0]
+        return rate
 
     def force_rate_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
-        """Q_qq[v, q_b] + Q_q v_b + Q_qb v."""
-        block, Y, U = self._block, self._relative(q), self._relative(v)
-        pairs = self._pair_element
-        F = elastic.force_partial_direction(
-            block.A_b, block.c_b, self._pair_g_o, Y[pairs], U[pairs]
-        )
-        total = self._scatter_pairs(F)
+        """Total design derivative of `force_rate`."""
+        total = self._loads.force_rate_total((q, v, a), (q_b, v_b, a_b))
         for i in range(self.n_b):
-            Y_i, U_i = self._relative(q_b[:, i]), self._relative(v_b[:, i])
-            F = elastic.force_second_direction(block.A, Y, U, Y_i)
-            F = F + elastic.force_direction(block.A, block.g_o, Y, U_i)
-            total[:, i] -= self._R.transposed(F.ravel())
+            moved = self._elastic.moved(i, _STEP)
+            states = (x + 1j * _STEP * y[:, i] for x, y in ((q, q_b), (v, v_b), (a, a_b)))
+            total[:, i] += moved.force_rate(*states).imag / _STEP
         return total
 
     def constraint(self, q: Array, t: float) -> Array:
-        """Phi = B q - c."""
-        return self._B(q) - self._c
+        """Phi."""
+        return self._constraints.constraint(q, t)
 
     def constraint_q(self, q: Array, t: float) -> Array:
-        """Phi_q = B."""
-        return self._B_values
+        """Phi_q."""
+        return self._constraints.constraint_q(q, t)
 
     def constraint_b(self, q: Array, t: float) -> Array:
-        """Phi_b = B_b q - c_b."""
-        return self._B_b(q).reshape(self.n_lam, self.n_b) - self._c_b
+        """Phi_b."""
+        return only(self._constraints.constraints_b(q[None], np.array([t])))
 
     def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
-        """B^T lam."""
-        return self._B.transposed(lam)
+        """Phi_q^T lam."""
+        return self._constraints.constraint_force(q, lam, t)
 
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
-        """Zero: the constraints are linear."""
-        return np.zeros(self.pattern.size)
+        """(Phi_q^T lam)_q."""
+        return only(self._constraints.constraint_force_q(lam[None]))
 
     def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
-        """(B^T lam)_b."""
-        return self._B_bT(lam).reshape(self.n_q, self.n_b)
+        """(Phi_q^T lam)_b."""
+        return only(self._constraints.constraint_forces_b(q[None], lam[None], np.array([t])))
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """B_b x."""
-        return self._B_b(x).reshape(self.n_lam, self.n_b)
+        """Total design derivative of Phi_q x."""
+        return self._constraints.constraint_q_times_total(q, x, t, q_b)
 
     def velocity_side(self, q: Array, t: float) -> Array:
-        """Zero: no joint is driven."""
-        return np.zeros(self.n_lam)
+        """-Phi_t."""
+        return self._constraints.velocity_side(q, t)
 
     def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
-        """Zero."""
-        return np.zeros((self.n_lam, self.n_b))
+        """Total design derivative of `velocity_side`."""
+        return self._constraints.velocity_side_total(q, t, q_b)
 
     def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
-        """Zero."""
-        return np.zeros(self.n_lam)
+        """Right side of Phi_q a."""
+        return self._constraints.acceleration_side(q, v, t)
 
     def acceleration_side_total(
         self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
     ) -> Array:
-        """Zero."""
-        return np.zeros((self.n_lam, self.n_b))
+        """Total design derivative of `acceleration_side`."""
+        return self._constraints.acceleration_side_total(q, v, t, q_b, v_b)
 
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Zero."""
-        return np.zeros(self.n_lam)
+        """Right side of Phi_q q'''."""
+        return self._constraints.jerk_side(q, v, a, t)
 
     def jerk_side_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
-        """Zero."""
-        return np.zeros((self.n_lam, self.n_b))
+        """Total design derivative of `jerk_side`."""
+        return self._constraints.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
-        """Zero: B is constant."""
-        return np.zeros(self.n_q)
+        """(dPhi_q^T/dt) lam."""
+        return self._constraints.constraint_force_rate(q, v, lam, t)
 
     def constraint_force_rate_total(
         self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
     ) -> Array:
-        """Zero."""
-        return np.zeros((self.n_q, self.n_b))
+        """Total design derivative of `constraint_force_rate`."""
+        return self._constraints.constraint_force_rate_total(q, v, lam, t, q_b, v_b, lam_b)
 
-    # -- energies ------------------------------------------------------------------------------
+    # -- many instants at once -----------------------------------------------------------------
+
+    def linearise(self, t: Array, q: Array, v: Array, lam: Array) -> Linearisation:
+        """f_q, f_v and Phi_q."""
+        Q_q, Q_v = self._tangents(q, v)
+        f_q = -Q_q
+        if not self.linear_constraints:
+            f_q = f_q + self._constraints.constraint_force_q(lam)
+        f_v = None if Q_v is None else -Q_v
+        return Linearisation(f_q, f_v, self._constraints.constraints_q(q, t))
+
+    def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
+        """Design partials of M a, f and Phi."""
+        forces = self._constraints.constraint_forces_b(q, lam, t)
+        return DesignPartials(
+            inertia_b=self._inertia.times_b(a),
+            f_b=forces - self._forces_b(q, v),
+            Phi_b=self._constraints.constraints_b(q, t),
+        )
+
+    def pull_back(
+        self,
+        t: Array,
+        states: tuple[Array, Array, Array, Array],
+        covectors: tuple[Array, Array, Array],
+    ) -> Array:
+        """Contraction pair by pair, without arrays of the size n_q n_b for elements."""
+        (q, v, a, lam), (x, mu, zeta) = states, covectors
+        total = self._inertia.pull_back(a, x) - self._elastic.pull_back(q, v, mu)
+        total = total - np.sum(mu, axis=0) @ self._inertia.gravity_b
+        if self._scene.loads:
+            total = total - np.einsum("knb,kn->b", self._loads.force_b(q, v), mu)
+        if self._scene.joints:
+            forces = self._constraints.constraint_forces_b(q, lam, t)
+            total = total + np.einsum("knb,kn->b", forces, mu)
+            Phi_b = self._constraints.constraints_b(q, t)
+            total = total + np.einsum("knb,kn->b", Phi_b, zeta)
+        return np.asarray(total)
+
+    # -- energies, instants as rows ------------------------------------------------------------
 
     def strain_energy(self, q: Array) -> Array:
-        """Return the strain energy of every element, shape (n,)."""
-        return elastic.energy(self._block.A, self._block.g_o, self._relative(q))
+        """Return the strain energy of every element at one instant, shape (n,)."""
+        return only(self._elastic.energies(q[None]))
 
-    def kinetic_energy(self, v: Array) -> Array:
-        """Return 1/2 v^T M v (eq. 9)."""
-        return 0.5 * np.asarray(v @ self.mass_times(v))
+    def strain_energies(self, q: Array, beam: str | None = None) -> Array:
+        """Return the strain energy of the scene or of one beam, shape (k,)."""
+        energies: Array = self._elastic.energies(q) @ self._chosen(beam)
+        return energies
+
+    def strain_energies_q(self, q: Array, beam: str | None = None) -> Array:
+        """Return the gradient of `strain_energies`, shape (k, n_q)."""
+        return self._elastic.energy_q(q, self._chosen(beam))
+
+    def strain_energies_b(self, q: Array, beam: str | None = None) -> Array:
+        """Return the design partial of `strain_energies`, shape (k, n_b)."""
+        return self._elastic.energy_b(q, self._chosen(beam))
+
+    def kinetic_energies(self, v: Array, beam: str | None = None) -> Array:
+        """Return the kinetic energy (eq. 9), shape (k,)."""
+        energies: Array = 0.5 * np.sum(v * self.kinetic_energies_v(v, beam), axis=1)
+        return energies
+
+    def kinetic_energies_v(self, v: Array, beam: str | None = None) -> Array:
+        """Return the momenta M v, shape (k, n_q)."""
+        if beam is None:
+            return self._inertia.times(v.T).T
+        return self._inertia.chosen_times(v, self._chosen(beam))
+
+    def kinetic_energies_b(self, v: Array, beam: str | None = None) -> Array:
+        """Return the design partial of `kinetic_energies`, shape (k, n_b)."""
+        return 0.5 * self._inertia.quadratic_b(v, self._chosen(beam))
 
     def gravity_potential(self, q: Array) -> Array:
-        """Return the potential of gravity, zero at q = 0."""
-        return -np.asarray(self._gravity @ q)
+        """Return the potential of gravity at one instant, zero at q = 0."""
+        return -np.asarray(self._inertia.gravity @ q)
 
-    def _relative(self, q: Array) -> Array:
-        """Relative node vectors Y of all elements, shape (n, n_y, d)."""
-        return self._R(q).reshape(-1, self.element.n_y, self.element.d)
+    def _chosen(self, beam: str | None) -> Array:
+        """One for the elements of a beam, or for all, shape (n,)."""
+        chosen = np.ones(len(self.naming.lengths))
+        if beam is not None:
+            place = self.naming.layout.beam(beam)
+            chosen[: place.first_element] = 0.0
+            chosen[place.first_element + place.element_count :] = 0.0
+        return chosen
 
-    def _scatter_pairs(self, F: Array) -> Array:
-        """Sum -F of all pairs into an array (n_q, n_b)."""
-        return self._pair_map(F.ravel()).reshape(self.n_q, self.n_b)
+    def _tangents(self, q: Array, v: Array) -> tuple[Array, Array | None]:
+        Q_q, Q_v = self._elastic.force_q(q, v), None
+        if self._elastic.damped:
+            Q_v = self._elastic.force_v(q)
+        elif self.velocity_forces:
+            Q_v = np.zeros_like(Q_q)
+        if self._scene.loads:
+            self._loads.add_tangents(q, v, Q_q, Q_v)
+        return Q_q, Q_v
+
+    def _forces_b(self, q: Array, v: Array) -> Array:
+        Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
+        return Q_b + self._loads.force_b(q, v) if self._scene.loads else Q_b

@@ -14,11 +14,52 @@ arguments: ``F_total(x, ..., x_b) = F_x x_b + F_b``.
 from __future__ import annotations
 
 import abc
-from typing import Self
+from dataclasses import dataclass
+from typing import Self, final
+
+import numpy as np
 
 from ancfdae.layout import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
+
+
+@final
+@dataclass(frozen=True)
+class Linearisation:
+    """Jacobians at k instants as values on the system's patterns.
+
+    Attributes
+    ----------
+    f_q : array, shape (k, nnz)
+        f = Phi_q^T lam - Q.
+    f_v : array, shape (k, nnz), or None
+        None where f does not depend on v.
+    Phi_q : array, shape (k, nnz of the constraint pattern)
+    """
+
+    f_q: Array
+    f_v: Array | None
+    Phi_q: Array
+
+
+@final
+@dataclass(frozen=True)
+class DesignPartials:
+    """Design partials at k instants with everything else held.
+
+    Attributes
+    ----------
+    inertia_b : array, shape (k, n_q, n_b)
+        (M a)_b.
+    f_b : array, shape (k, n_q, n_b)
+        (Phi_q^T lam)_b - Q_b.
+    Phi_b : array, shape (k, n_lam, n_b)
+    """
+
+    inertia_b: Array
+    f_b: Array
+    Phi_b: Array
 
 
 class MechanicalSystem(abc.ABC):
@@ -45,6 +86,9 @@ class MechanicalSystem(abc.ABC):
         Whether Phi is linear in q, so that (Phi_q^T lam)_q vanishes.
     velocity_forces : bool
         Whether Q depends on v.
+    force_round_off : float
+        Size of the round-off in Q in the norm sqrt(sum Q^2 / weights); zero where it is that of
+        Q itself. Newton corrections that stop shrinking at this size are accepted.
     project_start : bool
         Whether an inconsistent start is projected instead of refused.
     naming : Naming or None
@@ -62,6 +106,7 @@ class MechanicalSystem(abc.ABC):
     constraint_names: tuple[str, ...]
     linear_constraints: bool
     velocity_forces: bool
+    force_round_off: float
     project_start: bool
     naming: Naming | None
 
@@ -137,7 +182,7 @@ class MechanicalSystem(abc.ABC):
 
     @abc.abstractmethod
     def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
-        """Return Phi_q^T lam, shape (n_q,), or its columns for columns of lam."""
+        """Return Phi_q^T lam, shape (n_q,)."""
 
     @abc.abstractmethod
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
@@ -188,3 +233,77 @@ class MechanicalSystem(abc.ABC):
         self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
     ) -> Array:
         """Return the total design derivative of `constraint_force_rate`, shape (n_q, n_b)."""
+
+    # -- many instants at once -----------------------------------------------------------------
+
+    @abc.abstractmethod
+    def linearise(self, t: Array, q: Array, v: Array, lam: Array) -> Linearisation:
+        """Linearise f = Phi_q^T lam - Q and Phi at k instants; states are rows (k, n)."""
+
+    @abc.abstractmethod
+    def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
+        """Return the design partials of M a, f and Phi at k instants."""
+
+    @abc.abstractmethod
+    def pull_back(
+        self,
+        t: Array,
+        states: tuple[Array, Array, Array, Array],
+        covectors: tuple[Array, Array, Array],
+    ) -> Array:
+        """Return the sum over instants of (M a)_b^T x + f_b^T mu + Phi_b^T zeta, shape (n_b,).
+
+        Parameters
+        ----------
+        t : array, shape (k,)
+        states : (q, v, a, lam), arrays with k rows
+        covectors : (x, mu, zeta), arrays with k rows
+        """
+
+
+class OneByOneSystem(MechanicalSystem):
+    """A system that handles many instants by a loop over them; enough for small ones."""
+
+    @final
+    def linearise(self, t: Array, q: Array, v: Array, lam: Array) -> Linearisation:
+        """Linearise instant by instant."""
+        f_q, f_v, Phi_q = [], [], []
+        for time, q_k, v_k, lam_k in zip(t, q, v, lam, strict=True):
+            value = -self.force_q(q_k, v_k, time)
+            if not self.linear_constraints:
+                value = value + self.constraint_force_q(q_k, lam_k, time)
+            f_q.append(value)
+            Phi_q.append(self.constraint_q(q_k, time))
+            if self.velocity_forces:
+                f_v.append(-self.force_v(q_k, v_k, time))
+        return Linearisation(
+            np.array(f_q), np.array(f_v) if self.velocity_forces else None, np.array(Phi_q)
+        )
+
+    @final
+    def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
+        """Differentiate instant by instant."""
+        rows = [
+            (
+                self.mass_b_times(a_k),
+                self.constraint_force_b(q_k, lam_k, time) - self.force_b(q_k, v_k, time),
+                self.constraint_b(q_k, time),
+            )
+            for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True)
+        ]
+        return DesignPartials(*(np.array(column) for column in zip(*rows, strict=True)))
+
+    @final
+    def pull_back(
+        self,
+        t: Array,
+        states: tuple[Array, Array, Array, Array],
+        covectors: tuple[Array, Array, Array],
+    ) -> Array:
+        """Contract the design partials."""
+        partials = self.design_partials(t, *states)
+        x, mu, zeta = covectors
+        total: Array = np.einsum("knb,kn->b", partials.inertia_b, x)
+        total = total + np.einsum("knb,kn->b", partials.f_b, mu)
+        total = total + np.einsum("knb,kn->b", partials.Phi_b, zeta)
+        return total

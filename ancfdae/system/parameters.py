@@ -26,11 +26,15 @@ class ParameterMap:
 
     Attributes
     ----------
-    base : array, shape (n, 6)
+    base : array, shape (n, 7)
         Parameters of the scene as declared.
     elements, parameters, variables : array of int, shape (n_pairs,)
     weights : array, shape (n_pairs,)
         One, except for a length: share of the element in the length of its beam.
+    part_values : dict
+        Values of the `parameters` of every joint and load as declared, by its name.
+    part_slots : tuple of (str, int, int)
+        Joint or load, place among its parameters, and design variable that writes there.
     """
 
     base: Array
@@ -38,9 +42,21 @@ class ParameterMap:
     parameters: Array
     variables: Array
     weights: Array
+    part_values: dict[str, tuple[float, ...]]
+    part_slots: tuple[tuple[str, int, int], ...]
+
+    def part(self, name: str, b: Array) -> tuple[Array, Array]:
+        """Return the parameters p of a joint or load at design values b, and p_b."""
+        p = np.array(self.part_values[name]).astype(np.result_type(float, b))
+        p_b = np.zeros((len(p), len(b)))
+        for owner, place, variable in self.part_slots:
+            if owner == name:
+                p[place] = b[variable]
+                p_b[place, variable] = 1.0
+        return p, p_b
 
     def values(self, b: Array) -> Array:
-        """Return element parameters at design values b, shape (n, 6), in the dtype of b."""
+        """Return element parameters at design values b, shape (n, 7), in the dtype of b."""
         P = self.base.astype(np.result_type(self.base, b))
         P[self.elements, self.parameters] = self.weights * b[self.variables]
         return P
@@ -67,9 +83,14 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
     base = scene.element_parameters()
     elements, parameters, variables, weights = [], [], [], []
     owner: dict[tuple[int, int], str] = {}
+    slots: list[tuple[str, int, int]] = []
     for index, variable in enumerate(design):
         for text in variable.targets:
             target = parse_target(text)
+            if not scene.is_beam(target):
+                part = scene.part(target)
+                slots.append((part.name, list(part.parameters()).index(target.parameter), index))
+                continue
             which = PARAMETER_NAMES.get(target.parameter)
             rows = scene.target_elements(target)
             assert which is not None  # target_elements refuses unknown parameters
@@ -96,4 +117,6 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
         parameters=np.concatenate(parameters or empty),
         variables=np.concatenate(variables or empty),
         weights=np.concatenate(weights or [np.zeros(0)]),
+        part_values={name: tuple(p.parameters().values()) for name, p in scene.parts().items()},
+        part_slots=tuple(slots),
     )

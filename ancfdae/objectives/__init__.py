@@ -1,0 +1,14 @@
+"""Objectives: functions of a whole run, built from observables, with exact partials."""
+
+from ancfdae.objectives.contract import NonFiniteObjective, Objective, ObjectivePartials
+from ancfdae.objectives.reductions import AtTimes, Integral, SmoothMaximum, Terminal
+
+__all__ = [
+    "AtTimes",
+    "Integral",
+    "NonFiniteObjective",
+    "Objective",
+    "ObjectivePartials",
+    "SmoothMaximum",
+    "Terminal",
+]

@@ -1,0 +1,304 @@
+"""Objectives of one observable: integral, values at times, smooth maximum.
+
+Each is a function of the observable's values at the instants of the run, combined with
+quadrature weights; all methods of differentiation use the same weights, so that they
+differentiate the same number.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast, final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_finite, require_positive
+from ancfdae.numerics.arrays import Array
+from ancfdae.objectives.contract import NonFiniteObjective, Objective, ObjectivePartials
+from ancfdae.observables import Observable, States
+from ancfdae.system import MechanicalSystem
+
+
+class Reduction(Objective):
+    """A number made of the values of one observable at the instants of a run.
+
+    Attributes
+    ----------
+    observable : Observable
+    """
+
+    observable: Observable
+
+    @property
+    def tree(self) -> object:
+        """The objective itself."""
+        return self
+
+    @abc.abstractmethod
+    def check_times(self, t_end: float) -> None:
+        """Refuse instants outside the run."""
+
+    @abc.abstractmethod
+    def weights(self, t: Array) -> Array:
+        """Return the weight of every instant, shape (k,); zero for those that do not matter."""
+
+    @abc.abstractmethod
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Return the objective from values and weights where the latter are not zero."""
+
+    @abc.abstractmethod
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Return the derivative of `reduce` in x, for real x."""
+
+    def check(self, system: MechanicalSystem, t_end: float) -> None:
+        """Refuse an observable that does not exist, or instants outside the run."""
+        self.observable.check(system)
+        self.check_times(t_end)
+
+    def value(self, system: MechanicalSystem, states: States) -> Any:
+        """Reduce the observable."""
+        w, x = self.weights(states.t), self.observable.value(system, states)
+        used = w != 0
+        self._require_finite("the observable", x[used], states.t[used])
+        return self.reduce(x[used], w[used]).item()
+
+    def partials(self, system: MechanicalSystem, states: States) -> ObjectivePartials:
+        """Pull the derivative of the reduction back to the states."""
+        nodes = self.observable.node_values(system, states)
+        w, x = self.weights(states.t), list(nodes.values())[-1]
+        used = w != 0
+        self._require_finite("the observable", x[used], states.t[used])
+        slopes = np.zeros(len(w))
+        slopes[used] = self.slopes(x[used].real, w[used])
+        p = self.observable.weighted_partials(system, states, nodes, slopes)
+        sums = sum(part.sum(axis=1) for part in (p.q, p.v, p.lam, p.b) if part is not None)
+        self._require_finite("the derivative of the observable", np.asarray(sums), states.t)
+        value = float(self.reduce(x[used], w[used]))
+        return ObjectivePartials(value, p.q, p.v, p.lam, p.b.sum(axis=0))
+
+    def _require_finite(self, what: str, x: Array, t: Array) -> None:
+        bad = np.flatnonzero(~np.isfinite(x))
+        if len(bad):
+            raise NonFiniteObjective(type(self).__name__, what, float(t[bad[0]].real))
+
+
+class WeightedSum(Reduction):
+    """Sum of weighted values."""
+
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Return the sum."""
+        return np.asarray(w @ x)
+
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Return the weights."""
+        return w
+
+
+@final
+@dataclass(frozen=True)
+class Integral(WeightedSum):
+    """Integral of an observable over the run by the trapezoidal rule; second order.
+
+    Parameters
+    ----------
+    observable : Observable
+    """
+
+    observable: Observable
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        _require_observable(self.observable)
+
+    @property
+    def over_time(self) -> bool:
+        """True."""
+        return True
+
+    def check_times(self, t_end: float) -> None:
+        """Accept every run."""
+
+    def weights(self, t: Array) -> Array:
+        """Half the distance of the neighbouring instants."""
+        return _trapezoid(t)
+
+
+@final
+@dataclass(frozen=True)
+class Terminal(WeightedSum):
+    """Value of an observable at the last instant.
+
+    Parameters
+    ----------
+    observable : Observable
+    """
+
+    observable: Observable
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        _require_observable(self.observable)
+
+    @property
+    def over_time(self) -> bool:
+        """False."""
+        return False
+
+    def check_times(self, t_end: float) -> None:
+        """Accept every run."""
+
+    def weights(self, t: Array) -> Array:
+        """One at the end."""
+        w = np.zeros(len(t))
+        w[-1] = 1.0
+        return w
+
+
+@final
+@dataclass(frozen=True)
+class AtTimes(WeightedSum):
+    """Sum of the values of an observable at given times.
+
+    Between two instants the observable is interpolated linearly, which is second order.
+
+    Parameters
+    ----------
+    observable : Observable
+    times : float or sequence of float
+        One time or several; s.
+
+    Raises
+    ------
+    InvalidInput
+        If there is no time, or one is negative or not finite.
+    """
+
+    observable: Observable
+    times: float | Sequence[float]
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        _require_observable(self.observable)
+        given = cast(Any, self.times)
+        times = tuple(given) if np.ndim(given) else (given,)
+        for time in times:
+            require_finite("AtTimes, times", time)
+        if not times or min(times) < 0:
+            raise InvalidInput(
+                "AtTimes, times", "must be one or more times from 0 on", times, "Give such times."
+            )
+        object.__setattr__(self, "times", tuple(float(time) for time in times))
+
+    @property
+    def over_time(self) -> bool:
+        """False."""
+        return False
+
+    def check_times(self, t_end: float) -> None:
+        """Refuse times after the end."""
+        self._require_reached(t_end, "End the run later.")
+
+    def weights(self, t: Array) -> Array:
+        """Weights of the linear interpolation, summed over the times.
+
+        Raises
+        ------
+        InvalidInput
+            If a run that ended early did not reach one of the times.
+        """
+        self._require_reached(float(t[-1]), "The run ended before.")
+        w = np.zeros(len(t))
+        for time in cast("tuple[float, ...]", self.times):
+            right = min(int(np.searchsorted(t, time)), len(t) - 1)
+            left = max(right - 1, 0)
+            # A time that is an instant but for round-off means that instant.
+            near = 1e-12 * t[-1]
+            if right == left or t[right] - time <= near:
+                w[right] += 1.0
+            elif time - t[left] <= near:
+                w[left] += 1.0
+            else:
+                share = (time - t[left]) / (t[right] - t[left])
+                w[left] += 1.0 - share
+                w[right] += share
+        return w
+
+    def _require_reached(self, end: float, repair: str) -> None:
+        latest = max(cast("tuple[float, ...]", self.times))
+        if latest > end * (1 + 1e-12):
+            raise InvalidInput("AtTimes, times", f"must not exceed {end:.6g}", latest, repair)
+
+
+@final
+@dataclass(frozen=True)
+class SmoothMaximum(Reduction):
+    """Smooth maximum over time, (1/k) log((1/T) int exp(k x) dt) (Kreisselmeier-Steinhauser).
+
+    It lies below the maximum and tends to it as the sharpness k grows, with an error of the order
+    of log(k)/k. The integral is taken by the trapezoidal rule. The smooth minimum of x is
+    ``-SmoothMaximum(-x, k)``.
+
+    Parameters
+    ----------
+    observable : Observable
+    sharpness : float
+        k, in the inverse unit of the observable.
+
+    Raises
+    ------
+    InvalidInput
+        If the sharpness is not positive.
+    """
+
+    observable: Observable
+    sharpness: float
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        _require_observable(self.observable)
+        require_positive("SmoothMaximum, sharpness", self.sharpness)
+
+    @property
+    def over_time(self) -> bool:
+        """True."""
+        return True
+
+    def check_times(self, t_end: float) -> None:
+        """Accept every run."""
+
+    def weights(self, t: Array) -> Array:
+        """Weights of the mean over time."""
+        w = _trapezoid(t)
+        mean: Array = w / np.sum(w) if len(t) > 1 else np.ones(1)
+        return mean
+
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Logarithm of the mean; the largest x is split off, so that nothing overflows."""
+        k, largest = self.sharpness, np.max(x.real)
+        return np.asarray(largest + np.log(w @ np.exp(k * (x - largest))) / k)
+
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Shares of the instants in the mean; they sum to one."""
+        share = w * np.exp(self.sharpness * (x - np.max(x)))
+        total: Array = share / np.sum(share)
+        return total
+
+
+def _trapezoid(t: Array) -> Array:
+    """Weights of the trapezoidal rule on increasing instants."""
+    w = np.zeros(len(t))
+    w[1:] += 0.5 * np.diff(t)
+    w[:-1] += 0.5 * np.diff(t)
+    return w
+
+
+def _require_observable(observable: object) -> None:
+    if not isinstance(observable, Observable):
+        raise InvalidInput(
+            "objective, observable",
+            "must be an Observable",
+            repr(observable),
+            "Build one from position(...), strain_energy(...) and so on.",
+        )

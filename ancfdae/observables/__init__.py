@@ -1,0 +1,48 @@
+"""Observables: what can be seen of a motion, with exact partial derivatives."""
+
+from ancfdae.observables.contract import Leaf, LeafGradient, Observable, ObservablePartials, Rows
+from ancfdae.observables.observe import observe, states_of
+from ancfdae.observables.own import apply, custom
+from ancfdae.observables.quantities import (
+    design,
+    kinetic_energy,
+    multiplier,
+    reaction,
+    strain_energy,
+    time,
+)
+from ancfdae.observables.states import Named, States
+from ancfdae.observables.vectors import (
+    axial_strain,
+    deflection,
+    position,
+    slope,
+    slope_angle,
+    velocity,
+)
+
+__all__ = [
+    "Leaf",
+    "LeafGradient",
+    "Named",
+    "Observable",
+    "ObservablePartials",
+    "Rows",
+    "States",
+    "apply",
+    "axial_strain",
+    "custom",
+    "deflection",
+    "design",
+    "kinetic_energy",
+    "multiplier",
+    "observe",
+    "position",
+    "reaction",
+    "slope",
+    "slope_angle",
+    "states_of",
+    "strain_energy",
+    "time",
+    "velocity",
+]

@@ -1,0 +1,98 @@
+"""What observables are evaluated on: states over time, and something that knows names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.layout import Naming
+from ancfdae.numerics.arrays import Array
+from ancfdae.system import MechanicalSystem
+
+
+class Named(Protocol):
+    """Anything that knows named points and joints: a mechanical system or a solution."""
+
+    @property
+    def naming(self) -> Naming | None:
+        """Names of points and joints."""
+
+
+@final
+@dataclass(frozen=True)
+class States:
+    """States of a system at a sequence of instants, real or complex.
+
+    Attributes
+    ----------
+    t : array, shape (k,)
+    q, v : array, shape (k, n_q)
+    lam : array, shape (k, n_lam)
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    lam: Array
+
+    def rows(self, which: slice | list[int]) -> States:
+        """Return the states at some of the instants."""
+        return States(self.t[which], self.q[which], self.v[which], self.lam[which])
+
+
+def known_naming(system: Named) -> Naming:
+    """Return the names of an ANCF scene.
+
+    Raises
+    ------
+    InvalidInput
+        If the system has none.
+    """
+    if system.naming is None:
+        raise InvalidInput(
+            "observable of a named point or joint",
+            "needs an ANCF scene",
+            "a system of another kind",
+            "Use custom(function, name).",
+        )
+    return system.naming
+
+
+def require_index(where: str, index: int, count: int = 3) -> None:
+    """Refuse an axis, or another number, that does not exist.
+
+    Raises
+    ------
+    InvalidInput
+        If it is not an integer from 0 to count - 1.
+    """
+    given: object = index
+    whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
+    if not whole or not 0 <= index < count:
+        raise InvalidInput(
+            where,
+            f"must be an integer from 0 to {count - 1}",
+            repr(index),
+            "Counting starts at 0, so that axes 0, 1 and 2 are x, y and z.",
+        )
+
+
+def known_system(name: str, system: Named) -> MechanicalSystem:
+    """Return the system, which a solution cannot replace.
+
+    Raises
+    ------
+    InvalidInput
+        If it is something else.
+    """
+    if not isinstance(system, MechanicalSystem):
+        raise InvalidInput(
+            f"observable {name!r}",
+            "needs the mechanical system, not its solution alone",
+            type(system).__name__,
+            "Pass the system, for a scene assemble(scene, design).",
+        )
+    return system

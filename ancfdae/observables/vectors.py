@@ -1,0 +1,203 @@
+"""Observables of material points: components of positions, velocities and slopes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.bodies import Point, Quantity
+from ancfdae.errors import InvalidInput
+from ancfdae.numerics.arrays import Array
+from ancfdae.observables.contract import Leaf, LeafGradient, Observable, Rows
+from ancfdae.observables.functions import Function
+from ancfdae.observables.states import Named, States, known_naming, require_index
+from ancfdae.system import MechanicalSystem
+
+
+def position(point: Point, axis: int) -> Observable:
+    """Return a component of the position of a material point; m.
+
+    Parameters
+    ----------
+    point : Point
+        For example ``beam.at_end``.
+    axis : int
+        0, 1 or 2 for x, y or z.
+    """
+    return Component(point, Quantity.POSITION, axis)
+
+
+def velocity(point: Point, axis: int) -> Observable:
+    """Return a component of the velocity of a material point; m/s. Arguments as in `position`."""
+    return Component(point, Quantity.POSITION, axis, rate=True)
+
+
+def slope(point: Point, along: int, axis: int) -> Observable:
+    """Return a component of a slope vector.
+
+    Parameters
+    ----------
+    point : Point
+    along : int
+        0 for the tangent, 1 and 2 for the slopes along the section's height and width.
+    axis : int
+        0, 1 or 2 for the x, y or z component.
+    """
+    require_index("slope, along", along)
+    return Component(point, Quantity(along + 1), axis)
+
+
+def deflection(point: Point, frame_at: Point) -> Observable:
+    """Return the deflection of a point in a frame that moves with the centre line; m.
+
+    The frame sits at `frame_at` with its first axis along the x-y part of the tangent there;
+    the deflection is the component of point - frame_at along its second axis, which is the
+    first one turned by +90 degrees about z. In space the z components play no part.
+    """
+    t_x, t_y = slope(frame_at, 0, 0), slope(frame_at, 0, 1)
+    arm_x, arm_y = (position(point, i) - position(frame_at, i) for i in (0, 1))
+    return (t_x * arm_y - t_y * arm_x) / (t_x * t_x + t_y * t_y) ** 0.5
+
+
+def slope_angle(point: Point) -> Observable:
+    """Return the angle of the tangent in the x-y plane, from x towards y; rad.
+
+    It starts between -pi and pi and is continuous in time over full turns, provided that the
+    tangent turns by less than half a turn between neighbouring instants.
+    """
+    angle = Function("slope_angle", _continuous_angle, edged=False)
+    t_x, t_y = slope(point, 0, 0), slope(point, 0, 1)
+    return t_x.combined(angle, (t_x, t_y))
+
+
+def axial_strain(point: Point) -> Observable:
+    """Return the Green-Lagrange strain along the beam, (r_x . r_x - 1)/2.
+
+    For reference shapes with unit tangents, as beams have them on their centre line.
+    """
+    return AxialStrain(point)
+
+
+def _continuous_angle(x: Array, y: Array) -> Array:
+    """Angle of (x, y) over time; analytic, because the angle left over is small."""
+    turn = np.unwrap(np.arctan2(y.real, x.real))
+    c, s = np.cos(turn), np.sin(turn)
+    angle: Array = turn + np.arctan((c * y - s * x) / (c * x + s * y))
+    return angle
+
+
+@final
+@dataclass(frozen=True)
+class Component(Leaf):
+    """A component of a position or slope vector, or of its rate.
+
+    Parameters
+    ----------
+    point : Point
+    quantity : Quantity
+    axis : int
+    rate : bool
+        Whether it is the time derivative.
+
+    Raises
+    ------
+    InvalidInput
+        If the axis is not 0, 1 or 2, or `point` is no point.
+    """
+
+    point: Point
+    quantity: Quantity
+    axis: int
+    rate: bool = False
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        _require_point(self.point)
+        require_index("observable, axis", self.axis)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a point or an axis that does not exist."""
+        naming = known_naming(system)
+        naming.layout.beam(self.point.beam)
+        require_index("observable, axis", self.axis, naming.layout.d)
+        if self.quantity is not Quantity.POSITION:
+            require_index("slope, along", int(self.quantity) - 1, naming.layout.d)
+        naming.vector(self.point, self.quantity)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Weights times coordinates or velocities."""
+        columns, weights, _ = _combination(system, self.point, self.quantity)
+        value: Array = self._of(states)[:, columns + self.axis] @ weights
+        return value
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Return the weights, and their design derivatives times the coordinates."""
+        columns, weights, weights_b = _combination(system, self.point, self.quantity)
+        columns = columns + self.axis
+        rows = Rows(columns, weights[None])
+        b = self._of(states)[:, columns] @ weights_b if np.any(weights_b) else None
+        return LeafGradient(v=rows, b=b) if self.rate else LeafGradient(q=rows, b=b)
+
+    def _of(self, states: States) -> Array:
+        return states.v if self.rate else states.q
+
+
+@final
+@dataclass(frozen=True)
+class AxialStrain(Leaf):
+    """(r_x . r_x - 1)/2 at a material point.
+
+    Raises
+    ------
+    InvalidInput
+        If `point` is no point.
+    """
+
+    point: Point
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        _require_point(self.point)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a point that does not exist."""
+        known_naming(system).vector(self.point, Quantity.SLOPE_X)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Half the squared tangent, less one half."""
+        X, weights, _, _ = self._nodes(system, states)
+        tangent = np.einsum("a,kad->kd", weights, X)
+        value: Array = 0.5 * (np.sum(tangent * tangent, axis=1) - 1.0)
+        return value
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Return the tangent times the derivatives of the tangent."""
+        X, weights, weights_b, columns = self._nodes(system, states)
+        tangent = np.einsum("a,kad->kd", weights, X)
+        rows = (weights[:, None] * tangent[:, None, :]).reshape(len(X), -1)
+        b = np.einsum("kd,kad,ab->kb", tangent, X, weights_b) if np.any(weights_b) else None
+        return LeafGradient(q=Rows(columns.ravel(), rows), b=b)
+
+    def _nodes(self, system: Named, states: States) -> tuple[Array, Array, Array, Array]:
+        """Node vectors (k, m, d), their weights and derivatives, and their columns (m, d)."""
+        first, weights, weights_b = _combination(system, self.point, Quantity.SLOPE_X)
+        columns = first[:, None] + np.arange(known_naming(system).layout.d)
+        return states.q[:, columns], weights, weights_b, columns
+
+
+def _combination(system: Named, point: Point, quantity: Quantity) -> tuple[Array, Array, Array]:
+    """First columns, weights and their design derivatives of the node vectors that matter."""
+    naming = known_naming(system)
+    vector = naming.vector(point, quantity)
+    # A weight is a power of the length times a number, and vanishes with its derivative.
+    used = vector.weights != 0
+    return vector.vectors[used] * naming.layout.d, vector.weights[used], vector.weights_b[used]
+
+
+def _require_point(point: object) -> None:
+    if not isinstance(point, Point):
+        raise InvalidInput(
+            "observable, point", "must be a Point", repr(point), "Use beam.at_end or beam.at(0.5)."
+        )

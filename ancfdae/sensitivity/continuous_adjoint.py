@@ -1,0 +1,238 @@
+"""Continuous adjoint (eqs. 26-42): adjoint equations integrated backward by HHT-I3.
+
+In reversed time tau = t_2 - t the adjoint equations (36), (37) read
+
+    M mu'' + g = 0,   g = Phi_q^T zeta + (f_q - f_v')^T mu + f_v^T mu_tau - r,
+    Phi_q mu = H_lam^T,          r = H_q^T - (H_v^T)',   f = Phi_q^T lam - Q,
+
+where ' on f_v and H_v is the time derivative along the motion. One step of HHT-I3 is linear:
+
+    [ M/(1+alpha) + beta h^2 (f_q - f_v')^T + gamma h f_v^T   Phi_q^T ] [mu'']
+    [ Phi_q                                                   0       ] [zeta]
+      = [ r + alpha/(1+alpha) g_n - (f_q - f_v')^T mu~ - f_v^T mu~_tau ;
+          (H_lam^T - Phi_q mu~)/(beta h^2) ].
+
+End conditions at t_2: (39), (40) for mu and epsilon; for mu' and gamma (38) with the time
+derivative of (37), Phi_q mu' + (Phi_q)' mu = (H_lam^T)'. Equation (41) of the paper lacks
+-(Phi_q)' mu, which may be dropped only where H_lam(t_2) = 0.
+
+Time derivatives of H_v, H_lam and f_v along the run are taken by second-order differences on
+its grid, so the gradient differs from the discrete one by O(h^2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.integrators import HHT, Integrator
+from ancfdae.integrators.hht_equations import Coefficients, correct, predict
+from ancfdae.integrators.initial import (
+    InitialSensitivity,
+    consistent_start,
+    saddle_point,
+    start_sensitivity,
+)
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.objectives import Objective, ObjectivePartials
+from ancfdae.observables import states_of
+from ancfdae.sensitivity.contract import Gradient, GradientMethod, finished
+from ancfdae.solution import Solution
+from ancfdae.system import Linearisation, MechanicalSystem
+
+# Steps needed for the one-sided differences at the end.
+_LEAST_STEPS = 4
+
+
+@final
+@dataclass(frozen=True)
+class ContinuousAdjoint(GradientMethod):
+    """Integrate the adjoint equations of the paper backward with HHT-I3.
+
+    For objectives that are functions of time integrals, on runs of `HHT`. Kept for comparison:
+    `Adjoint` costs the same and is exact for the discrete run.
+    """
+
+    def gradients(
+        self,
+        system: MechanicalSystem,
+        objectives: Sequence[Objective],
+        t_end: float,
+        integrator: Integrator,
+        progress: bool,
+    ) -> list[Gradient]:
+        """One run for all objectives, one backward run for each.
+
+        Raises
+        ------
+        InvalidInput
+            If the integrator is another one, the run has fewer than four steps, or an objective
+            is not a function of time integrals.
+        """
+        if not isinstance(integrator, HHT):
+            raise InvalidInput(
+                "ContinuousAdjoint", "runs with HHT", repr(integrator), "Use HHT, or Adjoint."
+            )
+        if round(t_end / integrator.step) < _LEAST_STEPS:
+            raise InvalidInput(
+                "ContinuousAdjoint", "needs four steps", t_end / integrator.step, "Use Adjoint."
+            )
+        for objective in objectives:
+            if not objective.over_time:
+                raise InvalidInput(
+                    "ContinuousAdjoint",
+                    "takes functions of time integrals (eq. 20)",
+                    repr(objective),
+                    "Use Adjoint for values at given times.",
+                )
+        solution = finished(integrator.integrate(system, t_end, progress=progress))
+        results = []
+        for objective in objectives:
+            partials = objective.partials(system, states_of(solution))
+            total = _BackwardRun(system, integrator, solution, partials).gradient()
+            results.append(Gradient(partials.value, total, system.design_names, self, solution))
+        return results
+
+
+@final
+@dataclass(frozen=True)
+class _Adjoint:
+    """Adjoint variables at one instant, derivatives in reversed time."""
+
+    mu: Array
+    mu_tau: Array
+    mu_tautau: Array
+    zeta: Array
+    g: Array
+
+
+@final
+class _BackwardRun:
+    """Adjoint variables of one objective along one run."""
+
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        integrator: HHT,
+        solution: Solution,
+        partials: ObjectivePartials,
+    ) -> None:
+        self._system, self._solution, self._partials = system, solution, partials
+        self._c = Coefficients.of(integrator.step, integrator.hht_alpha)
+        self._matrices: SaddlePoint = saddle_point(system, 0.0)
+        t, q, v, lam = solution.t, solution.q, solution.v, solution.lam
+        self._local: Linearisation = system.linearise(t, q, v, lam)
+        h = self._c.h
+        # The trapezoidal rule is in the rows of the partials; take it out again: H_q, H_v, H_lam.
+        self._w = np.full(len(t), h)
+        self._w[[0, -1]] = h / 2
+        H_q = self._density(partials.q, system.n_q)
+        H_v = self._density(partials.v, system.n_q)
+        self._H_v, self._H_lam = H_v, self._density(partials.lam, system.n_lam)
+        self._r = H_q - np.gradient(H_v, h, axis=0, edge_order=2)
+        f_q = self._local.f_q
+        self._f_v = self._local.f_v
+        if self._f_v is not None:
+            f_q = f_q - np.gradient(self._f_v, h, axis=0, edge_order=2)
+        self._f_q = f_q
+
+    def gradient(self) -> Array:
+        """Eq. (42)."""
+        system, s = self._system, self._solution
+        end, epsilon, gamma = self._end()
+        mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)
+        state = end
+        mu[-1], zeta[-1] = end.mu, end.zeta
+        for n in range(len(s.t) - 2, -1, -1):
+            state = self._step(state, n)
+            mu[n], zeta[n] = state.mu, state.zeta
+        weighted = mu * self._w[:, None], mu * self._w[:, None], zeta * self._w[:, None]
+        total = self._partials.b - system.pull_back(s.t, (s.q, s.v, s.a, s.lam), weighted)
+        total = total + self._start_terms(state)
+        q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
+        still = np.zeros((system.n_q, system.n_b))
+        velocity_b = system.constraint_q_times_total(q, v, t, still)
+        velocity_b = velocity_b - system.velocity_side_total(q, t, still)
+        ends: Array = gamma @ system.constraint_b(q, t) + epsilon @ velocity_b
+        return total - ends
+
+    def _density(self, rows: Array | None, n: int) -> Array:
+        if rows is None:
+            return np.zeros((len(self._w), n))
+        density: Array = rows / self._w[:, None]
+        return density
+
+    def _end(self) -> tuple[_Adjoint, Array, Array]:
+        """Adjoint variables at t_2 with epsilon and gamma (eqs. 38-41)."""
+        system, s, h = self._system, self._solution, self._c.h
+        q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
+        n_q = system.n_q
+        factors = self._matrices.factor(system.mass(), self._local.Phi_q[-1])
+        x = factors.solve(np.concatenate([np.zeros(n_q), self._H_lam[-1]]))
+        mu, epsilon = x[:n_q], x[n_q:]
+        force = system.constraint_force_rate(q, v, epsilon, t) - self._H_v[-1]
+        if self._f_v is not None:
+            force = force + system.pattern.dot_transposed(self._f_v[-1], mu)
+        products = np.array(
+            [system.constraint_pattern.dot(row, mu) for row in self._local.Phi_q[-4:]]
+        )
+        rate = (3 * self._H_lam[-1] - 4 * self._H_lam[-2] + self._H_lam[-3]) / (2 * h)
+        # (Phi_q)' mu with mu held, from Phi_q at the last instants.
+        turning = (3 * products[-1] - 4 * products[-2] + products[-3]) / (2 * h)
+        x = factors.solve(np.concatenate([force, rate - turning]))
+        mu_t, gamma = x[:n_q], -x[n_q:]
+        return self._accelerated(mu, -mu_t, products, factors), epsilon, gamma
+
+    def _accelerated(
+        self, mu: Array, mu_tau: Array, products: Array, factors: Factorization
+    ) -> _Adjoint:
+        """Complete the end state by (36) and the second time derivative of (37)."""
+        system, h, n_q = self._system, self._c.h, self._system.n_q
+        pattern, Phi_q = system.constraint_pattern, self._local.Phi_q
+
+        def second(x: Array) -> Array:
+            result: Array = (2 * x[-1] - 5 * x[-2] + 4 * x[-3] - x[-4]) / h**2
+            return result
+
+        moving = np.array([pattern.dot(row, -mu_tau) for row in Phi_q[-3:]])
+        turning = (3 * moving[-1] - 4 * moving[-2] + moving[-3]) / (2 * h)
+        side = second(self._H_lam[-4:]) - 2 * turning - second(products)
+        free = self._forces(-1, mu, mu_tau)
+        x = factors.solve(np.concatenate([-free, side]))
+        return _Adjoint(mu, mu_tau, x[:n_q], x[n_q:], -system.mass_times(x[:n_q]))
+
+    def _forces(self, n: int, mu: Array, mu_tau: Array) -> Array:
+        """G without the multipliers."""
+        dot = self._system.pattern.dot_transposed
+        force: Array = dot(self._f_q[n], mu) - self._r[n]
+        return force if self._f_v is None else force + dot(self._f_v[n], mu_tau)
+
+    def _step(self, before: _Adjoint, n: int) -> _Adjoint:
+        """One step of HHT-I3 from t_{n+1} to t_n."""
+        system, c, scale, n_q = self._system, self._c, 1 + self._c.alpha, self._system.n_q
+        mu_p, tau_p = predict(c, before.mu, before.mu_tau, before.mu_tautau)
+        K = system.mass() / scale + (c.beta * c.h**2) * self._f_q[n]
+        if self._f_v is not None:
+            K = K + (c.gamma * c.h) * self._f_v[n]
+        memory = c.alpha / scale * before.g
+        side = self._H_lam[n] - system.constraint_pattern.dot(self._local.Phi_q[n], mu_p)
+        right = np.concatenate([memory - self._forces(n, mu_p, tau_p), side / (c.beta * c.h**2)])
+        x = self._matrices.factor(K, self._local.Phi_q[n]).solve_transposed(right)
+        mu, mu_tau = correct(c, mu_p, tau_p, x[:n_q])
+        return _Adjoint(mu, mu_tau, x[:n_q], x[n_q:], memory - system.mass_times(x[:n_q]) / scale)
+
+    def _start_terms(self, first: _Adjoint) -> Array:
+        """mu^T M v_b - (H_v + mu'^T M + mu^T Q_v) q_b at t_1, with mu' = -mu_tau."""
+        system = self._system
+        initial = consistent_start(system, self._matrices, 0.0)
+        b: InitialSensitivity = start_sensitivity(system, self._matrices, initial)
+        on_q = self._H_v[0] - system.mass_times(first.mu_tau)
+        if self._f_v is not None:
+            on_q = on_q - system.pattern.dot_transposed(self._f_v[0], first.mu)
+        terms: Array = system.mass_times(first.mu) @ b.v_b - on_q @ b.q_b
+        return terms
