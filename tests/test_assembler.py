@@ -285,7 +285,8 @@ class Setting:
     """A system with a random state beside its start and random design derivatives of it."""
 
     def __init__(self, scene, design):
-        self.scene, self.design = SCENES[scene](), design
+        self.scene = SCENES[scene]() if isinstance(scene, str) else scene
+        self.design = design
         self.system = assemble(self.scene, design)
         system, rng = self.system, np.random.default_rng(3)
         self.q = system.start()[0] + 0.05 * rng.uniform(-1, 1, system.n_q)

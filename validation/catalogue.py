@@ -6,7 +6,7 @@ To add one, write a module with a function that fills a `Report`, and enter it i
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from validation import pendulum
+from validation import crank_slider, pendulum
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -42,5 +42,13 @@ CATALOGUE: tuple[Definition, ...] = (
         question="Do the motion and the design sensitivities of the paper's planar pendulum come "
         "out as printed, and how far are they from the continuous-in-time answer?",
         run=pendulum.run,
+    ),
+    Definition(
+        name="crank-slider",
+        title="The paper's spatial crank-slider",
+        question="Do direct differentiation and the adjoint, discrete and continuous, agree on the "
+        "paper's second experiment, what do they cost, and why do two of its sensitivities "
+        "disagree with finite differences?",
+        run=crank_slider.run,
     ),
 )

@@ -1,0 +1,663 @@
+"""Joints and motion laws: equations by hand, partials by complex step, rates along a curve.
+
+Every joint stands alone in a scene, at nodes and between them, to ground and between beams. Its
+equations are compared with their geometric meaning, every derivative of the protocol with a
+complex step (tolerances: `test_assembler`), and the right sides of the velocity, acceleration and
+jerk equations with the derivatives of Phi along a smooth curve q(t). Simulations show that the
+joints hold what they should.
+"""
+
+import numpy as np
+import pytest
+from numpy.polynomial import chebyshev
+from scipy.spatial.transform import Rotation
+from test_assembler import (
+    DERIVATIVE,
+    FLAT,
+    STEEL,
+    STEP,
+    THICK,
+    VALUE,
+    Setting,
+    arc,
+    assert_close,
+    concrete_subclasses,
+    vector_by_hand,
+)
+
+from ancfdae import (
+    HHT,
+    Beam,
+    Clamp,
+    Distance,
+    Drive,
+    Guide,
+    Harmonic,
+    Material,
+    Pin,
+    PointOnLine,
+    Rectangle,
+    Revolute,
+    RigidMotion,
+    Scene,
+    Spherical,
+    Uniform,
+    assemble,
+    simulate,
+)
+from ancfdae.bodies import Quantity
+from ancfdae.joints import Joint, Law
+from ancfdae.joints.frames import across, slope_weights, unit
+
+# Derivatives along a curve: an interpolant of degree DEGREE at Chebyshev points of [t - WINDOW,
+# t + WINDOW]. Truncation: the curve is cubic and laws have frequencies below 4 rad/s, so that
+# coefficients fall like (4 WINDOW / 2)^n / n! and the last is below 1e-18. Round-off: DEGREE
+# coefficients of 1 eps, times T_n''' < n^3 at the middle, over WINDOW^3: 16 * 4096 * eps * 64 =
+# 1e-9 at worst, relative to Phi.
+DEGREE, WINDOW = 16, 0.25
+CURVE = 1e-9
+
+
+def rates_of(function, t):
+    """Values of function and of its first three time derivatives at t, stacked."""
+    nodes = chebyshev.chebpts1(DEGREE + 1)
+    values = np.array([function(t + WINDOW * x) for x in nodes])
+    coefficients = chebyshev.chebfit(nodes, values.reshape(len(nodes), -1), DEGREE)
+    rates = [
+        chebyshev.chebval(0.0, chebyshev.chebder(coefficients, n)) / WINDOW**n for n in range(4)
+    ]
+    return np.array(rates).reshape(4, *values.shape[1:])
+
+
+# ---------------------------------------------------------------- variants
+
+UNIFORM = Uniform(speed=2.0, offset=0.3, acceleration=1.5)
+HARMONIC = Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)
+LAWS = {"uniform": UNIFORM, "harmonic": HARMONIC}
+
+
+def beams(d):
+    """A rod of two elements, an arm and a curved beam, all oblique."""
+    z = (0.2,) * (d - 2)
+    rod = Beam("rod", (0.1, 0.2, *z), (0.9, 0.7, *z), 2, FLAT, STEEL)
+    arm = Beam("arm", (0.9, 0.7, *z), (1.5, 0.4, *(3 * x for x in z)), 1, THICK, STEEL)
+    bow = arc("bow", (0.9, 1.7, *z), 1.0, (0.0, 0.6), d, pitch=0.3 if d == 3 else 0.0)
+    return rod, arm, bow
+
+
+def planar_joints():
+    rod, arm, bow = beams(2)
+    return {
+        "pin, node": Pin(rod.at(0.5)),
+        "pin, inside": Pin(bow.at(0.4, y=0.02)),
+        "pin, ground": Pin(rod.at(0.3, y=-0.01), ground=(0.4, 0.3)),
+        "pin, nodes": Pin(rod.at_end, arm.at_start),
+        "pin, beams": Pin(rod.at(0.8, y=0.02), bow.at(0.3, y=-0.01)),
+        "clamp, node": Clamp(rod.at(0.5)),
+        "clamp, inside": Clamp(bow.at(0.4, y=0.02)),
+        "distance, node": Distance(rod.at_end, 0.7, ground=(1.1, 0.1)),
+        "distance, inside": Distance(bow.at(0.3, y=0.02), 0.7, ground=(1.1, 0.1)),
+        "distance, beams": Distance(rod.at(0.3, y=0.02), 0.6, bow.at(0.6, y=-0.01)),
+        "line, node": PointOnLine(rod.at(0.5), (0.8, -0.3)),
+        "line, inside": PointOnLine(bow.at(0.4, y=0.02), (0.0, 2.0)),
+        "line, through": PointOnLine(rod.at(0.3, y=-0.02), (1.0, -0.2), (0.4, 0.6)),
+        "drive, node": Drive(rod.at(0.5), UNIFORM),
+        "drive, inside": Drive(bow.at(0.4, y=0.02), HARMONIC),
+        "guide, node": Guide(rod.at_end, (0.6, -0.8), HARMONIC),
+        "guide, inside": Guide(bow.at(0.4, y=0.02), (2.0, 1.0), UNIFORM),
+    }
+
+
+def spatial_joints():
+    rod, arm, bow = beams(3)
+    here = bow.at(0.4, y=0.02, z=-0.01)
+    return {
+        "spherical, node": Spherical(rod.at(0.5)),
+        "spherical, ground": Spherical(here, ground=(1.2, 0.8, 0.3)),
+        "spherical, beams": Spherical(rod.at(0.8, y=0.02, z=0.01), here),
+        "clamp, inside": Clamp(here),
+        "revolute, node": Revolute(rod.at(0.5), (0.0, 0.0, 1.0)),
+        "revolute, inside": Revolute(here, (0.3, -0.2, 1.0)),
+        "revolute, ground": Revolute(here, (0.3, 1.0, -0.4), ground=(1.2, 0.8, 0.3)),
+        "revolute, nodes": Revolute(rod.at_end, (0.0, 1.0, 0.0), arm.at_start),
+        "revolute, beams": Revolute(rod.at(0.8, z=0.02), (1.0, -0.7, 0.4), here),
+        "distance, node": Distance(rod.at_end, 0.7, ground=(1.1, 0.1, 0.5)),
+        "distance, beams": Distance(rod.at(0.3, y=0.02), 0.6, here),
+        "line, node": PointOnLine(rod.at(0.5), (0.0, 0.0, 2.0)),
+        "line, inside": PointOnLine(here, (0.3, -0.5, 0.4)),
+        "line, through": PointOnLine(rod.at(0.3, y=-0.02), (1.0, 0.2, 0.0), (0.4, 0.6, 0.1)),
+        "drive, node": Drive(rod.at(0.5), HARMONIC),
+        "drive, inside": Drive(here, UNIFORM, axis=(0.3, -0.2, 1.0)),
+        "guide, node": Guide(rod.at_end, (0.6, -0.8, 0.3), UNIFORM),
+        "guide, inside": Guide(here, (2.0, 1.0, 0.0), HARMONIC),
+    }
+
+
+VARIANTS = {f"planar {name}": joint for name, joint in planar_joints().items()}
+VARIANTS |= {f"spatial {name}": joint for name, joint in spatial_joints().items()}
+
+
+class JointSetting(Setting):
+    """One joint alone; the design is everything that its equations can depend on."""
+
+    def __init__(self, name):
+        self.joint = VARIANTS[name]
+        d = 2 if name.startswith("planar") else 3
+        self.own = [f"{self.joint.name}.{parameter}" for parameter in self.joint.parameters()]
+        touched = dict.fromkeys(point.beam for point in self.joint.points)
+        chosen = [beam for beam in beams(d) if beam.name in touched]
+        design = [*self.own, *(f"{name}.length" for name in touched)]
+        super().__init__(Scene(chosen, [self.joint]), design)
+        rng = np.random.default_rng(4)
+        self.jerk = rng.uniform(-1, 1, self.system.n_q)
+        self.lam_b = rng.uniform(-1, 1, (self.system.n_lam, self.system.n_b))
+        self.lam_b /= [self.unit(i) for i in range(self.system.n_b)]
+
+    def curve(self, t):
+        """Cubic q(t) through the state at self.t, with its velocity."""
+        s = t - self.t
+        q = self.q + s * self.v + s**2 / 2 * self.a + s**3 / 6 * self.jerk
+        return q, self.v + s * self.a + s**2 / 2 * self.jerk
+
+    def along(self, e, i):
+        """States moved along their design derivatives."""
+        states = ((self.q, self.q_b), (self.v, self.v_b), (self.a, self.a_b))
+        return tuple(x + e * x_b[:, i] for x, x_b in states)
+
+    def size(self, value):
+        """Scale where an exact derivative vanishes: the quantity, or 1 m and 1 rad."""
+        return max(1.0, np.max(np.abs(value), initial=0.0))
+
+
+@pytest.fixture(scope="module", params=VARIANTS)
+def one(request):
+    return JointSetting(request.param)
+
+
+def is_steady(joint):
+    """Whether the equations are linear and independent of time."""
+    return isinstance(joint, Pin | Clamp | PointOnLine) or (
+        isinstance(joint, Revolute) and joint.other is None
+    )
+
+
+def test_every_joint_and_law_has_a_variant_in_each_dimension_it_works_in():
+    laws = [joint.angle for joint in VARIANTS.values() if isinstance(joint, Drive)]
+    laws += [joint.travel for joint in VARIANTS.values() if isinstance(joint, Guide)]
+    assert {type(law) for law in laws} == concrete_subclasses(Law)
+    assert {type(law) for law in LAWS.values()} == concrete_subclasses(Law)
+    kinds = concrete_subclasses(Joint)
+    assert {type(joint) for joint in spatial_joints().values()} == kinds
+    assert {type(joint) for joint in planar_joints().values()} == kinds - {Revolute}
+
+
+# ---------------------------------------------------------------- equations by hand
+
+
+def law_by_hand(law, t):
+    if isinstance(law, Uniform):
+        return law.offset + law.speed * t + 0.5 * law.acceleration * t * t
+    assert isinstance(law, Harmonic)
+    return law.offset + law.amplitude * np.sin(law.frequency * t + law.phase)
+
+
+def section_map(s, q, point):
+    """Linear map of the section at a point from the reference: slopes now times slopes then."""
+    slopes, reference = (
+        np.array([vector_by_hand(s.system, x, point, k) for k in (1, 2, 3)])
+        for x in (q, s.system.start()[0])
+    )
+    return slopes.T @ np.linalg.inv(reference.T)
+
+
+def equations_by_hand(s, q, t):
+    """What the equations mean: values, and the length of those that stand in any basis."""
+    joint, start = s.joint, s.system.start()[0]
+    d = s.scene.dimension
+    places = [vector_by_hand(s.system, q, point, 0) for point in joint.points]
+    held = vector_by_hand(s.system, start, joint.points[0], 0)
+    if len(places) == 2:
+        there = places[1]
+    else:
+        ground = getattr(joint, "ground", None)
+        there = held if ground is None else np.array(ground)
+    gap = places[0] - there
+    if isinstance(joint, Pin):
+        return gap, None
+    if isinstance(joint, Clamp):
+        slopes = [
+            vector_by_hand(s.system, q, joint.point, k)
+            - vector_by_hand(s.system, start, joint.point, k)
+            for k in range(1, d + 1)
+        ]
+        return np.concatenate([gap, *slopes]), None
+    if isinstance(joint, Distance):
+        return np.array([(gap @ gap / joint.length - joint.length) / 2]), None
+    if isinstance(joint, PointOnLine):
+        if joint.through is not None:
+            gap = places[0] - np.array(joint.through)
+        along = np.array(joint.direction) / np.linalg.norm(joint.direction)
+        return np.zeros(0), np.linalg.norm(gap - (gap @ along) * along)
+    if isinstance(joint, Guide):
+        direction = np.array(joint.direction) / np.linalg.norm(joint.direction)
+        return np.array([direction @ gap - law_by_hand(joint.travel, t)]), None
+    if isinstance(joint, Revolute):
+        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        turned = axis if joint.other is None else section_map(s, q, joint.other) @ axis
+        tilt = section_map(s, q, joint.point).T @ turned
+        return gap, np.linalg.norm(tilt - (tilt @ axis) * axis)
+    assert isinstance(joint, Drive)
+    tangent = vector_by_hand(s.system, q, joint.point, 1)
+    was = vector_by_hand(s.system, start, joint.point, 1)
+    theta = law_by_hand(joint.angle, t)
+    axis = np.array(joint.axis if d == 3 else (0.0, 0.0, 1.0))
+    axis /= np.linalg.norm(axis)
+    was, tangent = np.append(was, [0.0] * (3 - d)), np.append(tangent, [0.0] * (3 - d))
+    turned = Rotation.from_rotvec(theta * axis).apply(was - (was @ axis) * axis)
+    normal = np.cross(axis, turned / np.linalg.norm(turned))
+    return np.array([normal @ tangent]), None
+
+
+@pytest.mark.parametrize("t", [0.0, 0.3, 1.7])
+def test_equations_are_what_the_joint_says(one, t):
+    values, length = equations_by_hand(one, one.q, t)
+    Phi = one.system.constraint(one.q, t)
+    # Positions and slopes of size one, combined a few times: the round-off of VALUE.
+    scale = max(1.0, np.max(np.abs(Phi)))
+    assert np.max(np.abs(Phi[: len(values)] - values), initial=0.0) <= VALUE * scale
+    if length is None:
+        assert len(Phi) == len(values)
+    else:
+        assert np.linalg.norm(Phi[len(values) :]) == pytest.approx(length, abs=VALUE * scale)
+    assert np.max(np.abs(Phi)) > 1e-3  # the state is off the joint, or there is nothing to see
+
+
+#: Joints that hold what they find in the reference configuration, by the end of their names.
+AT_HOME = tuple(
+    name
+    for name, joint in VARIANTS.items()
+    if not isinstance(joint, Distance) and name.endswith((" node", " nodes", " inside"))
+)
+
+
+@pytest.mark.parametrize("name", AT_HOME)
+def test_reference_configuration_satisfies_a_joint_that_is_given_no_place(name):
+    s = JointSetting(name)
+    b = s.system.b.copy()
+    for i, variable in enumerate(s.system.design_names):
+        if variable.endswith((".offset", ".phase")):
+            b[i] = 0.0  # laws that start at zero
+    system = s.system.with_values(b)
+    # Sums of eight products of numbers up to two.
+    assert np.max(np.abs(system.constraint(system.start()[0], 0.0))) <= 5e-15
+
+
+def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
+    joint, d = one.joint, one.scene.dimension
+    vectors = joint.vectors(d)
+    q_o = one.system.start()[0]
+    reference = np.array([vector_by_hand(one.system, q_o, p, int(k)) for p, k in vectors])
+    p = np.array(list(joint.parameters().values()))
+    for order in range(4 if joint.driven else 1):
+        c = joint.coefficients(p, reference, 0.3, order)
+        assert c.linear.shape == (one.system.n_lam, len(vectors), d)
+        assert c.bilinear.shape == (one.system.n_lam, len(vectors), len(vectors))
+        assert c.offset.shape == (one.system.n_lam,)
+        assert np.array_equal(c.bilinear, c.bilinear.transpose(0, 2, 1))
+        assert order == 0 or not np.any(c.bilinear)  # the contract: bilinear ones are constant
+
+
+# ---------------------------------------------------------------- partials by complex step
+
+
+def test_constraint_q_is_the_complex_step_of_constraint(one):
+    expected = one.by_coordinate(lambda q: one.system.constraint(q, one.t))
+    B = one.system.constraint_pattern.dense(one.system.constraint_q(one.q, one.t))
+    assert_close(B, expected, DERIVATIVE)
+    assert_close(one.system.constraint_force(one.q, one.lam, one.t), B.T @ one.lam, VALUE)
+
+
+def test_curvature_is_the_complex_step_of_the_constraint_force(one):
+    system = one.system
+    expected = one.by_coordinate(lambda q: system.constraint_force(q, one.lam, one.t))
+    values = system.pattern.dense(system.constraint_force_q(one.q, one.lam, one.t))
+    if system.linear_constraints:
+        assert not np.any(expected)
+        assert not np.any(values)
+        return
+    assert_close(values, expected, DERIVATIVE)
+    assert_close(values, values.T, VALUE)
+
+
+def test_only_bilinear_joints_have_curvature_and_only_driven_ones_move(one):
+    system, joint = one.system, one.joint
+    bilinear = isinstance(joint, Distance) or getattr(joint, "other", None) is not None
+    bilinear = bilinear and not isinstance(joint, Pin)
+    assert system.linear_constraints == (not bilinear)
+    assert joint.driven == isinstance(joint, Drive | Guide)
+    assert np.any(system.velocity_side(one.q, one.t)) == joint.driven
+    assert np.any(system.acceleration_side(one.q, one.v, one.t)) == (not is_steady(joint))
+    still = np.array_equal(system.constraint(one.q, 0.1), system.constraint(one.q, 0.9))
+    assert still == (not joint.driven)
+
+
+def test_constraint_b_is_the_complex_step_of_constraint(one):
+    partial = one.system.constraint_b(one.q, one.t)
+    one.check_design(partial, lambda x, i, e: x.constraint(one.q, one.t), 1.0)
+
+
+def test_constraint_force_b_is_the_complex_step_of_the_constraint_force(one):
+    force = one.system.constraint_force(one.q, one.lam, one.t)
+    partial = one.system.constraint_force_b(one.q, one.lam, one.t)
+    one.check_design(
+        partial, lambda x, i, e: x.constraint_force(one.q, one.lam, one.t), one.size(force)
+    )
+
+
+def test_constraint_q_times_total_is_the_complex_step_of_the_product(one):
+    partial = one.system.constraint_q_times_total(one.q, one.a, one.t, one.q_b)
+
+    def product(x, i, e):
+        return x.constraint_pattern.dot(x.constraint_q(one.along(e, i)[0], one.t), one.a)
+
+    one.check_design(partial, product, one.size(partial))
+
+
+def test_velocity_side_total_is_the_complex_step_of_velocity_side(one):
+    value = one.system.velocity_side(one.q, one.t)
+    total = one.system.velocity_side_total(one.q, one.t, one.q_b)
+    one.check_design(
+        total, lambda x, i, e: x.velocity_side(one.along(e, i)[0], one.t), one.size(value)
+    )
+
+
+def test_acceleration_side_total_is_the_complex_step_of_acceleration_side(one):
+    value = one.system.acceleration_side(one.q, one.v, one.t)
+    total = one.system.acceleration_side_total(one.q, one.v, one.t, one.q_b, one.v_b)
+    one.check_design(
+        total, lambda x, i, e: x.acceleration_side(*one.along(e, i)[:2], one.t), one.size(value)
+    )
+
+
+def test_jerk_side_total_is_the_complex_step_of_jerk_side(one):
+    value = one.system.jerk_side(one.q, one.v, one.a, one.t)
+    states_b = (one.q_b, one.v_b, one.a_b)
+    total = one.system.jerk_side_total(one.q, one.v, one.a, one.t, *states_b)
+    one.check_design(total, lambda x, i, e: x.jerk_side(*one.along(e, i), one.t), one.size(value))
+
+
+def test_constraint_force_rate_total_is_the_complex_step_of_constraint_force_rate(one):
+    value = one.system.constraint_force_rate(one.q, one.v, one.lam, one.t)
+    total = one.system.constraint_force_rate_total(
+        one.q, one.v, one.lam, one.t, one.q_b, one.v_b, one.lam_b
+    )
+
+    def rate(x, i, e):
+        q, v, _ = one.along(e, i)
+        return x.constraint_force_rate(q, v, one.lam + e * one.lam_b[:, i], one.t)
+
+    one.check_design(total, rate, one.size(value))
+
+
+def is_length_of_direction(joint, name):
+    """Whether the parameter is the only nonzero component of a direction."""
+    vector, _, axis = name.rpartition(".")[2].rpartition("_")
+    if vector not in ("axis", "direction"):
+        return False
+    components = np.array(getattr(joint, vector))
+    return np.count_nonzero(components) == 1 and components["xyz".index(axis)] != 0
+
+
+def test_every_parameter_of_a_joint_moves_its_equations(one):
+    # Without this the comparisons above could be of zero with zero.
+    partial = one.system.constraint_b(one.q, one.t)
+    for name in one.own:
+        column = partial[:, one.system.design_names.index(name)]
+        # Derivatives in the mere length of a direction vanish to round-off.
+        assert (np.max(np.abs(column)) > 1e-6) != is_length_of_direction(one.joint, name), name
+
+
+# ---------------------------------------------------------------- rates along a curve
+
+
+def test_rates_of_the_equations_along_a_curve_are_those_of_the_right_sides(one):
+    s, x = one, one.system
+    rates = rates_of(lambda t: x.constraint(s.curve(t)[0], t), s.t)
+    B = x.constraint_pattern.dense(x.constraint_q(s.q, s.t))
+    expected = (
+        x.constraint(s.q, s.t),
+        B @ s.v - x.velocity_side(s.q, s.t),
+        B @ s.a - x.acceleration_side(s.q, s.v, s.t),
+        B @ s.jerk - x.jerk_side(s.q, s.v, s.a, s.t),
+    )
+    for rate, value in zip(rates, expected, strict=True):
+        assert np.max(np.abs(rate - value)) <= CURVE * s.size(value)
+        assert np.max(np.abs(value)) > 1e-3
+
+
+def test_velocity_side_is_minus_the_time_derivative_with_the_coordinates_held(one):
+    rates = rates_of(lambda t: one.system.constraint(one.q, t), one.t)
+    side = one.system.velocity_side(one.q, one.t)
+    assert np.max(np.abs(side + rates[1])) <= CURVE * one.size(side)
+
+
+def test_constraint_force_rate_is_the_derivative_along_a_curve_with_multipliers_held(one):
+    s, x = one, one.system
+    expected = rates_of(lambda t: x.constraint_force(s.curve(t)[0], s.lam, t), s.t)[1]
+    rate = x.constraint_force_rate(s.q, s.v, s.lam, s.t)
+    assert np.max(np.abs(rate - expected)) <= CURVE * one.size(expected)
+    # A guide is driven by its offset alone, and Phi_q is constant.
+    assert np.any(rate) == (not is_steady(one.joint) and not isinstance(one.joint, Guide))
+
+
+# ---------------------------------------------------------------- laws and directions
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("t", [0.0, 0.7])
+def test_derivatives_of_a_law_are_those_of_its_value(law, t):
+    p = np.array(list(law.parameters().values()))
+    rates = rates_of(lambda time: law.derivatives(p, time)[0], t)
+    ours = np.array(law.derivatives(p, t))
+    assert ours[0] == pytest.approx(law_by_hand(law, t), rel=1e-15)
+    assert_close(ours, rates, CURVE)
+    assert np.all(ours[:3] != 0)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_every_parameter_of_a_law_goes_through_as_a_complex_number(law):
+    p, t = np.array(list(law.parameters().values())), 0.7
+    for k in range(len(p)):
+        moved = p.astype(complex)
+        moved[k] += 1j * STEP
+        by_step = [np.imag(x) / STEP for x in law.derivatives(moved, t)]
+        # The derivative in p of a time derivative is the time derivative of that in p.
+        rates = rates_of(lambda time, m=moved: np.imag(law.derivatives(m, time)[0]) / STEP, t)
+        assert_close(np.array(by_step), rates, CURVE)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_directions_across_are_orthonormal_and_across(d, seed):
+    direction = np.random.default_rng(seed).uniform(-1, 1, d)
+    vectors = np.vstack([unit(direction), across(direction)])
+    # A few roundings of numbers below one.
+    assert np.max(np.abs(vectors @ vectors.T - np.eye(d))) <= 1e-15 * 4
+    assert np.linalg.det(vectors) == pytest.approx(1.0, abs=1e-15 * 8)
+    assert vectors[0] @ direction == pytest.approx(np.linalg.norm(direction), rel=1e-15)
+
+
+def test_directions_across_the_z_axis_are_x_and_y():
+    assert np.array_equal(across(np.array([0.0, 0.0, 2.0])), np.eye(3)[:2])
+
+
+def test_slope_weights_combine_slopes_to_the_direction():
+    rng = np.random.default_rng(1)
+    slopes = np.eye(3) + 0.2 * rng.uniform(-1, 1, (3, 3))
+    direction = rng.uniform(-1, 1, 3)
+    assert_close(slope_weights(slopes, direction) @ slopes, direction, 1e-15 * 10)
+
+
+# ---------------------------------------------------------------- simulations
+
+SOFT = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.3)
+BAR = Rectangle(height=0.06, width=0.04)
+# Constraints are solved at every step, and a last correction of 1e-13 of the acceleration moves
+# q by h^2 times that; what is left is the round-off of coordinates and of the linear algebra:
+# 100 eps of lengths of 1 m, 450 eps allowed.
+HOLDS = 1e-13
+
+
+def simulated(scene, t_end=0.5):
+    """Solution of a run that ended well, with Phi at round-off all along."""
+    solution = simulate(scene, t_end, HHT(step=2**-7))
+    assert solution.outcome.success
+    system = assemble(scene)
+    Phi = [system.constraint(q, t) for q, t in zip(solution.q, solution.t, strict=True)]
+    assert np.max(np.abs(Phi)) <= HOLDS
+    # Something moves, or nothing would be shown.
+    assert np.max(np.abs(solution.q - solution.q[0])) > 0.1
+    return solution
+
+
+def section_of(solution, point):
+    """Slope vectors of a point as columns, shape (n_t, 3, 3)."""
+    slopes = [solution.slope(point.beam, point.fraction, k, point.y, point.z) for k in range(3)]
+    return np.stack(slopes, axis=-1)
+
+
+def moved_directions(solution, point, directions):
+    """Directions (rows) of the reference section, carried along by the section."""
+    S = section_of(solution, point)
+    # The start is the reference configuration.
+    return np.einsum("tij,kj->tki", S @ np.linalg.inv(S[0]), directions)
+
+
+def test_revolute_keeps_the_point_and_the_axis():
+    rod = Beam("rod", (0.0, 0.0, 0.0), (0.8, 0.3, 0.2), 2, BAR, SOFT)
+    axis, hinge = np.array([0.3, 1.0, 0.2]), rod.at(0.1, y=0.01)
+    scene = Scene([rod], [Revolute(hinge, axis)], gravity=(2.0, -1.0, -9.81))
+    solution = simulated(scene)
+    place = solution.position("rod", 0.1, 0.01)
+    assert np.max(np.abs(place - place[0])) <= HOLDS
+    axis /= np.linalg.norm(axis)
+    basis = np.linalg.svd(axis[None])[2][1:]  # any two directions across the axis
+    sections = moved_directions(solution, hinge, basis)
+    assert np.max(np.abs(sections @ axis)) <= 10 * HOLDS
+    # And the section does turn about it.
+    assert np.min(np.sum(sections[:, 0] * basis[0], axis=1)) < 0.5
+
+
+def test_revolute_between_beams_keeps_the_axis_of_the_other_beam():
+    rod = Beam("rod", (0.0, 0.0, 0.0), (0.5, 0.1, 0.0), 1, BAR, SOFT)
+    arm = Beam("arm", (0.5, 0.1, 0.0), (0.8, 0.5, 0.3), 1, BAR, SOFT)
+    axis = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
+    bearing = Revolute(rod.at_start, (0.0, 1.0, 0.3))
+    joints = [bearing, Revolute(arm.at_start, axis, rod.at_end)]
+    solution = simulated(Scene([rod, arm], joints, gravity=(2.0, -9.81, 3.0)))
+    apart = solution.position("arm", 0.0) - solution.position("rod", 1.0)
+    assert np.max(np.abs(apart)) <= HOLDS
+    basis = np.linalg.svd(axis[None])[2][1:]
+    carried = moved_directions(solution, rod.at_end, axis[None])[:, 0]
+    sections = moved_directions(solution, arm.at_start, basis)
+    assert np.max(np.abs(np.einsum("tki,ti->tk", sections, carried))) <= 10 * HOLDS
+    assert np.max(np.abs(carried - axis)) > 0.1  # the axis turns along with the other beam
+
+
+def test_point_on_line_stays_on_the_line():
+    rod = Beam("rod", (0.0, 0.0, 0.0), (0.8, 0.3, 0.2), 2, BAR, SOFT)
+    direction = np.array([1.0, -0.4, -0.5])
+    joints = [PointOnLine(rod.at(0.2, z=0.01), direction)]
+    solution = simulated(Scene([rod], joints, gravity=(2.0, -1.0, -9.81)))
+    travel = solution.position("rod", 0.2, 0.0, 0.01)
+    travel = travel - travel[0]
+    assert np.max(np.abs(np.cross(travel, unit(direction)))) <= 10 * HOLDS
+    assert np.max(np.abs(travel @ unit(direction))) > 0.1
+
+
+def rod_point(fraction, y):
+    """Place of a point of a straight rod from the origin to (0.6, 0.3)."""
+    return fraction * np.array([0.6, 0.3]) + y * np.array([-0.3, 0.6]) / np.hypot(0.3, 0.6)
+
+
+def test_distance_keeps_the_distance_to_ground_and_between_beams():
+    rod = Beam("rod", (0.0, 0.0), (0.6, 0.3), 2, BAR, SOFT)
+    arm = Beam("arm", (0.0, 0.5), (0.6, 0.9), 1, BAR, SOFT)
+    ground = np.array([-0.3, 0.4])
+    link = float(np.hypot(*(rod_point(0.7, 0.02) - [0.3, 0.7])))
+    joints = [
+        Distance(rod.at_start, 0.5, ground=ground, name="stay"),
+        Distance(rod.at(0.7, y=0.02), link, arm.at(0.5), name="link"),
+        Pin(arm.at_start),
+    ]
+    solution = simulated(Scene([rod, arm], joints, gravity=(0.0, -9.81)))
+    stay = np.linalg.norm(solution.position("rod", 0.0) - ground, axis=1)
+    apart = solution.position("rod", 0.7, 0.02) - solution.position("arm", 0.5)
+    assert np.max(np.abs(stay - 0.5)) <= 10 * HOLDS
+    assert np.max(np.abs(np.linalg.norm(apart, axis=1) - link)) <= 10 * HOLDS
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_drive_turns_the_section_by_its_law_over_full_turns(d, sense):
+    z = (0.0,) * (d - 2)
+    crank = Beam("crank", (0.0, 0.0, *z), (0.4, 0.3, *z), 1, BAR, SOFT)
+    speed, grow = sense * 10.0, sense * 4.0
+    spin = speed if d == 2 else (0.0, 0.0, speed)
+    bearing = Pin(crank.at_start) if d == 2 else Revolute(crank.at_start, (0, 0, 1))
+    motor = Drive(crank.at(0.1), Uniform(speed, acceleration=grow))
+    start = [RigidMotion("crank", spin, (0.0, 0.0, *z))]
+    solution = simulated(Scene([crank], [bearing, motor], start=start), 1.25)
+    tangent = solution.slope("crank", 0.1)
+    angle = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    turned, t = angle - angle[0], solution.t
+    assert np.max(np.abs(turned - (speed * t + grow * t**2 / 2))) <= 100 * HOLDS
+    assert abs(turned[-1]) > 4 * np.pi
+
+
+def test_guide_moves_the_point_by_its_law():
+    rod = Beam("rod", (0.0, 0.0), (0.8, 0.3), 2, BAR, SOFT)
+    direction, law = np.array([2.0, 1.0]), Harmonic(0.2, 6.0)
+    guide = Guide(rod.at(0.2, y=0.01), direction, law)
+    start = [RigidMotion("rod", 0.0, (0.0, 0.0), velocity=1.2 * unit(direction))]
+    solution = simulated(Scene([rod], [guide], gravity=(0.0, -9.81), start=start))
+    place = solution.position("rod", 0.2, 0.01)
+    travel = (place - place[0]) @ unit(direction)
+    assert np.max(np.abs(travel - 0.2 * np.sin(6.0 * solution.t))) <= 10 * HOLDS
+    assert np.max(np.abs(travel)) > 0.15
+
+
+def test_spatial_pendulum_on_a_hinge_is_the_planar_one_on_a_pin():
+    # At nu = 0 the motion in the plane has no stress across it, and the elements are the same.
+    plain = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.0)
+    runs = {}
+    for d in (2, 3):
+        z = (0.0,) * (d - 2)
+        rod = Beam("rod", (0.0, 0.0, *z), (0.8, 0.3, *z), 2, BAR, plain)
+        joint = Pin(rod.at_start) if d == 2 else Revolute(rod.at_start, (0.0, 0.0, 1.0))
+        runs[d] = simulated(Scene([rod], [joint], gravity=(0.0, -9.81, *z)))
+    planar, spatial = (runs[d].nodes("rod") for d in (2, 3))
+    assert np.max(np.abs(spatial[:, :, :3, 2])) <= HOLDS
+    assert np.max(np.abs(spatial[:, :, 3] - [0.0, 0.0, 1.0])) <= HOLDS
+    # Round-off of 64 steps of a motion with stiff vibrations: the force is right to
+    # eps E h w = 5e-12 N of 20 N weight, and is integrated twice over half a second.
+    assert np.max(np.abs(spatial[:, :, :3, :2] - planar)) <= 1e-11
+    hinge, pin = (run.reaction(run.naming.layout.joints[0].name) for run in (runs[3], runs[2]))
+    assert_close(hinge[:, :2], pin, 1e-9)
+
+
+def test_revolute_is_refused_in_the_plane():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, BAR, SOFT)
+    with pytest.raises(ValueError, match="spatial"):
+        Scene([rod], [Revolute(rod.at_start, (0.0, 0.0, 1.0))])
+
+
+def test_points_take_part_by_position_or_slope_as_each_joint_says():
+    # The vectors that enter are those of the joint's own points.
+    for name, joint in VARIANTS.items():
+        d = 2 if name.startswith("planar") else 3
+        vectors = joint.vectors(d)
+        assert {point for point, _ in vectors} == set(joint.points)
+        slopes = {quantity for _, quantity in vectors} - {Quantity.POSITION}
+        turning = isinstance(joint, Clamp | Revolute | Drive)
+        assert bool(slopes) == turning

@@ -1,0 +1,506 @@
+"""Loads and internal damping of a scene: values by hand, partials by complex step, power.
+
+Tolerances: `test_assembler`. What a load adds is the difference of the forces of a scene with and
+without it, without gravity; elastic forces are about 1e4 N and loads about 10 N, so that this
+difference is taken of a scene whose material is soft instead.
+"""
+
+import numpy as np
+import pytest
+from test_assembler import (
+    DERIVATIVE,
+    FLAT,
+    STEEL,
+    STEP,
+    THICK,
+    VALUE,
+    Setting,
+    arc,
+    assert_close,
+    concrete_subclasses,
+    vector_by_hand,
+)
+
+from ancfdae import (
+    HHT,
+    Beam,
+    Clamp,
+    DistributedForce,
+    FollowerForce,
+    Material,
+    Pin,
+    PointForce,
+    PointOnLine,
+    Revolute,
+    RigidMotion,
+    Scene,
+    SpringDamper,
+    assemble,
+    simulate,
+)
+from ancfdae.bodies import Quantity
+from ancfdae.elements import ElementParameter
+from ancfdae.loads import CentreLine, Load
+
+from oracle import plain_ancf as ancf
+
+# Elastic forces of 1e-3 N beside loads of 10 N lose nothing in the difference.
+GEL = Material(density=1000.0, youngs_modulus=1.0, poisson_ratio=0.3)
+
+
+def beams(d):
+    """A rod of two elements and a curved beam, both oblique."""
+    z = (0.2,) * (d - 2)
+    rod = Beam("rod", (0.1, 0.2, *z), (0.9, 0.7, *(3 * x for x in z)), 2, FLAT, GEL)
+    bow = arc("bow", (0.9, 1.7, *z), 1.0, (0.0, 0.6), d, pitch=0.3 * (d - 2), material=GEL)
+    return rod, bow
+
+
+def planar_loads():
+    rod, bow = beams(2)
+    return {
+        "point, node": PointForce(rod.at_end, (3.0, -5.0)),
+        "point, inside": PointForce(bow.at(0.4, y=0.02), (3.0, -5.0)),
+        "line, straight": DistributedForce("rod", (2.0, -4.0)),
+        "line, curved": DistributedForce("bow", (2.0, -4.0)),
+        "follower, node": FollowerForce(rod.at(0.5), (4.0, 0.0)),
+        "follower, inside": FollowerForce(bow.at(0.4, y=0.02), (4.0, -3.0)),
+        "spring, ground": SpringDamper(bow.at(0.4, y=0.02), 30.0, 5.0, 0.4, ground=(0.3, 0.2)),
+        "spring, beams": SpringDamper(rod.at(0.3, y=-0.02), 30.0, 5.0, 0.4, bow.at_end),
+        "spring, undamped": SpringDamper(rod.at_end, 30.0, ground=(0.0, 1.0)),
+    }
+
+
+def spatial_loads():
+    rod, bow = beams(3)
+    here = bow.at(0.4, y=0.02, z=-0.01)
+    return {
+        "point, node": PointForce(rod.at_end, (3.0, -5.0, 1.0)),
+        "point, inside": PointForce(here, (3.0, -5.0, 1.0)),
+        "line, straight": DistributedForce("rod", (2.0, -4.0, 1.0)),
+        "line, curved": DistributedForce("bow", (2.0, -4.0, 1.0)),
+        "follower, node": FollowerForce(rod.at(0.5), (0.0, 0.0, 5.0)),
+        "follower, inside": FollowerForce(here, (4.0, -3.0, 2.0)),
+        "spring, ground": SpringDamper(here, 30.0, 5.0, 0.4, ground=(0.3, 0.2, 0.9)),
+        "spring, beams": SpringDamper(rod.at(0.3, z=0.02), 30.0, 5.0, 0.4, here),
+    }
+
+
+VARIANTS = {f"planar {name}": load for name, load in planar_loads().items()}
+VARIANTS |= {f"spatial {name}": load for name, load in spatial_loads().items()}
+
+
+class LoadSetting(Setting):
+    """One load alone; the design is everything that its force can depend on."""
+
+    def __init__(self, name):
+        self.load = VARIANTS[name]
+        d = 2 if name.startswith("planar") else 3
+        self.own = [f"{self.load.name}.{parameter}" for parameter in self.load.parameters()]
+        touched = dict.fromkeys(
+            v.beam if isinstance(v, CentreLine) else v[0].beam for v in self.load.vectors()
+        )
+        chosen = [beam for beam in beams(d) if beam.name in touched]
+        design = [*self.own, *(f"{name}.length" for name in touched)]
+        super().__init__(Scene(chosen, loads=[self.load]), design)
+        self.bare = assemble(Scene(chosen), design[len(self.own) :])
+
+    def added(self, q=None, v=None):
+        """Generalised force of the load."""
+        q, v = self.q if q is None else q, self.v if v is None else v
+        return self.system.force(q, v, self.t) - self.bare.force(q, v, self.t)
+
+    @property
+    def is_constant(self):
+        return isinstance(self.load, PointForce | DistributedForce)
+
+
+@pytest.fixture(scope="module", params=VARIANTS)
+def one(request):
+    return LoadSetting(request.param)
+
+
+def test_every_load_has_a_variant_in_each_dimension():
+    kinds = concrete_subclasses(Load)
+    assert {type(load) for load in planar_loads().values()} == kinds
+    assert {type(load) for load in spatial_loads().values()} == kinds
+
+
+# ---------------------------------------------------------------- values by hand
+
+
+def force_by_hand(s, q, v):
+    """(points, forces) of a load that acts at points."""
+    load, system = s.load, s.system
+    if isinstance(load, PointForce):
+        return [load.point], [np.array(load.force_vector)]
+    if isinstance(load, FollowerForce):
+        slopes = (
+            vector_by_hand(system, q, load.point, k + 1) for k in range(len(load.force_components))
+        )
+        parts = zip(load.force_components, slopes, strict=True)
+        return [load.point], [sum(f * r / np.linalg.norm(r) for f, r in parts)]
+    assert isinstance(load, SpringDamper)
+    points = [load.point] if load.other is None else [load.point, load.other]
+    e, w = (vector_by_hand(system, x, load.point, 0) for x in (q, v))
+    if load.other is None:
+        e = e - np.array(load.ground)
+    else:
+        there, there_v = (vector_by_hand(system, x, load.other, 0) for x in (q, v))
+        e, w = e - there, w - there_v
+    l = np.linalg.norm(e)
+    tension = load.stiffness * (l - load.free_length) + load.damping * (e @ w) / l
+    return points, [-tension * e / l, tension * e / l][: len(points)]
+
+
+def power_by_hand(s, virtual):
+    """Power of the load in a virtual velocity: of each force on its point, or per length."""
+    if isinstance(s.load, DistributedForce):
+        f = np.array(s.load.force_per_length)
+        x, w = np.polynomial.legendre.leggauss(4)
+        place = s.system.naming.layout.beam(s.load.beam)
+        fractions, total = np.array(place.fractions), 0.0
+        first = place.first_element
+        lengths = s.system.naming.lengths[first : first + place.element_count]
+        # Cubic positions: four Gauss points are exact.
+        for left, right, length in zip(fractions[:-1], fractions[1:], lengths, strict=True):
+            for xi, weight in zip((1 + x) / 2, w / 2, strict=True):
+                point = s.scene.beam(s.load.beam).at(left + xi * (right - left))
+                total += weight * length * (f @ vector_by_hand(s.system, virtual, point, 0))
+        return total
+    points, forces = force_by_hand(s, s.q, s.v)
+    pairs = zip(points, forces, strict=True)
+    return sum(F @ vector_by_hand(s.system, virtual, point, 0) for point, F in pairs)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_virtual_work_is_that_of_the_forces_on_their_points(one, seed):
+    virtual = np.random.default_rng(seed).uniform(-1, 1, one.system.n_q)
+    Q = one.added()
+    # Forces of 10 N in 40 terms of size one; relative to the sum of their magnitudes.
+    size = np.sum(np.abs(Q * virtual))
+    assert abs(Q @ virtual - power_by_hand(one, virtual)) <= VALUE * size
+    assert size > 1.0
+
+
+def test_resultant_of_a_load_is_its_force(one):
+    d = one.scene.dimension
+    translation = np.zeros((one.system.n_q // d, d, d))
+    translation[:: d + 1] = np.eye(d)
+    resultant = one.added() @ translation.reshape(-1, d)
+    if isinstance(one.load, DistributedForce):
+        length = one.scene.beam(one.load.beam).length
+        expected = length * np.array(one.load.force_per_length)
+    else:
+        expected = np.sum(force_by_hand(one, one.q, one.v)[1], axis=0)
+    # Between two beams the forces balance; they are measured by their size.
+    scale = max(np.max(np.abs(expected)), np.max(np.abs(one.added())))
+    assert np.max(np.abs(resultant - expected)) <= VALUE * scale
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_line_load_of_rho_h_w_g_is_gravity(d):
+    beam = Beam("rod", (0.1, 0.2, 0.3)[:d], (0.9, 0.7, 0.5)[:d], 3, THICK, STEEL)
+    g = np.array([1.3, -9.81, 0.7])[:d]
+    line = DistributedForce("rod", STEEL.density * THICK.height * THICK.width * g)
+    loaded, heavy = assemble(Scene([beam], loads=[line])), assemble(Scene([beam], gravity=g))
+    q, v = loaded.start()
+    for design in (q, q + 0.05 * np.random.default_rng(1).uniform(-1, 1, len(q))):
+        bare = assemble(Scene([beam])).force(design, v, 0.0)
+        Q, weight = loaded.force(design, v, 0.0) - bare, heavy.force(design, v, 0.0) - bare
+        # Elastic forces of up to 1e4 N leave a difference of weights of 20 N.
+        assert_close(Q, weight, 10 * VALUE * max(1.0, np.max(np.abs(bare)) / np.max(np.abs(Q))))
+    # The reference state is free of stress, so that the vectors agree to round-off there.
+    assert_close(loaded.force(q, v, 0.0), heavy.force(q, v, 0.0), 1e-10)
+
+
+@pytest.mark.parametrize("name", [name for name in VARIANTS if "follower" in name])
+@pytest.mark.parametrize("seed", range(3))
+def test_follower_force_turns_with_the_section_and_keeps_its_size(name, seed):
+    s = LoadSetting(name)
+    d, rng = s.scene.dimension, np.random.default_rng(seed)
+    R = ancf.random_rotation(d, rng)
+    turned = (s.q.reshape(-1, d) @ R.T).ravel()
+    Q = s.added()
+    assert_close(s.added(turned), (Q.reshape(-1, d) @ R.T).ravel(), VALUE)
+    # Stretching the section does not change it: components are along unit vectors.
+    stretched = s.q.reshape(-1, d + 1, d).copy()
+    stretched[:, 1:] *= 1.7
+    if s.load.point.fraction == 0.5:  # at a node slopes are node vectors
+        assert_close(s.added(stretched.ravel()), Q, VALUE)
+    assert np.max(np.abs(R - np.eye(d))) > 0.1
+
+
+def test_constant_loads_are_constant_and_the_others_are_not(one):
+    rng = np.random.default_rng(5)
+    moved = one.q + 0.1 * rng.uniform(-1, 1, one.system.n_q)
+    change = np.max(np.abs(one.added(moved) - one.added()))
+    still = change <= VALUE * np.max(np.abs(one.added()))
+    assert still == one.is_constant == one.load.constant
+    change = np.max(np.abs(one.added(v=2 * one.v) - one.added()))
+    damped = isinstance(one.load, SpringDamper) and one.load.damping != 0
+    assert (change > 1e-3) == damped
+    assert one.system.velocity_forces == one.load.uses_velocity
+
+
+# ---------------------------------------------------------------- springs and dampers
+
+
+@pytest.mark.parametrize("name", [name for name in VARIANTS if "spring" in name])
+@pytest.mark.parametrize("seed", range(5))
+def test_power_of_spring_and_damper_is_the_loss_of_energy(name, seed):
+    s, rng = LoadSetting(name), np.random.default_rng(seed)
+    v = rng.uniform(-1, 1, s.system.n_q)
+    load = s.load
+
+    def length(q):
+        e = vector_by_hand(s.system, q, load.point, 0)
+        other = load.ground if load.other is None else vector_by_hand(s.system, q, load.other, 0)
+        e = e - np.asarray(other)
+        return np.sqrt(e @ e)
+
+    moved = length(s.q + 1j * STEP * v)
+    rate = moved.imag / STEP
+    stored = load.stiffness * (moved.real - load.free_length) * rate
+    lost = load.damping * rate**2
+    power = s.added(v=v) @ v
+    size = np.sum(np.abs(s.added(v=v) * v))
+    assert power == pytest.approx(-stored - lost, abs=VALUE * size)
+    assert abs(stored) > 1e3 * VALUE * size
+    assert (lost > 1e3 * VALUE * size) == (load.damping > 0)
+
+
+def test_damper_takes_the_energy_out_of_a_swinging_beam():
+    steel = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.3)
+    rod = Beam("rod", (0.0, 0.0), (0.8, 0.0), 1, FLAT, steel)
+    start = [RigidMotion("rod", 0.0, (0.0, 0.0), velocity=(1.0, 0.5))]
+    energies, lost = [], []
+    for damping in (0.0, 0.5):
+        spring = SpringDamper(rod.at(0.5), 40.0, damping, 0.3, ground=(0.2, -0.5))
+        scene = Scene([rod], loads=[spring], start=start)
+        # Alpha next to zero: numerical damping would hide the balance.
+        solution = simulate(scene, 0.5, HHT(step=2**-9, hht_alpha=-0.01))
+        assert solution.outcome.success
+        system = assemble(scene)
+        e = solution.position("rod", 0.5) - [0.2, -0.5]
+        l = np.linalg.norm(e, axis=1)
+        rate = np.sum(e * solution.velocity("rod", 0.5), axis=1) / l
+        stored = 0.5 * 40.0 * (l - 0.3) ** 2 + system.strain_energies(solution.q)
+        energy = system.kinetic_energies(solution.v) + stored
+        power = damping * rate**2
+        lost.append(np.sum(power[1:] + power[:-1]) / 2 * 2**-9)
+        energies.append(energy)
+    (free, damped), (_, work) = energies, lost
+    # Second order: (omega h)^2 = 2e-3 of the energy for the slowest vibration of the rod.
+    assert np.max(np.abs(free - free[0])) <= 2e-3 * free[0]
+    assert damped[0] - damped[-1] == pytest.approx(work, abs=2e-3 * damped[0])
+    assert work > 0.02 * damped[0]
+
+
+# ---------------------------------------------------------------- partials by complex step
+
+
+def test_force_q_is_the_complex_step_of_force(one):
+    s, x = one, one.system
+    tangent = x.pattern.dense(x.force_q(s.q, s.v, s.t)) - s.bare.pattern.dense(
+        s.bare.force_q(s.q, s.v, s.t)
+    )
+    expected = s.by_coordinate(lambda q: s.added(q))
+    if s.is_constant:
+        assert not np.any(tangent)
+        return
+    assert_close(tangent, expected, DERIVATIVE)
+
+
+def test_force_v_is_the_complex_step_of_force(one):
+    s, x = one, one.system
+    expected = s.by_coordinate(lambda v: s.added(v=v), s.v)
+    Q_v = x.pattern.dense(x.force_v(s.q, s.v, s.t))
+    if not isinstance(s.load, SpringDamper) or s.load.damping == 0:
+        assert not np.any(Q_v)
+        assert not np.any(expected)
+        return
+    assert_close(Q_v, expected, DERIVATIVE)
+    # A damper is symmetric and takes energy out.
+    assert_close(Q_v, Q_v.T, VALUE)
+    assert s.v @ Q_v @ s.v < 0
+
+
+def test_force_b_is_the_complex_step_of_force(one):
+    s = one
+    partial = s.system.force_b(s.q, s.v, s.t)
+    s.check_design(partial, lambda x, i, e: x.force(s.q, s.v, s.t), np.max(np.abs(s.added())))
+
+
+def test_force_rate_is_the_complex_step_of_force_along_the_motion(one):
+    s = one
+    moved = s.added(s.q + 1j * STEP * s.v, s.v + 1j * STEP * s.a).imag / STEP
+    arguments = (s.q, s.v, s.a, s.t)
+    rate = s.system.force_rate(*arguments) - s.bare.force_rate(*arguments)
+    if s.is_constant:
+        assert not np.any(rate)
+        return
+    assert_close(rate, moved, DERIVATIVE)
+
+
+def test_force_rate_total_is_the_complex_step_of_force_rate(one):
+    s = one
+    total = s.system.force_rate_total(s.q, s.v, s.a, s.t, s.q_b, s.v_b, s.a_b)
+
+    def rate(x, i, e):
+        states = ((s.q, s.q_b), (s.v, s.v_b), (s.a, s.a_b))
+        return x.force_rate(*(y + e * y_b[:, i] for y, y_b in states), s.t)
+
+    s.check_design(total, rate, np.max(np.abs(s.system.force_rate(s.q, s.v, s.a, s.t))))
+
+
+def test_every_parameter_of_a_load_moves_its_force(one):
+    s = one
+    partial = s.system.force_b(s.q, s.v, s.t)
+    for name in s.own:
+        assert np.max(np.abs(partial[:, s.system.design_names.index(name)])) > 1e-6, name
+
+
+def test_loads_of_a_scene_add_up():
+    rod, bow = beams(2)
+    loads = [*planar_loads().values()]
+    loads = [type(load)(**{**vars(load), "name": str(k)}) for k, load in enumerate(loads)]
+    bare, whole = assemble(Scene([rod, bow])), assemble(Scene([rod, bow], loads=loads))
+    rng = np.random.default_rng(6)
+    q, v = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q), rng.uniform(-1, 1, bare.n_q)
+    expected = bare.force(q, v, 0.0)
+    parts = [assemble(Scene([rod, bow], loads=[load])).force(q, v, 0.0) for load in loads]
+    expected = expected + sum(part - expected for part in parts)
+    assert_close(whole.force(q, v, 0.0), expected, VALUE)
+
+
+# ---------------------------------------------------------------- statics
+
+
+# nu = 0: no Poisson locking, and the section is free.
+PLAIN = Material(density=2700.0, youngs_modulus=3e6, poisson_ratio=0.0)
+
+
+def displaced(d, n, force, joints):
+    """Displacement of the end of a beam along x, linearised at the reference."""
+    z = (0.0,) * (d - 2)
+    rod = Beam("rod", (0.0, 0.0, *z), (1.0, 0.0, *z), n, FLAT, PLAIN)
+    system = assemble(Scene([rod], joints(rod), loads=[PointForce(rod.at_end, force)]))
+    q, v = system.start()
+    K = -system.pattern.dense(system.force_q(q, v, 0.0))
+    B = system.constraint_pattern.dense(system.constraint_q(q, 0.0))
+    saddle = np.block([[K, B.T], [B, np.zeros((len(B), len(B)))]])
+    x = np.linalg.solve(saddle, np.concatenate([system.force(q, v, 0.0), np.zeros(len(B))]))
+    return system.naming.vector(rod.at_end, Quantity.POSITION).of(x[: system.n_q], d)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("n", [1, 2, 8])
+def test_tip_of_a_cantilever_moves_as_in_beam_theory(d, n):
+    F, (h, w) = 0.3, (FLAT.height, FLAT.width)
+    for axis, (thick, wide) in enumerate(((h, w), (w, h))[: d - 1], start=1):
+        force = tuple(F if k == axis else 0.0 for k in range(d))
+        bent = displaced(d, n, force, lambda rod: [Clamp(rod.at_start)])
+        deflection = F / (3 * PLAIN.youngs_modulus * (wide * thick**3 / 12))
+        # The section turns linearly along an element, which leaves 1 - 1/(4 n^2) of the
+        # deflection; shear adds up to E h^2 / (4 G L^2) = h^2 / 2 = 2e-3 of it.
+        assert bent[axis] == pytest.approx(deflection * (1 - 0.25 / n**2), rel=4e-3)
+        assert np.max(np.abs(np.delete(bent, axis))) <= 1e-9 * abs(bent[axis])
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("n", [1, 2, 8])
+def test_pulled_bar_stretches_by_force_over_stiffness(d, n):
+    def joints(rod):  # a clamp would hold the slope along the bar, too
+        along = (1.0, *(0.0,) * (d - 1))
+        bearing = Pin(rod.at_start) if d == 2 else Revolute(rod.at_start, (0.0, 1.0, 0.0))
+        return [bearing, PointOnLine(rod.at_end, along)]
+
+    F = 0.3
+    pulled = displaced(d, n, (F, *(0.0,) * (d - 1)), joints)
+    # The stiffest coordinate is 1e6 times as stiff as the softest; times eps, and a few.
+    assert pulled[0] == pytest.approx(F / (3e6 * FLAT.height * FLAT.width), rel=1e-9)
+
+
+# ---------------------------------------------------------------- internal damping of a scene
+
+
+def damped_beams(d, times):
+    z = (0.2,) * (d - 2)
+    materials = [Material(1000.0, 1e4, 0.3, time) for time in times]
+    rod = Beam("rod", (0.1, 0.2, *z), (0.9, 0.7, *z), 2, FLAT, materials)
+    return Scene([rod])
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("seed", range(10))
+def test_internal_damping_takes_energy_out_of_every_motion(d, seed):
+    rng = np.random.default_rng(seed)
+    damped, bare = (assemble(damped_beams(d, t)) for t in ((0.02, 0.05), (0.0, 0.0)))
+    q = damped.start()[0] + 0.05 * rng.uniform(-1, 1, damped.n_q)
+    v = rng.uniform(-1, 1, damped.n_q)
+    power = (damped.force(q, v, 0.0) - bare.force(q, v, 0.0)) @ v
+    assert power < 0
+    Q_v = damped.pattern.dense(damped.force_v(q, v, 0.0))
+    assert power == pytest.approx(v @ Q_v @ v, rel=1e-9)
+    # Every direction: Q_v is negative semidefinite, to the round-off of its largest entries.
+    values = np.linalg.eigvalsh((Q_v + Q_v.T) / 2)
+    assert np.max(values) <= VALUE * -np.min(values)
+    assert np.min(values) < 0
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_rigid_motion_of_a_deformed_beam_is_not_damped(d):
+    rng = np.random.default_rng(3)
+    damped, bare = (assemble(damped_beams(d, t)) for t in ((0.02, 0.05), (0.0, 0.0)))
+    q = damped.start()[0] + 0.05 * rng.uniform(-1, 1, damped.n_q)
+    B = rng.uniform(-1, 1, (d, d))
+    X = q.reshape(-1, d + 1, d)
+    V = X @ (B - B.T).T
+    V[:, 0] += rng.uniform(-1, 1, d)
+    difference = damped.force(q, V.ravel(), 0.0) - bare.force(q, V.ravel(), 0.0)
+    other = damped.force(q, V.ravel()[::-1], 0.0) - bare.force(q, V.ravel(), 0.0)
+    round_off = VALUE * np.max(np.abs(bare.force(q, V.ravel(), 0.0)))
+    assert np.max(np.abs(difference)) <= round_off
+    assert np.max(np.abs(other)) > 1e6 * round_off
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_zero_damping_time_is_bitwise_no_damping_even_as_a_design_variable(d):
+    scene = damped_beams(d, (0.0, 0.0))
+    bare, named = assemble(scene), assemble(scene, ["rod.damping_time"])
+    rng = np.random.default_rng(2)
+    q, v = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q), rng.uniform(-1, 1, bare.n_q)
+    assert not bare.velocity_forces
+    assert named.velocity_forces
+    assert np.array_equal(bare.force(q, v, 0.0), named.force(q, v, 0.0))
+    assert np.array_equal(bare.force_q(q, v, 0.0), named.force_q(q, v, 0.0))
+    assert not np.any(named.force_v(q, v, 0.0))
+    # And it can be turned on from there.
+    assert np.max(np.abs(named.force_b(q, v, 0.0))) > 1.0
+
+
+def test_damping_time_of_an_element_is_its_own():
+    system = assemble(damped_beams(2, (0.02, 0.05)), ["rod.damping_time[0]", "rod.damping_time[1]"])
+    tau = system._scene.element_parameters()[:, ElementParameter.DAMPING_TIME]
+    assert np.array_equal(tau, [0.02, 0.05])
+    assert np.array_equal(system.b, [0.02, 0.05])
+    q = system.start()[0]
+    v = np.random.default_rng(2).uniform(-1, 1, system.n_q)
+    size = (2 + 1) * 2
+    Q_b = system.force_b(q, v, 0.0)
+    # The first element does not reach the last node, nor the second the first.
+    assert not np.any(Q_b[2 * size :, 0])
+    assert not np.any(Q_b[:size, 1])
+    assert np.any(Q_b[:size, 0])
+    assert np.any(Q_b[2 * size :, 1])
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_damping_of_small_motions_is_the_damping_time_times_the_stiffness(d):
+    # Hence every mode decays with omega^2 tau / 2.
+    scene = damped_beams(d, (0.02, 0.02))
+    system = assemble(scene)
+    q, v = system.start()
+    K, D = (system.pattern.dense(-f(q, v, 0.0)) for f in (system.force_q, system.force_v))
+    assert_close(D, 0.02 * K, VALUE)
