@@ -2,7 +2,7 @@
 
 Tolerances: `test_assembler`. What a load adds is the difference of the forces of a scene with and
 without it, without gravity; elastic forces are about 1e4 N and loads about 10 N, so that this
-difference is taken of a scene whose material is soft instead.
+difference is taken of scenes of a soft material.
 """
 
 import numpy as np
@@ -228,7 +228,7 @@ def test_follower_force_turns_with_the_section_and_keeps_its_size(name, seed):
     stretched[:, 1:] *= 1.7
     if s.load.point.fraction == 0.5:  # at a node slopes are node vectors
         assert_close(s.added(stretched.ravel()), Q, VALUE)
-    assert np.max(np.abs(R - np.eye(d))) > 0.1
+    assert np.max(np.abs(R - np.eye(d))) > 0.05
 
 
 def test_constant_loads_are_constant_and_the_others_are_not(one):
@@ -291,9 +291,10 @@ def test_damper_takes_the_energy_out_of_a_swinging_beam():
         lost.append(np.sum(power[1:] + power[:-1]) / 2 * 2**-9)
         energies.append(energy)
     (free, damped), (_, work) = energies, lost
-    # Second order: (omega h)^2 = 2e-3 of the energy for the slowest vibration of the rod.
-    assert np.max(np.abs(free - free[0])) <= 2e-3 * free[0]
-    assert damped[0] - damped[-1] == pytest.approx(work, abs=2e-3 * damped[0])
+    # Second order: 1e-5, 2e-6 and 8e-7 of the energy were lost at steps of 2^-8, 2^-9 and 2^-10,
+    # and the balance of the damped run is open by 5e-6 here; four times that.
+    assert np.max(np.abs(free - free[0])) <= 2e-5 * free[0]
+    assert damped[0] - damped[-1] == pytest.approx(work, abs=2e-5 * damped[0])
     assert work > 0.02 * damped[0]
 
 

@@ -469,8 +469,8 @@ elements; both 0.05 m x 0.05 m, 2770 kg/m³, nu = 0.3; spatial elements of 24 co
 slider. The paper's Fig. 7 is not legible in our copy. Taken here: the in-plane mechanism, crank and
 rod stretched out along +x at the start (slider at 2.7 m, so that 1.8 m is the middle of its
 travel), heights in the plane of motion, gravity -y, start from rest. HHT-I3, hht_alpha = -0.3,
-step 2⁻⁸ s (the paper does not give one). Objective: eq. (43). Sensitivities are multiplied by the variable: a
-hundred times what one per cent changes.
+step 2⁻⁸ s (the paper does not give one). Objective: eq. (43). Sensitivities are multiplied by the
+variable: a hundred times what one per cent changes.
 """
 
 _ANSWER = """

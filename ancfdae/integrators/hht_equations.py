@@ -100,7 +100,12 @@ class NodeSensitivity:
 
 def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
     """q~ and v~ of eqs. (2) and (3); arrays of derivatives go through unchanged."""
-    return q + c.h * v + (c.h**2 * (0.5 - c.beta)) * a, v + (c.h * (1 - c.gamma)) * a
+    v_p = v + (c.h * (1 - c.gamma)) * a
+    # h v + h^2 (1/2 - beta) a = h v~ + h^2 (gamma - 1/2 - beta) a
+    q_p = (c.h**2 * (c.gamma - 0.5 - c.beta)) * a
+    q_p += c.h * v_p
+    q_p += q
+    return q_p, v_p
 
 
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:

@@ -27,7 +27,7 @@ from ancfdae.errors import SingularMatrix
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.patterns import Pattern
 
-# Measured on chains of spatial elements (docs/theory.md, section 7): below this size dense LU is
+# Measured on chains of spatial elements (docs/theory.md, section 9): below this size dense LU is
 # as fast as the band.
 _DENSE_SIZE = 60
 # Band LU costs N k^2; at k = 25 it is 3.6 times faster than SuperLU, so they meet near here.

@@ -91,3 +91,35 @@ class Pattern:
         if self._dense:
             return self.dense(values).T @ x
         return np.asarray(self.csr(values).T @ x)
+
+
+@final
+class Stack:
+    """Two matrices with the same columns, one above the other, multiplied in one product.
+
+    Parameters
+    ----------
+    upper, lower : Pattern
+    """
+
+    def __init__(self, upper: Pattern, lower: Pattern) -> None:
+        self._upper, self._lower = upper, lower
+        rows = upper.shape[0] + lower.shape[0]
+        self._shape = (rows, upper.shape[1])
+        self._small = rows * upper.shape[1] <= _DENSE_ENTRIES
+        self._flat = np.concatenate(
+            [
+                upper.rows * upper.shape[1] + upper.columns,
+                (lower.rows + upper.shape[0]) * upper.shape[1] + lower.columns,
+            ]
+        )
+
+    def dot(self, upper: Array, lower: Array, x: Array) -> Array:
+        """Multiply the columns of an array with both matrices."""
+        if not self._small:
+            parts = [self._upper.dot(upper, x), self._lower.dot(lower, x)]
+            return np.concatenate(parts)
+        matrix = np.zeros(self._shape[0] * self._shape[1], dtype=upper.dtype)
+        matrix[self._flat] = np.concatenate([upper, lower])
+        product: Array = matrix.reshape(self._shape) @ x
+        return product

@@ -56,6 +56,11 @@ class Gradient:
     method: GradientMethod
     solution: Solution
 
+    @property
+    def pair(self) -> tuple[float, Array]:
+        """Value and gradient, as ``scipy.optimize.minimize(jac=True)`` wants them."""
+        return self.value, self.gradient
+
 
 class GradientMethod(abc.ABC):
     """Frozen settings of a method that differentiates objectives of a run."""
