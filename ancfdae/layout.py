@@ -104,11 +104,6 @@ class Layout:
         return BEAM_2D if self.d == 2 else BEAM_3D
 
     @property
-    def node_count(self) -> int:
-        """Number of nodes."""
-        return sum(len(beam.fractions) for beam in self.beams)
-
-    @property
     def element_count(self) -> int:
         """Number of elements."""
         return sum(beam.element_count for beam in self.beams)

@@ -191,6 +191,7 @@ class Scene:
         ------
         InvalidInput, UnknownName
         """
+        require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
         parts = {part.name: part for part in self._all_parts()}
         for text, value in values.items():
             target, _ = self._resolve(text)

@@ -3,7 +3,28 @@
 import numpy as np
 import pytest
 
-from ancfdae import HHT, Verdict, simulate
+from ancfdae import (
+    HHT,
+    Adjoint,
+    Beam,
+    ComplexStep,
+    Distance,
+    Integral,
+    InvalidInput,
+    Material,
+    Pin,
+    PointOnLine,
+    Rectangle,
+    RigidMotion,
+    Scene,
+    UnfinishedRun,
+    Verdict,
+    assemble,
+    custom,
+    differentiate,
+    gradient,
+    simulate,
+)
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
@@ -72,3 +93,80 @@ def test_statistics_count_what_was_done():
     assert s.iterations == s.residuals >= 2 * s.steps
     assert 1 <= s.factorisations <= s.iterations
     assert s.wall_seconds > 0
+
+
+def worst_defect(scene, run, integrator):
+    """Largest constraint violation and residual of eq. (4) of accepted steps, relative."""
+    system, alpha = assemble(scene), integrator.hht_alpha
+    f = [
+        system.constraint_force(q, lam, t) - system.force(q, v, t)
+        for t, q, v, lam in zip(run.t, run.q, run.v, run.lam, strict=True)
+    ]
+    worst = 0.0
+    for n in range(1, len(run.t)):
+        inertia = system.mass_times((1 + alpha) * run.a[n] - alpha * run.a[n - 1])
+        residual = inertia + (1 + alpha) * f[n] - alpha * f[n - 1]
+        scale = np.linalg.norm(inertia) + np.linalg.norm(system.force(run.q[n], run.v[n], 0.0))
+        worst = max(worst, np.linalg.norm(residual) / scale)
+        worst = max(worst, np.max(np.abs(system.constraint(run.q[n], run.t[n]))))
+    return worst
+
+
+def test_no_accepted_step_is_wrong_however_wild_the_motion():
+    # Found by review: measured against an iterate that ran away, corrections looked converged.
+    rng, finished = np.random.default_rng(3), 0
+    for _ in range(40):
+        modulus, spin = 10 ** rng.uniform(5, 8), 10 ** rng.uniform(-1, 2)
+        rod = Beam("x", (0, 0), (1, 0), 3, Rectangle(0.05, 0.04), Material(4000.0, modulus, 0.3))
+        start = [RigidMotion("x", spin, (0, 0))]
+        scene = Scene([rod], [Pin(rod.at_start)], (0, -9.81), start)
+        integrator = HHT(2.0**-3, hht_alpha=-0.05)
+        run = simulate(scene, 1.0, integrator)
+        finished += run.outcome.success
+        assert worst_defect(scene, run, integrator) < 1e-8, str(run.outcome)
+    assert 0 < finished < 40
+
+
+def test_a_gap_too_wide_to_project_ends_cleanly():
+    section, material = Rectangle(0.05, 0.04), Material(4000.0, 1e7, 0.3)
+    a = Beam("a", (0, 0), (0.5, 0.1), 3, section, material)
+    b = Beam("b", (0.5, 0.1), (1.1, 0), 2, section, material)
+    link = Distance(a.at(0.8), 0.3, other=b.at(0.35))
+    scene = Scene([a, b], [Pin(a.at_start), link], (0, -9.81), project_start=True)
+    integrator = HHT(2.0**-7, max_iterations=40)
+    run = simulate(scene, 0.125, integrator)
+    assert worst_defect(scene, run, integrator) < 1e-8
+
+
+def test_a_start_that_cannot_be_projected_is_refused():
+    rod = Beam("x", (0, 0), (0.3, 0), 2, Rectangle(0.05, 0.04), Material(4000.0, 1e7, 0.3))
+    joints = [PointOnLine(rod.at_end, (1, 0)), Distance(rod.at_end, 0.4, ground=(0.5, 0.4))]
+    with pytest.raises(InvalidInput, match="start"):
+        simulate(Scene([rod], joints, project_start=True), 0.125, HHT(2.0**-7))
+
+
+def test_a_perturbed_run_that_ends_early_is_told_in_the_outcome():
+    system = FailingWhenComplex()
+    run = differentiate(system, (), 1.0, HHT(2.0**-5), ComplexStep())
+    assert run.outcome.verdict is Verdict.NOT_FINITE
+    assert run.outcome.step == len(run.t) - 1 == 15
+
+
+def test_an_interrupt_of_the_pass_back_keeps_the_run(monkeypatch):
+    monkeypatch.setattr(CartesianPendulum, "start_b", lambda self: interrupt())
+    objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
+    with pytest.raises(UnfinishedRun, match="interrupted") as caught:
+        gradient(CartesianPendulum(), objective, (), 1.0, HHT(2.0**-5), Adjoint())
+    assert len(caught.value.solution.t) == 33
+
+
+class FailingWhenComplex(CartesianPendulum):
+    """A pendulum whose complex runs fail half-way."""
+
+    def with_values(self, b):
+        return FailingWhenComplex(self.angle, self.spin, b)
+
+    def force(self, q, v, t):
+        if t >= 0.5 and np.iscomplexobj(self.b):
+            return np.full(2, np.nan)
+        return super().force(q, v, t)

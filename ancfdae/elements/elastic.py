@@ -116,4 +116,4 @@ def _gram_jacobian(Y: Array) -> Array:
     """G(Y) = dg/dY, shape (..., n, n_g, n_y d)."""
     n_y, d = Y.shape[-2:]
     G: Array = np.matmul(gram_derivative(n_y), Y)
-    return G.reshape(*Y.shape[:-2], -1, n_y * d)
+    return G.reshape(*Y.shape[:-2], n_y * (n_y + 1) // 2, n_y * d)

@@ -51,6 +51,8 @@ from ancfdae.system import MechanicalSystem
 _SLOW = 0.2
 # Corrections that stop shrinking are round-off if they are this small against the motion.
 _ROUND_OFF = 1e-6
+# Forces may grow by this factor from one step to the next before the Newton test gets stricter.
+_JUMP = 100.0
 # Steps may miss the end time by this many parts of their number (accumulated round-off).
 _WHOLE = 1e-9
 
@@ -121,7 +123,7 @@ class HHT(Integrator):
         c = self._coefficients()
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        recorder = Recorder(system, count + 1)
+        recorder = self._recorder(system, count)
         solver = _StepSolver(system, matrices, c, self, recorder)
         node, a = start_node(system, matrices, c, initial), initial.a
         recorder.record(initial.t, initial.q, initial.v, a, initial.lam)
@@ -192,6 +194,17 @@ class HHT(Integrator):
                 gradient = gradient + seed[0] @ start_b
         return gradient
 
+    def _recorder(self, system: MechanicalSystem, count: int) -> Recorder:
+        try:
+            return Recorder(system, count + 1)
+        except MemoryError as error:
+            raise InvalidInput(
+                "t_end and HHT.step",
+                "the trajectory must fit into memory",
+                f"{count} steps of {3 * system.n_q + system.n_lam} numbers",
+                "Use a larger step or a shorter run.",
+            ) from error
+
     def _coefficients(self) -> Coefficients:
         return Coefficients.of(self.step, self.hht_alpha)
 
@@ -251,6 +264,7 @@ class _StepSolver:
         self._settings, self._recorder = settings, recorder
         self._jacobian: Factorization | None = None
         self._inverse_weights = 1 / system.weights
+        self._last_motion = math.inf
         self.verdict = Verdict.NO_CONVERGENCE
         self.correction = math.inf
 
@@ -261,7 +275,7 @@ class _StepSolver:
         a, lam = before.a, before.lam
         is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
         jacobian = None if is_complex else self._jacobian
-        last, settled, motion = math.inf, 0, None
+        last, settled, motion = math.inf, 0, _JUMP * self._motion_before(before)
         for _ in range(self._settings.max_iterations):
             q, v = correct(c, q_p, v_p, a)
             reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
@@ -276,8 +290,11 @@ class _StepSolver:
                 jacobian = self._factor(t, q, v, a, lam)
             x = jacobian.solve(R)
             a, lam = a - x[: system.n_q], lam - x[system.n_q :]
-            if motion is None:
-                motion = self._motion(a, reaction, Q)
+            now = self._motion(a, reaction, Q)
+            # An iterate that runs away has huge forces; measured against those any correction
+            # looks small. So the smallest motion met counts, and no more than a jump from the
+            # last accepted step.
+            motion = min(motion, now)
             size = self._size(t, q, x) / motion
             rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
             self.correction = size
@@ -291,6 +308,7 @@ class _StepSolver:
                 settled += 1
                 if not is_complex or settled == 3:
                     self._jacobian = None if is_complex else jacobian
+                    self._last_motion = now
                     return self._node(before, t, q_p, v_p, a, lam)
             # The matrix kept from the step before serves one iteration; a fresh one at the
             # improved state then converges in two (measured: 3 iterations and 1 factorisation
@@ -321,6 +339,15 @@ class _StepSolver:
         return real_norm(x[: system.n_q], system.weights) + real_norm(
             reaction, self._inverse_weights
         )
+
+    def _motion_before(self, before: Node) -> float:
+        """Motion at the last accepted step, or at the start."""
+        if self._last_motion == math.inf:
+            system, t = self._system, before.t
+            reaction = system.constraint_force(before.q, before.lam, t)
+            Q = system.force(before.q, before.v, t)
+            self._last_motion = self._motion(before.a, reaction, Q)
+        return self._last_motion
 
     def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
         """Size of inertia, reactions and forces in the same norm.

@@ -99,7 +99,17 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
         raise InvalidInput("start", "must be finite", "NaN or infinity", "Check the start.")
     if not system.project_start:
         _refuse_inconsistent(system, q, v, t)
+    # Forces that are not finite at the start are refused below, not warned about.
+    with np.errstate(all="ignore"):
+        return _solve_start(system, matrices, q, v, t)
+
+
+def _solve_start(
+    system: MechanicalSystem, matrices: SaddlePoint, q: Array, v: Array, t: float
+) -> InitialState:
     q, _ = _project_position(system, matrices, q, t)
+    if not system.linear_constraints:
+        _refuse_redundant(system, system.constraint_q(q, t))
     factors = _factor_mass(system, matrices, q, t)
     zero = np.zeros(system.n_lam)
     v = _solve(factors, system.mass_times(v), system.velocity_side(q, t))[0]
@@ -170,7 +180,7 @@ def _factor_mass(
     except SingularMatrix as error:
         raise InvalidInput(
             "mass matrix",
-            "with the constraints it must determine accelerations and multipliers",
+            "with the constraints it must determine accelerations and multipliers at the start",
             str(error),
             "Give every coordinate inertia, or remove redundant constraints.",
         ) from error
@@ -190,7 +200,11 @@ def _project_position(
         if not system.linear_constraints:
             K = K + system.constraint_force_q(q, nu, t)
         force = system.mass_times(q_start - q) - system.constraint_force(q, nu, t)
-        factors = matrices.factor(K, system.constraint_q(q, t))
+        try:
+            factors = matrices.factor(K, system.constraint_q(q, t))
+        except SingularMatrix:
+            _refuse_redundant(system, system.constraint_q(q, t))
+            break
         dq, dnu = _solve(factors, force, -system.constraint(q, t))
         q, nu = q + dq, nu + dnu
         if not is_finite(q):
@@ -271,6 +285,8 @@ def _refuse_redundant(system: MechanicalSystem, values: Array) -> None:
         )
     connected = abs(matrix) @ abs(matrix).T
     count, labels = connected_components(connected, directed=False)
+    dependent: list[str] = []
+    redundant = 0
     for component in range(count):
         rows = np.flatnonzero(labels == component)
         if len(rows) == 1:
@@ -282,10 +298,12 @@ def _refuse_redundant(system: MechanicalSystem, values: Array) -> None:
         if rank == len(rows):
             continue
         involved = np.any(np.abs(U[:, rank:]) > 1e-6, axis=1)
-        names = sorted({system.constraint_names[int(row)] for row in rows[involved]})
+        dependent += [system.constraint_names[int(row)] for row in rows[involved]]
+        redundant += len(rows) - rank
+    if redundant:
         raise RedundantConstraints(
-            "joints " + ", ".join(repr(name) for name in names),
+            "joints " + ", ".join(repr(name) for name in sorted(set(dependent))),
             "constraints must be independent",
-            f"{len(rows) - rank} redundant of {len(rows)}",
+            f"{redundant} redundant of {system.n_lam}",
             "Remove a joint, or replace it by one that holds fewer directions.",
         )

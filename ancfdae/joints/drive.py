@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point, Quantity, name_at
-from ancfdae.errors import InvalidInput, require_vector
+from ancfdae.errors import InvalidInput, require_kind, require_vector
 from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients
 from ancfdae.joints.frames import unit
 from ancfdae.joints.laws import Law
@@ -52,6 +52,9 @@ class Drive(Joint):
         """Validate and name."""
         if not self.name:
             object.__setattr__(self, "name", name_at("drive", self.point))
+        require_kind(
+            f"joint {self.name!r}, angle", self.angle, (Law,), "For example Uniform(speed=2)."
+        )
         require_vector(f"joint {self.name!r}, axis", self.axis, (3,))
         if not any(self.axis):
             raise InvalidInput(
@@ -97,7 +100,16 @@ class Drive(Joint):
             u = unit(tangent)
             return u, np.array([-u[1], u[0]])
         axis = unit(np.asarray(self.axis, dtype=float))
-        u = unit(tangent - np.sum(tangent * axis) * axis)
+        u = tangent - np.sum(tangent * axis) * axis
+        # Below the square root of round-off what is left of the tangent is noise.
+        if np.sum(u.real**2) <= 1e-16 * np.sum(tangent.real**2):
+            raise InvalidInput(
+                f"joint {self.name!r}, axis",
+                "must not run along the beam",
+                tuple(self.axis),
+                "A drive turns the tangent; give an axis across it.",
+            )
+        u = unit(u)
         return u, np.cross(axis, u)
 
 
@@ -134,6 +146,9 @@ class Guide(Joint):
         """Validate and name."""
         if not self.name:
             object.__setattr__(self, "name", name_at("guide", self.point))
+        require_kind(
+            f"joint {self.name!r}, travel", self.travel, (Law,), "For example Uniform(speed=2)."
+        )
         require_vector(f"joint {self.name!r}, direction", self.direction)
         if not any(self.direction):
             raise InvalidInput(
@@ -158,6 +173,7 @@ class Guide(Joint):
 
     def vectors(self, d: int) -> tuple[tuple[Point, Quantity], ...]:
         """Position of the point."""
+        require_vector(f"joint {self.name!r}, direction", self.direction, (d,))
         return ((self.point, Quantity.POSITION),)
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:

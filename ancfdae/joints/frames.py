@@ -9,8 +9,9 @@ from ancfdae.numerics.arrays import Array
 
 def unit(vector: Array) -> Array:
     """Return the vector over its length; complex perturbations go through."""
-    length = np.sqrt(np.sum(vector * vector))
-    result: Array = vector / length
+    # Scaled first, so that no square under- or overflows.
+    scaled: Array = vector / np.max(np.abs(vector.real))
+    result: Array = scaled / np.sqrt(np.sum(scaled * scaled))
     return result
 
 

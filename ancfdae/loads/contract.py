@@ -9,6 +9,7 @@ derivatives from the complex-safe `force` (docs/theory.md, section 3).
 from __future__ import annotations
 
 import abc
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import final
 
@@ -42,12 +43,13 @@ class Load(Parametrised):
         Unique in a scene.
     constant : bool
         Whether the force depends neither on positions nor on velocities.
-    uses_velocity : bool
-        Whether it depends on velocities.
     """
 
     constant: bool = False
-    uses_velocity: bool = False
+
+    @abc.abstractmethod
+    def uses_velocity(self, driven: Collection[str]) -> bool:
+        """Whether the force depends on velocities, given the parameters that are design targets."""
 
     @abc.abstractmethod
     def vectors(self) -> tuple[tuple[Point, Quantity] | CentreLine, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -52,6 +52,10 @@ class DistributedForce(Load):
         """Change a component."""
         force = replaced_component("force", self.force_per_length, parameter, value)
         return replace(self, force_per_length=force)
+
+    def uses_velocity(self, driven: Collection[str]) -> bool:
+        """Never."""
+        return False
 
     def vectors(self) -> tuple[tuple[Point, Quantity] | CentreLine, ...]:
         """Return the integral of the position over the centre line."""

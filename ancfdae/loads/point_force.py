@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -51,6 +51,10 @@ class PointForce(Load):
         """Change a component."""
         force = replaced_component("force", self.force_vector, parameter, value)
         return replace(self, force_vector=force)
+
+    def uses_velocity(self, driven: Collection[str]) -> bool:
+        """Never."""
+        return False
 
     def vectors(self) -> tuple[tuple[Point, Quantity] | CentreLine, ...]:
         """Position of the point."""

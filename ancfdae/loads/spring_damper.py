@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -53,8 +53,6 @@ class SpringDamper(Load):
     ground: Sequence[float] | None = None
     name: str = ""
 
-    uses_velocity = True
-
     def __post_init__(self) -> None:
         """Validate and name."""
         if not self.name:
@@ -85,6 +83,10 @@ class SpringDamper(Load):
         if parameter.startswith("ground") and self.ground is not None:
             return replace(self, ground=replaced_component("ground", self.ground, parameter, value))
         return replace(self, **{parameter: value})  # type: ignore[arg-type]
+
+    def uses_velocity(self, driven: Collection[str]) -> bool:
+        """With a damper, or one that the design can add."""
+        return self.damping != 0 or "damping" in driven
 
     def vectors(self) -> tuple[tuple[Point, Quantity] | CentreLine, ...]:
         """Positions of the points."""

@@ -9,7 +9,7 @@ from typing import final
 from ancfdae.integrators import Integrator, Seeds
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
-from ancfdae.sensitivity.contract import Gradient, GradientMethod, finished
+from ancfdae.sensitivity.contract import Gradient, GradientMethod, finished, keeping
 from ancfdae.system import MechanicalSystem
 
 
@@ -37,6 +37,7 @@ class Adjoint(GradientMethod):
         for objective in objectives:
             partials = objective.partials(system, states_of(solution))
             seeds = Seeds(partials.q, partials.v, partials.lam)
-            total = partials.b + integrator.pull_back(system, solution, seeds)
+            with keeping(solution):
+                total = partials.b + integrator.pull_back(system, solution, seeds)
             results.append(Gradient(partials.value, total, system.design_names, self, solution))
         return results

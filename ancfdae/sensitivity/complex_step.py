@@ -36,14 +36,15 @@ class ComplexStep(Method):
     ) -> Solution:
         """Run once in real numbers and once in complex ones per design variable."""
         solution = integrator.integrate(system, t_end, progress=progress)
-        columns = []
+        columns, outcomes = [], [solution.outcome]
         for i in range(system.n_b):
             b, size = _moved(system, i)
             run = integrator.integrate(system.with_values(b), t_end, progress=progress)
+            outcomes.append(run.outcome)
             columns.append(
                 (run.q.imag / size, run.v.imag / size, run.a.imag / size, run.lam.imag / size)
             )
-        return with_columns(system, solution, columns)
+        return with_columns(system, solution, columns, outcomes)
 
     def gradients(
         self,

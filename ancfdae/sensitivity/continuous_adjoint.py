@@ -41,7 +41,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.objectives import Objective, ObjectivePartials
 from ancfdae.observables import states_of
-from ancfdae.sensitivity.contract import Gradient, GradientMethod, finished
+from ancfdae.sensitivity.contract import Gradient, GradientMethod, finished, keeping
 from ancfdae.solution import Solution
 from ancfdae.system import Linearisation, MechanicalSystem
 
@@ -94,7 +94,8 @@ class ContinuousAdjoint(GradientMethod):
         results = []
         for objective in objectives:
             partials = objective.partials(system, states_of(solution))
-            total = _BackwardRun(system, integrator, solution, partials).gradient()
+            with keeping(solution):
+                total = _BackwardRun(system, integrator, solution, partials).gradient()
             results.append(Gradient(partials.value, total, system.design_names, self, solution))
         return results
 

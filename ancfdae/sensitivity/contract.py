@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
-from ancfdae.errors import AncfdaeError, Verdict
+from ancfdae.errors import AncfdaeError, Outcome, SingularMatrix, Verdict
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
@@ -98,6 +99,23 @@ class Method(GradientMethod):
         """
 
 
+@contextmanager
+def keeping(solution: Solution) -> Iterator[None]:
+    """Turn an interrupt or a singular matrix of a pass back into an error that keeps the run.
+
+    Raises
+    ------
+    UnfinishedRun
+    """
+    try:
+        yield
+    except (KeyboardInterrupt, SingularMatrix) as error:
+        stopped = isinstance(error, KeyboardInterrupt)
+        verdict = Verdict.INTERRUPTED if stopped else Verdict.SINGULAR
+        outcome = replace(solution.outcome, verdict=verdict)
+        raise UnfinishedRun(replace(solution, outcome=outcome)) from error
+
+
 def finished(solution: Solution) -> Solution:
     """Return a solution that reached its end time.
 
@@ -114,12 +132,14 @@ def with_columns(
     system: MechanicalSystem,
     solution: Solution,
     columns: Sequence[tuple[Array, Array, Array, Array]],
+    outcomes: Sequence[Outcome],
 ) -> Solution:
     """Attach derivatives given as columns (q_b, v_b, a_b, lam_b), one per design variable.
 
-    Everything is cut to the shortest column.
+    Everything is cut to the shortest column; the outcome is that of the run that ended first.
     """
     rows = min([len(solution.t), *(len(column[0]) for column in columns)])
+    first = min([solution.outcome, *outcomes], key=lambda outcome: outcome.step)
     parts = [
         np.stack([column[k][:rows] for column in columns], axis=-1)
         if columns
@@ -134,5 +154,6 @@ def with_columns(
         v=solution.v[:rows],
         a=solution.a[:rows],
         lam=solution.lam[:rows],
+        outcome=first,
         sensitivities=own,
     )

@@ -62,13 +62,14 @@ class FiniteDifference(Method):
         """
         self._refuse_zero(system)
         solution = integrator.integrate(system, t_end, progress=progress)
-        columns = []
+        columns, outcomes = [], [solution.outcome]
         for i in range(system.n_b):
             ahead = self._perturbed(system, i, 1.0, t_end, integrator, progress)
             behind = solution
             if self.central:
                 behind = self._perturbed(system, i, -1.0, t_end, integrator, progress)
             rows = min(len(ahead.t), len(behind.t))
+            outcomes += [ahead.outcome, behind.outcome]
             difference = float(system.b[i]) * self.relative_step * (2.0 if self.central else 1.0)
             columns.append(
                 (
@@ -78,7 +79,7 @@ class FiniteDifference(Method):
                     (ahead.lam[:rows] - behind.lam[:rows]) / difference,
                 )
             )
-        return with_columns(system, solution, columns)
+        return with_columns(system, solution, columns, outcomes)
 
     def gradients(
         self,

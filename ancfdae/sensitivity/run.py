@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ancfdae.design import DesignVariable
-from ancfdae.errors import InvalidInput, require_kind
+from ancfdae.errors import InvalidInput, require_kind, require_positive, require_sequence
 from ancfdae.integrators import Integrator
 from ancfdae.objectives import Objective
 from ancfdae.scene import Scene
@@ -135,6 +135,8 @@ def gradients(
 ) -> list[Gradient]:
     """Return value and gradient of several objectives of one run; see `gradient`."""
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
+    require_positive("t_end", t_end)
+    objectives = require_sequence("objectives", objectives)
     for objective in objectives:
         require_kind(
             "objective",

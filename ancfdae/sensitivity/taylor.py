@@ -8,9 +8,10 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.contract import Method
+from ancfdae.sensitivity.contract import Method, finished
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
 
@@ -60,18 +61,35 @@ def taylor_test(
     observable : callable
         As in `Solution.derivative`.
     direction : sequence of float, optional
-        Relative change of each design variable; all ones by default.
+        Relative change of each design variable (absolute where it is zero); ones by default.
     sizes : sequence of float
         Perturbation sizes, falling. Too small ones meet round-off instead of curvature.
+
+    Raises
+    ------
+    InvalidInput
+        If sizes or direction make no sense.
+    UnfinishedRun
+        If a run ends early.
     """
+    require_kind("system", system, (MechanicalSystem,), "Use assemble(scene, design).")
+    require_kind("method", method, (Method,), "For example Direct().")
+    if len(sizes) < 2 or np.any(np.diff(sizes) >= 0) or min(sizes) <= 0:
+        raise InvalidInput(
+            "sizes", "must be two or more, positive and falling", sizes, "Use 1e-3, 5e-4."
+        )
     relative = np.ones(system.n_b) if direction is None else np.asarray(direction, dtype=float)
-    db = relative * system.b
-    base = method.differentiate(system, t_end, integrator, False)
+    if relative.shape != (system.n_b,):
+        raise InvalidInput(
+            "direction", f"must have {system.n_b} entries", relative.shape, "One per variable."
+        )
+    db = relative * np.where(system.b == 0, 1.0, np.abs(system.b))
+    base = finished(method.differentiate(system, t_end, integrator, False))
     value = np.asarray(observable(base))
     slope = base.derivative(observable) @ db
     zeroth, first = [], []
     for size in sizes:
-        moved = integrator.integrate(system.with_values(system.b + size * db), t_end)
+        moved = finished(integrator.integrate(system.with_values(system.b + size * db), t_end))
         change = np.asarray(observable(moved)) - value
         zeroth.append(float(np.linalg.norm(change)))
         first.append(float(np.linalg.norm(change - size * slope)))

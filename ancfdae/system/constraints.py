@@ -82,9 +82,10 @@ class JointInput:
         linear, bilinear = np.abs(found.linear), np.abs(found.bilinear)
         # Generic parameters and instants: a coefficient that is not zero by structure shows.
         p = self.p * (1 + 1j * _STEP) + 1j * _STEP * np.sqrt(1.0 + np.arange(len(self.p)))
+        reference = self.reference + 1j * _STEP * np.sum(self.reference_b, axis=-1)
         for order in range(4 if self.joint.driven else 1):
             for t in (0.0, 0.37):
-                c = self.joint.coefficients(p, self.reference, t, order)
+                c = self.joint.coefficients(p, reference, t, order)
                 linear = linear + np.abs(c.linear.real) + np.abs(c.linear.imag)
                 bilinear = bilinear + np.abs(c.bilinear.real) + np.abs(c.bilinear.imag)
         return Coefficients(linear, bilinear, found.offset)

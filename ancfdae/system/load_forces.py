@@ -39,6 +39,13 @@ class LoadInput:
     p: Array
     p_b: Array
 
+    @property
+    def uses_velocity(self) -> bool:
+        """Whether the force depends on velocities at these design variables."""
+        names = self.load.parameters()
+        driven = [name for name, row in zip(names, self.p_b, strict=True) if np.any(row)]
+        return self.load.uses_velocity(driven)
+
 
 @final
 class LoadForces:
@@ -52,7 +59,7 @@ class LoadForces:
 
     def __init__(self, inputs: Sequence[LoadInput], n_q: int, n_b: int, d: int) -> None:
         self._inputs, self._n_q, self._n_b, self._d = inputs, n_q, n_b, d
-        self.uses_velocity = any(item.load.uses_velocity for item in inputs)
+        self.uses_velocity = any(item.uses_velocity for item in inputs)
         self._moving = [item for item in inputs if not item.load.constant]
         self._steady = np.zeros(n_q)
         zero = np.zeros((1, n_q))
@@ -106,7 +113,7 @@ class LoadForces:
         for item, to_values in zip(self._moving, self._maps, strict=True):
             U, V = item.vectors.of(q).real, item.vectors.of(v).real
             Q_q += to_values.rows(_flat(_jacobian(item, U, V, True)))
-            if Q_v is not None and item.load.uses_velocity:
+            if Q_v is not None and item.uses_velocity:
                 Q_v += to_values.rows(_flat(_jacobian(item, U, V, False)))
 
     def force_b(self, q: Array, v: Array) -> Array:
