@@ -84,7 +84,7 @@ class HHT(Integrator):
     step: float
     hht_alpha: float = -0.3
     newton_tolerance: float = 1e-14
-    max_iterations: int = 25
+    max_iterations: int = 60
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -98,7 +98,7 @@ class HHT(Integrator):
                 "-0.3 damps fast motion strongly, -0.05 hardly.",
             )
         require_positive("HHT.newton_tolerance", self.newton_tolerance)
-        require_count("HHT.max_iterations", self.max_iterations, "25 is plenty.")
+        require_count("HHT.max_iterations", self.max_iterations, "60 is plenty.")
         # A NumPy number of single precision would spread its precision.
         for name in ("step", "hht_alpha", "newton_tolerance"):
             object.__setattr__(self, name, float(getattr(self, name)))
