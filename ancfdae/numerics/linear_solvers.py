@@ -16,7 +16,8 @@ from __future__ import annotations
 import abc
 import warnings
 from collections.abc import Iterator
-from typing import final
+from functools import lru_cache
+from typing import Any, final
 
 import numpy as np
 from scipy import linalg, sparse
@@ -32,6 +33,13 @@ from ancfdae.numerics.patterns import Pattern
 _DENSE_SIZE = 60
 # Band LU costs N k^2; at k = 25 it is 3.6 times faster than SuperLU, so they meet near here.
 _BAND_HALF_WIDTH = 64
+
+
+@lru_cache(maxsize=8)
+def _lapack(factor: str, solve: str, dtype: np.dtype) -> tuple[Any, Any]:
+    """LAPACK routines for a type; looking them up costs as much as a small solve."""
+    found = linalg.get_lapack_funcs((factor, solve), dtype=dtype)
+    return found[0], found[1]
 
 
 class Factorization(abc.ABC):
@@ -157,7 +165,7 @@ class _DenseStorage(_Storage):
 @final
 class _DenseFactorization(Factorization):
     def __init__(self, matrix: Array) -> None:
-        getrf, self._getrs = linalg.get_lapack_funcs(("getrf", "getrs"), (matrix,))
+        getrf, self._getrs = _lapack("getrf", "getrs", matrix.dtype)
         self._lu, self._pivots, info = getrf(matrix, overwrite_a=True)
         if info > 0:
             raise SingularMatrix(f"zero pivot {info} of {len(matrix)}")
@@ -194,7 +202,7 @@ class _BandStorage(_Storage):
 @final
 class _BandFactorization(Factorization):
     def __init__(self, band: Array, half_width: int, order: Array) -> None:
-        gbtrf, self._gbtrs = linalg.get_lapack_funcs(("gbtrf", "gbtrs"), (band,))
+        gbtrf, self._gbtrs = _lapack("gbtrf", "gbtrs", band.dtype)
         self._k, self._order = half_width, order
         self._lu, self._pivots, info = gbtrf(band, half_width, half_width, overwrite_ab=True)
         if info > 0:
