@@ -157,7 +157,7 @@ def cheapest(variables: int, objectives: int) -> GradientMethod:
 
     Both factorise once per step; direct differentiation then solves for every variable, the
     adjoint repeats its pass for every objective. Measured on the crank-slider, a pass back
-    costs as much as direct differentiation with about two variables (report `crank-slider`).
+    costs as much as direct differentiation with about two variables (docs/theory.md, section 8).
     """
     return Direct() if variables <= 2 * objectives else Adjoint()
 
