@@ -479,7 +479,7 @@ What this settles, for the mechanism as read here.
 - **E_1.** Its derivative is less than a thousandth of the largest one: a stiff, short crank hardly
   bends, and what Ψ depends on E_1 is mostly the phase of the crank's vibration (the comb in
   Figs. 8 and 9). That phase is what time discretisation gets wrong: from step to step the *exact*
-  discrete derivative changes by 20 to 40 per cent and is still not settled at 2⁻¹¹ s. Finite
+  discrete derivative changes by 6 to 44 per cent and is still not settled at 2⁻¹¹ s. Finite
   differences add truncation, because 1 % of E_1 shifts that phase noticeably: a few per cent in Ψ,
   a fifth of the norm in x. So two codes that differ in the step, or one that compares an early
   with a late figure, will see "a big difference" for E_1; most of it is time discretisation.
