@@ -80,7 +80,7 @@ class Scene:
     """Beams, joints, loads and gravity, and how they start.
 
     Nothing but what is declared is prepared or integrated: a planar scene has no spatial
-    coordinate, a scene without gravity no load.
+    coordinate, a scene without damping no velocity Jacobian.
 
     Parameters
     ----------

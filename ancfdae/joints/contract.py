@@ -90,3 +90,14 @@ def empty_coefficients(rows: int, vectors: int, d: int, dtype: np.dtype) -> Coef
         np.zeros((rows, vectors, vectors), dtype=dtype),
         np.zeros(rows, dtype=dtype),
     )
+
+
+def place_coincidence(c: Coefficients, count: int, ground: Array) -> None:
+    """Enter d first equations, U_0 - U_1 = 0 for two points, U_0 - ground = 0 for one."""
+    d = c.linear.shape[2]
+    rows = np.arange(d)
+    c.linear[rows, 0, rows] = 1.0
+    if count == 2:
+        c.linear[rows, 1, rows] = -1.0
+    else:
+        c.offset[:d] = ground

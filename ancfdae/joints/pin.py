@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity, name_at
 from ancfdae.design import replaced_component, vector_parameters
 from ancfdae.errors import InvalidInput, require_vector
-from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients
+from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 
@@ -82,19 +82,8 @@ class Pin(Joint):
         """r(point) - r(other), or r(point) - ground."""
         n, d = reference.shape
         c = empty_coefficients(d, n, d, np.result_type(p, reference))
-        place_coincidence(c, p if self.ground is not None else reference[0])
+        place_coincidence(c, n, p if self.ground is not None else reference[0])
         return c
-
-
-def place_coincidence(c: Coefficients, ground: Array) -> None:
-    """Enter the d equations U_0 - U_1 = 0, or U_0 - ground = 0 if there is only U_0."""
-    _, n, d = c.linear.shape
-    rows = np.arange(d)
-    c.linear[rows, 0, rows] = 1.0
-    if n > 1:
-        c.linear[rows, 1, rows] = -1.0
-    else:
-        c.offset[:d] = ground
 
 
 #: In space the pin is the spherical joint.

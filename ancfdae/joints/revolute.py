@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity, name_at
 from ancfdae.design import replaced_component, vector_parameters
 from ancfdae.errors import InvalidInput, require_vector
-from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients
+from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients, place_coincidence
 from ancfdae.joints.frames import across, slope_weights, unit
 from ancfdae.numerics.arrays import Array
 
@@ -107,12 +107,7 @@ class Revolute(Joint):
         """Coincidence and two perpendicularities."""
         n, count = len(reference), len(self.points)
         c = empty_coefficients(5, n, 3, np.result_type(p, reference))
-        rows = np.arange(3)
-        c.linear[rows, 0, rows] = 1.0
-        if count == 2:
-            c.linear[rows, 1, rows] = -1.0
-        else:
-            c.offset[:3] = p[3:6] if self.ground is not None else reference[0]
+        place_coincidence(c, count, p[3:6] if self.ground is not None else reference[0])
         axis, own = unit(p[:3]), slice(count, count + 3)
         for row, direction in enumerate(across(axis), start=3):
             beta = slope_weights(reference[own], direction)
