@@ -16,6 +16,7 @@ class CartesianPendulum(OneByOneSystem):
     n_q, n_lam, n_b = 2, 1, 2
     design_names = ("L", "g")
     constraint_names = ("rod",)
+    constant_mass = True
     linear_constraints = False
     velocity_forces = False
     force_round_off = 0.0
@@ -40,13 +41,19 @@ class CartesianPendulum(OneByOneSystem):
         q_b = np.stack([self._direction, zero], axis=1)
         return q_b, np.stack([self.spin * self._tangent, zero], axis=1)
 
-    def mass(self):
+    def mass(self, q):
         return np.eye(2).ravel()
 
-    def mass_times(self, x):
+    def mass_times(self, q, x):
         return x
 
-    def mass_b_times(self, a):
+    def mass_b_times(self, q, a):
+        return np.zeros((2, 2))
+
+    def inertia_q(self, q, a):
+        return np.zeros(4)
+
+    def inertia_rate_total(self, q, v, a, q_b, v_b, a_b):
         return np.zeros((2, 2))
 
     def force(self, q, v, t):
@@ -87,6 +94,12 @@ class CartesianPendulum(OneByOneSystem):
 
     def constraint_q_times_total(self, q, x, t, q_b):
         return (x @ q_b)[None]
+
+    def constraint_q_rate(self, q, v, t):
+        return v
+
+    def constraint_q_second_rate(self, q, v, a, t):
+        return a
 
     def velocity_side(self, q, t):
         return np.zeros(1)

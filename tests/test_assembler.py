@@ -424,9 +424,9 @@ def test_force_b(setting):
 
 def test_mass_b_times(setting):
     s = setting
-    partial = s.system.mass_b_times(s.a)
-    magnitude = np.max(np.abs(s.system.mass_times(s.a)))
-    s.check_design(partial, lambda x, i, e: x.mass_times(s.a), magnitude)
+    partial = s.system.mass_b_times(s.q, s.a)
+    magnitude = np.max(np.abs(s.system.mass_times(s.q, s.a)))
+    s.check_design(partial, lambda x, i, e: x.mass_times(s.q, s.a), magnitude)
 
 
 def test_force_rate_total(setting):
@@ -578,11 +578,9 @@ def instants(s, k=3):
 
 def test_linearise_is_the_loop_over_instants(plain):
     s, system = plain, plain.system
-    t, (q, v, _, lam) = instants(s)
-    ours, loop = (
-        system.linearise(t, q, v, lam),
-        OneByOneSystem.linearise(system, t, q, v, lam),
-    )
+    t, states = instants(s)
+    ours, loop = system.linearise(t, *states), OneByOneSystem.linearise(system, t, *states)
+    assert_close(ours.M, loop.M, VALUE)
     assert_close(ours.f_q, loop.f_q, VALUE)
     assert_close(ours.Phi_q, loop.Phi_q, VALUE)
     assert (ours.f_v is None) == (not system.velocity_forces)
@@ -595,7 +593,7 @@ def test_design_partials_are_the_loop_over_instants(setting):
     t, states = instants(s)
     ours = system.design_partials(t, *states)
     loop = OneByOneSystem.design_partials(system, t, *states)
-    for name in ("inertia_b", "f_b", "Phi_b"):
+    for name in ("f_b", "Phi_b"):
         value, expected = getattr(ours, name), getattr(loop, name)
         assert value.shape == expected.shape
         for i in range(system.n_b):
@@ -607,16 +605,12 @@ def test_pull_back_is_the_contraction_of_the_design_partials(setting):
     s, system = setting, setting.system
     t, states = instants(s)
     rng = np.random.default_rng(9)
-    covectors = tuple(
-        rng.uniform(-1, 1, (len(t), n)) for n in (system.n_q, system.n_q, system.n_lam)
-    )
+    covectors = tuple(rng.uniform(-1, 1, (len(t), n)) for n in (system.n_q, system.n_lam))
     ours = system.pull_back(t, states, covectors)
     partials = system.design_partials(t, *states)
     terms = [
         partial * covector[..., None]
-        for partial, covector in zip(
-            (partials.inertia_b, partials.f_b, partials.Phi_b), covectors, strict=True
-        )
+        for partial, covector in zip((partials.f_b, partials.Phi_b), covectors, strict=True)
     ]
     expected = sum(np.sum(term, axis=(0, 1)) for term in terms)
     # Each sum against the sum of its magnitudes.
@@ -636,7 +630,7 @@ def test_arrays_of_the_protocol_have_their_shapes(setting):
         (x.constraint_force_rate_total(s.q, s.v, s.lam, s.t, s.q_b, s.v_b, lam_b), (n_q, n_b)),
         (x.constraint_q_times_total(s.q, s.v, s.t, s.q_b), (n_lam, n_b)),
         (x.force_v(s.q, s.v, s.t), (x.pattern.size,)),
-        (x.mass(), (x.pattern.size,)),
+        (x.mass(s.q), (x.pattern.size,)),
         (x.weights, (n_q,)),
         (x.velocity_side(s.q, s.t), (n_lam,)),
     ):
@@ -690,13 +684,13 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
         expected[np.ix_(rows, rows)] += ancf.mass(d, p["rho"], *section, **rule)
         dV = [dV for *_, dV in ancf.quadrature_points(d, *section, **rule)]
         volumes += p["rho"] * np.sum(dV)
-    M = s.system.pattern.dense(s.system.mass())
+    M = s.system.pattern.dense(s.system.mass(s.q))
     assert_close(M, expected, VALUE)
-    assert_close(s.system.mass_times(s.a), M @ s.a, VALUE)
+    assert_close(s.system.mass_times(s.q, s.a), M @ s.a, VALUE)
     assert_close(s.system.kinetic_energies(s.v[None]), np.array([0.5 * s.v @ M @ s.v]), VALUE)
     translation = np.zeros((s.system.n_q // d, d))
     translation[:: d + 1, 0] = 1.0
-    total = translation.ravel() @ s.system.mass_times(translation.ravel())
+    total = translation.ravel() @ s.system.mass_times(s.q, translation.ravel())
     assert_close(total, volumes, VALUE)
     if all(beam.reference().straight for beam in s.scene.beams):
         blocks = s.scene.element_parameters()
@@ -823,7 +817,7 @@ def test_system_with_values_is_the_scene_with_values(setting):
     assert_close(moved.naming.lengths, other.naming.lengths, VALUE)
     assert_close(moved.start()[0], other.start()[0], VALUE)
     assert_close(moved.force(s.q, s.v, s.t), other.force(s.q, s.v, s.t), 10 * VALUE)
-    assert_close(moved.mass_times(s.a), other.mass_times(s.a), VALUE)
+    assert_close(moved.mass_times(s.q, s.a), other.mass_times(s.q, s.a), VALUE)
     assert_close(moved.constraint(s.q, s.t), other.constraint(s.q, s.t), 10 * VALUE)
     if s.system.n_b:
         assert_close(other.b, s.system.b * factor, VALUE)
@@ -837,7 +831,7 @@ def test_naming_design_variables_changes_nothing(setting):
     # Values are written through shares of a length: a rounding of the length or two.
     assert_close(s.system.naming.lengths, plain.naming.lengths, VALUE)
     assert_close(s.system.force(s.q, s.v, s.t), plain.force(s.q, s.v, s.t), 10 * VALUE)
-    assert_close(s.system.mass_times(s.a), plain.mass_times(s.a), VALUE)
+    assert_close(s.system.mass_times(s.q, s.a), plain.mass_times(s.q, s.a), VALUE)
     assert_close(s.system.start()[0], plain.start()[0], VALUE)
 
 
@@ -845,7 +839,7 @@ def test_with_values_of_the_same_values_is_the_same_system(setting):
     s = setting
     same = s.system.with_values(s.system.b)
     assert np.array_equal(same.force(s.q, s.v, s.t), s.system.force(s.q, s.v, s.t))
-    assert np.array_equal(same.mass(), s.system.mass())
+    assert np.array_equal(same.mass(s.q), s.system.mass(s.q))
     assert np.array_equal(same.constraint(s.q, s.t), s.system.constraint(s.q, s.t))
 
 
@@ -919,7 +913,7 @@ class Chain:
         rng, pattern = np.random.default_rng(2), self.system.pattern
         weights = np.sqrt(self.system.weights)
         noise = rng.uniform(-1, 1, pattern.size) * weights[pattern.rows] * weights[pattern.columns]
-        K = self.system.mass() + 0.003 * noise
+        K = self.system.mass(None) + 0.003 * noise
         return K * (1 + 0.1j * rng.uniform(-1, 1, pattern.size)) if is_complex else K
 
     def matrix(self, K):

@@ -618,7 +618,7 @@ def test_projected_start_satisfies_the_constraints_to_round_off(monkeypatch):
     # It is the nearest state in the norm of M: the change is M^{-1} B^T nu for some nu.
     B = system.constraint_pattern.dense(system.constraint_q(q, 0.0))
     for change in (q - declared_q, v - declared_v):
-        force = system.mass_times(change)
+        force = system.mass_times(system.start()[0], change)
         rest = force - B.T @ np.linalg.lstsq(B.T, force)[0]
         assert np.max(np.abs(rest)) <= 1e-12 * np.max(np.abs(force))  # as above, and lstsq's own
     # Unlike this one, a start without projection is refused.

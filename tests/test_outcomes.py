@@ -104,7 +104,7 @@ def worst_defect(scene, run, integrator):
     ]
     worst = 0.0
     for n in range(1, len(run.t)):
-        inertia = system.mass_times((1 + alpha) * run.a[n] - alpha * run.a[n - 1])
+        inertia = system.mass_times(None, (1 + alpha) * run.a[n] - alpha * run.a[n - 1])
         residual = inertia + (1 + alpha) * f[n] - alpha * f[n - 1]
         scale = np.linalg.norm(inertia) + np.linalg.norm(system.force(run.q[n], run.v[n], 0.0))
         worst = max(worst, np.linalg.norm(residual) / scale)

@@ -224,7 +224,7 @@ def total_momentum_rate(scene, solution):
     system, d = assemble(scene), dimension_of(solution)
     field = np.zeros((d, system.n_q // d, d))
     field[np.arange(d), :: d + 1, np.arange(d)] = 1.0
-    weights = np.stack([system.mass_times(unit.ravel()) for unit in field])
+    weights = np.stack([system.mass_times(None, unit.ravel()) for unit in field])
     return solution.a @ weights.T, weights
 
 

@@ -5,16 +5,22 @@ With f = Phi_q^T lam - Q, unknowns (a, lam) at t_{n+1}, and
 
     q = q~ + beta h^2 a,   q~ = q_n + h v_n + h^2 (1/2 - beta) a_n      (2)
     v = v~ + gamma h a,    v~ = v_n + h (1 - gamma) a_n                 (3)
+    A = (a + alpha A_n)/(1 + alpha)
 
 the residual is
 
-    R_1 = M a / (1 + alpha) + f - alpha/(1 + alpha) f_n                 (4)
+    R_1 = M(q) A + f                                                    (4)
     R_2 = Phi / (beta h^2)                                              (5)
 
 and its Jacobian
 
-    J = [ M/(1 + alpha) + beta h^2 f_q - gamma h Q_v    Phi_q^T ]       (6)
-        [ Phi_q                                         0       ].
+    J = [ M/(1 + alpha) + beta h^2 (f_q + (M A)_q) - gamma h Q_v    Phi_q^T ]   (6)
+        [ Phi_q                                                     0       ].
+
+A is the acceleration at t_{n+1}; the algorithm's a stands for t_{n+1} + alpha h. For a constant
+mass f_n = -M A_n turns R_1 into the paper's (4), M a/(1+alpha) + f - alpha/(1+alpha) f_n. Where
+the mass depends on q, the paper's form would multiply M at one instant with an acceleration at
+another and drop to first order; this one stays second order.
 
 Start-up (docs/theory.md, section 5). a_n stands for q'' at t_n + alpha h, so
 
@@ -36,9 +42,10 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.initial import InitialSensitivity, InitialState
+from ancfdae.integrators.totals import constraint_force_total, inertia_total
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.system import MechanicalSystem
+from ancfdae.system import Linearisation, MechanicalSystem
 
 
 @final
@@ -74,8 +81,8 @@ class Node:
     a : array, shape (n_q,)
         The algorithm's acceleration, q'' at t + alpha h.
     lam : array, shape (n_lam,)
-    f : array, shape (n_q,)
-        Phi_q^T lam - Q at (t, q, v, lam).
+    A : array, shape (n_q,)
+        The acceleration q'' at t.
     """
 
     t: float
@@ -83,7 +90,7 @@ class Node:
     v: Array
     a: Array
     lam: Array
-    f: Array
+    A: Array
 
 
 @final
@@ -95,7 +102,7 @@ class NodeSensitivity:
     v_b: Array
     a_b: Array
     lam_b: Array
-    f_b: Array
+    A_b: Array
 
 
 def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
@@ -113,17 +120,24 @@ def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, A
     return q_p + (c.beta * c.h**2) * a, v_p + (c.gamma * c.h) * a
 
 
-def unbalanced_force(system: MechanicalSystem, t: float, q: Array, v: Array, lam: Array) -> Array:
-    """Return f = Phi_q^T lam - Q."""
-    return system.constraint_force(q, lam, t) - system.force(q, v, t)
+def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
+    """Return A at t_{n+1} from the algorithm's a and the A before, also for derivatives."""
+    return (a + c.alpha * A_n) / (1 + c.alpha)
 
 
 def residual(
-    system: MechanicalSystem, c: Coefficients, t: float, q: Array, a: Array, f: Array, f_n: Array
+    system: MechanicalSystem, c: Coefficients, t: float, q: Array, A: Array, f: Array
 ) -> Array:
     """Eqs. (4) and (5), shape (n_q + n_lam,)."""
-    R_1 = system.mass_times(a) / (1 + c.alpha) + f - c.alpha / (1 + c.alpha) * f_n
-    return np.concatenate([R_1, system.constraint(q, t) / (c.beta * c.h**2)])
+    return np.concatenate(
+        [system.mass_times(q, A) + f, system.constraint(q, t) / (c.beta * c.h**2)]
+    )
+
+
+def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
+    """Upper left block of eq. (6) for k instants, shape (k, nnz)."""
+    K = local.M / (1 + c.alpha) + (c.beta * c.h**2) * local.f_q
+    return K if local.f_v is None else K + (c.gamma * c.h) * local.f_v
 
 
 def factor_jacobian(
@@ -135,11 +149,9 @@ def factor_jacobian(
     ------
     SingularMatrix
     """
-    local = system.linearise(np.array([node.t]), node.q[None], node.v[None], node.lam[None])
-    K = system.mass() / (1 + c.alpha) + (c.beta * c.h**2) * local.f_q[0]
-    if local.f_v is not None:
-        K = K + (c.gamma * c.h) * local.f_v[0]
-    return matrices.factor(K, local.Phi_q[0])
+    states = (x[None] for x in (node.q, node.v, node.A, node.lam))
+    local = system.linearise(np.array([node.t]), *states)
+    return matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
 
 
 def start_node(
@@ -150,8 +162,7 @@ def start_node(
     S = system.jerk_side(q, initial.v, initial.a, t)
     v = initial.v + _velocity_shift(system, matrices, c, t, q, S)[0]
     a = initial.a + (c.alpha * c.h) * initial.jerk
-    f = unbalanced_force(system, t, q, initial.v, initial.lam)
-    return Node(t, q, v, a, initial.lam, f)
+    return Node(t, q, v, a, initial.lam, initial.a)
 
 
 def start_node_sensitivity(
@@ -166,21 +177,18 @@ def start_node_sensitivity(
     q_b, v_b, a_b = derivative.q_b, derivative.v_b, derivative.a_b
     S = system.jerk_side(q, v, a, t)
     dv, eta, factors = _velocity_shift(system, matrices, c, t, q, S)
-    # M dv_b + Phi_q^T eta_b = -M_b dv - (Phi_q^T eta)_total
+    # M dv_b + Phi_q^T eta_b = -(M dv)_total - (Phi_q^T eta)_total
     # Phi_q dv_b = C h^2 S_total - (Phi_q dv)_total
-    right = -system.mass_b_times(dv) - system.constraint_force_b(q, eta, t)
-    if not system.linear_constraints:
-        right = right - system.pattern.dot(system.constraint_force_q(q, eta, t), q_b)
+    right = -inertia_total(system, q, dv, q_b) - constraint_force_total(system, q, eta, t, q_b)
     side = _constraint_error(c) * system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
     side = side - system.constraint_q_times_total(q, dv, t, q_b)
     dv_b = factors.solve(np.concatenate([right, side]))[: system.n_q]
-    f_b = -system.mass_times(a_b) - system.mass_b_times(a)  # f = -M q''(0)
     return NodeSensitivity(
         q_b=q_b,
         v_b=v_b + dv_b,
         a_b=a_b + (c.alpha * c.h) * derivative.jerk_b,
         lam_b=derivative.lam_b,
-        f_b=f_b,
+        A_b=a_b,
     )
 
 
@@ -198,7 +206,7 @@ def _velocity_shift(
     S: Array,
 ) -> tuple[Array, Array, Factorization]:
     """Dv, its multiplier eta, and the factorised saddle point of M and Phi_q."""
-    factors = matrices.factor(system.mass(), system.constraint_q(q, t))
+    factors = matrices.factor(system.mass(q), system.constraint_q(q, t))
     zero = np.zeros(system.n_q, dtype=q.dtype)
     x = factors.solve(np.concatenate([zero, _constraint_error(c) * S]))
     return x[: system.n_q], x[system.n_q :], factors

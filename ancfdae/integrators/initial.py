@@ -1,11 +1,11 @@
 """Consistent initial conditions and their design derivatives.
 
 1. Positions: the nearest configuration on the constraints in the norm of M,
-       M (q - q_start) + Phi_q^T nu = 0,   Phi(q) = 0.
+       M (q - q_start) + Phi_q^T nu = 0,   Phi(q) = 0,   M at q_start.
 2. Velocities likewise: M (v - v_start) + Phi_q^T kappa = 0, Phi_q v = nu(q).
 3. Accelerations and multipliers: M a + Phi_q^T lam = Q, Phi_q a = gamma(q, v).
 4. Their rates, which a second-order start of HHT-I3 needs:
-       M q''' + Phi_q^T lam' = dQ/dt - (dPhi_q^T/dt) lam,   Phi_q q''' = S.
+       M q''' + Phi_q^T lam' = dQ/dt - (dPhi_q^T/dt) lam - (dM/dt) a,   Phi_q q''' = S.
 
 A start that is declared consistent (`project_start` false) is refused if it
 violates a constraint by more than round-off can explain; 1 and 2 then only
@@ -22,6 +22,11 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from ancfdae.errors import InconsistentStart, InvalidInput, RedundantConstraints, SingularMatrix
+from ancfdae.integrators.totals import (
+    acceleration_totals,
+    constraint_force_total,
+    inertia_total,
+)
 from ancfdae.numerics.arrays import Array, is_finite, real_norm
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.system import MechanicalSystem
@@ -112,14 +117,14 @@ def _solve_start(
         _refuse_redundant(system, system.constraint_q(q, t))
     factors = _factor_mass(system, matrices, q, t)
     zero = np.zeros(system.n_lam)
-    v = _solve(factors, system.mass_times(v), system.velocity_side(q, t))[0]
+    v = _solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
     Q = system.force(q, v, t)
     if not is_finite(Q):
         raise InvalidInput(
             "forces at the start", "must be finite", "NaN or infinity", "Check forces and start."
         )
     a, lam = _solve(factors, Q, zero + system.acceleration_side(q, v, t))
-    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, lam, t)
+    rate = _force_rates(system, t, q, v, a, lam)
     jerk, _ = _solve(factors, rate, zero + system.jerk_side(q, v, a, t))
     return InitialState(t, q, v, a, lam, jerk)
 
@@ -131,40 +136,51 @@ def start_sensitivity(
     t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
     q_start, v_start = system.start()
     q_sb, v_sb = system.start_b()
-    M, B = system.mass(), system.constraint_q(q, t)
     nu = _project_position(system, matrices, q_start, t)[1]
 
-    # 1. (M + (Phi_q^T nu)_q) q_b + Phi_q^T nu_b = M q_sb - M_b (q - q_start) - (Phi_q^T nu)_b
-    K = M if system.linear_constraints else M + system.constraint_force_q(q, nu, t)
-    right = system.mass_times(q_sb) - system.mass_b_times(q - q_start)
+    # 1. (M + (Phi_q^T nu)_q) q_b + Phi_q^T nu_b = M q_sb - M_total (q - q_start) - (Phi_q^T nu)_b
+    K, B = system.mass(q_start), system.constraint_q(q, t)
+    if not system.linear_constraints:
+        K = K + system.constraint_force_q(q, nu, t)
+    right = system.mass_times(q_start, q_sb)
+    right = right - inertia_total(system, q_start, q - q_start, q_sb)
     right = right - system.constraint_force_b(q, nu, t)
     q_b, _ = _solve(matrices.factor(K, B), right, -system.constraint_b(q, t))
 
-    # 2. M v_b + Phi_q^T kappa_b = M v_sb - M_b (v - v_start) - (Phi_q^T kappa)_total
+    # 2. M v_b + Phi_q^T kappa_b = M v_sb - M_total (v - v_start) - (Phi_q^T kappa)_total
     factors = _factor_mass(system, matrices, q, t)
-    kappa = _solve(factors, system.mass_times(v_start - v), np.zeros(system.n_lam))[1]
-    right = system.mass_times(v_sb) - system.mass_b_times(v - v_start)
-    right = right - _constraint_force_total(system, q, kappa, t, q_b)
+    kappa = _solve(factors, system.mass_times(q, v_start - v), np.zeros(system.n_lam))[1]
+    right = system.mass_times(q, v_sb) - inertia_total(system, q, v - v_start, q_b)
+    right = right - constraint_force_total(system, q, kappa, t, q_b)
     side = system.velocity_side_total(q, t, q_b) - system.constraint_q_times_total(q, v, t, q_b)
     v_b, _ = _solve(factors, right, side)
 
-    # 3. M a_b + Phi_q^T lam_b = Q_total - M_b a - (Phi_q^T lam)_total
-    right = _force_total(system, q, v, t, q_b, v_b) - system.mass_b_times(a)
-    right = right - _constraint_force_total(system, q, lam, t, q_b)
-    side = system.acceleration_side_total(q, v, t, q_b, v_b)
-    a_b, lam_b = _solve(factors, right, side - system.constraint_q_times_total(q, a, t, q_b))
+    # 3. The same for the accelerations.
+    a_b, lam_b = _solve(factors, *acceleration_totals(system, t, (q, v, a, lam), q_b, v_b))
 
-    # 4. The same for the rates.
+    # 4. And for the rates.
     jerk = state.jerk
-    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, lam, t)
+    rate = _force_rates(system, t, q, v, a, lam)
     lam_rate = _solve(factors, rate, system.jerk_side(q, v, a, t))[1]
     right = system.force_rate_total(q, v, a, t, q_b, v_b, a_b)
     right = right - system.constraint_force_rate_total(q, v, lam, t, q_b, v_b, lam_b)
-    right = right - system.mass_b_times(jerk)
-    right = right - _constraint_force_total(system, q, lam_rate, t, q_b)
+    if not system.constant_mass:
+        right = right - system.inertia_rate_total(q, v, a, q_b, v_b, a_b)
+    right = right - inertia_total(system, q, jerk, q_b)
+    right = right - constraint_force_total(system, q, lam_rate, t, q_b)
     side = system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
     jerk_b, _ = _solve(factors, right, side - system.constraint_q_times_total(q, jerk, t, q_b))
     return InitialSensitivity(q_b, v_b, a_b, lam_b, jerk_b)
+
+
+def _force_rates(
+    system: MechanicalSystem, t: float, q: Array, v: Array, a: Array, lam: Array
+) -> Array:
+    """Right side of the first line of 4; (dM/dt) a = (M a)_q v."""
+    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, lam, t)
+    if system.constant_mass:
+        return rate
+    return rate - system.pattern.dot(system.inertia_q(q, a), v)
 
 
 def _solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
@@ -176,7 +192,7 @@ def _factor_mass(
     system: MechanicalSystem, matrices: SaddlePoint, q: Array, t: float
 ) -> Factorization:
     try:
-        return matrices.factor(system.mass(), system.constraint_q(q, t))
+        return matrices.factor(system.mass(q), system.constraint_q(q, t))
     except SingularMatrix as error:
         raise InvalidInput(
             "mass matrix",
@@ -196,10 +212,10 @@ def _project_position(
     q, nu = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
     scale, settled = real_norm(q_start, system.weights), 0
     for _ in range(_PROJECTION_ITERATIONS):
-        K = system.mass()
+        K = system.mass(q_start)
         if not system.linear_constraints:
             K = K + system.constraint_force_q(q, nu, t)
-        force = system.mass_times(q_start - q) - system.constraint_force(q, nu, t)
+        force = system.mass_times(q_start, q_start - q) - system.constraint_force(q, nu, t)
         try:
             factors = matrices.factor(K, system.constraint_q(q, t))
         except SingularMatrix:
@@ -220,25 +236,6 @@ def _project_position(
         f"no convergence in {_PROJECTION_ITERATIONS} iterations",
         "Declare positions nearer to an assembled configuration.",
     )
-
-
-def _constraint_force_total(
-    system: MechanicalSystem, q: Array, y: Array, t: float, q_b: Array
-) -> Array:
-    """Total design derivative of Phi_q^T y with y held."""
-    total = system.constraint_force_b(q, y, t)
-    if system.linear_constraints:
-        return total
-    return total + system.pattern.dot(system.constraint_force_q(q, y, t), q_b)
-
-
-def _force_total(
-    system: MechanicalSystem, q: Array, v: Array, t: float, q_b: Array, v_b: Array
-) -> Array:
-    total = system.force_b(q, v, t) + system.pattern.dot(system.force_q(q, v, t), q_b)
-    if system.velocity_forces:
-        total = total + system.pattern.dot(system.force_v(q, v, t), v_b)
-    return total
 
 
 def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> None:

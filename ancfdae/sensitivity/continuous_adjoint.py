@@ -1,22 +1,25 @@
 """Continuous adjoint (eqs. 26-42): adjoint equations integrated backward by HHT-I3.
 
-In reversed time tau = t_2 - t the adjoint equations (36), (37) read
+With f = M a + Phi_q^T lam - Q, a held, and mu_tau the derivative in reversed time
+tau = t_2 - t, the adjoint equations (36), (37) read
 
-    M mu'' + g = 0,   g = Phi_q^T zeta + (f_q - f_v')^T mu + f_v^T mu_tau - r,
-    Phi_q mu = H_lam^T,          r = H_q^T - (H_v^T)',   f = Phi_q^T lam - Q,
+    M mu_tautau + K mu + C mu_tau + Phi_q^T zeta = r,      Phi_q mu = H_lam^T,
+    K = (f_q - f_v' + M'')^T,   C = (f_v - 2 M')^T,        r = H_q^T - (H_v^T)',
 
-where ' on f_v and H_v is the time derivative along the motion. One step of HHT-I3 is linear:
+where ' is the time derivative along the motion; the paper's mass is constant, and M' and M''
+come from integrating mu^T M q'' by parts twice. One step of HHT-I3 is linear:
 
-    [ M/(1+alpha) + beta h^2 (f_q - f_v')^T + gamma h f_v^T   Phi_q^T ] [mu'']
-    [ Phi_q                                                   0       ] [zeta]
-      = [ r + alpha/(1+alpha) g_n - (f_q - f_v')^T mu~ - f_v^T mu~_tau ;
-          (H_lam^T - Phi_q mu~)/(beta h^2) ].
+    [ M/(1+alpha) + beta h^2 K + gamma h C   Phi_q^T ] [x   ]
+    [ Phi_q                                  0       ] [zeta]
+      = [ r - alpha/(1+alpha) M A - K mu~ - C mu~_tau ;  (H_lam^T - Phi_q mu~)/(beta h^2) ]
+
+with A the mu_tautau of the step before.
 
 End conditions at t_2: (39), (40) for mu and epsilon; for mu' and gamma (38) with the time
 derivative of (37), Phi_q mu' + (Phi_q)' mu = (H_lam^T)'. Equation (41) of the paper lacks
 -(Phi_q)' mu, which may be dropped only where H_lam(t_2) = 0.
 
-Time derivatives of H_v, H_lam and f_v along the run are taken by second-order differences on
+Time derivatives of M, f_v, H_v and H_lam along the run are taken by second-order differences on
 its grid, so the gradient differs from the discrete one by O(h^2).
 """
 
@@ -30,7 +33,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT, Integrator
-from ancfdae.integrators.hht_equations import Coefficients, correct, predict
+from ancfdae.integrators.hht_equations import Coefficients, acceleration, correct, predict
 from ancfdae.integrators.initial import (
     InitialSensitivity,
     consistent_start,
@@ -103,13 +106,13 @@ class ContinuousAdjoint(GradientMethod):
 @final
 @dataclass(frozen=True)
 class _Adjoint:
-    """Adjoint variables at one instant, derivatives in reversed time."""
+    """Adjoint variables at one instant; x is the algorithm's mu_tautau, A that at the instant."""
 
     mu: Array
     mu_tau: Array
-    mu_tautau: Array
+    x: Array
     zeta: Array
-    g: Array
+    A: Array
 
 
 @final
@@ -127,7 +130,7 @@ class _BackwardRun:
         self._c = Coefficients.of(integrator.step, integrator.hht_alpha)
         self._matrices: SaddlePoint = saddle_point(system, 0.0)
         t, q, v, lam = solution.t, solution.q, solution.v, solution.lam
-        self._local: Linearisation = system.linearise(t, q, v, lam)
+        self._local: Linearisation = system.linearise(t, q, v, solution.a, lam)
         h = self._c.h
         # The trapezoidal rule is in the rows of the partials; take it out again: H_q, H_v, H_lam.
         self._w = np.full(len(t), h)
@@ -136,11 +139,23 @@ class _BackwardRun:
         H_v = self._density(partials.v, system.n_q)
         self._H_v, self._H_lam = H_v, self._density(partials.lam, system.n_lam)
         self._r = H_q - np.gradient(H_v, h, axis=0, edge_order=2)
-        f_q = self._local.f_q
-        self._f_v = self._local.f_v
-        if self._f_v is not None:
-            f_q = f_q - np.gradient(self._f_v, h, axis=0, edge_order=2)
-        self._f_q = f_q
+        self._coefficients(h)
+
+    def _coefficients(self, h: float) -> None:
+        """K and C of every instant, transposed; C is None where it vanishes."""
+        f_v = self._local.f_v
+        self._K, self._C, self._M_t = self._local.f_q, f_v, None
+        if f_v is not None:
+            self._K = self._K - np.gradient(f_v, h, axis=0, edge_order=2)
+        if not self._system.constant_mass:
+            M_t = np.gradient(self._local.M, h, axis=0, edge_order=2)
+            self._K = self._K + np.gradient(M_t, h, axis=0, edge_order=2)
+            self._C = -2 * M_t if f_v is None else f_v - 2 * M_t
+            self._M_t = M_t
+
+    def _mass(self, n: int) -> Array:
+        M: Array = self._local.M[0 if self._system.constant_mass else n]
+        return M
 
     def gradient(self) -> Array:
         """Eq. (42)."""
@@ -152,7 +167,7 @@ class _BackwardRun:
         for n in range(len(s.t) - 2, -1, -1):
             state = self._step(state, n)
             mu[n], zeta[n] = state.mu, state.zeta
-        weighted = mu * self._w[:, None], mu * self._w[:, None], zeta * self._w[:, None]
+        weighted = mu * self._w[:, None], zeta * self._w[:, None]
         total = self._partials.b - system.pull_back(s.t, (s.q, s.v, s.a, s.lam), weighted)
         total = total + self._start_terms(state)
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
@@ -173,12 +188,14 @@ class _BackwardRun:
         system, s, h = self._system, self._solution, self._c.h
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
         n_q = system.n_q
-        factors = self._matrices.factor(system.mass(), self._local.Phi_q[-1])
+        factors = self._matrices.factor(self._mass(-1), self._local.Phi_q[-1])
         x = factors.solve(np.concatenate([np.zeros(n_q), self._H_lam[-1]]))
         mu, epsilon = x[:n_q], x[n_q:]
         force = system.constraint_force_rate(q, v, epsilon, t) - self._H_v[-1]
-        if self._f_v is not None:
-            force = force + system.pattern.dot_transposed(self._f_v[-1], mu)
+        if self._local.f_v is not None:
+            force = force + system.pattern.dot_transposed(self._local.f_v[-1], mu)
+        if self._M_t is not None:
+            force = force - system.pattern.dot_transposed(self._M_t[-1], mu)
         products = np.array(
             [system.constraint_pattern.dot(row, mu) for row in self._local.Phi_q[-4:]]
         )
@@ -205,35 +222,40 @@ class _BackwardRun:
         side = second(self._H_lam[-4:]) - 2 * turning - second(products)
         free = self._forces(-1, mu, mu_tau)
         x = factors.solve(np.concatenate([-free, side]))
-        return _Adjoint(mu, mu_tau, x[:n_q], x[n_q:], -system.mass_times(x[:n_q]))
+        return _Adjoint(mu, mu_tau, x[:n_q], x[n_q:], x[:n_q])
 
     def _forces(self, n: int, mu: Array, mu_tau: Array) -> Array:
-        """G without the multipliers."""
+        """K mu + C mu_tau - r."""
         dot = self._system.pattern.dot_transposed
-        force: Array = dot(self._f_q[n], mu) - self._r[n]
-        return force if self._f_v is None else force + dot(self._f_v[n], mu_tau)
+        force: Array = dot(self._K[n], mu) - self._r[n]
+        return force if self._C is None else force + dot(self._C[n], mu_tau)
 
     def _step(self, before: _Adjoint, n: int) -> _Adjoint:
         """One step of HHT-I3 from t_{n+1} to t_n."""
         system, c, scale, n_q = self._system, self._c, 1 + self._c.alpha, self._system.n_q
-        mu_p, tau_p = predict(c, before.mu, before.mu_tau, before.mu_tautau)
-        K = system.mass() / scale + (c.beta * c.h**2) * self._f_q[n]
-        if self._f_v is not None:
-            K = K + (c.gamma * c.h) * self._f_v[n]
-        memory = c.alpha / scale * before.g
+        M = self._mass(n)
+        mu_p, tau_p = predict(c, before.mu, before.mu_tau, before.x)
+        K = M / scale + (c.beta * c.h**2) * self._K[n]
+        if self._C is not None:
+            K = K + (c.gamma * c.h) * self._C[n]
+        memory = system.pattern.dot(M, (c.alpha / scale) * before.A)
         side = self._H_lam[n] - system.constraint_pattern.dot(self._local.Phi_q[n], mu_p)
-        right = np.concatenate([memory - self._forces(n, mu_p, tau_p), side / (c.beta * c.h**2)])
-        x = self._matrices.factor(K, self._local.Phi_q[n]).solve_transposed(right)
-        mu, mu_tau = correct(c, mu_p, tau_p, x[:n_q])
-        return _Adjoint(mu, mu_tau, x[:n_q], x[n_q:], memory - system.mass_times(x[:n_q]) / scale)
+        right = np.concatenate([-memory - self._forces(n, mu_p, tau_p), side / (c.beta * c.h**2)])
+        solved = self._matrices.factor(K, self._local.Phi_q[n]).solve_transposed(right)
+        x, zeta = solved[:n_q], solved[n_q:]
+        mu, mu_tau = correct(c, mu_p, tau_p, x)
+        return _Adjoint(mu, mu_tau, x, zeta, acceleration(c, x, before.A))
 
     def _start_terms(self, first: _Adjoint) -> Array:
-        """mu^T M v_b - (H_v + mu'^T M + mu^T Q_v) q_b at t_1, with mu' = -mu_tau."""
+        """mu^T M v_b - (H_v + (M mu)' - f_v^T mu) q_b at t_1, with mu' = -mu_tau."""
         system = self._system
         initial = consistent_start(system, self._matrices, 0.0)
         b: InitialSensitivity = start_sensitivity(system, self._matrices, initial)
-        on_q = self._H_v[0] - system.mass_times(first.mu_tau)
-        if self._f_v is not None:
-            on_q = on_q - system.pattern.dot_transposed(self._f_v[0], first.mu)
-        terms: Array = system.mass_times(first.mu) @ b.v_b - on_q @ b.q_b
+        dot = system.pattern.dot_transposed
+        on_q = self._H_v[0] - dot(self._mass(0), first.mu_tau)
+        if self._M_t is not None:
+            on_q = on_q + dot(self._M_t[0], first.mu)
+        if self._local.f_v is not None:
+            on_q = on_q - dot(self._local.f_v[0], first.mu)
+        terms: Array = dot(self._mass(0), first.mu) @ b.v_b - on_q @ b.q_b
         return terms

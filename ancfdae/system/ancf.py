@@ -149,6 +149,7 @@ class AncfSystem(MechanicalSystem):
     def _describe(self) -> None:
         self.n_lam = self._constraints.n_lam
         self.constraint_pattern = self._constraints.pattern
+        self.constant_mass = True
         self.linear_constraints = self._constraints.linear
         self.velocity_forces = self._elastic.damped or self._loads.uses_velocity
         self.weights = self._inertia.weights
@@ -186,17 +187,27 @@ class AncfSystem(MechanicalSystem):
         """Return the partials of the declared start."""
         return self._start.q_b, self._start.v_b
 
-    def mass(self) -> Array:
+    def mass(self, q: Array) -> Array:
         """M (eq. 10)."""
         return self._inertia.values
 
-    def mass_times(self, x: Array) -> Array:
+    def mass_times(self, q: Array, x: Array) -> Array:
         """M x."""
         return self._inertia.times(x)
 
-    def mass_b_times(self, a: Array) -> Array:
+    def mass_b_times(self, q: Array, a: Array) -> Array:
         """(M a)_b."""
         return only(self._inertia.times_b(a[None]))
+
+    def inertia_q(self, q: Array, a: Array) -> Array:
+        """Zero: the mass is constant."""
+        return np.zeros(self.pattern.size)
+
+    def inertia_rate_total(
+        self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
+    ) -> Array:
+        """Zero: the mass is constant."""
+        return np.zeros((self.n_q, self.n_b))
 
     def force(self, q: Array, v: Array, t: float) -> Array:
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
@@ -264,6 +275,14 @@ class AncfSystem(MechanicalSystem):
         """Total design derivative of Phi_q x."""
         return self._constraints.constraint_q_times_total(q, x, t, q_b)
 
+    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
+        """dPhi_q/dt."""
+        return self._constraints.constraint_q_rate(v, t)
+
+    def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
+        """d^2 Phi_q/dt^2."""
+        return self._constraints.constraint_q_second_rate(a, t)
+
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
         return self._constraints.velocity_side(q, t)
@@ -304,33 +323,31 @@ class AncfSystem(MechanicalSystem):
 
     # -- many instants at once -----------------------------------------------------------------
 
-    def linearise(self, t: Array, q: Array, v: Array, lam: Array) -> Linearisation:
-        """f_q, f_v and Phi_q."""
+    def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
+        """M, f_q, f_v and Phi_q."""
         Q_q, Q_v = self._tangents(q, v)
         f_q = -Q_q
         if not self.linear_constraints:
             f_q = f_q + self._constraints.constraint_force_q(lam)
         f_v = None if Q_v is None else -Q_v
-        return Linearisation(f_q, f_v, self._constraints.constraints_q(q, t))
+        M = self._inertia.values[None]
+        return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
 
     def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
-        """Design partials of M a, f and Phi."""
-        forces = self._constraints.constraint_forces_b(q, lam, t)
-        return DesignPartials(
-            inertia_b=self._inertia.times_b(a),
-            f_b=forces - self._forces_b(q, v),
-            Phi_b=self._constraints.constraints_b(q, t),
-        )
+        """Design partials of f and Phi."""
+        f_b = self._inertia.times_b(a) - self._forces_b(q, v)
+        f_b += self._constraints.constraint_forces_b(q, lam, t)
+        return DesignPartials(f_b, self._constraints.constraints_b(q, t))
 
     def pull_back(
         self,
         t: Array,
         states: tuple[Array, Array, Array, Array],
-        covectors: tuple[Array, Array, Array],
+        covectors: tuple[Array, Array],
     ) -> Array:
         """Contraction pair by pair, without arrays of the size n_q n_b for elements."""
-        (q, v, a, lam), (x, mu, zeta) = states, covectors
-        total = self._inertia.pull_back(a, x) - self._elastic.pull_back(q, v, mu)
+        (q, v, a, lam), (mu, zeta) = states, covectors
+        total = self._inertia.pull_back(a, mu) - self._elastic.pull_back(q, v, mu)
         total = total - np.sum(mu, axis=0) @ self._inertia.gravity_b
         if self._scene.loads:
             total = total - np.einsum("knb,kn->b", self._loads.force_b(q, v), mu)

@@ -325,6 +325,14 @@ class JointConstraints:
 
     # -- start: rates and their total derivatives, one instant -----------------------------------
 
+    def constraint_q_rate(self, v: Array, t: float) -> Array:
+        """Values of dPhi_q/dt."""
+        return self._rate_values(v, t, 1)
+
+    def constraint_q_second_rate(self, a: Array, t: float) -> Array:
+        """Values of d^2 Phi_q/dt^2."""
+        return self._rate_values(a, t, 2)
+
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
         U = self._vectors.of(q[None])[0]
@@ -396,6 +404,11 @@ class JointConstraints:
         to_i = (s * U[..., self._s_j, :]).reshape(shape)
         to_j = (s * U[..., self._s_i, :]).reshape(shape)
         return np.concatenate([a, to_i, to_j], axis=-1)
+
+    def _rate_values(self, x: Array, t: float, order: int) -> Array:
+        """Bilinear entries at the time derivative x of q, linear ones differentiated."""
+        rate = _Values(self._at(t, order).a, self._at(t).s, self._at(t).offset)
+        return self._to_values(self._raw(rate, self._vectors.of(x[None])[0]))
 
     def _raw_rate(self, series: Sequence[_Values], V: Array) -> Array:
         """Time derivative of `_raw`."""

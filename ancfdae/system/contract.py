@@ -1,6 +1,9 @@
 """The protocol between a mechanical system and everything that integrates it.
 
-    M(b) a + Phi_q^T lam = Q(q, v, t, b),     Phi(q, t, b) = 0          (eq. 1)
+    M(q, b) a + Phi_q^T lam = Q(q, v, t, b),     Phi(q, t, b) = 0          (eq. 1)
+
+Q holds every force that is not inertia M a: for a mass that depends on q, the
+quadratic velocity forces too.
 
 Integrators and sensitivity methods see this and nothing else: no beam, no
 joint. Matrices are value vectors on a fixed `Pattern`; for a small system of
@@ -31,13 +34,16 @@ class Linearisation:
 
     Attributes
     ----------
+    M : array, shape (k, nnz) or (1, nnz)
+        One row if the mass is constant.
     f_q : array, shape (k, nnz)
-        f = Phi_q^T lam - Q.
+        f = M a + Phi_q^T lam - Q with a held.
     f_v : array, shape (k, nnz), or None
         None where f does not depend on v.
     Phi_q : array, shape (k, nnz of the constraint pattern)
     """
 
+    M: Array
     f_q: Array
     f_v: Array | None
     Phi_q: Array
@@ -50,14 +56,11 @@ class DesignPartials:
 
     Attributes
     ----------
-    inertia_b : array, shape (k, n_q, n_b)
-        (M a)_b.
     f_b : array, shape (k, n_q, n_b)
-        (Phi_q^T lam)_b - Q_b.
+        (M a)_b + (Phi_q^T lam)_b - Q_b.
     Phi_b : array, shape (k, n_lam, n_b)
     """
 
-    inertia_b: Array
     f_b: Array
     Phi_b: Array
 
@@ -74,7 +77,7 @@ class MechanicalSystem(abc.ABC):
     b : array, shape (n_b,)
         Their values; complex in a complex-step run.
     pattern : Pattern
-        Pattern (n_q x n_q) of M, Q_q, Q_v and (Phi_q^T lam)_q together.
+        Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q together.
     constraint_pattern : Pattern
         Pattern (n_lam x n_q) of Phi_q.
     weights : array, shape (n_q,)
@@ -82,6 +85,8 @@ class MechanicalSystem(abc.ABC):
         usually the diagonal of M. Convergence tests and scalings use them.
     constraint_names : tuple of str
         For every constraint the joint it belongs to, length n_lam.
+    constant_mass : bool
+        Whether M does not depend on q; it is then formed once.
     linear_constraints : bool
         Whether Phi is linear in q, so that (Phi_q^T lam)_q vanishes.
     velocity_forces : bool
@@ -104,6 +109,7 @@ class MechanicalSystem(abc.ABC):
     constraint_pattern: Pattern
     weights: Array
     constraint_names: tuple[str, ...]
+    constant_mass: bool
     linear_constraints: bool
     velocity_forces: bool
     force_round_off: float
@@ -127,16 +133,29 @@ class MechanicalSystem(abc.ABC):
     # -- inertia -------------------------------------------------------------------------------
 
     @abc.abstractmethod
-    def mass(self) -> Array:
+    def mass(self, q: Array) -> Array:
         """Return the values of M on `pattern`."""
 
     @abc.abstractmethod
-    def mass_times(self, x: Array) -> Array:
+    def mass_times(self, q: Array, x: Array) -> Array:
         """Return M x for a vector or for columns."""
 
     @abc.abstractmethod
-    def mass_b_times(self, a: Array) -> Array:
-        """Return (M a)_b with a held, shape (n_q, n_b)."""
+    def mass_b_times(self, q: Array, a: Array) -> Array:
+        """Return (M a)_b with q and a held, shape (n_q, n_b)."""
+
+    @abc.abstractmethod
+    def inertia_q(self, q: Array, a: Array) -> Array:
+        """Return the values of (M a)_q with a held; asked for only unless `constant_mass`."""
+
+    @abc.abstractmethod
+    def inertia_rate_total(
+        self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
+    ) -> Array:
+        """Return the total design derivative of (dM/dt) a, that is of (M a)_q v, (n_q, n_b).
+
+        Asked for only unless `constant_mass`.
+        """
 
     # -- forces --------------------------------------------------------------------------------
 
@@ -197,6 +216,17 @@ class MechanicalSystem(abc.ABC):
         """Return the total design derivative of Phi_q x with x held, shape (n_lam, n_b)."""
 
     @abc.abstractmethod
+    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
+        """Return the values of dPhi_q/dt = (Phi_q v)_q + Phi_qt on `constraint_pattern`.
+
+        It is also (dPhi/dt)_q, and half of (d^2 Phi/dt^2)_v.
+        """
+
+    @abc.abstractmethod
+    def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
+        """Return the values of d^2 Phi_q/dt^2 on `constraint_pattern`; also (d^2 Phi/dt^2)_q."""
+
+    @abc.abstractmethod
     def velocity_side(self, q: Array, t: float) -> Array:
         """Return nu in Phi_q v = nu, that is -Phi_t, shape (n_lam,)."""
 
@@ -237,27 +267,27 @@ class MechanicalSystem(abc.ABC):
     # -- many instants at once -----------------------------------------------------------------
 
     @abc.abstractmethod
-    def linearise(self, t: Array, q: Array, v: Array, lam: Array) -> Linearisation:
-        """Linearise f = Phi_q^T lam - Q and Phi at k instants; states are rows (k, n)."""
+    def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
+        """Linearise f = M a + Phi_q^T lam - Q and Phi at k instants; states are rows (k, n)."""
 
     @abc.abstractmethod
     def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
-        """Return the design partials of M a, f and Phi at k instants."""
+        """Return the design partials of f = M a + Phi_q^T lam - Q and Phi at k instants."""
 
     @abc.abstractmethod
     def pull_back(
         self,
         t: Array,
         states: tuple[Array, Array, Array, Array],
-        covectors: tuple[Array, Array, Array],
+        covectors: tuple[Array, Array],
     ) -> Array:
-        """Return the sum over instants of (M a)_b^T x + f_b^T mu + Phi_b^T zeta, shape (n_b,).
+        """Return the sum over instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
 
         Parameters
         ----------
         t : array, shape (k,)
         states : (q, v, a, lam), arrays with k rows
-        covectors : (x, mu, zeta), arrays with k rows
+        covectors : (mu, zeta), arrays with k rows
         """
 
 
@@ -265,45 +295,45 @@ class OneByOneSystem(MechanicalSystem):
     """A system that handles many instants by a loop over them; enough for small ones."""
 
     @final
-    def linearise(self, t: Array, q: Array, v: Array, lam: Array) -> Linearisation:
+    def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
         """Linearise instant by instant."""
+        M: list[Array] = []
         f_q, f_v, Phi_q = [], [], []
-        for time, q_k, v_k, lam_k in zip(t, q, v, lam, strict=True):
+        for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True):
             value = -self.force_q(q_k, v_k, time)
             if not self.linear_constraints:
                 value = value + self.constraint_force_q(q_k, lam_k, time)
+            if not self.constant_mass:
+                value = value + self.inertia_q(q_k, a_k)
             f_q.append(value)
+            if not (M and self.constant_mass):
+                M.append(self.mass(q_k))
             Phi_q.append(self.constraint_q(q_k, time))
             if self.velocity_forces:
                 f_v.append(-self.force_v(q_k, v_k, time))
-        return Linearisation(
-            np.array(f_q), np.array(f_v) if self.velocity_forces else None, np.array(Phi_q)
-        )
+        rates = np.array(f_v) if self.velocity_forces else None
+        return Linearisation(np.array(M), np.array(f_q), rates, np.array(Phi_q))
 
     @final
     def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
         """Differentiate instant by instant."""
-        rows = [
-            (
-                self.mass_b_times(a_k),
-                self.constraint_force_b(q_k, lam_k, time) - self.force_b(q_k, v_k, time),
-                self.constraint_b(q_k, time),
-            )
-            for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True)
-        ]
-        return DesignPartials(*(np.array(column) for column in zip(*rows, strict=True)))
+        f_b, Phi_b = [], []
+        for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True):
+            reaction_b = self.constraint_force_b(q_k, lam_k, time)
+            f_b.append(self.mass_b_times(q_k, a_k) + reaction_b - self.force_b(q_k, v_k, time))
+            Phi_b.append(self.constraint_b(q_k, time))
+        return DesignPartials(np.array(f_b), np.array(Phi_b))
 
     @final
     def pull_back(
         self,
         t: Array,
         states: tuple[Array, Array, Array, Array],
-        covectors: tuple[Array, Array, Array],
+        covectors: tuple[Array, Array],
     ) -> Array:
         """Contract the design partials."""
         partials = self.design_partials(t, *states)
-        x, mu, zeta = covectors
-        total: Array = np.einsum("knb,kn->b", partials.inertia_b, x)
-        total = total + np.einsum("knb,kn->b", partials.f_b, mu)
+        mu, zeta = covectors
+        total: Array = np.einsum("knb,kn->b", partials.f_b, mu)
         total = total + np.einsum("knb,kn->b", partials.Phi_b, zeta)
         return total
