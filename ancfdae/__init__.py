@@ -12,7 +12,15 @@ from ancfdae.errors import (
     UnknownName,
     Verdict,
 )
-from ancfdae.integrators import HHT, Integrator
+from ancfdae.integrators import (
+    HHT,
+    IDA,
+    IDAS,
+    Explicit,
+    IndexReduction,
+    Integrator,
+    MissingPackage,
+)
 from ancfdae.joints import (
     Clamp,
     Distance,
@@ -66,6 +74,8 @@ __version__ = "0.1.0"
 
 __all__ = [
     "HHT",
+    "IDA",
+    "IDAS",
     "Adjoint",
     "AncfSystem",
     "AncfdaeError",
@@ -80,17 +90,20 @@ __all__ = [
     "Distance",
     "DistributedForce",
     "Drive",
+    "Explicit",
     "FiniteDifference",
     "FollowerForce",
     "Gradient",
     "Guide",
     "Harmonic",
     "InconsistentStart",
+    "IndexReduction",
     "Integral",
     "Integrator",
     "InvalidInput",
     "Material",
     "MechanicalSystem",
+    "MissingPackage",
     "NodeState",
     "NonFiniteObjective",
     "OneByOneSystem",

@@ -81,6 +81,9 @@ class Verdict(Enum):
     SINGULAR = "the iteration matrix is singular"
     NOT_FINITE = "the residual is not finite"
     INTERRUPTED = "the run was interrupted"
+    STEP_LIMIT = "the limit of steps between two instants was reached"
+    ERROR_TEST = "the error test failed at the smallest step"
+    TOO_ACCURATE = "the tolerance is below what round-off allows"
 
 
 @final
@@ -97,8 +100,9 @@ class Outcome:
     step : int
         Number of steps accepted.
     residual : float
-        Size of the last Newton correction relative to the motion (dimensionless);
-        zero when the run finished.
+        Size of the last Newton correction relative to the motion, for integrators other than HHT
+        of the residual of the equations in their scales (dimensionless); zero when the run
+        finished.
     """
 
     verdict: Verdict
@@ -117,7 +121,7 @@ class Outcome:
             return f"{self.verdict.value} (t = {self.time:.6g}, {self.step} steps)."
         return (
             f"{self.verdict.value} at t = {self.time:.6g}, after {self.step} accepted steps, with "
-            f"a last relative correction of {self.residual:.3g}; results up to there are kept."
+            f"a last relative residual of {self.residual:.3g}; results up to there are kept."
         )
 
 

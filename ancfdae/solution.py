@@ -19,7 +19,7 @@ from ancfdae.errors import InvalidInput, Outcome, UnknownName, Verdict
 from ancfdae.layout import BeamLayout, JointLayout, Layout, Naming
 from ancfdae.numerics.arrays import Array
 
-_FORMAT = "ancfdae solution 1"
+_FORMAT = "ancfdae solution 2"
 # What reading a file that is no archive, or a damaged one, ends in.
 _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 # Imaginary perturbation of observables: any value whose square underflows against one is exact.
@@ -95,6 +95,9 @@ class Solution:
     naming : Naming or None
         Names of points and joints; None for a system that is not an ANCF scene.
     sensitivities : Sensitivities or None
+    degree : int
+        Degree of the polynomials between the instants: 1 for HHT, whose instants are its steps,
+        8 for Gauss-Lobatto instants (`ancfdae.numerics.time_grid`).
     """
 
     t: Array
@@ -106,6 +109,7 @@ class Solution:
     outcome: Outcome
     naming: Naming | None
     sensitivities: Sensitivities | None = None
+    degree: int = 1
 
     # -- named access --------------------------------------------------------------------------
 
@@ -324,6 +328,7 @@ class Solution:
             "format": _FORMAT,
             "statistics": asdict(self.statistics),
             "outcome": {**asdict(self.outcome), "verdict": self.outcome.verdict.name},
+            "degree": self.degree,
             "layout": None,
             "names": None,
         }
@@ -400,4 +405,5 @@ def _rebuild(arrays: dict[str, Array], meta: dict[str, Any]) -> Solution:
         outcome=Outcome(**outcome),
         naming=naming,
         sensitivities=sensitivities,
+        degree=int(meta["degree"]),
     )

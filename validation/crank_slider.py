@@ -346,7 +346,7 @@ def _exactness(report: Report, solution: Solution, extent: _Extent) -> None:
     rng, s = np.random.default_rng(0), solution.sensitivities
     assert s is not None
     seeds = [rng.standard_normal(x.shape) for x in (solution.q, solution.v, solution.lam)]
-    back = integrator.pull_back(system, solution, Seeds(*seeds))
+    back = integrator.pull_back(system, solution, Seeds(seeds[0], seeds[1], seeds[2]))
     pairs = list(zip(seeds, (s.q_b, s.v_b, s.lam_b), strict=True))
     forward = sum(np.tensordot(x, y, axes=2) for x, y in pairs)
     size = sum(np.linalg.norm(x) * np.linalg.norm(y, axis=(0, 1)) for x, y in pairs)

@@ -46,6 +46,10 @@ class Integrator(abc.ABC):
             If settings, end time or start make no sense; before anything is integrated.
         """
 
+
+class AdjointIntegrator(Integrator):
+    """An integrator that can also run backward through a finished run."""
+
     @abc.abstractmethod
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
         """Return the gradient of an objective from its partials in the states (adjoint).

@@ -22,7 +22,7 @@ from ancfdae.errors import (
     require_positive,
 )
 from ancfdae.integrators import hht_linear
-from ancfdae.integrators.contract import Integrator
+from ancfdae.integrators.contract import AdjointIntegrator
 from ancfdae.integrators.hht_equations import (
     Coefficients,
     Node,
@@ -58,7 +58,7 @@ _WHOLE = 1e-9
 
 @final
 @dataclass(frozen=True)
-class HHT(Integrator):
+class HHT(AdjointIntegrator):
     """HHT-I3 at a fixed step (Negrut, Rampalli, Ottarsson & Sajdak 2007).
 
     Parameters
@@ -122,7 +122,7 @@ class HHT(Integrator):
         c = self._coefficients()
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        recorder = self._recorder(system, count)
+        recorder = Recorder(system, count + 1)
         solver = _StepSolver(system, matrices, c, self, recorder)
         node = start_node(system, matrices, c, initial)
         recorder.record(initial.t, initial.q, initial.v, initial.a, initial.lam)
@@ -186,17 +186,6 @@ class HHT(Integrator):
             if seed is not None:
                 gradient = gradient + seed[0] @ start_b
         return gradient
-
-    def _recorder(self, system: MechanicalSystem, count: int) -> Recorder:
-        try:
-            return Recorder(system, count + 1)
-        except MemoryError as error:
-            raise InvalidInput(
-                "t_end and HHT.step",
-                "the trajectory must fit into memory",
-                f"{count} steps of {3 * system.n_q + system.n_lam} numbers",
-                "Use a larger step or a shorter run.",
-            ) from error
 
     def _coefficients(self) -> Coefficients:
         return Coefficients.of(self.step, self.hht_alpha)

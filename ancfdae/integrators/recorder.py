@@ -7,9 +7,9 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import Outcome
+from ancfdae.errors import InvalidInput, Outcome
 from ancfdae.numerics.arrays import Array
-from ancfdae.solution import Solution, Statistics
+from ancfdae.solution import Sensitivities, Solution, Statistics
 from ancfdae.system import MechanicalSystem
 
 
@@ -22,31 +22,80 @@ class Recorder:
     system : MechanicalSystem
     rows : int
         Number of instants, the start included.
+    degree : int
+        Degree of the polynomials between the instants, see `Solution`.
+    sensitivities : bool
+        Whether design derivatives are recorded too.
+
+    Attributes
+    ----------
+    accepted : int or None
+        Accepted steps, where the instants are not the steps.
+    iterations, factorisations, residuals, round_off_steps : int
+        As in `Statistics`.
+
+    Raises
+    ------
+    InvalidInput
+        If the trajectory does not fit into memory.
     """
 
-    def __init__(self, system: MechanicalSystem, rows: int) -> None:
-        self._system = system
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        rows: int,
+        degree: int = 1,
+        sensitivities: bool = False,
+    ) -> None:
+        self._system, self._degree = system, degree
         dtype = np.result_type(system.b, system.start()[0], float)
         sizes = (system.n_q, system.n_q, system.n_q, system.n_lam)
-        self._t = np.zeros(rows)
-        self._state = [np.zeros((rows, n), dtype=dtype) for n in sizes]
+        self._derivatives: list[Array] = []
+        try:
+            self._t = np.zeros(rows)
+            self._state = [np.zeros((rows, n), dtype=dtype) for n in sizes]
+            if sensitivities:
+                self._derivatives = [np.zeros((rows, n, system.n_b)) for n in sizes]
+        except MemoryError as error:
+            raise InvalidInput(
+                "trajectory",
+                "must fit into memory",
+                f"{rows} instants of {sum(sizes)} numbers",
+                "Use a larger step, fewer instants or a shorter run.",
+            ) from error
         self._rows = 0
+        self.accepted: int | None = None
         self.iterations = self.factorisations = self.residuals = 0
         self.round_off_steps = 0
         self._started = time.perf_counter()
 
     @property
     def steps(self) -> int:
-        """Steps recorded, the start not counted."""
-        return max(self._rows - 1, 0)
+        """Accepted steps so far."""
+        return max(self._rows - 1, 0) if self.accepted is None else self.accepted
 
-    def record(self, t: float, q: Array, v: Array, a: Array, lam: Array) -> None:
-        """Store a state.
+    @property
+    def time(self) -> float:
+        """Time of the last recorded instant."""
+        return float(self._t[max(self._rows - 1, 0)])
+
+    def record(
+        self,
+        t: float,
+        q: Array,
+        v: Array,
+        a: Array,
+        lam: Array,
+        derivatives: tuple[Array, ...] = (),
+    ) -> None:
+        """Store a state, and its design derivatives (q_b, v_b, a_b, lam_b) if there are any.
 
         The row counts only when all of it is stored, so that an interrupt leaves whole rows.
         """
         row = self._rows
         self._t[row] = t
+        for array, value in zip(self._derivatives, derivatives, strict=True):
+            array[row] = value
         for array, value in zip(self._state, (q, v, a, lam), strict=True):
             array[row] = value
         self._rows = row + 1
@@ -55,6 +104,10 @@ class Recorder:
         """Return what was recorded."""
         rows, system = self._rows, self._system
         q, v, a, lam = (array[:rows] for array in self._state)
+        own = None
+        if self._derivatives:
+            parts = (array[:rows] for array in self._derivatives)
+            own = Sensitivities(system.design_names, system.b, *parts)
         return Solution(
             t=self._t[:rows],
             q=q,
@@ -71,4 +124,6 @@ class Recorder:
             ),
             outcome=outcome,
             naming=system.naming,
+            sensitivities=own,
+            degree=self._degree,
         )

@@ -17,8 +17,11 @@ class Seeds:
     ----------
     q, v : array, shape (n_t, n_q), or None
     lam : array, shape (n_t, n_lam), or None
+    over_time : bool
+        Whether the rows are weights of a quadrature times smooth functions of time.
     """
 
     q: Array | None
     v: Array | None
     lam: Array | None
+    over_time: bool = False

@@ -16,6 +16,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_finite, require_positive
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.objectives.contract import NonFiniteObjective, Objective, ObjectivePartials
 from ancfdae.observables import Observable, States
 from ancfdae.system import MechanicalSystem
@@ -41,7 +42,7 @@ class Reduction(Objective):
         """Refuse instants outside the run."""
 
     @abc.abstractmethod
-    def weights(self, t: Array) -> Array:
+    def weights(self, grid: TimeGrid) -> Array:
         """Return the weight of every instant, shape (k,); zero for those that do not matter."""
 
     @abc.abstractmethod
@@ -59,7 +60,7 @@ class Reduction(Objective):
 
     def value(self, system: MechanicalSystem, states: States) -> Any:
         """Reduce the observable."""
-        w, x = self.weights(states.t), self.observable.value(system, states)
+        w, x = self.weights(states.grid), self.observable.value(system, states)
         used = w != 0
         self._require_finite("the observable", x[used], states.t[used])
         return self.reduce(x[used], w[used]).item()
@@ -67,7 +68,7 @@ class Reduction(Objective):
     def partials(self, system: MechanicalSystem, states: States) -> ObjectivePartials:
         """Pull the derivative of the reduction back to the states."""
         nodes = self.observable.node_values(system, states)
-        w, x = self.weights(states.t), list(nodes.values())[-1]
+        w, x = self.weights(states.grid), list(nodes.values())[-1]
         used = w != 0
         self._require_finite("the observable", x[used], states.t[used])
         slopes = np.zeros(len(w))
@@ -99,7 +100,10 @@ class WeightedSum(Reduction):
 @final
 @dataclass(frozen=True)
 class Integral(WeightedSum):
-    """Integral of an observable over the run by the trapezoidal rule; second order.
+    """Integral of an observable over the run.
+
+    The quadrature has the order of the integrator: the trapezoidal rule on the steps of HHT,
+    Gauss-Lobatto rules on the instants of the others.
 
     Parameters
     ----------
@@ -120,9 +124,9 @@ class Integral(WeightedSum):
     def check_times(self, t_end: float) -> None:
         """Accept every run."""
 
-    def weights(self, t: Array) -> Array:
-        """Half the distance of the neighbouring instants."""
-        return _trapezoid(t)
+    def weights(self, grid: TimeGrid) -> Array:
+        """Quadrature weights."""
+        return grid.weights()
 
 
 @final
@@ -149,9 +153,9 @@ class Terminal(WeightedSum):
     def check_times(self, t_end: float) -> None:
         """Accept every run."""
 
-    def weights(self, t: Array) -> Array:
+    def weights(self, grid: TimeGrid) -> Array:
         """One at the end."""
-        w = np.zeros(len(t))
+        w = np.zeros(len(grid.t))
         w[-1] = 1.0
         return w
 
@@ -161,7 +165,8 @@ class Terminal(WeightedSum):
 class AtTimes(WeightedSum):
     """Sum of the values of an observable at given times.
 
-    Between two instants the observable is interpolated linearly, which is second order.
+    Between the instants the observable is interpolated with the order of the integrator, linearly
+    for HHT.
 
     Parameters
     ----------
@@ -200,29 +205,19 @@ class AtTimes(WeightedSum):
         """Refuse times after the end."""
         self._require_reached(t_end, "End the run later.")
 
-    def weights(self, t: Array) -> Array:
-        """Weights of the linear interpolation, summed over the times.
+    def weights(self, grid: TimeGrid) -> Array:
+        """Weights of the interpolation, summed over the times.
 
         Raises
         ------
         InvalidInput
             If a run that ended early did not reach one of the times.
         """
-        self._require_reached(float(t[-1]), "The run ended before.")
-        w = np.zeros(len(t))
+        self._require_reached(float(grid.t[-1]), "The run ended before.")
+        w = np.zeros(len(grid.t))
         for time in cast("tuple[float, ...]", self.times):
-            right = min(int(np.searchsorted(t, time)), len(t) - 1)
-            left = max(right - 1, 0)
-            # A time that is an instant but for round-off means that instant.
-            near = 1e-12 * t[-1]
-            if right == left or t[right] - time <= near:
-                w[right] += 1.0
-            elif time - t[left] <= near:
-                w[left] += 1.0
-            else:
-                share = (time - t[left]) / (t[right] - t[left])
-                w[left] += 1.0 - share
-                w[right] += share
+            instants, share = grid.interpolation(time)
+            w[instants] += share
         return w
 
     def _require_reached(self, end: float, repair: str) -> None:
@@ -237,7 +232,7 @@ class SmoothMaximum(Reduction):
     """Smooth maximum over time, (1/k) log((1/T) int exp(k x) dt) (Kreisselmeier-Steinhauser).
 
     It lies below the maximum and tends to it as the sharpness k grows, with an error of the order
-    of log(k)/k. The integral is taken by the trapezoidal rule. The smooth minimum of x is
+    of log(k)/k. The integral is taken as in `Integral`. The smooth minimum of x is
     ``-SmoothMaximum(-x, k)``.
 
     Parameters
@@ -268,10 +263,10 @@ class SmoothMaximum(Reduction):
     def check_times(self, t_end: float) -> None:
         """Accept every run."""
 
-    def weights(self, t: Array) -> Array:
+    def weights(self, grid: TimeGrid) -> Array:
         """Weights of the mean over time."""
-        w = _trapezoid(t)
-        mean: Array = w / np.sum(w) if len(t) > 1 else np.ones(1)
+        w = grid.weights()
+        mean: Array = w / np.sum(w) if len(w) > 1 else np.ones(1)
         return mean
 
     def reduce(self, x: Array, w: Array) -> Array:
@@ -284,14 +279,6 @@ class SmoothMaximum(Reduction):
         share = w * np.exp(self.sharpness * (x - np.max(x)))
         total: Array = share / np.sum(share)
         return total
-
-
-def _trapezoid(t: Array) -> Array:
-    """Weights of the trapezoidal rule on increasing instants."""
-    w = np.zeros(len(t))
-    w[1:] += 0.5 * np.diff(t)
-    w[:-1] += 0.5 * np.diff(t)
-    return w
 
 
 def _require_observable(observable: object) -> None:

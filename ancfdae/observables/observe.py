@@ -14,7 +14,7 @@ from ancfdae.system import MechanicalSystem
 
 def states_of(solution: Solution) -> States:
     """Return the states of a solution."""
-    return States(solution.t, solution.q, solution.v, solution.lam)
+    return States(solution.t, solution.q, solution.v, solution.lam, solution.degree)
 
 
 def observe(

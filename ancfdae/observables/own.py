@@ -101,9 +101,8 @@ class Custom(Leaf):
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Differentiate H by a complex step in one column after the other."""
         self._require_derivative(states.rows([0, len(states.t) // 2, -1]), system.b)
-        complex_states = States(
-            states.t, *(x.astype(complex) for x in (states.q, states.v, states.lam))
-        )
+        q, v, lam = (x.astype(complex) for x in (states.q, states.v, states.lam))
+        complex_states = States(states.t, q, v, lam, states.degree)
         b = system.b.astype(complex)
         parts = []
         for moved in (complex_states.q, complex_states.v, complex_states.lam, b):
@@ -113,8 +112,8 @@ class Custom(Leaf):
                 partial[:, i] = np.imag(self._call(complex_states, b)) / STEP
                 moved[..., i] = moved[..., i].real
             parts.append(partial)
-        q, v, lam = (Rows(slice(None), partial) for partial in parts[:3])
-        return LeafGradient(q, v, lam, parts[3])
+        on_q, on_v, on_lam = (Rows(slice(None), partial) for partial in parts[:3])
+        return LeafGradient(on_q, on_v, on_lam, parts[3])
 
     def _call(self, states: States, b: Array) -> Array:
         return self.function(states.t, states.q, states.v, states.lam, b)

@@ -10,6 +10,7 @@ import numpy as np
 from ancfdae.errors import InvalidInput
 from ancfdae.layout import Naming
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.system import MechanicalSystem
 
 
@@ -31,12 +32,20 @@ class States:
     t : array, shape (k,)
     q, v : array, shape (k, n_q)
     lam : array, shape (k, n_lam)
+    degree : int
+        Degree of the polynomials between the instants, see `TimeGrid`.
     """
 
     t: Array
     q: Array
     v: Array
     lam: Array
+    degree: int = 1
+
+    @property
+    def grid(self) -> TimeGrid:
+        """The instants, for integrals and values between them."""
+        return TimeGrid(self.t, self.degree)
 
     def rows(self, which: slice | list[int]) -> States:
         """Return the states at some of the instants."""

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.integrators import Integrator, Seeds
+from ancfdae.errors import InvalidInput
+from ancfdae.integrators import AdjointIntegrator, Integrator, Seeds
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
 from ancfdae.sensitivity.contract import Gradient, GradientMethod, finished, keeping
@@ -31,12 +32,25 @@ class Adjoint(GradientMethod):
         integrator: Integrator,
         progress: bool,
     ) -> list[Gradient]:
-        """One run for all objectives, one transposed pass for each."""
+        """One run for all objectives, one transposed pass for each.
+
+        Raises
+        ------
+        InvalidInput
+            If the integrator has no adjoint.
+        """
+        if not isinstance(integrator, AdjointIntegrator):
+            raise InvalidInput(
+                "Adjoint",
+                "needs an integrator with an adjoint",
+                repr(integrator),
+                "Use HHT or IDAS, or Direct().",
+            )
         solution = finished(integrator.integrate(system, t_end, progress=progress))
         results = []
         for objective in objectives:
             partials = objective.partials(system, states_of(solution))
-            seeds = Seeds(partials.q, partials.v, partials.lam)
+            seeds = Seeds(partials.q, partials.v, partials.lam, objective.over_time)
             with keeping(solution):
                 total = partials.b + integrator.pull_back(system, solution, seeds)
             results.append(Gradient(partials.value, total, system.design_names, self, solution))

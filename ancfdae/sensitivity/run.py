@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ancfdae.design import DesignVariable
 from ancfdae.errors import InvalidInput, require_kind, require_positive, require_sequence
-from ancfdae.integrators import Integrator
+from ancfdae.integrators import AdjointIntegrator, Integrator
 from ancfdae.objectives import Objective
 from ancfdae.scene import Scene
 from ancfdae.sensitivity.adjoint import Adjoint
@@ -29,7 +29,7 @@ def simulate(
     t_end : float
         End time; s.
     integrator : Integrator
-        For example ``HHT(step=2**-7)``.
+        `HHT`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
     progress : bool
         Whether to show a progress bar.
 
@@ -107,7 +107,8 @@ def gradient(
     integrator : Integrator
     method : GradientMethod, optional
         `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
-        default whichever of the first two costs less, see `cheapest`.
+        default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
+        without an adjoint (IDA, Explicit).
     progress : bool
         Whether to show a progress bar.
 
@@ -147,9 +148,16 @@ def gradients(
     system = as_system(model, design)
     for objective in objectives:
         objective.check(system, t_end)
-    chosen = cheapest(system.n_b, len(objectives)) if method is None else method
+    chosen = _follow(integrator, system.n_b, len(objectives)) if method is None else method
     require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
     return chosen.gradients(system, objectives, t_end, integrator, progress)
+
+
+def _follow(integrator: Integrator, variables: int, objectives: int) -> GradientMethod:
+    """Return the method that fits the integrator and costs less."""
+    if isinstance(integrator, AdjointIntegrator):
+        return cheapest(variables, objectives)
+    return Direct()
 
 
 def cheapest(variables: int, objectives: int) -> GradientMethod:

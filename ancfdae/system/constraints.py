@@ -35,7 +35,10 @@ _STEP = 1e-40
 @final
 @dataclass(frozen=True)
 class _Values:
-    """Flat coefficients of all joints at one instant: linear, bilinear, offset."""
+    """Flat coefficients of all joints at one instant: linear, bilinear, offset.
+
+    Design partials have a leading axis n_b.
+    """
 
     a: Array
     s: Array
@@ -45,6 +48,10 @@ class _Values:
         return _Values(
             self.a + size * other.a, self.s + size * other.s, self.offset + size * other.offset
         )
+
+    def of(self, variable: int) -> _Values:
+        """Pick one design variable of partials."""
+        return _Values(self.a[variable], self.s[variable], self.offset[variable])
 
 
 @final
@@ -116,8 +123,9 @@ class JointConstraints:
         self.linear = len(self._s_row) == 0
         self._cache: tuple[float, _Values] | None = None
         self._constant = self._collect(lambda item: item.at(0.0, 0))
-        self._constant_b = [self._read_partial(0.0, 0, i) for i in range(n_b)]
+        self._constant_b = self._read_partials(0.0, 0)
         self._place(n_q)
+        self._active = self._find_active()
 
     # -- structure -----------------------------------------------------------------------------
 
@@ -183,6 +191,9 @@ class JointConstraints:
             np.ones(len(self._s_row)),
             (self.n_lam, len(self._s_row)),
         )
+        self._raw_row_map = LinearMap.of(
+            self._raw_row, np.arange(count), np.ones(count), (self.n_lam, count)
+        )
         self._simple = self.linear and not self.driven
         if self._simple:
             self._B_values = self._to_values(self._constant.a)
@@ -235,22 +246,32 @@ class JointConstraints:
             rows[place.first_row : place.first_row + place.rows] = item.joint.driven
         return _Values(values.a * rows[self._a_row], 0 * values.s, values.offset * rows)
 
-    def _partial(self, t: float, order: int, variable: int) -> _Values:
+    def _partials(self, t: float, order: int = 0) -> _Values:
         if not self.driven:
-            known = self._constant_b[variable]
+            known = self._constant_b
             return known if order == 0 else known.moved(known, -1.0)
-        return self._read_partial(t, order, variable)
+        return self._read_partials(t, order)
 
-    def _read_partial(self, t: float, order: int, variable: int) -> _Values:
-        values = self._collect(
-            lambda item: item.partial(t, order if item.joint.driven else 0, variable)
-        )
-        return values if order == 0 else self._only_driven(values)
+    def _read_partials(self, t: float, order: int) -> _Values:
+        columns = []
+        for i in range(self._n_b):
+            values = self._collect(
+                lambda item, i=i: item.partial(t, order if item.joint.driven else 0, i)  # type: ignore[misc]  # bound per pass
+            )
+            columns.append(values if order == 0 else self._only_driven(values))
+        empty = (len(self._a_row), len(self._s_row), self.n_lam)
+        parts = zip(*((c.a, c.s, c.offset) for c in columns), strict=True) if columns else None
+        if parts is None:
+            return _Values(*(np.zeros((0, size)) for size in empty))
+        return _Values(*(np.stack(part) for part in parts))
 
-    def _partials(self, t: float) -> list[_Values]:
-        if not self.driven:
-            return self._constant_b
-        return [self._partial(t, 0, i) for i in range(self._n_b)]
+    def _find_active(self) -> list[int]:
+        """Design variables that constraints depend on with q held."""
+        if self.driven:
+            return list(range(self._n_b))
+        c = self._constant_b
+        found = np.any(c.a, axis=1) | np.any(c.s, axis=1) | np.any(c.offset, axis=1)
+        return [int(i) for i in np.flatnonzero(found | self._vectors.moves)]
 
     # -- values, one instant -------------------------------------------------------------------
 
@@ -296,7 +317,7 @@ class JointConstraints:
             time = float(t[k]) if self.driven else 0.0
             c, partials = self._at(time), self._partials(time)
             for i in self._active:
-                moved = c.moved(partials[i], 1j * _STEP)
+                moved = c.moved(partials.of(i), 1j * _STEP)
                 u = U[k].real + 1j * _STEP * U_b[k][..., i]
                 result[k, ..., i] = self._phi(moved, u).imag / _STEP
         return result
@@ -314,7 +335,7 @@ class JointConstraints:
             c, partials = self._at(time), self._partials(time)
             loads = lam[k][..., self._raw_row]
             for i in self._active:
-                moved = c.moved(partials[i], 1j * _STEP)
+                moved = c.moved(partials.of(i), 1j * _STEP)
                 u = U[k].real + 1j * _STEP * U_b[k][..., i]
                 raw_b = self._raw(moved, u).imag / _STEP
                 force = np.atleast_2d(raw_b * loads)
@@ -335,15 +356,21 @@ class JointConstraints:
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
+        if self._simple:
+            return np.zeros(self.n_lam)
         U = self._vectors.of(q[None])[0]
         return self._velocity_side([self._at(t, n) for n in range(2)], U)
 
     def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of `velocity_side`."""
+        if self._simple:
+            return np.zeros((self.n_lam, self._n_b))
         return self._total(self._velocity_side, t, 2, (q,), (q_b,))
 
     def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
         """-(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
+        if self._simple:
+            return np.zeros(self.n_lam)
         U, V = self._vectors.of(np.stack([q, v]))
         return self._acceleration_side([self._at(t, n) for n in range(3)], U, V)
 
@@ -351,6 +378,8 @@ class JointConstraints:
         self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
     ) -> Array:
         """Total design derivative of `acceleration_side`."""
+        if self._simple:
+            return np.zeros((self.n_lam, self._n_b))
         return self._total(self._acceleration_side, t, 3, (q, v), (q_b, v_b))
 
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
@@ -366,6 +395,8 @@ class JointConstraints:
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of Phi_q x with x held."""
+        if self._simple and not self._active:
+            return np.zeros((self.n_lam, self._n_b))
         return self._total(self._jacobian_times, t, 1, (q, x), (q_b, np.zeros_like(q_b)))
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
@@ -392,17 +423,16 @@ class JointConstraints:
     # -- polynomials ---------------------------------------------------------------------------
 
     def _phi(self, c: _Values, U: Array) -> Array:
-        flat = U.reshape(*U.shape[:-2], -1)
+        flat = _flat(U)
         products = np.sum(U[..., self._s_i, :] * U[..., self._s_j, :], axis=-1)
         linear = _sum_rows(self._row_map, c.a * flat[..., self._a_at])
         return linear + _sum_rows(self._s_row_map, c.s * products) - c.offset
 
     def _raw(self, c: _Values, U: Array) -> Array:
         """Nonzero entries of Phi_U."""
-        s, shape = c.s[:, None], (*U.shape[:-2], -1)
-        a = np.broadcast_to(c.a, (*U.shape[:-2], len(c.a)))
-        to_i = (s * U[..., self._s_j, :]).reshape(shape)
-        to_j = (s * U[..., self._s_i, :]).reshape(shape)
+        s = c.s[..., None]
+        a = np.broadcast_to(c.a, (*U.shape[:-2], c.a.shape[-1]))
+        to_i, to_j = _flat(s * U[..., self._s_j, :]), _flat(s * U[..., self._s_i, :])
         return np.concatenate([a, to_i, to_j], axis=-1)
 
     def _rate_values(self, x: Array, t: float, order: int) -> Array:
@@ -415,18 +445,17 @@ class JointConstraints:
         return self._raw(_Values(series[1].a, series[0].s, series[1].offset), V)
 
     def _jacobian_times(self, series: Sequence[_Values], U: Array, X: Array) -> Array:
-        weighted = self._raw(series[0], U) * X.reshape(-1)[self._raw_at]
-        result = np.zeros(self.n_lam, dtype=weighted.dtype)
-        np.add.at(result, self._raw_row, weighted)
-        return result
+        flat = _flat(X)
+        return _sum_rows(self._raw_row_map, self._raw(series[0], U) * flat[..., self._raw_at])
 
     def _linear(self, c: _Values, U: Array) -> Array:
-        return _sum_rows(self._row_map, c.a * U.reshape(-1)[self._a_at])
+        flat = _flat(U)
+        return _sum_rows(self._row_map, c.a * flat[..., self._a_at])
 
     def _product(self, c: _Values, U: Array, V: Array) -> Array:
         """Sum of s (U_i . V_j + V_i . U_j)."""
         i, j = self._s_i, self._s_j
-        products = np.sum(U[i] * V[j] + V[i] * U[j], axis=-1)
+        products = np.sum(U[..., i, :] * V[..., j, :] + V[..., i, :] * U[..., j, :], axis=-1)
         return _sum_rows(self._s_row_map, c.s * products)
 
     def _velocity_side(self, series: Sequence[_Values], U: Array) -> Array:
@@ -452,27 +481,19 @@ class JointConstraints:
         states_b: tuple[Array, ...],
     ) -> Array:
         """Differentiate a polynomial of coefficients and vectors along the design."""
-        series = [self._at(t, n) for n in range(orders)]
-        U = self._vectors.of(np.stack(states))
-        U_b = self._vectors.of_b(np.stack(states))
-        columns = []
-        for i in range(self._n_b):
-            along = self._vectors.of(np.stack([x[:, i] for x in states_b])) + U_b[..., i]
-            moved = [c.moved(self._partial(t, n, i), 1j * _STEP) for n, c in enumerate(series)]
-            columns.append(function(moved, *(U + 1j * _STEP * along)).imag / _STEP)
-        size = len(function(series, *U))
-        return np.stack(columns, axis=-1) if columns else np.zeros((size, 0))
+        U, U_b = self._vectors.of(np.stack(states)), self._vectors.of_b(np.stack(states))
+        moved = [self._at(t, n).moved(self._partials(t, n), 1j * _STEP) for n in range(orders)]
+        arguments = []
+        for k, x_b in enumerate(states_b):
+            along = self._vectors.of(x_b.T) + np.moveaxis(U_b[k], -1, 0)
+            arguments.append(U[k] + 1j * _STEP * along)
+        columns: Array = function(moved, *arguments).imag / _STEP
+        return columns.T
 
-    @property
-    def _active(self) -> list[int]:
-        """Design variables that constraints depend on with q held."""
-        if self.driven:
-            return list(range(self._n_b))
-        return [
-            i
-            for i, item in enumerate(self._constant_b)
-            if np.any(item.a) or np.any(item.s) or np.any(item.offset) or self._vectors.moves[i]
-        ]
+
+def _flat(U: Array) -> Array:
+    """Join the last two axes; also where a leading axis is empty."""
+    return U.reshape(*U.shape[:-2], U.shape[-2] * U.shape[-1])
 
 
 def _sum_rows(rows: LinearMap, x: Array) -> Array:

@@ -1,0 +1,62 @@
+"""Accelerations and multipliers from positions and velocities (index-1 form).
+
+    [ M      Phi_q^T ] [ a   ]   [ Q     ]
+    [ Phi_q  0       ] [ lam ] = [ gamma ],
+
+and the same matrix for their design derivatives.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from ancfdae.integrators.totals import acceleration_totals
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.system import MechanicalSystem
+
+
+@final
+class Accelerations:
+    """Solves for (a, lam) and keeps the factorised matrix while it does not change.
+
+    For a constant mass and constant Phi_q it is factorised once in a whole run.
+    """
+
+    def __init__(self, system: MechanicalSystem, matrices: SaddlePoint) -> None:
+        self._system, self._matrices = system, matrices
+        self._Phi_q: Array | None = None
+        self._factors: Factorization | None = None
+        self.factorisations = 0
+
+    def factors(self, t: float, q: Array) -> Factorization:
+        """Return the factorised matrix at q.
+
+        Raises
+        ------
+        SingularMatrix
+        """
+        Phi_q = self._system.constraint_q(q, t)
+        kept = self._system.constant_mass and self._Phi_q is not None
+        if self._factors is None or not (kept and np.array_equal(Phi_q, self._Phi_q)):  # type: ignore[arg-type]
+            self._factors = self._matrices.factor(self._system.mass(q), Phi_q)
+            self._Phi_q = Phi_q
+            self.factorisations += 1
+        return self._factors
+
+    def solve(self, t: float, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return a and lam."""
+        system = self._system
+        right = np.concatenate([system.force(q, v, t), system.acceleration_side(q, v, t)])
+        x = self.factors(t, q).solve(right)
+        return x[: system.n_q], x[system.n_q :]
+
+    def solve_b(
+        self, t: float, state: tuple[Array, Array, Array, Array], q_b: Array, v_b: Array
+    ) -> tuple[Array, Array]:
+        """Return a_b and lam_b at the state (q, v, a, lam)."""
+        right = np.concatenate(acceleration_totals(self._system, t, state, q_b, v_b))
+        x = self.factors(t, state[0]).solve(right)
+        return x[: self._system.n_q], x[self._system.n_q :]

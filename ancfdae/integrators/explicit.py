@@ -1,0 +1,148 @@
+"""Explicit Runge-Kutta of order 8 (DOP853, Hairer, Norsett & Wanner) on the index-1 form.
+
+    q' = v,   v' = a(t, q, v),   q_b' = v_b,   v_b' = a_b(t, q, v, q_b, v_b)
+
+with (a, lam) and (a_b, lam_b) from one factorised matrix per stage, which is one for the whole run
+where M and Phi_q are constant. Linear constraints are kept by every stage; the drift of others is
+removed after each step and from the instants (`projection`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from scipy.integrate import DOP853, DenseOutput
+
+from ancfdae.errors import Verdict, require_count
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem
+from ancfdae.integrators.point import Point
+from ancfdae.integrators.projection import project
+from ancfdae.integrators.tolerances import require_rtol
+from ancfdae.numerics.arrays import Array, is_finite
+
+# SciPy raises smaller ones to 100 eps with a warning.
+_LEAST_RTOL = 3e-14
+# Absolute tolerance relative to the scales, per unit of rtol.
+_SMALL = 1e-2
+
+
+@final
+@dataclass(frozen=True)
+class Explicit(HighOrder):
+    """Explicit integration of order 8 with error control; for soft scenes.
+
+    The step is bounded by the highest frequency, so stiff scenes need many steps.
+
+    Parameters
+    ----------
+    rtol : float
+        Relative tolerance per step.
+    intervals : int
+        As in `HighOrder`.
+    max_steps : int
+        Steps between two instants before the run ends with an outcome.
+
+    Raises
+    ------
+    InvalidInput
+        If a setting is out of range.
+    """
+
+    rtol: float = 1e-8
+    intervals: int = 64
+    max_steps: int = 20_000
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_rtol("Explicit.rtol", self.rtol, _LEAST_RTOL)
+        require_count("Explicit.intervals", self.intervals, "64 is a good number.")
+        require_count("Explicit.max_steps", self.max_steps, "20000 is plenty.")
+
+    def start(self, problem: Problem, t_end: float) -> March:
+        """Set up DOP853."""
+        return _ExplicitMarch(self, problem, t_end)
+
+
+@final
+class _ExplicitMarch(March):
+    """One run; the vector y holds the rows q, v and then q_b, v_b of every variable, scaled."""
+
+    def __init__(self, settings: Explicit, problem: Problem, t_end: float) -> None:
+        self._max_steps, self._problem = settings.max_steps, problem
+        system, s, b = problem.system, problem.scales, problem.derivative
+        self._m = 0 if b is None else system.n_b
+        self.steps = self.iterations = self.factorisations = self.residuals = 0
+        own = np.concatenate([s.q, s.v])[None]
+        self._size = np.concatenate([own, own / s.b[: self._m, None]])
+        first = problem.initial
+        start = Point(first.q, first.v)
+        if b is not None:
+            start = Point(first.q, first.v, b.q_b, b.v_b)
+        self._between: DenseOutput | None = None
+        self._solver = DOP853(
+            self._rate,
+            0.0,
+            self._vector(start),
+            t_end,
+            rtol=settings.rtol,
+            atol=_SMALL * settings.rtol,
+        )
+
+    def to(self, t: float) -> Point | Verdict:
+        """Step until t lies behind, then interpolate."""
+        solver, taken = self._solver, 0
+        while solver.t < t:
+            if taken == self._max_steps:
+                return Verdict.STEP_LIMIT
+            solver.step()
+            if solver.status == "failed":
+                return Verdict.ERROR_TEST
+            taken += 1
+            self.steps += 1
+            self._between = None
+            if not self._problem.system.linear_constraints:
+                solver.y = self._vector(self._projected(solver.t, solver.y))
+                solver.f = self._rate(solver.t, solver.y)
+        if solver.t == t:
+            return self._point(solver.y)
+        if self._between is None:
+            self._between = solver.dense_output()
+        return self._projected(t, self._between(t))
+
+    def residual(self) -> float:
+        """Return zero: an explicit step has no equations left over."""
+        return 0.0
+
+    def _vector(self, point: Point) -> Array:
+        rows = np.concatenate([point.q, point.v])[None]
+        if point.q_b is not None and point.v_b is not None:
+            rows = np.concatenate([rows, np.concatenate([point.q_b, point.v_b]).T])
+        vector: Array = (rows / self._size).ravel()
+        return vector
+
+    def _point(self, y: Array) -> Point:
+        n_q = self._problem.system.n_q
+        x = y.reshape(self._m + 1, -1) * self._size
+        if self._m == 0:
+            return Point(x[0, :n_q], x[0, n_q:])
+        return Point(x[0, :n_q], x[0, n_q:], x[1:, :n_q].T, x[1:, n_q:].T)
+
+    def _projected(self, t: float, y: Array) -> Point:
+        if not is_finite(y):
+            raise NotFinite
+        return project(self._problem.system, self._problem.accelerations, t, self._point(y))
+
+    def _rate(self, t: float, y: Array) -> Array:
+        self.residuals += 1
+        x, accelerations = self._point(y), self._problem.accelerations
+        a, lam = accelerations.solve(t, x.q, x.v)
+        rate = Point(x.v, a)
+        if x.q_b is not None and x.v_b is not None:
+            state = (x.q, x.v, a, lam)
+            rate = Point(x.v, a, x.v_b, accelerations.solve_b(t, state, x.q_b, x.v_b)[0])
+        vector = self._vector(rate)
+        if not is_finite(vector):
+            raise NotFinite
+        return vector

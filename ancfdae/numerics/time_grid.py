@@ -1,0 +1,104 @@
+"""Instants of a run, and integrals and values between them.
+
+A grid of degree p is a chain of panels of p + 1 instants that share their end
+points. Within a panel a function is the polynomial of degree p through its
+values; quadrature and interpolation integrate and evaluate that polynomial.
+
+* p = 1: panels are single steps, quadrature is the trapezoidal rule and
+  interpolation is linear. Second order, as HHT-I3.
+* p = 8: instants are Gauss-Lobatto points, and the quadrature is exact to
+  degree 15; for integrators of high order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import final
+
+import numpy as np
+
+from ancfdae.numerics.arrays import Array
+
+LOBATTO_DEGREE = 8
+
+
+@final
+@dataclass(frozen=True)
+class TimeGrid:
+    """Increasing instants in panels.
+
+    Attributes
+    ----------
+    t : array, shape (n_t,)
+    degree : int
+        Degree p of the polynomial of a panel; a run that ended early may leave a last panel of
+        fewer instants, whose polynomial has a lower degree.
+    """
+
+    t: Array
+    degree: int
+
+    @staticmethod
+    def lobatto(t_end: float, panels: int) -> TimeGrid:
+        """Return Gauss-Lobatto points in equal panels from 0 to `t_end`."""
+        share = 0.5 * (_lobatto_points() + 1.0)
+        left = np.arange(panels)[:, None]
+        t = np.append(((left + share[None, :-1]) / panels).ravel(), 1.0) * t_end
+        return TimeGrid(t, LOBATTO_DEGREE)
+
+    def weights(self) -> Array:
+        """Return quadrature weights of all instants, shape (n_t,)."""
+        w = np.zeros(len(self.t))
+        if self.degree == 1:
+            w[1:] += 0.5 * np.diff(self.t)
+            w[:-1] += 0.5 * np.diff(self.t)
+            return w
+        for left in range(0, len(self.t) - 1, self.degree):
+            panel = slice(left, min(left + self.degree + 1, len(self.t)))
+            w[panel] += _panel_weights(self.t[panel])
+        return w
+
+    def interpolation(self, time: float) -> tuple[slice, Array]:
+        """Return instants and weights whose sum of products is the value at `time`.
+
+        A time that is an instant but for round-off means that instant.
+        """
+        t = self.t
+        nearest = int(np.argmin(np.abs(t - time)))
+        if abs(t[nearest] - time) <= 1e-12 * t[-1]:
+            return slice(nearest, nearest + 1), np.ones(1)
+        step = int(np.searchsorted(t, time)) - 1
+        left = step - step % self.degree
+        panel = slice(left, min(left + self.degree + 1, len(t)))
+        return panel, _lagrange(t[panel], time)
+
+
+@lru_cache(maxsize=1)
+def _lobatto_points() -> Array:
+    # NumPy 2.3 returns real roots as complex numbers.
+    inner = np.polynomial.legendre.Legendre.basis(LOBATTO_DEGREE).deriv().roots().real
+    points = np.concatenate([[-1.0], np.sort(inner), [1.0]])
+    points.setflags(write=False)
+    return points
+
+
+def _panel_weights(t: Array) -> Array:
+    """Integrals of the Lagrange polynomials: exact for all Legendre polynomials up to p."""
+    half = 0.5 * (t[-1] - t[0])
+    x = (t - 0.5 * (t[0] + t[-1])) / half
+    integrals = np.zeros(len(t))
+    integrals[0] = 2.0 * half
+    V = np.polynomial.legendre.legvander(x, len(t) - 1)
+    weights: Array = np.linalg.solve(V.T, integrals)
+    return weights
+
+
+def _lagrange(t: Array, time: float) -> Array:
+    """Values of the Lagrange polynomials of the instants at one time."""
+    gaps = t[:, None] - t
+    np.fill_diagonal(gaps, 1.0)
+    ahead = np.broadcast_to(time - t, gaps.shape).copy()
+    np.fill_diagonal(ahead, 1.0)
+    values: Array = np.prod(ahead / gaps, axis=1)
+    return values
