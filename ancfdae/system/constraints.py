@@ -117,6 +117,7 @@ class JointConstraints:
         self._cache: tuple[float, _Values] | None = None
         self._constant = self._collect(lambda item: item.at(0.0, 0))
         self._constant_b = [self._read_partial(0.0, 0, i) for i in range(n_b)]
+        self._active = self._find_active()
         self._place(n_q)
 
     # -- structure -----------------------------------------------------------------------------
@@ -290,8 +291,10 @@ class JointConstraints:
 
     def constraints_b(self, q: Array, t: Array) -> Array:
         """Phi_b, shape (k, n_lam, n_b)."""
-        U, U_b = self._vectors.of(q), self._vectors.of_b(q)
         result = np.zeros((len(q), self.n_lam, self._n_b), dtype=q.dtype)
+        if len(self._active) == 0:
+            return result
+        U, U_b = self._vectors.of(q), self._vectors.of_b(q)
         for k in range(len(q)) if self.driven else [slice(None)]:
             time = float(t[k]) if self.driven else 0.0
             c, partials = self._at(time), self._partials(time)
@@ -303,11 +306,10 @@ class JointConstraints:
 
     def constraint_forces_b(self, q: Array, lam: Array, t: Array) -> Array:
         """(Phi_q^T lam)_b, shape (k, n_q, n_b)."""
-        U, U_b = self._vectors.of(q), self._vectors.of_b(q)
-        n_q = q.shape[1]
-        result = np.zeros((len(q), n_q, self._n_b), dtype=q.dtype)
+        result = np.zeros((*q.shape, self._n_b), dtype=q.dtype)
         if len(self._active) == 0:
             return result
+        U, U_b = self._vectors.of(q), self._vectors.of_b(q)
         on_vectors = np.zeros((len(q), U.shape[1] * self._d))
         for k in range(len(q)) if self.driven else [slice(None)]:
             time = float(t[k]) if self.driven else 0.0
@@ -391,16 +393,19 @@ class JointConstraints:
 
     # -- polynomials ---------------------------------------------------------------------------
 
+    def _flat(self, U: Array) -> Array:
+        """Components of all vectors in a row."""
+        return U.reshape(*U.shape[:-2], U.shape[-2] * self._d)
+
     def _phi(self, c: _Values, U: Array) -> Array:
-        flat = U.reshape(*U.shape[:-2], -1)
         products = np.sum(U[..., self._s_i, :] * U[..., self._s_j, :], axis=-1)
-        linear = _sum_rows(self._row_map, c.a * flat[..., self._a_at])
+        linear = _sum_rows(self._row_map, c.a * self._flat(U)[..., self._a_at])
         return linear + _sum_rows(self._s_row_map, c.s * products) - c.offset
 
     def _raw(self, c: _Values, U: Array) -> Array:
         """Nonzero entries of Phi_U."""
-        s, shape = c.s[:, None], (*U.shape[:-2], -1)
-        a = np.broadcast_to(c.a, (*U.shape[:-2], len(c.a)))
+        s, shape = c.s[..., None], (*U.shape[:-2], len(self._s_row) * self._d)
+        a = np.broadcast_to(c.a, (*U.shape[:-2], c.a.shape[-1]))
         to_i = (s * U[..., self._s_j, :]).reshape(shape)
         to_j = (s * U[..., self._s_i, :]).reshape(shape)
         return np.concatenate([a, to_i, to_j], axis=-1)
@@ -415,18 +420,18 @@ class JointConstraints:
         return self._raw(_Values(series[1].a, series[0].s, series[1].offset), V)
 
     def _jacobian_times(self, series: Sequence[_Values], U: Array, X: Array) -> Array:
-        weighted = self._raw(series[0], U) * X.reshape(-1)[self._raw_at]
-        result = np.zeros(self.n_lam, dtype=weighted.dtype)
-        np.add.at(result, self._raw_row, weighted)
+        weighted = self._raw(series[0], U) * self._flat(X)[..., self._raw_at]
+        result = np.zeros((*weighted.shape[:-1], self.n_lam), dtype=weighted.dtype)
+        np.add.at(result.T, self._raw_row, weighted.T)
         return result
 
     def _linear(self, c: _Values, U: Array) -> Array:
-        return _sum_rows(self._row_map, c.a * U.reshape(-1)[self._a_at])
+        return _sum_rows(self._row_map, c.a * self._flat(U)[..., self._a_at])
 
     def _product(self, c: _Values, U: Array, V: Array) -> Array:
         """Sum of s (U_i . V_j + V_i . U_j)."""
         i, j = self._s_i, self._s_j
-        products = np.sum(U[i] * V[j] + V[i] * U[j], axis=-1)
+        products = np.sum(U[..., i, :] * V[..., j, :] + V[..., i, :] * U[..., j, :], axis=-1)
         return _sum_rows(self._s_row_map, c.s * products)
 
     def _velocity_side(self, series: Sequence[_Values], U: Array) -> Array:
@@ -452,19 +457,31 @@ class JointConstraints:
         states_b: tuple[Array, ...],
     ) -> Array:
         """Differentiate a polynomial of coefficients and vectors along the design."""
-        series = [self._at(t, n) for n in range(orders)]
-        U = self._vectors.of(np.stack(states))
-        U_b = self._vectors.of_b(np.stack(states))
-        columns = []
-        for i in range(self._n_b):
-            along = self._vectors.of(np.stack([x[:, i] for x in states_b])) + U_b[..., i]
-            moved = [c.moved(self._partial(t, n, i), 1j * _STEP) for n, c in enumerate(series)]
-            columns.append(function(moved, *(U + 1j * _STEP * along)).imag / _STEP)
-        size = len(function(series, *U))
-        return np.stack(columns, axis=-1) if columns else np.zeros((size, 0))
+        # All design variables at once: they are the leading axis of what follows.
+        k, n_b = len(states), self._n_b
+        rows = np.concatenate([x_b.T for x_b in states_b])
+        U = self._vectors.of(np.stack(states))[:, None]
+        along = self._vectors.of(rows).reshape(k, n_b, *U.shape[2:])
+        along = along + np.moveaxis(self._vectors.of_b(np.stack(states)), -1, 1)
+        moved = [self._moved(t, n) for n in range(orders)]
+        total: Array = function(moved, *(U + 1j * _STEP * along)).imag.T / _STEP
+        return total
 
-    @property
-    def _active(self) -> list[int]:
+    def _moved(self, t: float, order: int) -> _Values:
+        """Coefficients with every design variable moved in turn, one row each."""
+        base = self._at(t, order)
+        partials = [self._partial(t, order, i) for i in range(self._n_b)]
+
+        def rows(value: Array, changes: list[Array]) -> Array:
+            return value + 1j * _STEP * np.reshape(changes, (self._n_b, len(value)))
+
+        return _Values(
+            rows(base.a, [partial.a for partial in partials]),
+            rows(base.s, [partial.s for partial in partials]),
+            rows(base.offset, [partial.offset for partial in partials]),
+        )
+
+    def _find_active(self) -> list[int]:
         """Design variables that constraints depend on with q held."""
         if self.driven:
             return list(range(self._n_b))
