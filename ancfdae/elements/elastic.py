@@ -16,6 +16,8 @@ leave V and tau out and pay nothing for them.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ancfdae.elements.packing import (
@@ -29,7 +31,15 @@ from ancfdae.numerics.arrays import Array
 
 def apply_invariant(A: Array, x: Array) -> Array:
     """Return A x per element; shapes (n or 1, n_g, n_g) and (..., n, n_g)."""
-    product: Array = x @ A[0] if len(A) == 1 else np.matmul(A, x[..., None])[..., 0]
+    product: Array
+    if len(A) == 1:
+        product = x @ A[0]
+    elif x.ndim == 2:
+        product = np.matmul(A, x[..., None])[..., 0]
+    else:
+        # A is symmetric; one product per element for all instants instead of one for each.
+        instants = x.reshape(math.prod(x.shape[:-2]), *x.shape[-2:]).swapaxes(0, 1)
+        product = np.matmul(instants, A).swapaxes(0, 1).reshape(x.shape)
     return product
 
 

@@ -3,11 +3,11 @@
 Both read the discrete equations of `hht_equations` linearised at the converged
 states. With c the coefficients, one step of the derivative recurrence is
 
-    x~ = P x_n                    predictors of q_b and v_b                         (2), (3)
-    J [a_b; lam_b] = -[ alpha/(1+alpha) M A_b,n + f_b + f_q q~_b + f_v v~_b ;
+    q~_b, v~_b = predictors of q_b and v_b                                        (2), (3)
+    A~_b = alpha/(1+alpha) A_b,n
+    J [a_b; lam_b] = -[ M A~_b + f_b + f_q q~_b + f_v v~_b ;
                         (Phi_q q~_b + Phi_b)/(beta h^2) ]                         (22), (23)
-    q_b = q~_b + beta h^2 a_b,  v_b = v~_b + gamma h a_b
-    A_b = (a_b + alpha A_b,n)/(1+alpha)
+    q_b = q~_b + beta h^2 a_b,  v_b = v~_b + gamma h a_b,  A_b = A~_b + a_b/(1+alpha)
 
 where f = M A + Phi_q^T lam - Q with A and lam held. The pass back is the transpose of exactly
 these lines, in reverse order.
@@ -26,7 +26,6 @@ from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.hht_equations import (
     Coefficients,
     NodeSensitivity,
-    acceleration,
     correct,
     iteration_matrices,
     predict,
@@ -36,7 +35,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.patterns import Stack
 from ancfdae.solution import Solution
-from ancfdae.system import Linearisation, MechanicalSystem
+from ancfdae.system import DesignPartials, Linearisation, MechanicalSystem
 
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).
@@ -59,20 +58,21 @@ def differentiate(
     verdict : Verdict
         How the pass ended.
     """
-    n_t, n_q, n_b, n_lam = len(run.t), system.n_q, system.n_b, system.n_lam
-    arrays = [np.zeros((n_t, n, n_b)) for n in (n_q, n_q, n_q, n_lam)]
-    first = (start.q_b, start.v_b, start.A_b, start.lam_b)
-    for array, value in zip(arrays, first, strict=True):
-        array[0] = value
+    n_t, n_b, n_q = len(run.t), system.n_b, system.n_q
+    states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
+    states[0], lam_b[0] = (start.q_b.T, start.v_b.T, start.A_b.T), start.lam_b.T
+    q_p, v_p = predict(c, start.q_b, start.v_b, start.a_b)
+    predicted = np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * start.A_b.T])
     done, verdict = 1, Verdict.FINISHED
     try:
-        for _ in _advance(system, matrices, c, run, arrays, start.a_b):
+        for _ in _advance(system, matrices, c, run, predicted, states, lam_b):
             done += 1
     except SingularMatrix:
         verdict = Verdict.SINGULAR
     except KeyboardInterrupt:
         verdict = Verdict.INTERRUPTED
-    return [array[:done] for array in arrays], verdict
+    arrays = (states[:done, 0], states[:done, 1], states[:done, 2], lam_b[:done])
+    return [array.transpose(0, 2, 1) for array in arrays], verdict
 
 
 def _advance(
@@ -80,34 +80,59 @@ def _advance(
     matrices: SaddlePoint,
     c: Coefficients,
     run: Solution,
-    arrays: list[Array],
-    a_b: Array,
+    predicted: Array,
+    states: Array,
+    lam_b: Array,
 ) -> Iterator[None]:
-    """Fill the rows of the arrays one by one and yield after each."""
-    q_b, v_b, A_b, lam_b = arrays
-    n_t, n_q, n_b, n_lam = len(q_b), system.n_q, system.n_b, system.n_lam
+    """Fill the rows of the arrays one by one and yield after each.
+
+    States are q_b, v_b, A_b with design variables as rows, (n_t, 3, n_b, n_q), and so is lam_b:
+    right-hand sides then stand in memory as LAPACK wants them. `predicted` is q~_b, v~_b and
+    A~_b of the first step.
+    """
+    n_t, _, n_b, n_q = states.shape
+    z = np.concatenate([predicted, np.zeros((1, n_b, n_q))])  # q~_b, v~_b, A~_b, a_b of a step
+    step = _step_matrix(c)
     # f_q and Phi_q / (beta h^2) above each other: one product with the predictors.
     stacked = Stack(system.pattern, system.constraint_pattern)
-    for steps in _chunks(system, n_t, n_b * (n_q + n_lam)):
+    for steps in _chunks(system, n_t, 2 * n_b * (n_q + system.n_lam)):
         t, q, v, A, lam = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
         local = system.linearise(t, q, v, A, lam)
-        partials = system.design_partials(t, q, v, A, lam)
-        constraints_b = partials.Phi_b / (c.beta * c.h**2)
-        given = -np.concatenate([partials.f_b, constraints_b], axis=1)
+        given = _given(c, system.design_partials(t, q, v, A, lam))
+        constraints_q = local.Phi_q / (c.beta * c.h**2)
         jacobians = _factorised(matrices, c, local, range(len(t)))
         for k, jacobian in enumerate(jacobians):
-            n = steps.start + k
-            q_p, v_p = predict(c, q_b[n - 1], v_b[n - 1], a_b)
-            right = given[k]
-            right -= stacked.dot(local.f_q[k], local.Phi_q[k] / (c.beta * c.h**2), q_p)
-            right[:n_q] -= system.mass_times(q[k], (c.alpha / (1 + c.alpha)) * A_b[n - 1])
+            n, right = steps.start + k, given[k]
+            right -= stacked.dot_rows(local.f_q[k], constraints_q[k], z[0])
+            right[:, :n_q] -= system.mass_times(q[k], z[2].T).T
             if local.f_v is not None:
-                right[:n_q] -= system.pattern.dot(local.f_v[k], v_p)
-            x = jacobian.solve(right)
-            a_b, lam_b[n] = x[:n_q], x[n_q:]
-            q_b[n], v_b[n] = correct(c, q_p, v_p, a_b)
-            A_b[n] = acceleration(c, a_b, A_b[n - 1])
+                right[:, :n_q] -= system.pattern.dot(local.f_v[k], z[1].T).T
+            x = jacobian.solve(right.T).T
+            z[3], lam_b[n] = x[:, :n_q], x[:, n_q:]
+            after = (step @ z.reshape(4, -1)).reshape(6, n_b, n_q)
+            states[n], z[:3] = after[:3], after[3:]
             yield
+
+
+def _step_matrix(c: Coefficients) -> Array:
+    """Return the map from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~).
+
+    All of a step but its solution in one small product; the coefficients come from a step with
+    unit vectors.
+    """
+    q_p, v_p, A_p, a = np.eye(4)
+    q, v = correct(c, q_p, v_p, a)
+    A = A_p + a / (1 + c.alpha)
+    return np.array([q, v, A, *predict(c, q, v, a), c.alpha / (1 + c.alpha) * A])
+
+
+def _given(c: Coefficients, partials: DesignPartials) -> Array:
+    """Return the known part of the right sides, shape (k, n_b, n_q + n_lam)."""
+    k, n_q, n_b = partials.f_b.shape
+    given = np.empty((k, n_b, n_q + partials.Phi_b.shape[1]))  # each step in one piece
+    np.negative(partials.f_b.transpose(0, 2, 1), out=given[:, :, :n_q])
+    np.divide(partials.Phi_b.transpose(0, 2, 1), -c.beta * c.h**2, out=given[:, :, n_q:])
+    return given
 
 
 def pull_back(

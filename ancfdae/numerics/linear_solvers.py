@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
 from ancfdae.errors import SingularMatrix
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
 # Measured on chains of spatial elements (docs/theory.md, section 9): below this size dense LU is
@@ -113,8 +113,14 @@ class SaddlePoint:
         SingularMatrix
             As `factor`, when the matrix is asked for.
         """
-        for values in np.concatenate([K, B, B], axis=1) * self._factors:
-            if not is_finite(values):
+        # Written row by row: matrices may come as columns in memory.
+        n, m = K.shape[1], B.shape[1]
+        scaled = np.empty((len(K), n + 2 * m), dtype=np.result_type(K, B))
+        np.multiply(K, self._factors[:n], out=scaled[:, :n])
+        np.multiply(B, self._factors[n : n + m], out=scaled[:, n : n + m])
+        scaled[:, n + m :] = scaled[:, n : n + m]
+        for values, finite in zip(scaled, np.isfinite(scaled.sum(axis=1)), strict=True):
+            if not finite:
                 raise SingularMatrix("the saddle-point matrix is not finite")
             yield _Scaled(self._storage.factor(values), self.scale)
 
@@ -145,7 +151,7 @@ def _choose_storage(size: int, rows: Array, columns: Array) -> _Storage:
     place[order] = np.arange(size)
     half_width = int(np.max(np.abs(place[rows] - place[columns])))
     if half_width <= _BAND_HALF_WIDTH:
-        return _BandStorage(order, place[rows], place[columns], half_width)
+        return _BandStorage(order, place, place[rows], place[columns], half_width)
     return _SparseStorage(size, rows, columns)
 
 
@@ -185,8 +191,10 @@ class _DenseFactorization(Factorization):
 
 @final
 class _BandStorage(_Storage):
-    def __init__(self, order: Array, rows: Array, columns: Array, half_width: int) -> None:
-        self._order, self._half_width = order, half_width
+    def __init__(
+        self, order: Array, place: Array, rows: Array, columns: Array, half_width: int
+    ) -> None:
+        self._order, self._place, self._half_width = order, place, half_width
         size = len(order)
         # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j; built
         # transposed in C order as above.
@@ -196,14 +204,16 @@ class _BandStorage(_Storage):
     def factor(self, values: Array) -> Factorization:
         band = np.zeros(self._shape[0] * self._shape[1], dtype=values.dtype)
         band[self._flat] = values
-        return _BandFactorization(band.reshape(self._shape).T, self._half_width, self._order)
+        return _BandFactorization(
+            band.reshape(self._shape).T, self._half_width, self._order, self._place
+        )
 
 
 @final
 class _BandFactorization(Factorization):
-    def __init__(self, band: Array, half_width: int, order: Array) -> None:
+    def __init__(self, band: Array, half_width: int, order: Array, place: Array) -> None:
         gbtrf, self._gbtrs = _lapack("gbtrf", "gbtrs", band.dtype)
-        self._k, self._order = half_width, order
+        self._k, self._order, self._place = half_width, order, place
         self._lu, self._pivots, info = gbtrf(band, half_width, half_width, overwrite_ab=True)
         if info > 0:
             raise SingularMatrix(f"zero pivot {info} of {len(order)}")
@@ -217,12 +227,13 @@ class _BandFactorization(Factorization):
     def _call(self, right: Array, transposed: int) -> Array:
         if self._lu.dtype.kind != "c" and right.dtype.kind == "c":
             return self._call(right.real, transposed) + 1j * self._call(right.imag, transposed)
-        permuted = right[self._order].astype(np.result_type(right, self._lu))
-        columns = permuted if permuted.ndim == 2 else permuted[:, None]
-        x, _ = self._gbtrs(self._lu, self._k, self._k, columns, self._pivots, trans=transposed)
-        result = np.empty_like(permuted)
-        result[self._order] = x if permuted.ndim == 2 else x[:, 0]
-        return result
+        # LAPACK takes right-hand sides one after the other in memory: as rows of an array.
+        rows = np.atleast_2d(right.T).take(self._order, axis=1)
+        x, _ = self._gbtrs(
+            self._lu, self._k, self._k, rows.T, self._pivots, trans=transposed, overwrite_b=True
+        )
+        result: Array = x.T.take(self._place, axis=1)
+        return result.T if right.ndim == 2 else result[0]
 
 
 @final

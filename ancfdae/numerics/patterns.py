@@ -104,22 +104,19 @@ class Stack:
 
     def __init__(self, upper: Pattern, lower: Pattern) -> None:
         self._upper, self._lower = upper, lower
-        rows = upper.shape[0] + lower.shape[0]
-        self._shape = (rows, upper.shape[1])
-        self._small = rows * upper.shape[1] <= _DENSE_ENTRIES
-        self._flat = np.concatenate(
-            [
-                upper.rows * upper.shape[1] + upper.columns,
-                (lower.rows + upper.shape[0]) * upper.shape[1] + lower.columns,
-            ]
-        )
+        rows, columns = upper.shape[0] + lower.shape[0], upper.shape[1]
+        self._small = rows * columns <= _DENSE_ENTRIES
+        # Transposed; what is zero by the patterns is written once.
+        self._matrix = np.zeros((columns, rows) if self._small else (0, 0))
+        self._flat_upper = upper.columns * rows + upper.rows
+        self._flat_lower = lower.columns * rows + lower.rows + upper.shape[0]
 
-    def dot(self, upper: Array, lower: Array, x: Array) -> Array:
-        """Multiply the columns of an array with both matrices."""
+    def dot_rows(self, upper: Array, lower: Array, x: Array) -> Array:
+        """Multiply each row of an array, shape (k, n_columns) to (k, n_rows)."""
         if not self._small:
-            parts = [self._upper.dot(upper, x), self._lower.dot(lower, x)]
-            return np.concatenate(parts)
-        matrix = np.zeros(self._shape[0] * self._shape[1], dtype=upper.dtype)
-        matrix[self._flat] = np.concatenate([upper, lower])
-        product: Array = matrix.reshape(self._shape) @ x
+            products = [self._upper.dot(upper, x.T), self._lower.dot(lower, x.T)]
+            return np.concatenate(products).T
+        entries = self._matrix.reshape(-1)
+        entries[self._flat_upper], entries[self._flat_lower] = upper, lower
+        product: Array = x @ self._matrix
         return product

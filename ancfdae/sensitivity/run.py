@@ -164,8 +164,9 @@ def cheapest(variables: int, objectives: int) -> GradientMethod:
     """Return direct differentiation or the discrete adjoint, whichever costs less.
 
     Both factorise once per step; direct differentiation then solves for every variable, the
-    adjoint repeats its pass for every objective. Measured on the crank-slider, a pass back
-    costs as much as direct differentiation with about two variables (docs/theory.md, section 8).
+    adjoint repeats its pass for every objective. Measured on the crank-slider, up to two
+    variables cost less directly than a pass back; from there to six the two are within a few
+    per cent of the dynamics (docs/theory.md, section 8).
     """
     return Direct() if variables <= 2 * objectives else Adjoint()
 

@@ -77,7 +77,8 @@ class ElasticForces:
 
     def relative(self, q: Array) -> Array:
         """Relative node vectors of all elements, shape (k, n, n_y, d)."""
-        return self._R.rows(q).reshape(len(q), *self._shape)
+        # In one piece for each element: matrix products of small strided blocks are slow.
+        return np.ascontiguousarray(self._R.rows(q)).reshape(len(q), *self._shape)
 
     def force(self, q: Array, v: Array) -> Array:
         """Q_s for one instant, shape (n_q,)."""
@@ -91,7 +92,8 @@ class ElasticForces:
         block, Y = self._block, self.relative(q)
         V = None if block.tau is None else self.relative(v)
         K = elastic.tangent(block.A, block.g_o, Y, V, block.tau)
-        return -self._tangent_map.rows(K.reshape(len(q), -1))
+        # Instants as whole rows in memory, as they are read afterwards.
+        return np.negative(self._tangent_map.rows(K.reshape(len(q), -1)), order="C")
 
     def force_v(self, q: Array) -> Array:
         """Values of (Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
