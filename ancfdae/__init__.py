@@ -60,7 +60,13 @@ from ancfdae.sensitivity import (
     taylor_test,
 )
 from ancfdae.solution import Sensitivities, Solution, Statistics
-from ancfdae.system import AncfSystem, MechanicalSystem, OneByOneSystem, assemble
+from ancfdae.system import (
+    AncfSystem,
+    ComplexStepSystem,
+    MechanicalSystem,
+    OneByOneSystem,
+    assemble,
+)
 
 __version__ = "0.1.0"
 
@@ -73,6 +79,7 @@ __all__ = [
     "Beam",
     "Clamp",
     "ComplexStep",
+    "ComplexStepSystem",
     "ContinuousAdjoint",
     "CurvedBeam",
     "DesignVariable",
