@@ -63,9 +63,11 @@ from ancfdae.solution import Sensitivities, Solution, Statistics
 from ancfdae.system import (
     AncfSystem,
     ComplexStepSystem,
+    Conformance,
     MechanicalSystem,
     OneByOneSystem,
     assemble,
+    check_system,
 )
 
 __version__ = "0.1.0"
@@ -80,6 +82,7 @@ __all__ = [
     "Clamp",
     "ComplexStep",
     "ComplexStepSystem",
+    "Conformance",
     "ContinuousAdjoint",
     "CurvedBeam",
     "DesignVariable",
@@ -128,6 +131,7 @@ __all__ = [
     "apply",
     "assemble",
     "axial_strain",
+    "check_system",
     "custom",
     "deflection",
     "differentiate",

@@ -2,6 +2,7 @@
 
 from ancfdae.system.ancf import AncfSystem, assemble
 from ancfdae.system.complex_step import ComplexStepSystem
+from ancfdae.system.conformance import Conformance, Finding, check_system
 from ancfdae.system.contract import (
     DesignPartials,
     Linearisation,
@@ -12,9 +13,12 @@ from ancfdae.system.contract import (
 __all__ = [
     "AncfSystem",
     "ComplexStepSystem",
+    "Conformance",
     "DesignPartials",
+    "Finding",
     "Linearisation",
     "MechanicalSystem",
     "OneByOneSystem",
     "assemble",
+    "check_system",
 ]

@@ -110,8 +110,15 @@ class ComplexStepSystem(OneByOneSystem):
 
     def coordinate_weights(self) -> Array:
         """Return `weights`; by default the diagonal of M at the start."""
-        weights: Array = np.diagonal(self.mass_matrix(self.start()[0])).real.astype(float)
-        return weights
+        M = np.asarray(self.mass_matrix(self.start()[0]))
+        if M.shape != (self.n_q, self.n_q):
+            raise InvalidInput(
+                f"{type(self).__name__}.mass_matrix",
+                f"must have shape ({self.n_q}, {self.n_q})",
+                M.shape,
+                "Return an array.",
+            )
+        return np.diagonal(M).real.astype(float)
 
     # -- start ---------------------------------------------------------------------------------
 

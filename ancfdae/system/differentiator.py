@@ -88,7 +88,8 @@ class Differentiator:
         for i, unit in enumerate(np.eye(self._system.n_b)):
             change = self.motion(*[x[:, i].real for x in changes])
             columns.append(self._total(kernel, m, change, unit, radii, order))
-        return np.stack(columns, axis=-1)
+        shape = np.shape(kernel(self.base, m, *(0.0 for _ in radii)))
+        return np.stack(columns, axis=-1) if columns else np.zeros((*shape, 0))
 
     def gradient(
         self, kernel: Kernel, m: Motion, radii: tuple[float, ...] = (), order: int = 1
