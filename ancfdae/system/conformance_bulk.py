@@ -97,7 +97,11 @@ def complex_steps(add: Add, p: Probe) -> None:
         ("jerk_side", lambda x, m: x.jerk_side(m.q, m.v, m.a, t), Phi / T**3),
     ]
     if not s.constant_mass:
-        members.append(("inertia_q", lambda x, m: x.inertia_q(m.q, m.a), np.zeros(1)))
+
+        def inertia(x: MechanicalSystem, m: Motion) -> Array:
+            return np.asarray(x.pattern.dot(x.inertia_q(m.q, m.a), p.d.q))
+
+        members.append(("inertia_q", inertia, s.mass_times(m.q, m.a)))
     for name, value, size in members:
         _complex_step(add, p, name, value, size)
 
