@@ -9,6 +9,7 @@ from ancfdae import (
     HHT,
     Adjoint,
     ComplexStep,
+    ComplexStepSystem,
     ContinuousAdjoint,
     Direct,
     Integral,
@@ -84,6 +85,48 @@ def test_accuracy_does_not_depend_on_the_unit_of_length(factor):
     ):
         value, expected = (np.array(getattr(x, name)(*arguments)) for x in (ours, exact))
         assert np.max(np.abs(value - expected)) < 1e-12 * np.max(np.abs(expected)), name
+
+
+class Driven(ComplexStepSystem):
+    """A point on a spring; x follows a harmonic of any frequency."""
+
+    n_q, n_lam = 2, 1
+    design_names = ("k", "w")
+
+    def with_values(self, b):
+        return Driven(b)
+
+    def start(self):
+        return np.array([1.0, 0.5]), np.array([0.2 * self.b[1], 0.0])
+
+    def mass_matrix(self, q):
+        return np.diag([1.0, 2.0])
+
+    def force(self, q, v, t):
+        spring = self.b[0] * (1 - 0.3 / np.sqrt(q @ q))
+        return -spring * q - 0.1 * v * np.sqrt(1e-2 + v @ v)
+
+    def constraint(self, q, t):
+        return np.array([q[0] - 1 - 0.2 * np.sin(self.b[1] * t)])
+
+
+@pytest.mark.parametrize("w", [1e-3, 1.0, 1e3, 1e6])
+def test_sides_of_a_prescribed_motion_of_any_frequency(w):
+    system, t = Driven((3.0, w)), 0.3 / w
+    # Slow enough beside the prescribed motion not to limit the circles.
+    q, v, a = np.array([1.1, 0.2]), np.array([0.1, 0.03]) * w, np.array([0.2, 0.1]) * w**2
+    sine, cosine = 0.2 * np.sin(0.3), 0.2 * np.cos(0.3)
+    zero = np.zeros((2, 2))
+    for ours, exact in (
+        (system.velocity_side(q, t)[0], w * cosine),
+        (system.acceleration_side(q, v, t)[0], -(w**2) * sine),
+        (system.jerk_side(q, v, a, t)[0], -(w**3) * cosine),
+        (
+            system.acceleration_side_total(q, v, t, zero, zero)[0, 1],
+            -2 * w * sine - w * 0.3 * cosine,
+        ),
+    ):
+        assert abs(ours - exact) < 1e-12 * abs(exact)
 
 
 def test_pendulum_moves_and_differentiates_like_the_one_written_by_hand():

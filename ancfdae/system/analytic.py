@@ -35,7 +35,7 @@ class Reach:
     Attributes
     ----------
     q, v : float
-        In the norm of the weights.
+        In the norm of the weights; v is infinite for what does not depend on velocities.
     t : float
     weights : array, shape (n_q,)
     """
@@ -88,13 +88,14 @@ class Reach:
         limits = [self.t, _ratio(self.q, v), _ratio(self.v, a), np.sqrt(_ratio(2 * self.q, a))]
         return float(min(limits))
 
-    def along(self, change: Motion, b: Array, db: Array) -> float:
-        """Multiple of a change of state and design that stays within reach."""
+    def along(self, change: Motion, b: Array, db: Array, s: float) -> float:
+        """Multiple of a change of state and design that stays within reach during a time s."""
         moved = db != 0
         size = np.where(b == 0, 1.0, np.abs(b))[moved]
         limits = [
             _ratio(self.q, real_norm(change.q, self.weights)),
             _ratio(self.v, real_norm(change.v, self.weights)),
+            _ratio(self.q, s * real_norm(change.v, self.weights)),
             _ratio(self.t, abs(change.t)),
             *(_DESIGN * size / np.abs(db[moved])),
         ]
@@ -132,7 +133,9 @@ def require_analytic(system: MechanicalSystem) -> None:
 def _agrees(along: Callable[[complex], Array], value: Array, slope: Array) -> bool:
     """Whether the slope is a central difference of one of several sizes, entry by entry."""
     agreed = ~np.isfinite(slope)
-    for s in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7):
+    for s in 10.0 ** np.arange(-3, -13, -1):
+        if np.all(agreed):
+            break
         # Complex numbers throughout, so that differences try the same code.
         difference = np.real(np.asarray(along(complex(s))) - np.asarray(along(complex(-s))))
         difference = difference / (2 * s)

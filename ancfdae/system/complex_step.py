@@ -175,7 +175,7 @@ class ComplexStepSystem(OneByOneSystem):
         def force(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
             return system.force(m.q + x * unit, m.v, t)
 
-        return self._d.gradient(force, self._d.motion(q, v).parts()[0]).ravel()
+        return self._d_forces.gradient(force, self._d_forces.motion(q, v).parts()[0]).ravel()
 
     def force_v(self, q: Array, v: Array, t: float) -> Array:
         """Differentiate Q in v."""
@@ -183,23 +183,27 @@ class ComplexStepSystem(OneByOneSystem):
         def force(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
             return system.force(m.q, m.v + x * unit, t)
 
-        return self._d.gradient(force, self._d.motion(q, v).parts()[0]).ravel()
+        return self._d_forces.gradient(force, self._d_forces.motion(q, v).parts()[0]).ravel()
 
     def force_b(self, q: Array, v: Array, t: float) -> Array:
         """Differentiate Q in b."""
-        return self._d.columns(lambda system, m: system.force(m.q, m.v, t), self._d.motion(q, v))
+        return self._d_forces.columns(
+            lambda system, m: system.force(m.q, m.v, t), self._d_forces.motion(q, v)
+        )
 
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Differentiate Q along the motion."""
-        m = self._d.motion(q, v, a, t=t)
-        return self._d.value(_force_at, m, (self._d.reach.time(m),), 1)
+        m = self._d_forces.motion(q, v, a, t=t)
+        return self._d_forces.value(_force_at, m, (self._d_forces.reach.time(m),), 1)
 
     def force_rate_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
         """Differentiate `force_rate`."""
-        m = self._d.motion(q, v, a, t=t)
-        return self._d.columns(_force_at, m, (self._d.reach.time(m),), 1, (q_b, v_b, a_b))
+        m = self._d_forces.motion(q, v, a, t=t)
+        return self._d_forces.columns(
+            _force_at, m, (self._d_forces.reach.time(m),), 1, (q_b, v_b, a_b)
+        )
 
     # -- constraints ---------------------------------------------------------------------------
 
@@ -244,7 +248,7 @@ class ComplexStepSystem(OneByOneSystem):
             return system.constraint(m.q + s * x, m.t)
 
         m = self._d.motion(q, t=t)
-        radius = self._d.reach.along(self._d.motion(x), self.b, 0 * self.b)
+        radius = self._d.reach.along(self._d.motion(x), self.b, 0 * self.b, 0.0)
         return self._d.columns(moved, m, (radius,), 1, (q_b,))
 
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
@@ -307,7 +311,11 @@ class ComplexStepSystem(OneByOneSystem):
 
     @cached_property
     def _d(self) -> Differentiator:
-        return Differentiator(self)
+        return Differentiator(self, of_forces=False)
+
+    @cached_property
+    def _d_forces(self) -> Differentiator:
+        return Differentiator(self, of_forces=True)
 
 
 @cache

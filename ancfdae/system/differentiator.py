@@ -29,10 +29,12 @@ class Differentiator:
     ----------
     system : MechanicalSystem
         Its mass_times, force, constraint, start and with_values accept complex numbers.
+    of_forces : bool
+        Whether kernels depend on velocities. Others are followed further.
     """
 
-    def __init__(self, system: MechanicalSystem) -> None:
-        self._system = system
+    def __init__(self, system: MechanicalSystem, of_forces: bool) -> None:
+        self._system, self._of_forces = system, of_forces
         self._moved: dict[bytes, MechanicalSystem] = {}
 
     @cached_property
@@ -46,7 +48,8 @@ class Differentiator:
     @cached_property
     def reach(self) -> Reach:
         """How far circles reach."""
-        return Reach.of(self.base)
+        reach = Reach.of(self.base)
+        return reach if self._of_forces else replace(reach, v=np.inf)
 
     def motion(
         self,
@@ -135,7 +138,7 @@ class Differentiator:
             system = self._at(e * db) if changed else base
             return kernel(system, m.plus(e, change), *z)
 
-        radius = self.reach.along(change, base.b, db)
+        radius = self.reach.along(change, base.b, db, radii[0] if radii else 0.0)
         return derivative(moved, (*radii, radius), order, lambda: self._beside(kernel, m, radii))
 
     def _at(self, db: Array) -> MechanicalSystem:
