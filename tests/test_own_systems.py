@@ -19,6 +19,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
+from ancfdae.numerics.extrapolation import real_derivative
 
 from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum
 
@@ -149,7 +150,7 @@ def assert_near(ours, exact, tolerance):
 @pytest.mark.parametrize("spin", [0.0, 1.0])
 def test_motion_with_a_mass_that_depends_on_q_converges_with_order_two(spin, hht_alpha):
     system = GuidedDoublePendulum(spin)
-    runs = [simulate(system, 0.5, HHT(2.0**-k, hht_alpha)) for k in (6, 7, 8, 9)]
+    runs = [simulate(system, 0.5, HHT(2.0**-k, hht_alpha)) for k in (6, 7, 8)]
     for run in runs:
         assert run.outcome.success, str(run.outcome)
     for name in ("q", "v", "a", "lam"):
@@ -273,6 +274,25 @@ def test_what_complex_arithmetic_cannot_differentiate_is_refused_by_name(kind, w
 def test_wrong_number_of_design_values_is_refused():
     with pytest.raises(InvalidInput, match=r"WrittenPendulum\.b"):
         WrittenPendulum(b=(1.0,))
+
+
+def test_matrices_carry_the_perturbation_of_state_and_design():
+    step = 1e-40
+    system, b = GuidedDoublePendulum(0.7), np.array([1.5, 1.0, 0.3, 0.1])
+    db, (q, v, a) = np.array([0.3, -0.2, 0.1, 0.4]), (STATE[x] for x in ("q", "v", "a"))
+    moved = system.with_values(b + 1j * step * db)
+    for value in (
+        lambda x, e: x.force_q(q + e * a, v, 0.3),
+        lambda x, e: x.force_v(q, v + e * a, 0.3),
+        lambda x, e: x.inertia_q(q + e * v, a),
+        lambda x, e: x.constraint_q(q + e * v, 0.3),
+        lambda x, e: x.constraint_q_rate(q + e * v, v + e * a, 0.3),
+        lambda x, e: x.constraint_q_second_rate(q + e * v, v + e * a, a, 0.3),
+    ):
+        expected = real_derivative(lambda e, value=value: value(system.with_values(b + e * db), e))
+        ours = np.imag(value(moved, 1j * step)) / step
+        assert np.max(np.abs(expected)) > 0
+        assert_near(ours, expected, 1e-8)
 
 
 def test_imaginary_parts_that_are_no_perturbation_are_refused():

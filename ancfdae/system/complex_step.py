@@ -19,14 +19,16 @@ lost beside imaginary parts of order one. So a derivative F of complex arguments
     F(x) + i F_x y,
 
 with F_x y a `_total` along (y, Im b): exact, for y^2 vanishes against one. M, Q and Phi
-themselves are evaluated in complex numbers as written. Matrices that only steer Newton's method
-or are asked for only at real states (Q_q, Q_v, (Phi_q^T lam)_q, the partials in b, the totals)
-are those at the real part; the run needs no more.
+themselves are evaluated in complex numbers as written. Only (Phi_q^T lam)_q, which steers
+Newton's method, and what no run asks for at complex states, partials in b and totals, are those
+at the real part. Imaginary parts of q, v or b that are too large for a perturbation are refused.
 
 **Radii.** A circle should reach as far as M, Q and Phi are smooth, and no less. How far that is
 in q, v and t is found by trial once per system: of radii that round-off resolves, the one with
 the least max|f| / r^3. Lengths of q and v are taken in the norm of the weights, so units do not
-matter; a path is followed as long as it stays within all three lengths.
+matter; a path is followed as long as it stays within all three lengths. Errors are relative to
+the terms at that distance: a prescribed motion that is a million times slower than the rest has
+an acceleration that is lost beside theirs.
 """
 
 from __future__ import annotations
@@ -175,7 +177,7 @@ class ComplexStepSystem(OneByOneSystem):
         def force(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
             return system.force(m.q + x * unit, m.v, t)
 
-        return self._d_forces.gradient(force, self._d_forces.motion(q, v).parts()[0]).ravel()
+        return self._d_forces.gradient(force, self._d_forces.motion(q, v)).ravel()
 
     def force_v(self, q: Array, v: Array, t: float) -> Array:
         """Differentiate Q in v."""
@@ -183,7 +185,7 @@ class ComplexStepSystem(OneByOneSystem):
         def force(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
             return system.force(m.q, m.v + x * unit, t)
 
-        return self._d_forces.gradient(force, self._d_forces.motion(q, v).parts()[0]).ravel()
+        return self._d_forces.gradient(force, self._d_forces.motion(q, v)).ravel()
 
     def force_b(self, q: Array, v: Array, t: float) -> Array:
         """Differentiate Q in b."""
