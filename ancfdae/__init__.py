@@ -68,7 +68,15 @@ from ancfdae.sensitivity import (
     taylor_test,
 )
 from ancfdae.solution import Sensitivities, Solution, Statistics
-from ancfdae.system import AncfSystem, MechanicalSystem, OneByOneSystem, assemble
+from ancfdae.system import (
+    AncfSystem,
+    ComplexStepSystem,
+    Conformance,
+    MechanicalSystem,
+    OneByOneSystem,
+    assemble,
+    check_system,
+)
 
 __version__ = "0.1.0"
 
@@ -83,6 +91,8 @@ __all__ = [
     "Beam",
     "Clamp",
     "ComplexStep",
+    "ComplexStepSystem",
+    "Conformance",
     "ContinuousAdjoint",
     "CurvedBeam",
     "DesignVariable",
@@ -134,6 +144,7 @@ __all__ = [
     "apply",
     "assemble",
     "axial_strain",
+    "check_system",
     "custom",
     "deflection",
     "differentiate",

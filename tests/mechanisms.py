@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ancfdae import OneByOneSystem
+from ancfdae import ComplexStepSystem, OneByOneSystem
 from ancfdae.numerics.patterns import Pattern
 
 
@@ -124,3 +124,82 @@ class CartesianPendulum(OneByOneSystem):
 
     def constraint_force_rate_total(self, q, v, lam, t, q_b, v_b, lam_b):
         return v_b * lam[0] + np.outer(v, lam_b[0])
+
+
+class WrittenPendulum(ComplexStepSystem):
+    """`CartesianPendulum` by its physics alone."""
+
+    n_q, n_lam = 2, 1
+    design_names = ("L", "g")
+    constant_mass, velocity_forces = True, False
+
+    def __init__(self, angle=-np.pi / 2, spin=0.0, b=(1.0, 9.81)):
+        self.angle, self.spin = angle, spin
+        super().__init__(b)
+
+    def with_values(self, b):
+        return WrittenPendulum(self.angle, self.spin, b)
+
+    def start(self):
+        direction = np.array([np.sin(self.angle), -np.cos(self.angle)])
+        tangent = np.array([np.cos(self.angle), np.sin(self.angle)])
+        return self.b[0] * direction, self.b[0] * self.spin * tangent
+
+    def mass_matrix(self, q):
+        return np.eye(2)
+
+    def force(self, q, v, t):
+        return np.array([0.0, -1.0]) * self.b[1]
+
+    def constraint(self, q, t):
+        return np.array([(q @ q - self.b[0] ** 2) / 2])
+
+
+class GuidedDoublePendulum(ComplexStepSystem):
+    """Double pendulum in absolute angles whose tip is held on a moving vertical line.
+
+    Massless rods of lengths L1 and 0.8 carry point masses 1 and m2 under gravity; both joints are
+    damped by c. The tip keeps x = x_0 + A sin(w t), w = 5. It starts at angles -0.4 and 1.1 from
+    the vertical; `spin` is the first angular velocity, the second follows from the line.
+    M depends on q, Phi on t, and Q holds the quadratic velocity forces.
+    """
+
+    n_q, n_lam = 2, 1
+    design_names = ("m2", "L1", "c", "A")
+    constraint_names = ("line",)
+    gravity, second, w, angles = 9.81, 0.8, 5.0, np.array([-0.4, 1.1])
+
+    def __init__(self, spin=0.0, b=(1.5, 1.0, 0.3, 0.1)):
+        self.spin = spin
+        super().__init__(b)
+
+    def with_values(self, b):
+        return GuidedDoublePendulum(self.spin, b)
+
+    def tip(self, q):
+        return self.b[1] * np.sin(q[0]) + self.second * np.sin(q[1])
+
+    def start(self):
+        _, L1, _, A = self.b
+        first, second = self.angles
+        turning = (A * self.w - L1 * np.cos(first) * self.spin) / (self.second * np.cos(second))
+        return self.angles.copy(), np.array([self.spin, turning])
+
+    def mass_matrix(self, q):
+        m2, L1, _, _ = self.b
+        coupling = m2 * L1 * self.second * np.cos(q[0] - q[1])
+        return np.array([[(1 + m2) * L1**2, coupling], [coupling, m2 * self.second**2]])
+
+    def force(self, q, v, t):
+        m2, L1, c, _ = self.b
+        pull = m2 * L1 * self.second * np.sin(q[0] - q[1])
+        joint = c * (v[1] - v[0])
+        return np.array(
+            [
+                -pull * v[1] ** 2 - (1 + m2) * self.gravity * L1 * np.sin(q[0]) - c * v[0] + joint,
+                pull * v[0] ** 2 - m2 * self.gravity * self.second * np.sin(q[1]) - joint,
+            ]
+        )
+
+    def constraint(self, q, t):
+        return np.array([self.tip(q) - self.tip(self.angles) - self.b[3] * np.sin(self.w * t)])

@@ -41,6 +41,7 @@ from ancfdae.integrators.initial import consistent_start, saddle_point, start_se
 from ancfdae.joints import Joint, Law
 from ancfdae.loads import Load
 from ancfdae.numerics import linear_solvers
+from ancfdae.numerics.extrapolation import real_derivative
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.patterns import Pattern
 
@@ -51,6 +52,8 @@ STEP = 1e-40
 # 28 entries of g, with terms a few hundred times the result (the cancellation in the strain,
 # about 1e-1, and in the product rule): 1e3 eps = 2e-13, five times that is allowed.
 DERIVATIVE = 1e-12
+# Time is real: derivatives in it come from extrapolated differences, good to about 1e-11.
+DIFFERENCES = 1e-9
 # Values against the oracle: sums as above without the product rule, and a reference that was
 # turned into the direction of the beam (a few eps more).
 VALUE = 3e-13
@@ -566,6 +569,39 @@ def test_curvature_of_constraints(plain):
         return
     expected = s.by_coordinate(lambda q: system.constraint_force(q, s.lam, s.t))
     assert_close(values, expected, DERIVATIVE)
+
+
+def test_constraint_q_rate(plain):
+    s, system = plain, plain.system
+    dense, dot = system.constraint_pattern.dense, system.constraint_pattern.dot
+    rate = dense(system.constraint_q_rate(s.q, s.v, s.t))
+    if system.linear_constraints:
+        assert not np.any(rate)
+        return
+    # Along the motion, prescribed motions included, and as the partial of dPhi/dt in q.
+    moved = real_derivative(lambda e: system.constraint_q(s.q + e * s.v, s.t + e))
+    assert_close(rate, dense(moved), DIFFERENCES)
+    expected = s.by_coordinate(
+        lambda q: dot(system.constraint_q(q, s.t), s.v) - system.velocity_side(q, s.t)
+    )
+    assert_close(rate, expected, DERIVATIVE)
+
+
+def test_constraint_q_second_rate(plain):
+    s, system = plain, plain.system
+    dense, dot = system.constraint_pattern.dense, system.constraint_pattern.dot
+    rate = dense(system.constraint_q_second_rate(s.q, s.v, s.a, s.t))
+    if system.linear_constraints:
+        assert not np.any(rate)
+        return
+    moved = real_derivative(
+        lambda e: system.constraint_q_rate(s.q + e * (s.v + e / 2 * s.a), s.v + e * s.a, s.t + e)
+    )
+    assert_close(rate, dense(moved), DIFFERENCES)
+    expected = s.by_coordinate(
+        lambda q: dot(system.constraint_q(q, s.t), s.a) - system.acceleration_side(q, s.v, s.t)
+    )
+    assert_close(rate, expected, DERIVATIVE)
 
 
 def instants(s, k=3):

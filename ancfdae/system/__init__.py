@@ -1,6 +1,8 @@
 """Mechanical systems: the protocol that integrators see, and the ANCF assembler behind it."""
 
 from ancfdae.system.ancf import AncfSystem, assemble
+from ancfdae.system.complex_step import ComplexStepSystem
+from ancfdae.system.conformance import Conformance, Finding, check_system
 from ancfdae.system.contract import (
     DesignPartials,
     Linearisation,
@@ -10,9 +12,13 @@ from ancfdae.system.contract import (
 
 __all__ = [
     "AncfSystem",
+    "ComplexStepSystem",
+    "Conformance",
     "DesignPartials",
+    "Finding",
     "Linearisation",
     "MechanicalSystem",
     "OneByOneSystem",
     "assemble",
+    "check_system",
 ]
