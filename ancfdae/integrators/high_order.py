@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 from tqdm import tqdm
 
-from ancfdae.errors import Outcome, SingularMatrix, Verdict, require_positive
+from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_positive
 from ancfdae.integrators.accelerations import Accelerations
 from ancfdae.integrators.contract import Integrator
 from ancfdae.integrators.initial import (
@@ -68,6 +68,13 @@ class Problem:
         InvalidInput
         """
         require_positive("t_end", t_end)
+        if np.iscomplexobj(system.b):
+            raise InvalidInput(
+                "design values",
+                "must be real for integrators with error control",
+                "complex ones",
+                "Use HHT for the complex step of a run.",
+            )
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
         derivative = start_sensitivity(system, matrices, initial) if sensitivities else None

@@ -69,14 +69,14 @@ class IDA(HighOrder):
     rtol: float = 1e-8
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
     intervals: int = 64
-    max_steps: int = 20_000
+    max_steps: int = 5_000
 
     def __post_init__(self) -> None:
         """Validate."""
         require_rtol("IDA.rtol", self.rtol, _LEAST_RTOL)
         require_kind("IDA.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
         require_count("IDA.intervals", self.intervals, "64 is a good number.")
-        require_count("IDA.max_steps", self.max_steps, "20000 is plenty.")
+        require_count("IDA.max_steps", self.max_steps, "5000 is plenty.")
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up IDA."""

@@ -57,14 +57,14 @@ class IDAS(HighOrder, AdjointIntegrator):
     rtol: float = 1e-8
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
     intervals: int = 64
-    max_steps: int = 20_000
+    max_steps: int = 5_000
 
     def __post_init__(self) -> None:
         """Validate."""
         require_rtol("IDAS.rtol", self.rtol, _LEAST_RTOL)
         require_kind("IDAS.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
         require_count("IDAS.intervals", self.intervals, "64 is a good number.")
-        require_count("IDAS.max_steps", self.max_steps, "20000 is plenty.")
+        require_count("IDAS.max_steps", self.max_steps, "5000 is plenty.")
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up IDAS."""
@@ -109,10 +109,12 @@ class _IdasMarch(March):
         idas, e, taken = self._bindings.idas, self._equations, 0
         while self._t < t:
             if taken == self._settings.max_steps:
+                self._count()
                 return Verdict.STEP_LIMIT
             flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
             e.guard.raise_kept()
             if flag < 0:
+                self._count()
                 return self._bindings.verdict(flag)
             if not reached > self._t:
                 return Verdict.ERROR_TEST

@@ -1,0 +1,208 @@
+"""IDA, IDAS and the explicit path behind the contract that HHT-I3 has."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+from mechanisms import CartesianPendulum
+
+from ancfdae import (
+    HHT,
+    IDA,
+    IDAS,
+    Adjoint,
+    AtTimes,
+    ComplexStep,
+    ContinuousAdjoint,
+    Direct,
+    Explicit,
+    FiniteDifference,
+    IndexReduction,
+    Integral,
+    InvalidInput,
+    MissingPackage,
+    Solution,
+    Terminal,
+    Verdict,
+    custom,
+    differentiate,
+    gradient,
+    simulate,
+)
+from ancfdae.numerics.time_grid import TimeGrid
+
+IDAS_MARK = pytest.mark.idas
+INTEGRATORS = [
+    pytest.param(IDA(1e-9, intervals=8), id="IDA"),
+    pytest.param(IDA(1e-9, form=IndexReduction.INDEX_1, intervals=8), id="IDA index 1"),
+    pytest.param(IDAS(1e-9, intervals=8), id="IDAS", marks=IDAS_MARK),
+    pytest.param(
+        IDAS(1e-9, form=IndexReduction.INDEX_1, intervals=8), id="IDAS index 1", marks=IDAS_MARK
+    ),
+    pytest.param(Explicit(1e-9, intervals=8), id="Explicit"),
+]
+OBJECTIVES = {
+    "q": lambda t, q, v, lam, b: q[:, 0] ** 2,
+    "v": lambda t, q, v, lam, b: v[:, 1] ** 2 * q[:, 0],
+    "lam": lambda t, q, v, lam, b: lam[:, 0] ** 2 / b[1],
+}
+
+
+class Disturbed(CartesianPendulum):
+    """The pendulum with another force; derivatives of it are left out."""
+
+    def __init__(self, disturb):
+        super().__init__(0.5, 1.0)
+        self.disturb = disturb
+
+    def with_values(self, b):
+        return self
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) + self.disturb(q, v, t)
+
+
+def test_panels_integrate_to_degree_15_and_interpolate_to_degree_8():
+    grid = TimeGrid.lobatto(2.0, 3)
+    for k in (0, 7, 15):
+        assert grid.weights() @ grid.t**k == pytest.approx(2.0 ** (k + 1) / (k + 1), rel=1e-13)
+    which, share = grid.interpolation(1.234)
+    assert share @ grid.t[which] ** 8 == pytest.approx(1.234**8, rel=1e-12)
+    assert abs(share @ grid.t[which] ** 12 - 1.234**12) > 1e-9
+    early = TimeGrid(grid.t[:12], 8)
+    assert early.weights() @ np.ones(12) == pytest.approx(grid.t[11], rel=1e-14)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_states_multipliers_and_derivatives_agree(integrator):
+    ours = differentiate(CartesianPendulum(0.5, 2.0), (), 1.0, integrator)
+    other = differentiate(CartesianPendulum(0.5, 2.0), (), 1.0, Explicit(1e-12, intervals=8))
+    assert ours.outcome.success
+    assert ours.degree == 8
+    assert ours.statistics.steps > 10
+    assert ours.statistics.residuals > 10
+    for name in ("q", "v", "a", "lam"):
+        value, reference = getattr(ours, name), getattr(other, name)
+        assert np.max(np.abs(value - reference)) < 1e-6 * np.max(np.abs(reference)), name
+        value = getattr(ours.sensitivities, f"{name}_b")
+        reference = getattr(other.sensitivities, f"{name}_b")
+        assert np.max(np.abs(value - reference)) < 1e-5 * np.max(np.abs(reference)), name
+
+
+@pytest.mark.parametrize("kind", OBJECTIVES)
+@pytest.mark.parametrize("reduce", [Integral, Terminal, lambda x: AtTimes(x, [0.3, 0.7])])
+@pytest.mark.idas
+def test_adjoint_of_idas_is_direct_differentiation(kind, reduce):
+    objective = reduce(custom(OBJECTIVES[kind], kind))
+    system = CartesianPendulum(0.5, 2.0)
+    exact = gradient(system, objective, (), 1.0, Explicit(1e-12)).gradient
+    for method in (Adjoint(), Direct()):
+        found = gradient(system, objective, (), 1.0, IDAS(1e-10), method).gradient
+        assert np.max(np.abs(found - exact)) < 1e-6 * np.max(np.abs(exact)), method
+
+
+def test_hht_converges_to_the_index_reduced_path():
+    objective = Integral(custom(OBJECTIVES["lam"], "lam"))
+    system = CartesianPendulum(0.5, 2.0)
+    exact = gradient(system, objective, (), 1.0, IDA(1e-11)).gradient
+    errors = [
+        np.linalg.norm(gradient(system, objective, (), 1.0, HHT(h)).gradient - exact)
+        for h in (2.0**-7, 2.0**-8)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+
+
+def test_differences_of_runs_agree_with_appended_sensitivities():
+    objective, system = Integral(custom(OBJECTIVES["v"], "v")), CartesianPendulum(0.5, 2.0)
+    exact = gradient(system, objective, (), 1.0, Explicit(1e-12)).gradient
+    method = FiniteDifference(1e-4, central=True)
+    found = gradient(system, objective, (), 1.0, Explicit(1e-12), method).gradient
+    assert np.max(np.abs(found - exact)) < 1e-6 * np.max(np.abs(exact))
+
+
+def test_refusals():
+    objective, system = Integral(custom(OBJECTIVES["q"], "q")), CartesianPendulum()
+    for method in (Adjoint(), ContinuousAdjoint()):
+        with pytest.raises(InvalidInput, match="HHT"):
+            gradient(system, objective, (), 1.0, IDA(), method)
+    with pytest.raises(InvalidInput, match="real"):
+        gradient(system, objective, (), 1.0, IDA(), ComplexStep())
+    for wrong in ({"rtol": 0.1}, {"rtol": 0.0}, {"intervals": 0}, {"max_steps": 0}):
+        for kind in (IDA, IDAS, Explicit):
+            with pytest.raises(InvalidInput):
+                kind(**wrong)
+    with pytest.raises(InvalidInput, match="t_end"):
+        simulate(system, -1.0, IDA())
+
+
+@pytest.mark.skipif(importlib.util.find_spec("sundials4py") is not None, reason="it is installed")
+def test_the_missing_package_is_named():
+    with pytest.raises(MissingPackage, match="pip install sundials4py"):
+        simulate(CartesianPendulum(), 1.0, IDAS())
+
+
+def test_files_keep_the_degree(tmp_path):
+    run = simulate(CartesianPendulum(), 0.5, Explicit(intervals=2))
+    assert Solution.load(run.save(tmp_path / "run.npz")).degree == 8
+
+
+TROUBLE = {
+    "not a number": lambda q, v, t: np.full(2, np.nan if t > 0.3 else 0.0),
+    "infinite": lambda q, v, t: np.full(2, np.inf if t > 0.3 else 0.0),
+    "blow-up": lambda q, v, t: 5.0 * v * (v @ v),
+    "growing": lambda q, v, t: np.exp(200.0 * t) * np.ones(2),
+}
+
+
+@pytest.mark.parametrize("name", TROUBLE)
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_trouble_on_the_way_is_an_outcome(name, kind):
+    run = simulate(Disturbed(TROUBLE[name]), 4.0, kind(1e-6, intervals=16, max_steps=200))
+    assert not run.outcome.success
+    assert run.outcome.verdict in Verdict
+    assert 0 < len(run.t) < 129
+    for x in (run.q, run.v, run.a, run.lam):
+        assert np.all(np.isfinite(x))
+
+
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_what_a_force_raises_comes_through(kind):
+    def broken(q, v, t):
+        if t > 0.3:
+            raise ZeroDivisionError("mine")
+        return np.zeros(2)
+
+    with pytest.raises(ZeroDivisionError, match="mine"):
+        simulate(Disturbed(broken), 1.0, kind(1e-6))
+
+
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_interrupt_keeps_what_was_computed(kind):
+    def stop(q, v, t):
+        if t > 0.3:
+            raise KeyboardInterrupt
+        return np.zeros(2)
+
+    run = simulate(Disturbed(stop), 1.0, kind(1e-6))
+    assert run.outcome.verdict is Verdict.INTERRUPTED
+    assert 0.2 < run.t[-1] <= 0.35
+
+
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK)])
+def test_two_hundred_random_bad_starts(kind):
+    rng, verdicts = np.random.default_rng(4), set()
+    for _ in range(200):
+        system = Disturbed(lambda q, v, t: np.zeros(2))
+        q, v = (rng.standard_normal(2) * 10 ** rng.uniform(-3, 6) for _ in range(2))
+        if rng.random() < 0.2:
+            q[rng.integers(2)] = rng.choice([np.nan, np.inf, 0.0])
+        system.start = lambda q=q, v=v: (q, v)
+        system.project_start = bool(rng.random() < 0.5)
+        try:
+            run = simulate(system, 1.0, kind(1e-4, intervals=1, max_steps=30))
+        except InvalidInput as error:
+            verdicts.add(type(error).__name__)
+        else:
+            verdicts.add(run.outcome.verdict)
+            assert np.all(np.isfinite(run.q))
+    assert len(verdicts) > 1
