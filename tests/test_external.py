@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from mechanisms import CartesianPendulum
 
 from ancfdae import (
     HHT,
@@ -18,6 +17,8 @@ from ancfdae import (
 )
 from validation.external.published import CRANK_END, CRANK_G, CRANK_G_PUBLISHED, PENDULUM
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
+
+from mechanisms import CartesianPendulum
 
 IDAS_MARK = pytest.mark.idas
 

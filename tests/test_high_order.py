@@ -4,7 +4,6 @@ import importlib.util
 
 import numpy as np
 import pytest
-from mechanisms import CartesianPendulum
 
 from ancfdae import (
     HHT,
@@ -30,6 +29,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.numerics.time_grid import TimeGrid
+
+from mechanisms import CartesianPendulum
 
 IDAS_MARK = pytest.mark.idas
 INTEGRATORS = [

@@ -101,7 +101,8 @@ class SliderCrank(Scleronomic):
         n_t = s.H @ v
         f_t = s.f_N * s.w + s.f_w * (v @ n_t + s.n @ a)
         push = np.array([0.0, 0.0, -_PUSH * np.cos(q[2]) * v[2]])
-        return -0.5 * (f_t * s.n + s.f * n_t) + push
+        value: Array = -0.5 * (f_t * s.n + s.f * n_t) + push
+        return value
 
     def force_rate_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
@@ -150,7 +151,8 @@ class SliderCrank(Scleronomic):
     def constraint(self, q: Array, t: float) -> Array:
         """Return Phi."""
         e, _ = _directions(q)
-        return np.array([q[1], 0.0]) - e @ _ARMS
+        value: Array = np.array([q[1], 0.0]) - e @ _ARMS
+        return value
 
     def constraint_q(self, q: Array, t: float) -> Array:
         """Return Phi_q."""
@@ -201,12 +203,14 @@ class SliderCrank(Scleronomic):
     ) -> Array:
         """Return the total design derivative of gamma."""
         (e, normal), w = _directions(q), v[_ANGLES]
-        return -(_ARMS * w**2 * normal) @ q_b[_ANGLES] - (2 * _ARMS * w * e) @ v_b[_ANGLES]
+        value: Array = -(_ARMS * w**2 * normal) @ q_b[_ANGLES] - (2 * _ARMS * w * e) @ v_b[_ANGLES]
+        return value
 
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return S."""
         (e, normal), w = _directions(q), v[_ANGLES]
-        return -(w**3 * normal + 3 * w * a[_ANGLES] * e) @ _ARMS
+        value: Array = -(w**3 * normal + 3 * w * a[_ANGLES] * e) @ _ARMS
+        return value
 
     def jerk_side_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
@@ -215,7 +219,10 @@ class SliderCrank(Scleronomic):
         (e, normal), w, w_t = _directions(q), v[_ANGLES], a[_ANGLES]
         on_q = _ARMS * (w**3 * e - 3 * w * w_t * normal)
         on_v = -3 * _ARMS * (w**2 * normal + w_t * e)
-        return on_q @ q_b[_ANGLES] + on_v @ v_b[_ANGLES] - (3 * _ARMS * w * e) @ a_b[_ANGLES]
+        value: Array = (
+            on_q @ q_b[_ANGLES] + on_v @ v_b[_ANGLES] - (3 * _ARMS * w * e) @ a_b[_ANGLES]
+        )
+        return value
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
         """Return (dPhi_q^T/dt) lam."""
