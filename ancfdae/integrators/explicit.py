@@ -52,13 +52,13 @@ class Explicit(HighOrder):
 
     rtol: float = 1e-8
     intervals: int = 64
-    max_steps: int = 20_000
+    max_steps: int = 5_000
 
     def __post_init__(self) -> None:
         """Validate."""
         require_rtol("Explicit.rtol", self.rtol, _LEAST_RTOL)
         require_count("Explicit.intervals", self.intervals, "64 is a good number.")
-        require_count("Explicit.max_steps", self.max_steps, "20000 is plenty.")
+        require_count("Explicit.max_steps", self.max_steps, "5000 is plenty.")
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up DOP853."""
