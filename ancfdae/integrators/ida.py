@@ -31,6 +31,9 @@ from ancfdae.numerics.arrays import Array, is_finite
 _LEAST_RTOL = 1e-13
 # Relative change of the design for the coupling blocks of the iteration matrix.
 _CHANGE = 1e-6
+# Unknowns up to which the matrix is dense: a factorisation of SuperLU_MT starts a thread, which
+# takes a millisecond however small the matrix.
+_MOST_DENSE = 100
 # Corrector iterations per step: the sensitivities are linear in themselves, so they need one more
 # than the states.
 _ITERATIONS = 6
@@ -143,14 +146,17 @@ class _IdaMarch(March):
         tolerances = np.concatenate([own, np.tile(below, self._m)])
         size = len(self._y)
         rows, columns = self._storage.sparsity()
+        options: dict[str, Any] = {"linsolver": "dense"}
+        if size > _MOST_DENSE:
+            pattern = sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
+            options = {"linsolver": "sparse", "sparsity": pattern}
         with warnings.catch_warnings():
             # It says that the pattern will not be used for difference quotients.
             warnings.filterwarnings("ignore", message="Custom sparse Jacobian")
             return sksundae.ida.IDA(
                 self._fill_residual,
                 jacfn=self._fill_jacobian,
-                linsolver="sparse",
-                sparsity=sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (size, size)),
+                **options,
                 rtol=settings.rtol,
                 atol=tolerances,
                 max_nonlin_iters=_ITERATIONS,
@@ -185,9 +191,13 @@ class _IdaMarch(March):
             / _CHANGE
             for i in range(self._m)
         ]
-        J[:] = self._storage.values(own, below)
-        if not is_finite(J):
+        values = self._storage.values(own, below)
+        if not is_finite(values):
             raise NotFinite
+        if J.ndim == 1:
+            J[:] = values
+        else:
+            J[self._storage.sparsity()] = values  # The other entries stay zero.
 
 
 def _keep(solver: Any) -> None:
