@@ -101,20 +101,24 @@ class Guard:
 
     def __init__(self) -> None:
         self._error: BaseException | None = None
+        self._not_finite = False
 
     def run(self, callback: Callable[[], None]) -> int:
         """Return zero, or the code that stops the solver; not finite is recoverable."""
         try:
             callback()
         except NotFinite:
+            self._not_finite = True
             return _RECOVERABLE
         except BaseException as error:  # noqa: BLE001  # raised again outside the C code
             self._error = error
             return _FATAL
         return 0
 
-    def raise_kept(self) -> None:
-        """Raise what a callback raised."""
+    def raise_kept(self) -> bool:
+        """Raise what a callback raised since the last call; return whether one was not finite."""
         error, self._error = self._error, None
+        not_finite, self._not_finite = self._not_finite, False
         if error is not None:
             raise error
+        return not_finite

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from typing import ClassVar
 
 from ancfdae.integrators.seeds import Seeds
 from ancfdae.numerics.arrays import Array
@@ -11,7 +12,15 @@ from ancfdae.system import MechanicalSystem
 
 
 class Integrator(abc.ABC):
-    """Frozen settings of an integration method."""
+    """Frozen settings of an integration method.
+
+    Attributes
+    ----------
+    real_only : bool
+        Whether it refuses systems at complex design values, as the complex step needs them.
+    """
+
+    real_only: ClassVar[bool] = False
 
     @abc.abstractmethod
     def integrate(

@@ -27,7 +27,7 @@ from ancfdae.integrators.initial import (
 from ancfdae.integrators.point import Point
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.scales import Scales
-from ancfdae.numerics.arrays import is_finite
+from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
@@ -66,6 +66,7 @@ class Problem:
         Raises
         ------
         InvalidInput
+            Also if accelerations, multipliers or design derivatives at the start are not finite.
         """
         require_positive("t_end", t_end)
         if np.iscomplexobj(system.b):
@@ -77,7 +78,13 @@ class Problem:
             )
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        derivative = start_sensitivity(system, matrices, initial) if sensitivities else None
+        _require_finite("accelerations at the start", initial.a, initial.lam)
+        derivative = None
+        if sensitivities:
+            with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
+                derivative = start_sensitivity(system, matrices, initial)
+            d = derivative
+            _require_finite("design derivatives at the start", d.q_b, d.v_b, d.a_b, d.lam_b)
         scales = Scales.of(system, initial, t_end)
         return Problem(system, initial, derivative, scales, Accelerations(system, matrices))
 
@@ -109,7 +116,10 @@ class March(abc.ABC):
 
     @abc.abstractmethod
     def residual(self) -> float:
-        """Size of the scaled residual at the last accepted step."""
+        """Size of the last finite scaled residual; it is kept, not evaluated again.
+
+        After an interrupt or a failure the equations must not be called once more.
+        """
 
 
 class HighOrder(Integrator):
@@ -137,17 +147,18 @@ class HighOrder(Integrator):
         progress: bool = False,
     ) -> Solution:
         """Integrate from t = 0 to `t_end`."""
+        if self.real_only:
+            _refuse_complex(type(self).__name__, system)
         problem = Problem.of(system, t_end, sensitivities)
         grid = TimeGrid.lobatto(t_end, self.intervals)
         recorder = Recorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
-        start, b = problem.initial, problem.derivative
-        verdict, march = Verdict.FINISHED, self.start(problem, t_end)
-        first = Point(start.q, start.v) if b is None else Point(start.q, start.v, b.q_b, b.v_b)
+        _record_start(problem, recorder)
+        verdict, march = Verdict.FINISHED, None
         try:
-            _record(problem, recorder, 0.0, first)
-            for t in tqdm(grid.t[1:], disable=not progress, unit="instant"):
-                with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
+            with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
+                march = self.start(problem, t_end)
+                for t in tqdm(grid.t[1:], disable=not progress, unit="instant"):
                     point = march.to(float(t))
                     if isinstance(point, Verdict):
                         verdict = point
@@ -159,22 +170,46 @@ class HighOrder(Integrator):
             verdict = Verdict.SINGULAR
         except KeyboardInterrupt:
             verdict = Verdict.INTERRUPTED
-        recorder.accepted, recorder.iterations = march.steps, march.iterations
-        recorder.residuals = march.residuals
-        recorder.factorisations = march.factorisations + problem.accelerations.factorisations
-        size = 0.0 if verdict is Verdict.FINISHED else march.residual()
-        return recorder.solution(Outcome(verdict, recorder.time, march.steps, size))
+        recorder.factorisations = problem.accelerations.factorisations
+        size = 0.0
+        if march is not None:
+            recorder.accepted, recorder.iterations = march.steps, march.iterations
+            recorder.residuals = march.residuals
+            recorder.factorisations += march.factorisations
+            size = 0.0 if verdict is Verdict.FINISHED else march.residual()
+        return recorder.solution(Outcome(verdict, recorder.time, recorder.accepted, size))
+
+
+def _refuse_complex(name: str, system: MechanicalSystem) -> None:
+    if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
+        raise InvalidInput(
+            name, "computes in real numbers", "a complex system", "Use HHT or Explicit."
+        )
+
+
+def _require_finite(what: str, *arrays: Array) -> None:
+    if not all(is_finite(x) for x in arrays):
+        raise InvalidInput(what, "must be finite", "NaN or infinity", "Check forces and start.")
+
+
+def _record_start(problem: Problem, recorder: Recorder) -> None:
+    """Store the consistent start as the first row."""
+    s, d = problem.initial, problem.derivative
+    derivatives = () if d is None else (d.q_b, d.v_b, d.a_b, d.lam_b)
+    recorder.record(0.0, s.q, s.v, s.a, s.lam, derivatives)
 
 
 def _record(problem: Problem, recorder: Recorder, t: float, point: Point) -> None:
     """Complete a state by accelerations and multipliers, and store it."""
     q, v = point.q, point.v
     a, lam = problem.accelerations.solve(t, q, v)
-    if not is_finite(a):
+    if not (is_finite(a) and is_finite(lam)):
         raise NotFinite
     if point.q_b is None or point.v_b is None:
         recorder.record(t, q, v, a, lam)
         return
     q_b, v_b = point.q_b, point.v_b
     a_b, lam_b = problem.accelerations.solve_b(t, (q, v, a, lam), q_b, v_b)
+    if not (is_finite(a_b) and is_finite(lam_b)):
+        raise NotFinite
     recorder.record(t, q, v, a, lam, (q_b, v_b, a_b, lam_b))

@@ -5,15 +5,16 @@ exact for the states; the blocks that couple the sensitivities to them are one-s
 of that matrix along the sensitivities, which affects the convergence of Newton's method only.
 
 What the wrapper does not guard against is guarded here (shared/ida-notes.md): steps are taken one
-by one and counted, residual and Jacobian are called once before the solver sees them, views are
-copied, residuals that are not finite end the run.
+by one and counted, a solver that has not factorised is never freed, views are copied, residuals
+that are not finite end the run.
 """
 
 from __future__ import annotations
 
+import ctypes
 import warnings
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 import sksundae
@@ -30,6 +31,9 @@ from ancfdae.numerics.arrays import Array, is_finite
 _LEAST_RTOL = 1e-13
 # Relative change of the design for the coupling blocks of the iteration matrix.
 _CHANGE = 1e-6
+# Unknowns up to which the matrix is dense: a factorisation of SuperLU_MT starts a thread, which
+# takes a millisecond however small the matrix.
+_MOST_DENSE = 100
 # Corrector iterations per step: the sensitivities are linear in themselves, so they need one more
 # than the states.
 _ITERATIONS = 6
@@ -66,17 +70,19 @@ class IDA(HighOrder):
         If a setting is out of range.
     """
 
+    real_only: ClassVar[bool] = True
+
     rtol: float = 1e-8
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
     intervals: int = 64
-    max_steps: int = 5_000
+    max_steps: int = 2_000
 
     def __post_init__(self) -> None:
         """Validate."""
         require_rtol("IDA.rtol", self.rtol, _LEAST_RTOL)
         require_kind("IDA.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
         require_count("IDA.intervals", self.intervals, "64 is a good number.")
-        require_count("IDA.max_steps", self.max_steps, "5000 is plenty.")
+        require_count("IDA.max_steps", self.max_steps, "2000 is plenty.")
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up IDA."""
@@ -103,8 +109,9 @@ class _IdaMarch(March):
         if b is not None:
             blocks, rates = self._form.start_b(b)
             Y, Yp = _join(Y, blocks), _join(Yp, rates)
-        self._t, self._y, self._yp = 0.0, Y, Yp
+        self._t, self._y, self._yp, self._last = 0.0, Y, Yp, 0.0
         self._solver = self._set_up(settings)
+        _keep(self._solver)
         self._solver.init_step(0.0, Y, Yp)
 
     def to(self, t: float) -> Point | Verdict:
@@ -117,6 +124,8 @@ class _IdaMarch(March):
             if not result.success:
                 return _FAILURES.get(result.status, Verdict.NO_CONVERGENCE)
             self._t, self._y, self._yp = result.t, result.y.copy(), result.yp.copy()
+            if self.steps == 0:
+                _release(self._solver)
             taken += 1
             self.steps += 1
         y = self._y if self._t == t else self._solver.step(t, "normal", self._t_end).y.copy()
@@ -130,27 +139,24 @@ class _IdaMarch(March):
 
     def residual(self) -> float:
         """Largest scaled residual of the states."""
-        n = self._form.n
-        R = self._form.residual(self._t, self._y[:n], self._yp[:n])
-        return float(np.max(np.abs(R)))
+        return self._last
 
     def _set_up(self, settings: IDA) -> Any:
         own, below = self._form.tolerances(settings.rtol), self._form.tolerances_b(settings.rtol)
         tolerances = np.concatenate([own, np.tile(below, self._m)])
         size = len(self._y)
         rows, columns = self._storage.sparsity()
-        # Once before the solver: an exception in its first call would end the process.
-        R, J = np.empty(size), np.empty(len(rows))
-        self._fill_residual(0.0, self._y, self._yp, R)
-        self._fill_jacobian(0.0, self._y, self._yp, R, 1.0, J)
+        options: dict[str, Any] = {"linsolver": "dense"}
+        if size > _MOST_DENSE:
+            pattern = sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
+            options = {"linsolver": "sparse", "sparsity": pattern}
         with warnings.catch_warnings():
             # It says that the pattern will not be used for difference quotients.
             warnings.filterwarnings("ignore", message="Custom sparse Jacobian")
             return sksundae.ida.IDA(
                 self._fill_residual,
                 jacfn=self._fill_jacobian,
-                linsolver="sparse",
-                sparsity=sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (size, size)),
+                **options,
                 rtol=settings.rtol,
                 atol=tolerances,
                 max_nonlin_iters=_ITERATIONS,
@@ -169,6 +175,7 @@ class _IdaMarch(March):
             R[n:] = self._form.residual_b(t, x, xp, Y, Yp).T.ravel()
         if not is_finite(R):
             raise NotFinite
+        self._last = float(np.max(np.abs(R[:n])))
 
     def _fill_jacobian(self, t: float, y: Array, yp: Array, R: Array, c_j: float, J: Array) -> None:
         self.factorisations += 1
@@ -184,9 +191,27 @@ class _IdaMarch(March):
             / _CHANGE
             for i in range(self._m)
         ]
-        J[:] = self._storage.values(own, below)
-        if not is_finite(J):
+        values = self._storage.values(own, below)
+        if not is_finite(values):
             raise NotFinite
+        if J.ndim == 1:
+            J[:] = values
+        else:
+            J[self._storage.sparsity()] = values  # The other entries stay zero.
+
+
+def _keep(solver: Any) -> None:
+    """Add a reference that nobody holds: the solver is not freed, not even at exit.
+
+    Freed before its first factorisation, it ends the process (its linear solver then frees
+    memory that it never got). A solver whose first step fails is therefore left in memory.
+    """
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
+
+
+def _release(solver: Any) -> None:
+    """Take that reference back, after a step that succeeded."""
+    ctypes.pythonapi.Py_DecRef(ctypes.py_object(solver))
 
 
 def _join(first: Array, blocks: Array) -> Array:

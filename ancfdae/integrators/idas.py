@@ -8,7 +8,7 @@ matrix of the states. Backward: see `idas_adjoint`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -54,17 +54,19 @@ class IDAS(HighOrder, AdjointIntegrator):
         On integration, if sundials4py is not installed.
     """
 
+    real_only: ClassVar[bool] = True
+
     rtol: float = 1e-8
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
     intervals: int = 64
-    max_steps: int = 5_000
+    max_steps: int = 2_000
 
     def __post_init__(self) -> None:
         """Validate."""
         require_rtol("IDAS.rtol", self.rtol, _LEAST_RTOL)
         require_kind("IDAS.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
         require_count("IDAS.intervals", self.intervals, "64 is a good number.")
-        require_count("IDAS.max_steps", self.max_steps, "5000 is plenty.")
+        require_count("IDAS.max_steps", self.max_steps, "2000 is plenty.")
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up IDAS."""
@@ -112,15 +114,13 @@ class _IdasMarch(March):
                 self._count()
                 return Verdict.STEP_LIMIT
             flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
-            e.guard.raise_kept()
-            if flag < 0:
-                self._count()
-                return self._bindings.verdict(flag)
-            if not reached > self._t:
-                return Verdict.ERROR_TEST
+            self._count()
+            not_finite = e.guard.raise_kept()
+            if flag < 0 or not reached > self._t:
+                verdict = Verdict.ERROR_TEST if flag >= 0 else self._bindings.verdict(flag)
+                return Verdict.NOT_FINITE if not_finite else verdict
             self._t = reached
             taken += 1
-        self._count()
         array, out = self._bindings.array, self._out
         self._bindings.check(idas.IDAGetDky(self._memory, t, 0, out))
         if not is_finite(array(out)):
@@ -136,8 +136,7 @@ class _IdasMarch(March):
 
     def residual(self) -> float:
         """Largest scaled residual of the states."""
-        array, e = self._bindings.array, self._equations
-        return float(np.max(np.abs(self._form.residual(self._t, array(e.y), array(e.yp)))))
+        return self._equations.last
 
     def _add_sensitivities(self, Y: Array, Yp: Array) -> None:
         bindings, idas, context = self._bindings, self._bindings.idas, self._equations.context

@@ -36,13 +36,15 @@ class IdasEquations:
     y, yp : N_Vector
         Where IDAS writes results.
     guard : Guard
+    last : float
+        Largest entry of the last finite residual.
     """
 
     def __init__(
         self, bindings: Bindings, form: IndexReduced, rtol: float, start: tuple[Array, Array]
     ) -> None:
         core, idas, check = bindings.core, bindings.idas, bindings.check
-        self._bindings, self._form, self.guard = bindings, form, Guard()
+        self._bindings, self._form, self.guard, self.last = bindings, form, Guard(), 0.0
         if form.n > _MOST_UNKNOWNS:
             raise InvalidInput(
                 "IDAS",
@@ -74,6 +76,7 @@ class IdasEquations:
             value = self._form.residual(t, array(y), array(yp))
             if not is_finite(value):
                 raise NotFinite
+            self.last = float(np.max(np.abs(value)))
             array(R)[:] = value
 
         return self.guard.run(evaluate)

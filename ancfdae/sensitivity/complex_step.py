@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.errors import InvalidInput
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
@@ -34,7 +35,14 @@ class ComplexStep(Method):
     def differentiate(
         self, system: MechanicalSystem, t_end: float, integrator: Integrator, progress: bool
     ) -> Solution:
-        """Run once in real numbers and once in complex ones per design variable."""
+        """Run once in real numbers and once in complex ones per design variable.
+
+        Raises
+        ------
+        InvalidInput
+            If the integrator computes in real numbers only (IDA, IDAS).
+        """
+        _refuse_real(integrator)
         solution = integrator.integrate(system, t_end, progress=progress)
         columns, outcomes = [], [solution.outcome]
         for i in range(system.n_b):
@@ -54,7 +62,14 @@ class ComplexStep(Method):
         integrator: Integrator,
         progress: bool,
     ) -> list[Gradient]:
-        """Imaginary parts of the objectives of complex runs."""
+        """Imaginary parts of the objectives of complex runs.
+
+        Raises
+        ------
+        InvalidInput
+            As `differentiate`.
+        """
+        _refuse_real(integrator)
         solution = finished(integrator.integrate(system, t_end, progress=progress))
         slopes = np.zeros((len(objectives), system.n_b))
         for i in range(system.n_b):
@@ -74,6 +89,17 @@ class ComplexStep(Method):
             )
             for objective, slope in zip(objectives, slopes, strict=True)
         ]
+
+
+def _refuse_real(integrator: Integrator) -> None:
+    """Refuse before the first run; the real one would only be thrown away."""
+    if integrator.real_only:
+        raise InvalidInput(
+            "ComplexStep",
+            "needs an integrator that computes in complex numbers",
+            repr(integrator),
+            "Use HHT or Explicit, or FiniteDifference().",
+        )
 
 
 def _moved(system: MechanicalSystem, index: int) -> tuple[Array, float]:
