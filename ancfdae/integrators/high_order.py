@@ -69,13 +69,6 @@ class Problem:
             Also if accelerations, multipliers or design derivatives at the start are not finite.
         """
         require_positive("t_end", t_end)
-        if np.iscomplexobj(system.b):
-            raise InvalidInput(
-                "design values",
-                "must be real for integrators with error control",
-                "complex ones",
-                "Use HHT for the complex step of a run.",
-            )
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
         _require_finite("accelerations at the start", initial.a, initial.lam)

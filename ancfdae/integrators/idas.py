@@ -111,7 +111,6 @@ class _IdasMarch(March):
         idas, e, taken = self._bindings.idas, self._equations, 0
         while self._t < t:
             if taken == self._settings.max_steps:
-                self._count()
                 return Verdict.STEP_LIMIT
             flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
             self._count()
