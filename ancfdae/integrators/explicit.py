@@ -10,7 +10,7 @@ removed after each step and from the instants (`projection`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput
@@ -49,6 +49,9 @@ class Explicit(HighOrder):
     InvalidInput
         If a setting is out of range.
     """
+
+    # SciPy's solver is real wherever the start is, and would drop imaginary parts of the forces.
+    real_only: ClassVar[bool] = True
 
     rtol: float = 1e-8
     intervals: int = 64

@@ -175,9 +175,7 @@ class HighOrder(Integrator):
 
 def _refuse_complex(name: str, system: MechanicalSystem) -> None:
     if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
-        raise InvalidInput(
-            name, "computes in real numbers", "a complex system", "Use HHT or Explicit."
-        )
+        raise InvalidInput(name, "computes in real numbers", "a complex system", "Use HHT.")
 
 
 def _require_finite(what: str, *arrays: Array) -> None:

@@ -40,7 +40,7 @@ class ComplexStep(Method):
         Raises
         ------
         InvalidInput
-            If the integrator computes in real numbers only (IDA, IDAS).
+            If the integrator computes in real numbers only (IDA, IDAS, Explicit).
         """
         _refuse_real(integrator)
         solution = integrator.integrate(system, t_end, progress=progress)
@@ -98,7 +98,7 @@ def _refuse_real(integrator: Integrator) -> None:
             "ComplexStep",
             "needs an integrator that computes in complex numbers",
             repr(integrator),
-            "Use HHT or Explicit, or FiniteDifference().",
+            "Use HHT, or FiniteDifference().",
         )
 
 
