@@ -66,7 +66,9 @@ def test_end_of_the_slider_crank():
 @pytest.mark.parametrize(
     "integrator",
     [
-        pytest.param(IDA(3e-12, intervals=40), id="IDA"),
+        # At 3e-12 what Newton's iteration leaves behind decides between 3e-9 and 2e-8 at 10 s, so
+        # that the order of additions in the factorisation does; here it is 5e-10 either way.
+        pytest.param(IDA(3e-13, intervals=40), id="IDA"),
         pytest.param(IDAS(1e-12, intervals=40), id="IDAS", marks=IDAS_MARK),
         pytest.param(Explicit(1e-12, intervals=40), id="Explicit"),
     ],
