@@ -425,6 +425,16 @@ def test_force_b(setting):
     s.check_design(partial, lambda x, i, e: x.force(s.q, s.v, s.t), np.max(np.abs(Q)))
 
 
+def test_force_total(setting):
+    s = setting
+    total = s.system.force_total(s.q, s.v, s.t, s.q_b, s.v_b)
+
+    def moved(x, i, e):
+        return x.force(s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i], s.t)
+
+    s.check_design(total, moved, np.max(np.abs(s.system.force(s.q, s.v, s.t))))
+
+
 def test_mass_b_times(setting):
     s = setting
     partial = s.system.mass_b_times(s.q, s.a)

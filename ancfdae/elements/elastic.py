@@ -77,8 +77,8 @@ def tangent(
     """Return the derivative of `force` in Y, shape (..., n, n_y d, n_y d)."""
     n_y, d = Y.shape[-2:]
     W = unpacked_stress(apply_invariant(A, strain(g_o, Y, V, tau)), n_y)
-    G = _gram_jacobian(Y)
-    H = G if V is None or tau is None else G + tau[:, None, None] * _gram_jacobian(V)
+    G = gram_jacobian(Y)
+    H = G if V is None or tau is None else G + tau[:, None, None] * gram_jacobian(V)
     K: Array = np.matmul(np.swapaxes(G, -1, -2), np.matmul(A, H))
     blocks = K.reshape(*Y.shape[:-2], n_y, d, n_y, d)
     for axis in range(d):
@@ -88,7 +88,7 @@ def tangent(
 
 def damping_tangent(A: Array, Y: Array, tau: Array) -> Array:
     """Return the derivative of `force` in V, shape (..., n, n_y d, n_y d)."""
-    G = _gram_jacobian(Y)
+    G = gram_jacobian(Y)
     K: Array = np.matmul(np.swapaxes(G, -1, -2), np.matmul(tau[:, None, None] * A, G))
     return K
 
@@ -122,7 +122,47 @@ def force_partial(A_b: Array, c_b: Array, x: Array, Y: Array) -> Array:
     return stressed(apply_invariant(A_b, x) - c_b, Y)
 
 
-def _gram_jacobian(Y: Array) -> Array:
+def force_total(
+    A: Array,
+    p: Array,
+    p_b: Array,
+    YU: tuple[Array, Array],
+    VU: tuple[Array, Array] | None = None,
+    tau: Array | None = None,
+) -> Array:
+    """Return the total derivative of `force`, all directions at once.
+
+    dF = G(Y)^T dp + W(p) dY,  dp = A (G(Y) dY + tau (G(V) dY + G(Y) dV)) + p_b. The tangent itself,
+    whose products cost several times as much, is not formed.
+
+    Parameters
+    ----------
+    A : array, shape (n or 1, n_g, n_g)
+    p : array, shape (n, n_g)
+        Stresses A (dg + tau g').
+    p_b : array, shape (n, n_g, n_b)
+        Partial of p at fixed Y and V.
+    YU, VU : pair of array, shape (n, n_y, d) and (n, n_y d, n_b)
+        Y and V with their derivatives; V and tau None without damping.
+
+    Returns
+    -------
+    array, shape (n, n_y d, n_b)
+    """
+    Y, U = YU
+    G = gram_jacobian(Y)
+    x_b = np.matmul(G, U)
+    if VU is not None and tau is not None:
+        rate_b = np.matmul(gram_jacobian(VU[0]), U) + np.matmul(G, VU[1])
+        x_b = x_b + tau[:, None, None] * rate_b
+    bent = np.matmul(np.swapaxes(G, -1, -2), np.matmul(A, x_b) + p_b)
+    split = U.reshape(*Y.shape[:2], Y.shape[2] * U.shape[2])
+    turned = np.matmul(unpacked_stress(p, Y.shape[1]), split)
+    total: Array = bent + turned.reshape(U.shape)
+    return total
+
+
+def gram_jacobian(Y: Array) -> Array:
     """G(Y) = dg/dY, shape (..., n, n_g, n_y d)."""
     n_y, d = Y.shape[-2:]
     G: Array = np.matmul(gram_derivative(n_y), Y)

@@ -70,15 +70,15 @@ class Explicit(HighOrder):
 
 @final
 class _ExplicitMarch(March):
-    """One run; the vector y holds the rows q, v and then q_b, v_b of every variable, scaled."""
+    """One run; the vector y holds the columns (q, v) and (q_b, v_b) of every variable, scaled."""
 
     def __init__(self, settings: Explicit, problem: Problem, t_end: float) -> None:
         self._max_steps, self._problem = settings.max_steps, problem
         system, s, b = problem.system, problem.scales, problem.derivative
         self._m = 0 if b is None else system.n_b
         self.steps = self.iterations = self.factorisations = self.residuals = 0
-        own = np.concatenate([s.q, s.v])[None]
-        self._size = np.concatenate([own, own / s.b[: self._m, None]])
+        own = np.concatenate([s.q, s.v])[:, None]
+        self._size = np.concatenate([own, own / s.b[: self._m]], axis=1)
         first = problem.initial
         start = Point(first.q, first.v)
         if b is not None:
@@ -119,18 +119,20 @@ class _ExplicitMarch(March):
         return 0.0
 
     def _vector(self, point: Point) -> Array:
-        rows = np.concatenate([point.q, point.v])[None]
+        n_q = self._problem.system.n_q
+        columns = np.empty(self._size.shape, dtype=np.result_type(point.q, point.v))
+        columns[:n_q, 0], columns[n_q:, 0] = point.q, point.v
         if point.q_b is not None and point.v_b is not None:
-            rows = np.concatenate([rows, np.concatenate([point.q_b, point.v_b]).T])
-        vector: Array = (rows / self._size).ravel()
+            columns[:n_q, 1:], columns[n_q:, 1:] = point.q_b, point.v_b
+        vector: Array = (columns / self._size).ravel()
         return vector
 
     def _point(self, y: Array) -> Point:
         n_q = self._problem.system.n_q
-        x = y.reshape(self._m + 1, -1) * self._size
+        x = y.reshape(self._size.shape) * self._size
         if self._m == 0:
-            return Point(x[0, :n_q], x[0, n_q:])
-        return Point(x[0, :n_q], x[0, n_q:], x[1:, :n_q].T, x[1:, n_q:].T)
+            return Point(x[:n_q, 0], x[n_q:, 0])
+        return Point(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
 
     def _projected(self, t: float, y: Array) -> Point:
         if not is_finite(y):

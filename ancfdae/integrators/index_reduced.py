@@ -32,7 +32,7 @@ import numpy as np
 
 from ancfdae.integrators.initial import InitialSensitivity, InitialState
 from ancfdae.integrators.scales import Scales
-from ancfdae.integrators.totals import constraint_force_total, force_total, inertia_total
+from ancfdae.integrators.totals import constraint_force_total, inertia_total
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.system import MechanicalSystem
@@ -225,7 +225,7 @@ class StabilisedIndex2(IndexReduced):
         return np.concatenate(
             [
                 qp_b - v_b + drift / system.weights[:, None],
-                force - force_total(system, q, v, t, q_b, v_b),
+                force - system.force_total(q, v, t, q_b, v_b),
                 side - system.velocity_side_total(q, t, q_b),
                 pattern.dot(B, q_b) + system.constraint_b(q, t),
             ]
@@ -318,7 +318,7 @@ class Index1(IndexReduced):
         return np.concatenate(
             [
                 qp_b - v_b,
-                force - force_total(system, q, v, t, q_b, v_b),
+                force - system.force_total(q, v, t, q_b, v_b),
                 side - system.acceleration_side_total(q, v, t, q_b, v_b),
             ]
         )

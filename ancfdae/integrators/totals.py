@@ -14,16 +14,6 @@ def inertia_total(system: MechanicalSystem, q: Array, a: Array, q_b: Array) -> A
     return total + system.pattern.dot(system.inertia_q(q, a), q_b)
 
 
-def force_total(
-    system: MechanicalSystem, q: Array, v: Array, t: float, q_b: Array, v_b: Array
-) -> Array:
-    """Total design derivative of Q, shape (n_q, n_b)."""
-    total = system.force_b(q, v, t) + system.pattern.dot(system.force_q(q, v, t), q_b)
-    if system.velocity_forces:
-        total = total + system.pattern.dot(system.force_v(q, v, t), v_b)
-    return total
-
-
 def constraint_force_total(
     system: MechanicalSystem, q: Array, lam: Array, t: float, q_b: Array
 ) -> Array:
@@ -49,7 +39,7 @@ def acceleration_totals(
     with a and lam held in the totals; shapes (n_q, n_b) and (n_lam, n_b).
     """
     q, v, a, lam = state
-    force = force_total(system, q, v, t, q_b, v_b) - inertia_total(system, q, a, q_b)
+    force = system.force_total(q, v, t, q_b, v_b) - inertia_total(system, q, a, q_b)
     force = force - constraint_force_total(system, q, lam, t, q_b)
     side = system.acceleration_side_total(q, v, t, q_b, v_b)
     return force, side - system.constraint_q_times_total(q, a, t, q_b)

@@ -229,6 +229,12 @@ class AncfSystem(MechanicalSystem):
         """Q_b (eqs. 24, 25)."""
         return only(self._forces_b(q[None], v[None]))
 
+    def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
+        """Total design derivative of Q."""
+        if self._scene.loads:
+            return super().force_total(q, v, t, q_b, v_b)
+        return self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
+
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Q_q v + Q_v a."""
         rate = self._elastic.force_rate(q, v, a)

@@ -175,6 +175,16 @@ class MechanicalSystem(abc.ABC):
     def force_b(self, q: Array, v: Array, t: float) -> Array:
         """Return Q_b, shape (n_q, n_b)."""
 
+    def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
+        """Return the total design derivative of Q, shape (n_q, n_b).
+
+        Override it where Q_q q_b is cheaper than Q_q.
+        """
+        total = self.force_b(q, v, t) + self.pattern.dot(self.force_q(q, v, t), q_b)
+        if self.velocity_forces:
+            total = total + self.pattern.dot(self.force_v(q, v, t), v_b)
+        return total
+
     @abc.abstractmethod
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return dQ/dt along the motion, Q_q v + Q_v a + Q_t, shape (n_q,)."""

@@ -95,6 +95,33 @@ class ElasticForces:
         # Instants as whole rows in memory, as they are read afterwards.
         return np.negative(self._tangent_map.rows(K.reshape(len(q), -1)), order="C")
 
+    def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
+        """Total design derivative of Q_s for one instant, shape (n_q, n_b)."""
+        block, tau, Y = self._block, self._block.tau, self._R(q).reshape(self._shape)
+        V = None if tau is None else self._R(v).reshape(self._shape)
+        shape = (len(Y), Y[0].size, self._n_b)
+        U = self._R.columns(q_b).reshape(shape)
+        VU = None if V is None else (V, self._R.columns(v_b).reshape(shape))
+        x = elastic.strain(block.g_o, Y, V, tau)
+        p_b = self._stresses_b(x, Y, V)
+        p = elastic.apply_invariant(block.A, x)
+        F_b = elastic.force_total(block.A, p, p_b, (Y, U), VU, tau)
+        return -self._R.transposed(F_b.reshape(Y.size, self._n_b))
+
+    def _stresses_b(self, x: Array, Y: Array, V: Array | None) -> Array:
+        """Design partial of A (dg + tau g') at fixed Y and V, shape (n, n_g, n_b)."""
+        block, element, variable = self._block, self._pair_element, self._pair_variable
+        p_b = np.zeros((len(Y), self._n_b, x.shape[1]), dtype=np.result_type(x, block.A_b))
+        stiff, damped = slice(self._stiff), slice(self._stiff, None)
+        change = elastic.apply_invariant(block.A_b, x[element[stiff]]) - block.c_b
+        np.add.at(p_b, (element[stiff], variable[stiff]), change)
+        if V is not None and len(block.damping_pairs):
+            at = element[damped]
+            rate = packed_gram_direction(Y[at], V[at]) * self._pair_weight[damped, None]
+            A = block.A if len(block.A) == 1 else block.A[at]
+            np.add.at(p_b, (at, variable[damped]), elastic.apply_invariant(A, rate))
+        return np.swapaxes(p_b, 1, 2)
+
     def force_v(self, q: Array) -> Array:
         """Values of (Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
         assert self._block.tau is not None
