@@ -1,0 +1,1 @@
+"""Published multibody problems, each as a user of `MechanicalSystem` would write it."""
