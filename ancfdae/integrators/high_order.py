@@ -14,7 +14,7 @@ from typing import final
 import numpy as np
 from tqdm import tqdm
 
-from ancfdae.errors import Outcome, SingularMatrix, Verdict, require_positive
+from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_positive
 from ancfdae.integrators.accelerations import Accelerations
 from ancfdae.integrators.contract import Integrator
 from ancfdae.integrators.initial import (
@@ -68,6 +68,14 @@ class Problem:
         InvalidInput
         """
         require_positive("t_end", t_end)
+        if np.iscomplexobj(system.b):
+            # A solver in real numbers would drop imaginary parts and return derivatives of zero.
+            raise InvalidInput(
+                "design variables",
+                "must be real for an integrator that controls its error",
+                "complex values",
+                "Use HHT for a complex step, or Direct().",
+            )
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
         derivative = start_sensitivity(system, matrices, initial) if sensitivities else None

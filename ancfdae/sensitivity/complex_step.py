@@ -8,7 +8,9 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.errors import InvalidInput
 from ancfdae.integrators import Integrator
+from ancfdae.integrators.high_order import HighOrder
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
@@ -28,13 +30,20 @@ class ComplexStep(Method):
 
     The imaginary part over eps is the derivative, free of subtraction; the independent check
     of direct differentiation. Needs a system that computes in complex numbers, as every ANCF
-    scene does.
+    scene does, and HHT: the other integrators solve in real numbers.
     """
 
     def differentiate(
         self, system: MechanicalSystem, t_end: float, integrator: Integrator, progress: bool
     ) -> Solution:
-        """Run once in real numbers and once in complex ones per design variable."""
+        """Run once in real numbers and once in complex ones per design variable.
+
+        Raises
+        ------
+        InvalidInput
+            If the integrator computes in real numbers only.
+        """
+        _require_complex(integrator)
         solution = integrator.integrate(system, t_end, progress=progress)
         columns, outcomes = [], [solution.outcome]
         for i in range(system.n_b):
@@ -54,7 +63,14 @@ class ComplexStep(Method):
         integrator: Integrator,
         progress: bool,
     ) -> list[Gradient]:
-        """Imaginary parts of the objectives of complex runs."""
+        """Imaginary parts of the objectives of complex runs.
+
+        Raises
+        ------
+        InvalidInput
+            If the integrator computes in real numbers only.
+        """
+        _require_complex(integrator)
         solution = finished(integrator.integrate(system, t_end, progress=progress))
         slopes = np.zeros((len(objectives), system.n_b))
         for i in range(system.n_b):
@@ -74,6 +90,16 @@ class ComplexStep(Method):
             )
             for objective, slope in zip(objectives, slopes, strict=True)
         ]
+
+
+def _require_complex(integrator: Integrator) -> None:
+    if isinstance(integrator, HighOrder):
+        raise InvalidInput(
+            "ComplexStep",
+            "needs an integrator that computes in complex numbers",
+            repr(integrator),
+            "Use HHT, or Direct().",
+        )
 
 
 def _moved(system: MechanicalSystem, index: int) -> tuple[Array, float]:
