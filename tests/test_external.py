@@ -20,7 +20,7 @@ from ancfdae import (
     simulate,
 )
 from validation.external import published
-from validation.external.rods import Rods, cartesian_pendulum, double_four_bar, four_bar_minimal
+from validation.external.rods import cartesian_pendulum, double_four_bar, four_bar_minimal
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 
 STEP = 1e-30  # complex step: its square vanishes against one
@@ -136,9 +136,7 @@ def pairs(system):
     yield (
         "constraint_force_rate_total",
         system.constraint_force_rate_total(q, v, lam, t, s.q_b, s.v_b, s.lam_b),
-        total(
-            lambda o, m: o.constraint_force_rate(m(q, s.q_b), m(v, s.v_b), m(lam, s.lam_b), t)
-        ),
+        total(lambda o, m: o.constraint_force_rate(m(q, s.q_b), m(v, s.v_b), m(lam, s.lam_b), t)),
     )
     for k, name in enumerate(("start_q_b", "start_v_b")):
         yield name, system.start_b()[k], total(lambda o, _, k=k: o.start()[k])
@@ -152,7 +150,159 @@ NAMES = [name for name, _, _ in pairs(SYSTEMS["pendulum"])]
 
 @pytest.mark.parametrize("name", NAMES)
 def test_partials_of_the_external_systems(system, name):
-    (_, mine, other), = [pair for pair in pairs(system) if pair[0] == name]
+    ((_, mine, other),) = [pair for pair in pairs(system) if pair[0] == name]
     assert mine.shape == other.shape
     # A dozen roundings of terms that may exceed the result tenfold.
     assert np.max(np.abs(mine - other), initial=0.0) <= 1e-13 * max(1.0, np.max(np.abs(other)))
+
+
+def test_a_sign_flip_in_a_partial_is_caught(monkeypatch):
+    right = SliderCrank.force_rate_total
+    monkeypatch.setattr(SliderCrank, "force_rate_total", lambda *x: -right(*x))
+    wrong = [
+        name
+        for name, mine, other in pairs(SYSTEMS["slider-crank"])
+        if np.max(np.abs(mine - other), initial=0.0) > 1e-13 * max(1.0, np.max(np.abs(other)))
+    ]
+    assert wrong == ["force_rate_total"]
+
+
+# ---------------------------------------------------------------- slider-crank
+
+
+ENERGY = kinetic_energy_integral()
+
+
+def crank(integrator, method=None):
+    """Error of G, dG/dk, dG/dc."""
+    result = gradient(SliderCrank(), ENERGY, (), 10.0, integrator, method)
+    return np.array([result.value, *result.gradient]) - published.CRANK_G, result.solution
+
+
+@pytest.mark.parametrize(
+    ("kind", "method"),
+    [
+        (IDA, Direct()),
+        (Explicit, Direct()),
+        pytest.param(IDAS, Direct(), marks=needs_idas),
+        pytest.param(IDAS, Adjoint(), marks=needs_idas),
+    ],
+)
+def test_slider_crank_to_1e_6_at_rtol_1e_10(kind, method):
+    error, solution = crank(kind(rtol=1e-10, intervals=25), method)
+    assert np.max(np.abs(error)) <= 1e-6
+    # The instants of the table are the ends of the intervals.
+    table = published.CRANK_TRAJECTORY
+    assert np.max(np.abs(solution.q[::8] - table[:, 1:])) <= 1e-6
+    if solution.sensitivities is not None:
+        end = [solution.q[-1, 0], solution.v[-1, 0], *solution.sensitivities.q_b[-1, 0]]
+        assert np.max(np.abs(end - published.CRANK_END)) <= 1e-6
+
+
+def test_slider_crank_by_hht_is_second_order_and_extrapolates_to_1e_6():
+    coarse, middle, fine = (crank(HHT(h), Direct())[0] for h in (0.02, 0.01, 0.005))
+    orders = np.log2((coarse - middle) / (middle - fine))
+    assert np.all(np.abs(orders - 2) < 0.1)
+    assert np.max(np.abs(fine + (fine - middle) / 3)) <= 1e-6
+    assert np.all(np.abs(fine) <= 1e-4)
+
+
+def test_published_and_recomputed_slider_crank_agree_to_the_published_digits():
+    assert np.max(np.abs(published.CRANK_G_PUBLISHED - published.CRANK_G)) <= 2e-5
+
+
+def test_methods_differentiate_the_same_discrete_slider_crank():
+    step = HHT(0.02)
+    direct = crank(step, Direct())[0]
+    # Newton stops at 1e-14 of the forces; 500 steps.
+    assert np.max(np.abs(crank(step, Adjoint())[0] - direct)) <= 1e-11
+    assert np.max(np.abs(crank(step, ComplexStep())[0] - direct)) <= 1e-11
+    # Truncation of central differences, (1e-4)^2 times third derivatives.
+    difference = FiniteDifference(1e-4, central=True)
+    assert np.max(np.abs(crank(step, difference)[0] - direct)) <= 1e-7
+    # The continuous adjoint discretises anew: second order in the step.
+    assert np.max(np.abs(crank(step, ContinuousAdjoint())[0] - direct)) <= 1e-3
+
+
+# ---------------------------------------------------------------- Cartesian pendulum
+
+
+def pendulum_error(integrator, rows=6):
+    """Largest error of the table's first rows, relative to max(1, |value|)."""
+    table = published.PENDULUM[:rows]
+    t_end = table[-1, 0]
+    solution = differentiate(cartesian_pendulum(), (), t_end, integrator)
+    assert solution.outcome.success
+    places = [int(np.argmin(np.abs(solution.t - time))) for time in table[:, 0]]
+    assert np.max(np.abs(solution.t[places] - table[:, 0])) <= 1e-12
+    b = solution.sensitivities
+    columns = [solution.q, solution.v, solution.lam]
+    for i in range(2):
+        columns += [b.q_b[..., i], b.lam_b[..., i]]
+    values = np.column_stack([x[places] for x in columns])
+    return np.max(np.abs(values - table[:, 1:]) / np.maximum(1.0, np.abs(table[:, 1:])))
+
+
+@pytest.mark.parametrize(
+    ("kind", "rtol"),
+    [(IDA, 1e-12), (Explicit, 1e-10), pytest.param(IDAS, 1e-12, marks=needs_idas)],
+)
+def test_pendulum_table_to_1e_8(kind, rtol):
+    # The first three rows here, to save time; the report has all six.
+    assert pendulum_error(kind(rtol=rtol, intervals=4), rows=3) <= 1e-8
+
+
+def test_pendulum_by_hht_is_second_order():
+    errors = [pendulum_error(HHT(h), rows=4) for h in (0.0025, 0.00125)]
+    assert abs(np.log2(errors[0] / errors[1]) - 2) < 0.1
+
+
+# ---------------------------------------------------------------- double four-bar
+
+
+def four_bar_error(solution, time):
+    """Errors of point B_0 and of its derivatives at one instant."""
+    place = int(np.argmin(np.abs(solution.t - time)))
+    assert abs(solution.t[place] - time) <= 1e-9
+    exact, exact_b = four_bar_minimal(np.array([time]))
+    state = np.concatenate([solution.q[place, :2], solution.v[place, :2]])
+    b = solution.sensitivities
+    state_b = np.concatenate([b.q_b[place, :2], b.v_b[place, :2]])
+    return np.max(np.abs(state - exact[0])), np.max(np.abs(state_b - exact_b[0]))
+
+
+def test_minimal_form_of_the_four_bar_gives_the_table():
+    states, slopes = four_bar_minimal(published.FOUR_BAR[:, 0])
+    assert np.max(np.abs(states - published.FOUR_BAR[:, 1:])) <= 1e-10
+    size = 1e-5
+    for i in range(2):
+        b = np.array([1.0, 9.81])
+        b[i] += size
+        ahead = four_bar_minimal(published.FOUR_BAR[:, 0], b)[0]
+        b[i] -= 2 * size
+        behind = four_bar_minimal(published.FOUR_BAR[:, 0], b)[0]
+        # Truncation: size^2 times third derivatives, some 1e4 after several turns.
+        assert np.max(np.abs((ahead - behind) / (2 * size) - slopes[..., i])) <= 1e-4
+
+
+def test_four_bar_passes_the_singular_configuration_by_hht():
+    # At t = 0.7 all bars are in one line; the tolerance is that of the report.
+    motion = HHT(1e-4, newton_tolerance=1e-5)
+    solution = differentiate(double_four_bar(), (), 1.0, motion)
+    error, error_b = four_bar_error(solution, 1.0)
+    assert error <= 1e-5
+    assert error_b <= 1e-5
+    # It stays a parallelogram: no branching off.
+    assert np.max(np.abs(solution.q[:, 2:4] - solution.q[:, :2] - [1.0, 0.0])) <= 1e-9
+
+
+@pytest.mark.parametrize("kind", [IDA, Explicit, pytest.param(IDAS, marks=needs_idas)])
+def test_integrators_of_high_order_end_cleanly_at_the_singular_configuration(kind):
+    integrator = kind(rtol=1e-8, intervals=10, max_steps=1000)
+    solution = simulate(double_four_bar(), 2.0, integrator)
+    outcome = solution.outcome
+    exact = four_bar_minimal(solution.t[1:])[0]
+    mine = np.concatenate([solution.q[1:, :2], solution.v[1:, :2]], axis=1)
+    # What was computed is right, however far it got.
+    assert np.max(np.abs(mine - exact)) <= 1e-5
+    assert outcome.success or "results up to there are kept" in str(outcome)
