@@ -252,6 +252,12 @@ def test_pendulum_table_to_1e_8(kind, rtol):
     assert pendulum_error(kind(rtol=rtol, intervals=4), rows=3) <= 1e-8
 
 
+@needs_idas
+def test_newton_iteration_of_idas_does_not_disturb_its_error_control():
+    # 7e-7 here; 1.3e-5 with the default factor of SUNDIALS, and 1.5 times the steps.
+    assert pendulum_error(IDAS(rtol=1e-8, intervals=40)) <= 3e-6
+
+
 def test_pendulum_by_hht_is_second_order():
     errors = [pendulum_error(HHT(h), rows=4) for h in (0.0025, 0.00125)]
     assert abs(np.log2(errors[0] / errors[1]) - 2) < 0.1
