@@ -5,22 +5,30 @@ import pytest
 
 from ancfdae import (
     HHT,
+    IDA,
+    IDAS,
     Beam,
     Clamp,
     ComplexStep,
     CurvedBeam,
     DesignVariable,
     Direct,
+    Explicit,
     FiniteDifference,
+    InvalidInput,
     Material,
     NodeState,
     Pin,
     Rectangle,
     RigidMotion,
     Scene,
+    Terminal,
     assemble,
+    custom,
     differentiate,
     distribution,
+    gradient,
+    simulate,
     taylor_test,
 )
 from validation.scenes import deflection, pendulum
@@ -193,3 +201,20 @@ def test_unchanged_run_when_sensitivities_are_integrated_along():
     alone = differentiate(pendulum(), [], 0.5, HHT(2.0**-7))
     along = differentiate(pendulum(), ["pendulum.height"], 0.5, HHT(2.0**-7))
     np.testing.assert_allclose(along.q, alone.q, atol=1e-11)
+
+
+ABSCISSA = Terminal(custom(lambda t, q, v, lam, b: q[:, 0]))
+
+
+@pytest.mark.parametrize("kind", [IDA, IDAS, Explicit])
+def test_complex_step_is_refused_by_integrators_in_real_numbers(kind):
+    with pytest.raises(InvalidInput, match=r"ComplexStep: .*Use HHT"):
+        gradient(CartesianPendulum(), ABSCISSA, (), 1.0, kind(), ComplexStep())
+    with pytest.raises(InvalidInput, match=r"ComplexStep: .*Use HHT"):
+        differentiate(CartesianPendulum(), (), 1.0, kind(), ComplexStep())
+
+
+def test_complex_design_values_are_refused_by_integrators_in_real_numbers():
+    system = CartesianPendulum(b=np.array([1.0 + 1e-40j, 9.81]))
+    with pytest.raises(InvalidInput, match=r"real numbers.*a complex system"):
+        simulate(system, 1.0, Explicit())

@@ -101,8 +101,8 @@ class SliderCrank(Scleronomic):
         n_t = s.H @ v
         f_t = s.f_N * s.w + s.f_w * (v @ n_t + s.n @ a)
         push = np.array([0.0, 0.0, -_PUSH * np.cos(q[2]) * v[2]])
-        value: Array = -0.5 * (f_t * s.n + s.f * n_t) + push
-        return value
+        Q_t: Array = -0.5 * (f_t * s.n + s.f * n_t) + push
+        return Q_t
 
     def force_rate_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
@@ -151,8 +151,8 @@ class SliderCrank(Scleronomic):
     def constraint(self, q: Array, t: float) -> Array:
         """Return Phi."""
         e, _ = _directions(q)
-        value: Array = np.array([q[1], 0.0]) - e @ _ARMS
-        return value
+        Phi: Array = np.array([q[1], 0.0]) - e @ _ARMS
+        return Phi
 
     def constraint_q(self, q: Array, t: float) -> Array:
         """Return Phi_q."""
@@ -203,14 +203,15 @@ class SliderCrank(Scleronomic):
     ) -> Array:
         """Return the total design derivative of gamma."""
         (e, normal), w = _directions(q), v[_ANGLES]
-        value: Array = -(_ARMS * w**2 * normal) @ q_b[_ANGLES] - (2 * _ARMS * w * e) @ v_b[_ANGLES]
-        return value
+        on_q, on_v = -_ARMS * w**2 * normal, -2 * _ARMS * w * e
+        total: Array = on_q @ q_b[_ANGLES] + on_v @ v_b[_ANGLES]
+        return total
 
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return S."""
         (e, normal), w = _directions(q), v[_ANGLES]
-        value: Array = -(w**3 * normal + 3 * w * a[_ANGLES] * e) @ _ARMS
-        return value
+        S: Array = -(w**3 * normal + 3 * w * a[_ANGLES] * e) @ _ARMS
+        return S
 
     def jerk_side_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
@@ -219,10 +220,9 @@ class SliderCrank(Scleronomic):
         (e, normal), w, w_t = _directions(q), v[_ANGLES], a[_ANGLES]
         on_q = _ARMS * (w**3 * e - 3 * w * w_t * normal)
         on_v = -3 * _ARMS * (w**2 * normal + w_t * e)
-        value: Array = (
-            on_q @ q_b[_ANGLES] + on_v @ v_b[_ANGLES] - (3 * _ARMS * w * e) @ a_b[_ANGLES]
-        )
-        return value
+        on_a = -3 * _ARMS * w * e
+        total: Array = on_q @ q_b[_ANGLES] + on_v @ v_b[_ANGLES] + on_a @ a_b[_ANGLES]
+        return total
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
         """Return (dPhi_q^T/dt) lam."""

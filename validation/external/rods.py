@@ -1,0 +1,296 @@
+"""Points joined by rigid massless rods: the Cartesian pendulum and the double four-bar.
+
+With d_k = P_k q + c_k the vector along rod k, everything is quadratic:
+
+    Phi_k = (d_k . d_k - l_k^2)/2,   Phi_qk = d_k^T P_k,   (Phi_q^T lam)_q = sum lam_k P_k^T P_k.
+
+Design variables of both systems are a length L and the gravity g.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Self, final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import solve_ivp
+
+from validation.external.scleronomic import Array, Scleronomic
+
+__all__ = ["Rods", "cartesian_pendulum", "double_four_bar", "four_bar_minimal"]
+
+
+@final
+@dataclass(frozen=True)
+class Geometry:
+    """What of a system of rods no design variable changes.
+
+    Attributes
+    ----------
+    mass_matrix : array, shape (n_q, n_q)
+    ends : array, shape (n_lam, 2, n_q)
+        P_k.
+    offsets : array, shape (n_lam, 2)
+        c_k.
+    shares : array, shape (n_lam,)
+        Lengths are l_k = 1 + shares_k (L - 1): one for a rod of length L, zero for length 1.
+    weight : array, shape (n_q,)
+        Force at g = 1.
+    rest : array, shape (n_q,)
+    along : array, shape (n_q,)
+        The start is q = rest + L along.
+    across : array, shape (n_q,)
+        It moves with v = L across.
+    names : tuple of str
+        Of the rods.
+    """
+
+    mass_matrix: Array
+    ends: Array
+    offsets: Array
+    shares: Array
+    weight: Array
+    rest: Array
+    along: Array
+    across: Array
+    names: tuple[str, ...]
+
+
+class Rods(Scleronomic):
+    """Points joined by rods under gravity; design variables L and g.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    b : array_like
+        L and g.
+    """
+
+    velocity_forces = False
+
+    def __init__(self, geometry: Geometry, b: npt.ArrayLike = (1.0, 9.81)) -> None:
+        super().__init__(geometry.mass_matrix, geometry.names, ("L", "g"), b)
+        self._geometry, self._P, self._c = geometry, geometry.ends, geometry.offsets
+        self._flat = self._P.reshape(-1, self.n_q)
+        self._squares = np.einsum("kip,kiq->kpq", self._P, self._P).reshape(self.n_lam, -1)
+
+    def with_values(self, b: Array) -> Self:
+        """Return the same points and rods at another L and g."""
+        return type(self)(self._geometry, b)
+
+    def start(self) -> tuple[Array, Array]:
+        """Return the start, which depends on L."""
+        L: float = self.b[0]
+        return self._geometry.rest + L * self._geometry.along, L * self._geometry.across
+
+    def start_b(self) -> tuple[Array, Array]:
+        """Return its partials."""
+        zero = np.zeros(self.n_q)
+        columns = (self._geometry.along, self._geometry.across)
+        q_b, v_b = (np.stack([column, zero], axis=1) for column in columns)
+        return q_b, v_b
+
+    # -- forces --------------------------------------------------------------------------------
+
+    def force(self, q: Array, v: Array, t: float) -> Array:
+        """Return Q."""
+        Q: Array = self.b[1] * self._geometry.weight
+        return Q
+
+    def force_q(self, q: Array, v: Array, t: float) -> Array:
+        """Return zero."""
+        return np.zeros(self.n_q**2)
+
+    def force_v(self, q: Array, v: Array, t: float) -> Array:
+        """Return zero."""
+        return np.zeros(self.n_q**2)
+
+    def force_b(self, q: Array, v: Array, t: float) -> Array:
+        """Return Q_b."""
+        return np.stack([np.zeros(self.n_q), self._geometry.weight], axis=1)
+
+    def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
+        """Return zero."""
+        return np.zeros(self.n_q)
+
+    def force_rate_total(
+        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
+    ) -> Array:
+        """Return zero."""
+        return np.zeros((self.n_q, self.n_b))
+
+    # -- constraints ---------------------------------------------------------------------------
+
+    def constraint(self, q: Array, t: float) -> Array:
+        """Return Phi."""
+        d, lengths = self._along(q) + self._c, 1 + self._geometry.shares * (self.b[0] - 1)
+        Phi: Array = 0.5 * (np.sum(d * d, axis=1) - lengths**2)
+        return Phi
+
+    def constraint_q(self, q: Array, t: float) -> Array:
+        """Return Phi_q."""
+        return self._gradient(self._along(q) + self._c)
+
+    def constraint_b(self, q: Array, t: float) -> Array:
+        """Return Phi_b."""
+        shares = self._geometry.shares
+        by_L = -shares * (1 + shares * (self.b[0] - 1))
+        return np.stack([by_L, np.zeros(self.n_lam)], axis=1)
+
+    def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
+        """Return Phi_q^T lam."""
+        reaction: Array = (lam[:, None] * (self._along(q) + self._c)).ravel() @ self._flat
+        return reaction
+
+    def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
+        """Return (Phi_q^T lam)_q."""
+        K: Array = lam @ self._squares
+        return K
+
+    def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
+        """Return the total design derivative of Phi_q x."""
+        return self._matrix(self._along(x)) @ q_b
+
+    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
+        """Return dPhi_q/dt."""
+        return self._gradient(self._along(v))
+
+    def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
+        """Return d^2 Phi_q/dt^2."""
+        return self._gradient(self._along(a))
+
+    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
+        """Return gamma."""
+        d_t = self._along(v)
+        gamma: Array = -np.sum(d_t * d_t, axis=1)
+        return gamma
+
+    def acceleration_side_total(
+        self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
+    ) -> Array:
+        """Return the total design derivative of gamma."""
+        return -2 * self._matrix(self._along(v)) @ v_b
+
+    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
+        """Return S."""
+        S: Array = -3 * np.sum(self._along(v) * self._along(a), axis=1)
+        return S
+
+    def jerk_side_total(
+        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
+    ) -> Array:
+        """Return the total design derivative of S."""
+        by_v, by_a = self._matrix(self._along(a)), self._matrix(self._along(v))
+        return -3 * (by_v @ v_b + by_a @ a_b)
+
+    def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
+        """Return (dPhi_q^T/dt) lam."""
+        rate: Array = (lam[:, None] * self._along(v)).ravel() @ self._flat
+        return rate
+
+    def constraint_force_rate_total(
+        self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
+    ) -> Array:
+        """Return the total design derivative of (dPhi_q^T/dt) lam."""
+        K = (lam @ self._squares).reshape(self.n_q, self.n_q)
+        total: Array = K @ v_b + self._matrix(self._along(v)).T @ lam_b
+        return total
+
+    def _along(self, x: Array) -> Array:
+        """P_k x, shape (n_lam, 2)."""
+        return (self._flat @ x).reshape(self.n_lam, 2)
+
+    def _matrix(self, d: Array) -> Array:
+        """Rows d_k^T P_k."""
+        rows: Array = (d[:, None, :] @ self._P)[:, 0, :]
+        return rows
+
+    def _gradient(self, d: Array) -> Array:
+        return self._matrix(d).ravel()
+
+
+def cartesian_pendulum(b: npt.ArrayLike = (1.0, 9.81)) -> Rods:
+    """Return a point of 1 kg on a rod, horizontal and at rest at (-L, 0) (IFToMM library, A01)."""
+    geometry = Geometry(
+        mass_matrix=np.eye(2),
+        ends=np.eye(2)[None],
+        offsets=np.zeros((1, 2)),
+        shares=np.ones(1),
+        weight=np.array([0.0, -1.0]),
+        rest=np.zeros(2),
+        along=np.array([-1.0, 0.0]),
+        across=np.zeros(2),
+        names=("rod",),
+    )
+    return Rods(geometry, b)
+
+
+# Turning at the start; rad/s.
+_SPIN: Final = 1.0
+# Points B_i above the bearings A_i = (i, 0), i = 0, 1, 2.
+_BEARINGS: Final = np.array([0.0, 0.0, 1.0, 0.0, 2.0, 0.0])
+
+
+def double_four_bar(b: npt.ArrayLike = (1.0, 9.81)) -> Rods:
+    """Return the double four-bar (IFToMM library, A02) in the coordinates of its points B_i.
+
+    Five uniform bars of 1 kg: cranks A_i B_i of length L, couplers B_0 B_1 and B_1 B_2 of 1 m. It
+    starts upright and turns clockwise at 1 rad/s. With all bars in one line, two of the five
+    constraints depend on the others.
+    """
+    eye, zero = np.eye(2), np.zeros((2, 2))
+    blocks = [(eye, zero, zero), (zero, eye, zero), (zero, zero, eye)]
+    blocks += [(-eye, eye, zero), (zero, -eye, eye)]
+    # A bar with ends that move at v_1 and v_2 has the energy m (v_1^2 + v_1 v_2 + v_2^2)/6.
+    mass = np.array([[4.0, 1.0, 0.0], [1.0, 6.0, 1.0], [0.0, 1.0, 4.0]]) / 6.0
+    geometry = Geometry(
+        mass_matrix=np.kron(mass, eye).astype(np.float64),
+        ends=np.array([np.hstack(row) for row in blocks]),
+        offsets=-np.concatenate([_BEARINGS.reshape(3, 2), np.zeros((2, 2))]),
+        shares=np.array([1.0, 1.0, 1.0, 0.0, 0.0]),
+        weight=-np.array([0.0, 1.0, 0.0, 1.5, 0.0, 1.0]),
+        rest=_BEARINGS,
+        along=np.tile([0.0, 1.0], 3),
+        across=np.tile([_SPIN, 0.0], 3),
+        names=("crank 0", "crank 1", "crank 2", "coupler 0", "coupler 1"),
+    )
+    return Rods(geometry, b)
+
+
+def four_bar_minimal(times: Array, b: npt.ArrayLike = (1.0, 9.81)) -> tuple[Array, Array]:
+    """Return point B_0 of the double four-bar from its only degree of freedom.
+
+    With phi from the upright position, phi'' = s sin phi and s = 3.5 g/(3 L), nothing is singular;
+    the variational equations come along.
+
+    Parameters
+    ----------
+    times : array, shape (k,)
+        Rising, from zero.
+    b : array_like
+        L and g.
+
+    Returns
+    -------
+    states : array, shape (k, 4)
+        x, y and their rates.
+    states_b : array, shape (k, 4, 2)
+        Their derivatives in L and g.
+    """
+    L, g = np.asarray(b, dtype=float)
+    s = 3.5 * g / (3 * L)
+    s_b = np.array([-s / L, s / g])
+
+    def rate(_: float, y: Array) -> Array:
+        swing = s * np.cos(y[0]) * y[2:4] + s_b * np.sin(y[0])
+        return np.concatenate([[y[1], s * np.sin(y[0])], y[4:6], swing])
+
+    start = np.array([0.0, _SPIN, 0.0, 0.0, 0.0, 0.0])
+    run = solve_ivp(rate, (0.0, times[-1]), start, "DOP853", t_eval=times, rtol=3e-14, atol=1e-14).y
+    (phi, phi_t), phi_b, phi_tb = run[:2], run[2:4].T, run[4:6].T
+    e, e_t = np.array([np.sin(phi), np.cos(phi)]), np.array([np.cos(phi), -np.sin(phi)])
+    states = L * np.concatenate([e, phi_t * e_t]).T
+    on_q = np.einsum("ik,kb->kib", L * e_t, phi_b)
+    on_v = np.einsum("ik,kb->kib", -L * phi_t * e, phi_b) + np.einsum("ik,kb->kib", L * e_t, phi_tb)
+    states_b = np.concatenate([on_q, on_v], axis=1)
+    states_b[:, :, 0] += states / L
+    return states, states_b
