@@ -81,7 +81,7 @@ class Verdict(Enum):
     SINGULAR = "the iteration matrix is singular"
     NOT_FINITE = "the residual is not finite"
     INTERRUPTED = "the run was interrupted"
-    STEP_LIMIT = "the limit of steps between two instants was reached"
+    STEP_LIMIT = "the limit of steps was reached"
     ERROR_TEST = "the error test failed at the smallest step"
     TOO_ACCURATE = "the tolerance is below what round-off allows"
 

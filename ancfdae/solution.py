@@ -7,17 +7,19 @@ import os
 import uuid
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from ancfdae.bodies import Point, Quantity, require_point
 from ancfdae.errors import InvalidInput, Outcome, UnknownName, Verdict
 from ancfdae.layout import BeamLayout, JointLayout, Layout, Naming
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.time_grid import TimeGrid
 
 _FORMAT = "ancfdae solution 2"
 # What reading a file that is no archive, or a damaged one, ends in.
@@ -45,6 +47,8 @@ class Statistics:
         Steps whose Newton corrections stopped shrinking, at round-off, above the tolerance.
     wall_seconds : float
         Elapsed time of the integration.
+    rejected : int
+        Steps of `HHT` repeated with a smaller size; SUNDIALS and SciPy do not tell.
     """
 
     steps: int
@@ -53,6 +57,7 @@ class Statistics:
     residuals: int
     round_off_steps: int
     wall_seconds: float
+    rejected: int = 0
 
 
 @final
@@ -228,6 +233,51 @@ class Solution:
                 )
             columns.append(value.imag / _STEP)
         return np.stack(columns, axis=-1)
+
+    def at(self, times: Sequence[float]) -> Solution:
+        """Return the solution at asked times, by interpolation of the order of its integrator.
+
+        Between the steps of HHT: coordinates by the cubic through q and v at both ends, velocities
+        by that through v and a, accelerations and multipliers linearly. Between Gauss-Lobatto
+        instants: the polynomial of a panel. Derivatives are interpolated alike. Statistics and
+        outcome stay those of the run.
+
+        Parameters
+        ----------
+        times : sequence of float
+            Increasing, within the run; s.
+
+        Raises
+        ------
+        InvalidInput
+            If they are not.
+        """
+        asked = np.array(times, dtype=float, ndmin=1)
+        good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))
+        if not good or not (self.t[0] <= asked[0] and asked[-1] <= self.t[-1]):
+            raise InvalidInput(
+                "times",
+                f"must increase and lie in [0, {self.t[-1]:.6g}]",
+                repr(times),
+                "For example np.linspace(0, solution.t[-1], 101).",
+            )
+        own = self.sensitivities
+        if own is not None:
+            q_b, v_b, a_b, lam_b = self._sampled(asked, own.q_b, own.v_b, own.a_b, own.lam_b)
+            own = replace(own, q_b=q_b, v_b=v_b, a_b=a_b, lam_b=lam_b)
+        q, v, a, lam = self._sampled(asked, self.q, self.v, self.a, self.lam)
+        return replace(self, t=asked, q=q, v=v, a=a, lam=lam, sensitivities=own, degree=1)
+
+    def _sampled(self, times: Array, q: Array, v: Array, a: Array, lam: Array) -> list[Array]:
+        if self.degree == 1 and len(self.t) > 1:
+            smooth = (CubicHermiteSpline(self.t, x, rate)(times) for x, rate in ((q, v), (v, a)))
+            return [*smooth, *(make_interp_spline(self.t, x, k=1)(times) for x in (a, lam))]
+        grid = TimeGrid(self.t, self.degree)
+        shares = [grid.interpolation(time) for time in times]
+        return [
+            np.stack([np.tensordot(share, x[rows], 1) for rows, share in shares])
+            for x in (q, v, a, lam)
+        ]
 
     def design_index(self, name: str) -> int:
         """Return the place of a design variable in the last axis of every sensitivity.

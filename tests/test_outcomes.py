@@ -83,7 +83,7 @@ def test_progress_bar_only_on_request(capsys):
     simulate(CartesianPendulum(), 0.25, HHT(2.0**-4))
     assert capsys.readouterr().err == ""
     simulate(CartesianPendulum(), 0.25, HHT(2.0**-4), progress=True)
-    assert "4/4" in capsys.readouterr().err
+    assert "0.25/0.25" in capsys.readouterr().err
 
 
 def test_statistics_count_what_was_done():

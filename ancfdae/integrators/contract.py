@@ -22,6 +22,14 @@ class Integrator(abc.ABC):
 
     real_only: ClassVar[bool] = False
 
+    def frozen(self, solution: Solution) -> Integrator:
+        """Return the integrator that repeats the steps of a run at another design.
+
+        Where steps follow from an error estimate they jump with the design, and differences of
+        runs show the jumps. `HHT` can repeat them; other integrators return themselves.
+        """
+        return self
+
     @abc.abstractmethod
     def integrate(
         self,

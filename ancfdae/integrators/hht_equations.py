@@ -36,8 +36,8 @@ order in the multipliers; starting with it leaves them second order:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from dataclasses import dataclass, replace
+from typing import Any, final
 
 import numpy as np
 
@@ -55,18 +55,53 @@ class Coefficients:
 
     Attributes
     ----------
-    h, alpha, beta, gamma : float
+    h : float or array
+        An array for many steps at once.
+    alpha, beta, gamma : float
     """
 
-    h: float
+    h: Any
     alpha: float
     beta: float
     gamma: float
 
     @staticmethod
     def of(step: float, hht_alpha: float) -> Coefficients:
-        """Return gamma = (1 - 2 alpha)/2 and beta = (1 - alpha)^2/4 with the step."""
-        return Coefficients(step, hht_alpha, (1 - hht_alpha) ** 2 / 4, (1 - 2 * hht_alpha) / 2)
+        """Return the coefficients of a step."""
+        return Coefficients(step, *newmark(hht_alpha))
+
+
+@final
+@dataclass(frozen=True)
+class Steps:
+    """Step sizes of a run.
+
+    Attributes
+    ----------
+    h : array, shape (n,)
+    alpha : float
+    """
+
+    h: Array
+    alpha: float
+
+    @property
+    def first(self) -> Coefficients:
+        """Coefficients of the first step."""
+        return self.of(1)
+
+    def of(self, n: int) -> Coefficients:
+        """Coefficients of the step that ends at instant n."""
+        return Coefficients.of(float(self.h[n - 1]), self.alpha)
+
+    def ratio(self, n: int) -> float:
+        """Size of the step from instant n relative to the one that ends there."""
+        return float(self.h[n] / self.h[n - 1])
+
+    def columns(self, steps: slice) -> Coefficients:
+        """Coefficients of the steps that end at some instants; h has shape (k, 1)."""
+        h = self.h[steps.start - 1 : steps.stop - 1]
+        return Coefficients(h[:, None], *newmark(self.alpha))
 
 
 @final
@@ -105,6 +140,11 @@ class NodeSensitivity:
     A_b: Array
 
 
+def newmark(alpha: float) -> tuple[float, float, float]:
+    """Return alpha, beta = (1 - alpha)^2/4 and gamma = (1 - 2 alpha)/2 (below eq. 6)."""
+    return alpha, (1 - alpha) ** 2 / 4, (1 - 2 * alpha) / 2
+
+
 def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
     """q~ and v~ of eqs. (2) and (3); arrays of derivatives go through unchanged."""
     v_p = v + (c.h * (1 - c.gamma)) * a
@@ -118,6 +158,15 @@ def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
     """Q and v of eqs. (2) and (3) from their predictors and a_{n+1}."""
     return q_p + (c.beta * c.h**2) * a, v_p + (c.gamma * c.h) * a
+
+
+def rescaled(node: Node, ratio: float) -> Node:
+    """Return the node for a step whose size is `ratio` times that of the step before.
+
+    a stands for q'' at t + alpha h, and changes with h along the straight line through it and A
+    at t, which keeps second order.
+    """
+    return node if ratio == 1.0 else replace(node, a=node.A + ratio * (node.a - node.A))
 
 
 def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
@@ -137,7 +186,9 @@ def residual(
 def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
     """Upper left block of eq. (6) for k instants, shape (k, nnz)."""
     K = local.M / (1 + c.alpha) + (c.beta * c.h**2) * local.f_q
-    return K if local.f_v is None else K + (c.gamma * c.h) * local.f_v
+    if local.f_v is not None:
+        K = K + (c.gamma * c.h) * local.f_v
+    return np.asarray(K)
 
 
 def factor_jacobian(
@@ -180,7 +231,7 @@ def start_node_sensitivity(
     # M dv_b + Phi_q^T eta_b = -(M dv)_total - (Phi_q^T eta)_total
     # Phi_q dv_b = C h^2 S_total - (Phi_q dv)_total
     right = -inertia_total(system, q, dv, q_b) - constraint_force_total(system, q, eta, t, q_b)
-    side = _constraint_error(c) * system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
+    side = constraint_error(c) * system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
     side = side - system.constraint_q_times_total(q, dv, t, q_b)
     dv_b = factors.solve(np.concatenate([right, side]))[: system.n_q]
     return NodeSensitivity(
@@ -192,9 +243,9 @@ def start_node_sensitivity(
     )
 
 
-def _constraint_error(c: Coefficients) -> float:
-    """C h^2 of the module description."""
-    return -(1 + 3 * c.alpha**2) / 12 * c.h**2
+def constraint_error(c: Coefficients) -> float:
+    """Return C h^2 of the module description."""
+    return -(1 + 3 * c.alpha**2) / 12 * float(c.h) ** 2
 
 
 def _velocity_shift(
@@ -208,5 +259,5 @@ def _velocity_shift(
     """Dv, its multiplier eta, and the factorised saddle point of M and Phi_q."""
     factors = matrices.factor(system.mass(q), system.constraint_q(q, t))
     zero = np.zeros(system.n_q, dtype=q.dtype)
-    x = factors.solve(np.concatenate([zero, _constraint_error(c) * S]))
+    x = factors.solve(np.concatenate([zero, constraint_error(c) * S]))
     return x[: system.n_q], x[system.n_q :], factors

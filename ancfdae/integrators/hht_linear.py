@@ -19,6 +19,7 @@ factorisation and the recurrence run step by step.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,8 +27,10 @@ from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.hht_equations import (
     Coefficients,
     NodeSensitivity,
+    Steps,
     correct,
     iteration_matrices,
+    newmark,
     predict,
 )
 from ancfdae.integrators.seeds import Seeds
@@ -45,7 +48,7 @@ _CHUNK_NUMBERS = 350_000
 def differentiate(
     system: MechanicalSystem,
     matrices: SaddlePoint,
-    c: Coefficients,
+    all_steps: Steps,
     run: Solution,
     start: NodeSensitivity,
 ) -> tuple[list[Array], Verdict]:
@@ -61,11 +64,12 @@ def differentiate(
     n_t, n_b, n_q = len(run.t), system.n_b, system.n_q
     states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
     states[0], lam_b[0] = (start.q_b.T, start.v_b.T, start.A_b.T), start.lam_b.T
+    c = all_steps.first
     q_p, v_p = predict(c, start.q_b, start.v_b, start.a_b)
     predicted = np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * start.A_b.T])
     done, verdict = 1, Verdict.FINISHED
     try:
-        for _ in _advance(system, matrices, c, run, predicted, states, lam_b):
+        for _ in _advance(system, matrices, all_steps, run, predicted, states, lam_b):
             done += 1
     except SingularMatrix:
         verdict = Verdict.SINGULAR
@@ -78,7 +82,7 @@ def differentiate(
 def _advance(
     system: MechanicalSystem,
     matrices: SaddlePoint,
-    c: Coefficients,
+    all_steps: Steps,
     run: Solution,
     predicted: Array,
     states: Array,
@@ -92,12 +96,12 @@ def _advance(
     """
     n_t, _, n_b, n_q = states.shape
     z = np.concatenate([predicted, np.zeros((1, n_b, n_q))])  # q~_b, v~_b, A~_b, a_b of a step
-    step = _step_matrix(c)
+    step_matrices = _step_matrices(all_steps)
     # f_q and Phi_q / (beta h^2) above each other: one product with the predictors.
     stacked = Stack(system.pattern, system.constraint_pattern)
     for steps in _chunks(system, n_t, 2 * n_b * (n_q + system.n_lam)):
         t, q, v, A, lam = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
-        local = system.linearise(t, q, v, A, lam)
+        c, local = all_steps.columns(steps), system.linearise(t, q, v, A, lam)
         given = _given(c, system.design_partials(t, q, v, A, lam))
         constraints_q = local.Phi_q / (c.beta * c.h**2)
         jacobians = _factorised(matrices, c, local, range(len(t)))
@@ -109,21 +113,27 @@ def _advance(
                 right[:, :n_q] -= system.pattern.dot(local.f_v[k], z[1].T).T
             x = jacobian.solve(right.T).T
             z[3], lam_b[n] = x[:, :n_q], x[:, n_q:]
-            after = (step @ z.reshape(4, -1)).reshape(6, n_b, n_q)
+            after = (step_matrices[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
             states[n], z[:3] = after[:3], after[3:]
             yield
 
 
-def _step_matrix(c: Coefficients) -> Array:
-    """Return the map from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~).
+def _step_matrices(steps: Steps) -> Array:
+    """Return the maps from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~), (n, 6, 4).
 
-    All of a step but its solution in one small product; the coefficients come from a step with
-    unit vectors.
+    All of a step but its solution in one small product; the coefficients come from all steps at
+    once with unit vectors. After the last step the same size is taken once more.
     """
+    h = steps.h[:, None]
+    following = np.append(steps.h[1:], steps.h[-1])[:, None]
+    alpha = steps.alpha
+    c, ahead = (Coefficients(x, *newmark(alpha)) for x in (h, following))
     q_p, v_p, A_p, a = np.eye(4)
     q, v = correct(c, q_p, v_p, a)
-    A = A_p + a / (1 + c.alpha)
-    return np.array([q, v, A, *predict(c, q, v, a), c.alpha / (1 + c.alpha) * A])
+    A = A_p + a / (1 + alpha)
+    q_next, v_next = predict(ahead, q, v, A + following / h * (a - A))
+    rows = [np.broadcast_to(x, q.shape) for x in (q, v, A, q_next, v_next)]
+    return np.stack([*rows, np.broadcast_to(alpha / (1 + alpha) * A, q.shape)], axis=1)
 
 
 def _given(c: Coefficients, partials: DesignPartials) -> Array:
@@ -131,14 +141,15 @@ def _given(c: Coefficients, partials: DesignPartials) -> Array:
     k, n_q, n_b = partials.f_b.shape
     given = np.empty((k, n_b, n_q + partials.Phi_b.shape[1]))  # each step in one piece
     np.negative(partials.f_b.transpose(0, 2, 1), out=given[:, :, :n_q])
-    np.divide(partials.Phi_b.transpose(0, 2, 1), -c.beta * c.h**2, out=given[:, :, n_q:])
+    scale = -c.beta * c.h[:, None] ** 2
+    np.divide(partials.Phi_b.transpose(0, 2, 1), scale, out=given[:, :, n_q:])
     return given
 
 
 def pull_back(
     system: MechanicalSystem,
     matrices: SaddlePoint,
-    c: Coefficients,
+    all_steps: Steps,
     run: Solution,
     seeds: Seeds,
 ) -> tuple[Array, NodeSensitivity]:
@@ -152,7 +163,8 @@ def pull_back(
         Covectors on the start: the derivative through it is the sum of their products with the
         start's derivatives. Its arrays have no design axis.
     """
-    n_t, n_q, share = len(run.t), system.n_q, c.alpha / (1 + c.alpha)
+    n_t, n_q, alpha = len(run.t), system.n_q, all_steps.alpha
+    share = alpha / (1 + alpha)
     gradient = np.zeros(system.n_b)
     back = NodeSensitivity(*(np.zeros(n) for n in (n_q, n_q, n_q, system.n_lam, n_q)))
     for steps in reversed(_chunks(system, n_t, 0)):
@@ -160,8 +172,10 @@ def pull_back(
         local = system.linearise(t, q, v, A, lam)
         mu, zeta = np.zeros_like(q), np.zeros_like(lam)
         order = range(len(t) - 1, -1, -1)
-        for k, jacobian in zip(order, _factorised(matrices, c, local, order), strict=True):
+        jacobians = _factorised(matrices, all_steps.columns(steps), local, order)
+        for k, jacobian in zip(order, jacobians, strict=True):
             n = steps.start + k
+            c = all_steps.of(n)
             q_bar = _seeded(back.q_b, seeds.q, n)
             v_bar = _seeded(back.v_b, seeds.v, n)
             a_bar = back.a_b + back.A_b / (1 + c.alpha)
@@ -180,8 +194,17 @@ def pull_back(
                 lam_b=np.zeros(system.n_lam),
                 A_b=share * (back.A_b - system.mass_times(q[k], mu[k])),
             )
+            if n > 1:
+                back = _rescaled_transposed(back, all_steps.ratio(n - 1))
         gradient -= system.pull_back(t, (q, v, A, lam), (mu, zeta))
     return gradient, back
+
+
+def _rescaled_transposed(back: NodeSensitivity, ratio: float) -> NodeSensitivity:
+    """Transpose of `rescaled`: from covectors on (a, A) after it to those before."""
+    if ratio == 1.0:
+        return back
+    return replace(back, a_b=ratio * back.a_b, A_b=back.A_b + (1 - ratio) * back.a_b)
 
 
 def _seeded(back: Array, seeds: Array | None, n: int) -> Array:

@@ -21,7 +21,7 @@ class Recorder:
     ----------
     system : MechanicalSystem
     rows : int
-        Number of instants, the start included.
+        Number of instants, the start included; more are taken in when they come.
     degree : int
         Degree of the polynomials between the instants, see `Solution`.
     sensitivities : bool
@@ -31,7 +31,7 @@ class Recorder:
     ----------
     accepted : int or None
         Accepted steps, where the instants are not the steps.
-    iterations, factorisations, residuals, round_off_steps : int
+    iterations, factorisations, residuals, round_off_steps, rejected : int
         As in `Statistics`.
 
     Raises
@@ -66,7 +66,7 @@ class Recorder:
         self._rows = 0
         self.accepted: int | None = None
         self.iterations = self.factorisations = self.residuals = 0
-        self.round_off_steps = 0
+        self.round_off_steps = self.rejected = 0
         self._started = time.perf_counter()
 
     @property
@@ -93,12 +93,28 @@ class Recorder:
         The row counts only when all of it is stored, so that an interrupt leaves whole rows.
         """
         row = self._rows
+        if row == len(self._t):
+            self._grow()
         self._t[row] = t
         for array, value in zip(self._derivatives, derivatives, strict=True):
             array[row] = value
         for array, value in zip(self._state, (q, v, a, lam), strict=True):
             array[row] = value
         self._rows = row + 1
+
+    def restart(self) -> None:
+        """Forget all instants but the first."""
+        self._rows = 1
+
+    def _grow(self) -> None:
+        """Double the room."""
+
+        def longer(x: Array) -> Array:
+            return np.concatenate([x, np.zeros_like(x)])
+
+        self._state = [longer(x) for x in self._state]
+        self._derivatives = [longer(x) for x in self._derivatives]
+        self._t = longer(self._t)
 
     def solution(self, outcome: Outcome) -> Solution:
         """Return what was recorded."""
@@ -120,6 +136,7 @@ class Recorder:
                 factorisations=self.factorisations,
                 residuals=self.residuals,
                 round_off_steps=self.round_off_steps,
+                rejected=self.rejected,
                 wall_seconds=time.perf_counter() - self._started,
             ),
             outcome=outcome,

@@ -13,7 +13,7 @@ from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
-from ancfdae.sensitivity.contract import Gradient, Method, finished, with_columns
+from ancfdae.sensitivity.contract import Gradient, Method, finished, repeated, with_columns
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
 
@@ -44,6 +44,7 @@ class ComplexStep(Method):
         """
         _refuse_real(integrator)
         solution = integrator.integrate(system, t_end, progress=progress)
+        integrator, t_end = repeated(integrator, solution, t_end)
         columns, outcomes = [], [solution.outcome]
         for i in range(system.n_b):
             b, size = _moved(system, i)
@@ -71,6 +72,7 @@ class ComplexStep(Method):
         """
         _refuse_real(integrator)
         solution = finished(integrator.integrate(system, t_end, progress=progress))
+        integrator, t_end = repeated(integrator, solution, t_end)
         slopes = np.zeros((len(objectives), system.n_b))
         for i in range(system.n_b):
             b, size = _moved(system, i)

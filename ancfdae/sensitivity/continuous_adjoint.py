@@ -26,14 +26,16 @@ its grid, so the gradient differs from the discrete one by O(h^2).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
+from scipy.interpolate import BarycentricInterpolator
 
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT, Integrator
-from ancfdae.integrators.hht_equations import Coefficients, acceleration, correct, predict
+from ancfdae.integrators.accelerations import Accelerations
+from ancfdae.integrators.hht_equations import acceleration, correct, predict
 from ancfdae.integrators.initial import (
     InitialSensitivity,
     consistent_start,
@@ -81,10 +83,6 @@ class ContinuousAdjoint(GradientMethod):
             raise InvalidInput(
                 "ContinuousAdjoint", "runs with HHT", repr(integrator), "Use HHT, or Adjoint."
             )
-        if round(t_end / integrator.step) < _LEAST_STEPS:
-            raise InvalidInput(
-                "ContinuousAdjoint", "needs four steps", t_end / integrator.step, "Use Adjoint."
-            )
         for objective in objectives:
             if not objective.over_time:
                 raise InvalidInput(
@@ -94,13 +92,34 @@ class ContinuousAdjoint(GradientMethod):
                     "Use Adjoint for values at given times.",
                 )
         solution = finished(integrator.integrate(system, t_end, progress=progress))
+        if len(solution.t) <= _LEAST_STEPS:
+            raise InvalidInput(
+                "ContinuousAdjoint", "needs four steps", len(solution.t) - 1, "Use Adjoint."
+            )
         results = []
         for objective in objectives:
-            partials = objective.partials(system, states_of(solution))
+            value = objective.value(system, states_of(solution))
             with keeping(solution):
-                total = _BackwardRun(system, integrator, solution, partials).gradient()
-            results.append(Gradient(partials.value, total, system.design_names, self, solution))
+                smooth = _with_smooth_multipliers(system, solution)
+                partials = objective.partials(system, states_of(smooth))
+                total = _BackwardRun(system, integrator, smooth, partials).gradient()
+            results.append(Gradient(value, total, system.design_names, self, solution))
         return results
+
+
+def _with_smooth_multipliers(system: MechanicalSystem, solution: Solution) -> Solution:
+    """Recompute the multipliers from positions and velocities.
+
+    Those of HHT-I3 carry transients of O(h^2) from the start and from changes of the step. (37)
+    would hand them to zeta divided by h^2, and the gradient would err by O(h).
+    """
+    accelerations = Accelerations(system, saddle_point(system, 0.0))
+    states = zip(solution.t[1:], solution.q[1:], solution.v[1:], strict=True)
+    later = [accelerations.solve(float(t), q, v)[1] for t, q, v in states]
+    # The reported start is free of the shift of v that later instants have.
+    near, t = slice(0, _LEAST_STEPS), solution.t
+    first = BarycentricInterpolator(t[1:][near], later[near])(t[0])
+    return replace(solution, lam=np.stack([first, *later]))
 
 
 @final
@@ -127,29 +146,28 @@ class _BackwardRun:
         partials: ObjectivePartials,
     ) -> None:
         self._system, self._solution, self._partials = system, solution, partials
-        self._c = Coefficients.of(integrator.step, integrator.hht_alpha)
+        self._steps = integrator.steps_of(solution)
         self._matrices: SaddlePoint = saddle_point(system, 0.0)
         t, q, v, lam = solution.t, solution.q, solution.v, solution.lam
         self._local: Linearisation = system.linearise(t, q, v, solution.a, lam)
-        h = self._c.h
         # The trapezoidal rule is in the rows of the partials; take it out again: H_q, H_v, H_lam.
-        self._w = np.full(len(t), h)
-        self._w[[0, -1]] = h / 2
+        self._w = states_of(solution).grid.weights()
         H_q = self._density(partials.q, system.n_q)
         H_v = self._density(partials.v, system.n_q)
         self._H_v, self._H_lam = H_v, self._density(partials.lam, system.n_lam)
-        self._r = H_q - np.gradient(H_v, h, axis=0, edge_order=2)
-        self._coefficients(h)
+        self._r = H_q - np.gradient(H_v, t, axis=0, edge_order=2)
+        self._end_rates = _end_rates(t)
+        self._coefficients(t)
 
-    def _coefficients(self, h: float) -> None:
+    def _coefficients(self, t: Array) -> None:
         """K and C of every instant, transposed; C is None where it vanishes."""
         f_v = self._local.f_v
         self._K, self._C, self._M_t = self._local.f_q, f_v, None
         if f_v is not None:
-            self._K = self._K - np.gradient(f_v, h, axis=0, edge_order=2)
+            self._K = self._K - np.gradient(f_v, t, axis=0, edge_order=2)
         if not self._system.constant_mass:
-            M_t = np.gradient(self._local.M, h, axis=0, edge_order=2)
-            self._K = self._K + np.gradient(M_t, h, axis=0, edge_order=2)
+            M_t = np.gradient(self._local.M, t, axis=0, edge_order=2)
+            self._K = self._K + np.gradient(M_t, t, axis=0, edge_order=2)
             self._C = -2 * M_t if f_v is None else f_v - 2 * M_t
             self._M_t = M_t
 
@@ -185,7 +203,7 @@ class _BackwardRun:
 
     def _end(self) -> tuple[_Adjoint, Array, Array]:
         """Adjoint variables at t_2 with epsilon and gamma (eqs. 38-41)."""
-        system, s, h = self._system, self._solution, self._c.h
+        system, s, (first, _) = self._system, self._solution, self._end_rates
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
         n_q = system.n_q
         factors = self._matrices.factor(self._mass(-1), self._local.Phi_q[-1])
@@ -199,9 +217,9 @@ class _BackwardRun:
         products = np.array(
             [system.constraint_pattern.dot(row, mu) for row in self._local.Phi_q[-4:]]
         )
-        rate = (3 * self._H_lam[-1] - 4 * self._H_lam[-2] + self._H_lam[-3]) / (2 * h)
+        rate = first @ self._H_lam[-3:]
         # (Phi_q)' mu with mu held, from Phi_q at the last instants.
-        turning = (3 * products[-1] - 4 * products[-2] + products[-3]) / (2 * h)
+        turning = first @ products[-3:]
         x = factors.solve(np.concatenate([force, rate - turning]))
         mu_t, gamma = x[:n_q], -x[n_q:]
         return self._accelerated(mu, -mu_t, products, factors), epsilon, gamma
@@ -210,16 +228,10 @@ class _BackwardRun:
         self, mu: Array, mu_tau: Array, products: Array, factors: Factorization
     ) -> _Adjoint:
         """Complete the end state by (36) and the second time derivative of (37)."""
-        system, h, n_q = self._system, self._c.h, self._system.n_q
-        pattern, Phi_q = system.constraint_pattern, self._local.Phi_q
-
-        def second(x: Array) -> Array:
-            result: Array = (2 * x[-1] - 5 * x[-2] + 4 * x[-3] - x[-4]) / h**2
-            return result
-
+        (first, second), n_q = self._end_rates, self._system.n_q
+        pattern, Phi_q = self._system.constraint_pattern, self._local.Phi_q
         moving = np.array([pattern.dot(row, -mu_tau) for row in Phi_q[-3:]])
-        turning = (3 * moving[-1] - 4 * moving[-2] + moving[-3]) / (2 * h)
-        side = second(self._H_lam[-4:]) - 2 * turning - second(products)
+        side = second @ (self._H_lam[-4:] - products) - 2 * (first @ moving)
         free = self._forces(-1, mu, mu_tau)
         x = factors.solve(np.concatenate([-free, side]))
         return _Adjoint(mu, mu_tau, x[:n_q], x[n_q:], x[:n_q])
@@ -232,9 +244,14 @@ class _BackwardRun:
 
     def _step(self, before: _Adjoint, n: int) -> _Adjoint:
         """One step of HHT-I3 from t_{n+1} to t_n."""
-        system, c, scale, n_q = self._system, self._c, 1 + self._c.alpha, self._system.n_q
+        system, c, n_q = self._system, self._steps.of(n + 1), self._system.n_q
+        scale = 1 + c.alpha
         M = self._mass(n)
-        mu_p, tau_p = predict(c, before.mu, before.mu_tau, before.x)
+        # As `rescaled`: the step before this one, in reversed time, may be of another size.
+        last = n + 2 >= len(self._solution.t)
+        ratio = 1.0 if last else 1 / self._steps.ratio(n + 1)
+        x = before.A + ratio * (before.x - before.A)
+        mu_p, tau_p = predict(c, before.mu, before.mu_tau, x)
         K = M / scale + (c.beta * c.h**2) * self._K[n]
         if self._C is not None:
             K = K + (c.gamma * c.h) * self._C[n]
@@ -259,3 +276,11 @@ class _BackwardRun:
             on_q = on_q - dot(self._local.f_v[0], first.mu)
         terms: Array = dot(self._mass(0), first.mu) @ b.v_b - on_q @ b.q_b
         return terms
+
+
+def _end_rates(t: Array) -> tuple[Array, Array]:
+    """Weights of the last three (four) values for the first (second) derivative at the end."""
+    x = t[-4:] - t[-1]
+    first = np.linalg.solve(np.vander(x[-3:] / x[-3], increasing=True).T, [0.0, 1.0, 0.0])
+    second = np.linalg.solve(np.vander(x / x[0], increasing=True).T, [0.0, 0.0, 2.0, 0.0])
+    return first / x[-3], second / x[0] ** 2

@@ -157,3 +157,9 @@ def with_columns(
         outcome=first,
         sensitivities=own,
     )
+
+
+def repeated(integrator: Integrator, solution: Solution, t_end: float) -> tuple[Integrator, float]:
+    """Return the integrator at the steps of a run, and the time to which it can repeat them."""
+    done = solution.outcome.success or len(solution.t) < 2
+    return integrator.frozen(solution), t_end if done else float(solution.t[-1])

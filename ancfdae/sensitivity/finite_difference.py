@@ -13,7 +13,7 @@ from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
-from ancfdae.sensitivity.contract import Gradient, Method, finished, with_columns
+from ancfdae.sensitivity.contract import Gradient, Method, finished, repeated, with_columns
 from ancfdae.solution import Solution
 from ancfdae.system import MechanicalSystem
 
@@ -62,6 +62,7 @@ class FiniteDifference(Method):
         """
         self._refuse_zero(system)
         solution = integrator.integrate(system, t_end, progress=progress)
+        integrator, t_end = repeated(integrator, solution, t_end)
         columns, outcomes = [], [solution.outcome]
         for i in range(system.n_b):
             ahead = self._perturbed(system, i, 1.0, t_end, integrator, progress)
@@ -92,6 +93,7 @@ class FiniteDifference(Method):
         """Differences of the objectives of whole runs."""
         self._refuse_zero(system)
         solution = finished(integrator.integrate(system, t_end, progress=progress))
+        integrator, t_end = repeated(integrator, solution, t_end)
         base = [objective.value(system, states_of(solution)) for objective in objectives]
         slopes = np.zeros((len(objectives), system.n_b))
         for i in range(system.n_b):
