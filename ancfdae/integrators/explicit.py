@@ -5,6 +5,9 @@
 with (a, lam) and (a_b, lam_b) from one factorised matrix per stage, which is one for the whole run
 where M and Phi_q are constant. Linear constraints are kept by every stage; the drift of others is
 removed after each step and from the instants (`projection`).
+
+The solver runs in the time s = t / t_end from 0 to 1: SciPy's guess of the first step contains
+times in seconds.
 """
 
 from __future__ import annotations
@@ -73,7 +76,7 @@ class _ExplicitMarch(March):
     """One run; the vector y holds the columns (q, v) and (q_b, v_b) of every variable, scaled."""
 
     def __init__(self, settings: Explicit, problem: Problem, t_end: float) -> None:
-        self._max_steps, self._problem = settings.max_steps, problem
+        self._max_steps, self._problem, self._t_end = settings.max_steps, problem, t_end
         system, s, b = problem.system, problem.scales, problem.derivative
         self._m = 0 if b is None else system.n_b
         self.steps = self.iterations = self.factorisations = self.residuals = 0
@@ -88,15 +91,15 @@ class _ExplicitMarch(March):
             self._rate,
             0.0,
             self._vector(start),
-            t_end,
+            1.0,
             rtol=settings.rtol,
             atol=_SMALL * settings.rtol,
         )
 
     def to(self, t: float) -> Point | Verdict:
         """Step until t lies behind, then interpolate."""
-        solver, taken = self._solver, 0
-        while solver.t < t:
+        solver, s, taken = self._solver, t / self._t_end, 0
+        while solver.t < s:
             if taken == self._max_steps:
                 return Verdict.STEP_LIMIT
             solver.step()
@@ -108,11 +111,11 @@ class _ExplicitMarch(March):
             if not self._problem.system.linear_constraints:
                 solver.y = self._vector(self._projected(solver.t, solver.y))
                 solver.f = self._rate(solver.t, solver.y)
-        if solver.t == t:
+        if solver.t == s:
             return self._point(solver.y)
         if self._between is None:
             self._between = solver.dense_output()
-        return self._projected(t, self._between(t))
+        return self._projected(s, self._between(s))
 
     def residual(self) -> float:
         """Return zero: an explicit step has no equations left over."""
@@ -134,20 +137,21 @@ class _ExplicitMarch(March):
             return Point(x[:n_q, 0], x[n_q:, 0])
         return Point(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
 
-    def _projected(self, t: float, y: Array) -> Point:
+    def _projected(self, s: float, y: Array) -> Point:
         if not is_finite(y):
             raise NotFinite
-        return project(self._problem.system, self._problem.accelerations, t, self._point(y))
+        problem, t = self._problem, s * self._t_end
+        return project(problem.system, problem.accelerations, t, self._point(y))
 
-    def _rate(self, t: float, y: Array) -> Array:
+    def _rate(self, s: float, y: Array) -> Array:
         self.residuals += 1
-        x, accelerations = self._point(y), self._problem.accelerations
+        t, x, accelerations = s * self._t_end, self._point(y), self._problem.accelerations
         a, lam = accelerations.solve(t, x.q, x.v)
         rate = Point(x.v, a)
         if x.q_b is not None and x.v_b is not None:
             state = (x.q, x.v, a, lam)
             rate = Point(x.v, a, x.v_b, accelerations.solve_b(t, state, x.q_b, x.v_b)[0])
-        vector = self._vector(rate)
+        vector = self._vector(rate) * self._t_end
         if not is_finite(vector):
             raise NotFinite
         return vector

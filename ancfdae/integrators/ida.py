@@ -123,11 +123,12 @@ class _IdaMarch(March):
             result = self._solver.step(self._t_end, "onestep", self._t_end)
             if not result.success:
                 return _FAILURES.get(result.status, Verdict.NO_CONVERGENCE)
-            self._t, self._y, self._yp = result.t, result.y.copy(), result.yp.copy()
             if self.steps == 0:
                 _release(self._solver)
             taken += 1
-            self.steps += 1
+            # After an interpolation IDA returns its last step once more before it goes on.
+            self.steps += int(result.t > self._t)
+            self._t, self._y, self._yp = result.t, result.y.copy(), result.yp.copy()
         y = self._y if self._t == t else self._solver.step(t, "normal", self._t_end).y.copy()
         if not is_finite(y):
             raise NotFinite
@@ -168,6 +169,7 @@ class _IdaMarch(March):
 
     def _fill_residual(self, t: float, y: Array, yp: Array, R: Array) -> None:
         self.residuals += 1
+        self.iterations += 1  # One residual each; the wrapper has no other count.
         (x, Y), (xp, Yp) = self._split(y), self._split(yp)
         n = self._form.n
         R[:n] = self._form.residual(t, x, xp)
