@@ -168,6 +168,22 @@ def test_trouble_on_the_way_is_an_outcome(name, kind):
 
 
 @pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_trouble_prints_nothing_but_what_the_user_prints(kind, capfd):
+    rng = np.random.default_rng(0)
+
+    def noise(q, v, t):
+        print("mine\n")  # noqa: T201
+        return 1e3 * rng.standard_normal(2) * (t > 0.3)
+
+    run = simulate(Disturbed(noise), 4.0, kind(1e-6, intervals=16, max_steps=200))
+    assert not run.outcome.success
+    written = capfd.readouterr()
+    # SUNDIALS says of this run that the corrector failed repeatedly.
+    assert set(written.out.split("\n")) == {"mine", ""}
+    assert written.err == ""
+
+
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
 def test_what_a_force_raises_comes_through(kind):
     def broken(q, v, t):
         if t > 0.3:

@@ -24,6 +24,7 @@ from ancfdae.errors import Verdict, require_count, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem
 from ancfdae.integrators.index_reduced import ColumnStorage, IndexReduction
 from ancfdae.integrators.point import Point
+from ancfdae.integrators.quiet import without_messages
 from ancfdae.integrators.tolerances import require_rtol
 from ancfdae.numerics.arrays import Array, is_finite
 
@@ -116,6 +117,10 @@ class _IdaMarch(March):
 
     def to(self, t: float) -> Point | Verdict:
         """Step until t lies behind, then interpolate."""
+        with without_messages():
+            return self._to(t)
+
+    def _to(self, t: float) -> Point | Verdict:
         taken = 0
         while self._t < t:
             if taken == self._settings.max_steps:
