@@ -167,6 +167,30 @@ def test_trouble_on_the_way_is_an_outcome(name, kind):
         assert np.all(np.isfinite(x))
 
 
+STUCK = {
+    "blow-up": TROUBLE["blow-up"],
+    "pole": lambda q, v, t: np.ones(2) / (1 - t),
+    "jump": lambda q, v, t: np.full(2, 1e30 * (t > 0.3)),
+}
+
+
+@pytest.mark.parametrize("name", STUCK)
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_steps_lost_in_round_off_end_a_run_long_before_the_limit(name, kind):
+    run = simulate(Disturbed(STUCK[name]), 4.0, kind(1e-6, intervals=16))
+    ends = (Verdict.ERROR_TEST, Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE)
+    assert run.outcome.verdict in ends
+    assert run.statistics.steps < 5000
+
+
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_max_steps_is_a_limit_of_the_whole_run(kind):
+    run = simulate(CartesianPendulum(0.5, 2.0), 20.0, kind(1e-9, intervals=256, max_steps=120))
+    assert run.outcome.verdict is Verdict.STEP_LIMIT
+    assert run.outcome.step == 120
+    assert len(run.t) > 2
+
+
 @pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
 def test_trouble_prints_nothing_but_what_the_user_prints(kind, capfd):
     rng = np.random.default_rng(0)
