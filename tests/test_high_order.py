@@ -167,6 +167,17 @@ def test_trouble_on_the_way_is_an_outcome(name, kind):
         assert np.all(np.isfinite(x))
 
 
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_jump_of_the_force_is_passed(integrator):
+    def push(q, v, t):
+        return np.full(2, 10.0 * (t > 0.3))
+
+    ours = simulate(Disturbed(push), 1.0, integrator)
+    other = simulate(Disturbed(push), 1.0, Explicit(1e-11, intervals=8))
+    assert ours.outcome.success
+    assert np.max(np.abs(ours.q - other.q)) < 1e-6
+
+
 STUCK = {
     "blow-up": TROUBLE["blow-up"],
     "pole": lambda q, v, t: np.ones(2) / (1 - t),

@@ -150,8 +150,7 @@ class _IdaMarch(March):
         return self._last
 
     def _set_up(self, settings: IDA) -> Any:
-        own, below = self._form.tolerances(settings.rtol), self._form.tolerances_b(settings.rtol)
-        tolerances = np.concatenate([own, np.tile(below, self._m)])
+        tolerances = np.tile(self._form.tolerances(settings.rtol), self._m + 1)
         size = len(self._y)
         rows, columns = self._storage.sparsity()
         options: dict[str, Any] = {"linsolver": "dense"}

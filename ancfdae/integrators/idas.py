@@ -142,7 +142,7 @@ class _IdasMarch(March):
 
     def _add_sensitivities(self, Y: Array, Yp: Array) -> None:
         bindings, idas, context = self._bindings, self._bindings.idas, self._equations.context
-        tolerances = self._form.tolerances_b(self._settings.rtol)
+        tolerances = self._form.tolerances(self._settings.rtol)
         # IDAS keeps references to the vectors, not the vectors.
         self._Y = [bindings.vector(context, column) for column in Y.T]
         self._Yp = [bindings.vector(context, column) for column in Yp.T]
