@@ -81,8 +81,8 @@ class Verdict(Enum):
     SINGULAR = "the iteration matrix is singular"
     NOT_FINITE = "the residual is not finite"
     INTERRUPTED = "the run was interrupted"
-    STEP_LIMIT = "the limit of steps was reached"
-    ERROR_TEST = "the error test failed at the smallest step"
+    STEP_LIMIT = "the limit of steps (max_steps) was reached"
+    ERROR_TEST = "no step, however small, passed the error test"
     TOO_ACCURATE = "the tolerance is below what round-off allows"
 
 

@@ -167,6 +167,57 @@ def test_trouble_on_the_way_is_an_outcome(name, kind):
         assert np.all(np.isfinite(x))
 
 
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_jump_of_the_force_is_passed(integrator):
+    def push(q, v, t):
+        return np.full(2, 10.0 * (t > 0.3))
+
+    ours = simulate(Disturbed(push), 1.0, integrator)
+    other = simulate(Disturbed(push), 1.0, Explicit(1e-11, intervals=8))
+    assert ours.outcome.success
+    assert np.max(np.abs(ours.q - other.q)) < 1e-6
+
+
+STUCK = {
+    "blow-up": TROUBLE["blow-up"],
+    "pole": lambda q, v, t: np.ones(2) / (1 - t),
+    "jump": lambda q, v, t: np.full(2, 1e30 * (t > 0.3)),
+}
+
+
+@pytest.mark.parametrize("name", STUCK)
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_steps_lost_in_round_off_end_a_run_long_before_the_limit(name, kind):
+    run = simulate(Disturbed(STUCK[name]), 4.0, kind(1e-6, intervals=16))
+    ends = (Verdict.ERROR_TEST, Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE)
+    assert run.outcome.verdict in ends
+    assert run.statistics.steps < 5000
+
+
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_max_steps_is_a_limit_of_the_whole_run(kind):
+    run = simulate(CartesianPendulum(0.5, 2.0), 20.0, kind(1e-9, intervals=256, max_steps=120))
+    assert run.outcome.verdict is Verdict.STEP_LIMIT
+    assert run.outcome.step == 120
+    assert len(run.t) > 2
+
+
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
+def test_trouble_prints_nothing_but_what_the_user_prints(kind, capfd):
+    rng = np.random.default_rng(0)
+
+    def noise(q, v, t):
+        print("mine\n")  # noqa: T201
+        return 1e3 * rng.standard_normal(2) * (t > 0.3)
+
+    run = simulate(Disturbed(noise), 4.0, kind(1e-6, intervals=16, max_steps=200))
+    assert not run.outcome.success
+    written = capfd.readouterr()
+    # SUNDIALS says of this run that the corrector failed repeatedly.
+    assert set(written.out.split("\n")) == {"mine", ""}
+    assert written.err == ""
+
+
 @pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
 def test_what_a_force_raises_comes_through(kind):
     def broken(q, v, t):

@@ -5,55 +5,22 @@ import pytest
 
 from ancfdae import (
     Beam,
-    Distance,
-    Drive,
-    Harmonic,
     IndexReduction,
     Material,
     Pin,
     PointOnLine,
     Rectangle,
-    RigidMotion,
     Scene,
-    SpringDamper,
     assemble,
 )
 from ancfdae.integrators.high_order import Problem
 from ancfdae.integrators.index_reduced import ColumnStorage
 
-from mechanisms import CartesianPendulum
+from mechanisms import CartesianPendulum, chain
 
 FORMS = list(IndexReduction)
 # Imaginary step of the reference derivatives: its square vanishes against any value here.
 STEP = 1e-30
-
-
-def chain(length=1.0, mass=1.0, time=1.0):
-    """Two damped beams, driven, with curved constraints and a spring-damper; in given units."""
-    force, section = mass * length / time**2, Rectangle(0.05 * length, 0.04 * length)
-    density, modulus = 4000 * mass / length**3, 1e6 * force / length**2
-    soft = Material(density, modulus, 0.3, damping_time=1e-3 * time)
-    a = Beam("a", (0, 0), (0.5 * length, 0), 2, section, soft)
-    b = Beam("b", (0.5 * length, 0), (1.1 * length, 0), 1, section, soft)
-    spring = SpringDamper(
-        a.at_end,
-        300.0 * force / length,
-        5.0 * force * time / length,
-        0.2 * length,
-        other=b.at(0.6),
-        name="s",
-    )
-    joints = [
-        Pin(a.at_start),
-        Drive(a.at_start, Harmonic(0.5, 4.0 / time), name="m"),
-        Pin(a.at_end, b.at_start),
-        Distance(b.at_end, 0.8 * length, ground=(1.1 * length, 0.8 * length), name="d"),
-    ]
-    start = [RigidMotion(name, 2.0 / time, (0, 0)) for name in "ab"]
-    gravity = (0, -9.81 * length / time**2)
-    scene = Scene([a, b], joints, gravity, start, [spring], project_start=True)
-    design = ["a.height", "b.length", "m.frequency", "s.damping", "d.length", "a.damping_time"]
-    return assemble(scene, design)
 
 
 def slider():

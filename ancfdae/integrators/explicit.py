@@ -3,8 +3,11 @@
     q' = v,   v' = a(t, q, v),   q_b' = v_b,   v_b' = a_b(t, q, v, q_b, v_b)
 
 with (a, lam) and (a_b, lam_b) from one factorised matrix per stage, which is one for the whole run
-where M and Phi_q are constant. Linear constraints are kept by every stage; the drift of others is
-removed after each step and from the instants (`projection`).
+where M and Phi_q are constant. What positions, velocities and their derivatives drift from the
+constraints is removed after each step and from the instants (`projection`).
+
+The solver runs in the time s = t / t_end from 0 to 1: SciPy's guess of the first step contains
+times in seconds.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from scipy.integrate import DOP853, DenseOutput
 from ancfdae.errors import Verdict, require_count
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem
 from ancfdae.integrators.point import Point
+from ancfdae.integrators.progress import Progress
 from ancfdae.integrators.projection import project
 from ancfdae.integrators.tolerances import require_rtol
 from ancfdae.numerics.arrays import Array, is_finite
@@ -42,7 +46,8 @@ class Explicit(HighOrder):
     intervals : int
         As in `HighOrder`.
     max_steps : int
-        Steps between two instants before the run ends with an outcome.
+        Steps of the whole run before it ends with an outcome; a small system takes 1,000 in a
+        second.
 
     Raises
     ------
@@ -55,13 +60,13 @@ class Explicit(HighOrder):
 
     rtol: float = 1e-8
     intervals: int = 64
-    max_steps: int = 5_000
+    max_steps: int = 20_000
 
     def __post_init__(self) -> None:
         """Validate."""
         require_rtol("Explicit.rtol", self.rtol, _LEAST_RTOL)
         require_count("Explicit.intervals", self.intervals, "64 is a good number.")
-        require_count("Explicit.max_steps", self.max_steps, "5000 is plenty.")
+        require_count("Explicit.max_steps", self.max_steps, "20000 is plenty.")
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up DOP853."""
@@ -73,7 +78,8 @@ class _ExplicitMarch(March):
     """One run; the vector y holds the columns (q, v) and (q_b, v_b) of every variable, scaled."""
 
     def __init__(self, settings: Explicit, problem: Problem, t_end: float) -> None:
-        self._max_steps, self._problem = settings.max_steps, problem
+        self._max_steps, self._problem, self._t_end = settings.max_steps, problem, t_end
+        self._progress = Progress(1.0)
         system, s, b = problem.system, problem.scales, problem.derivative
         self._m = 0 if b is None else system.n_b
         self.steps = self.iterations = self.factorisations = self.residuals = 0
@@ -88,31 +94,30 @@ class _ExplicitMarch(March):
             self._rate,
             0.0,
             self._vector(start),
-            t_end,
+            1.0,
             rtol=settings.rtol,
             atol=_SMALL * settings.rtol,
         )
 
     def to(self, t: float) -> Point | Verdict:
         """Step until t lies behind, then interpolate."""
-        solver, taken = self._solver, 0
-        while solver.t < t:
-            if taken == self._max_steps:
+        solver, s = self._solver, t / self._t_end
+        while solver.t < s:
+            if self.steps == self._max_steps:
                 return Verdict.STEP_LIMIT
             solver.step()
-            if solver.status == "failed":
+            if solver.status == "failed" or self._progress.stalls(solver.t):
                 return Verdict.ERROR_TEST
-            taken += 1
             self.steps += 1
             self._between = None
-            if not self._problem.system.linear_constraints:
+            if self._problem.system.n_lam:
                 solver.y = self._vector(self._projected(solver.t, solver.y))
                 solver.f = self._rate(solver.t, solver.y)
-        if solver.t == t:
+        if solver.t == s:
             return self._point(solver.y)
         if self._between is None:
             self._between = solver.dense_output()
-        return self._projected(t, self._between(t))
+        return self._projected(s, self._between(s))
 
     def residual(self) -> float:
         """Return zero: an explicit step has no equations left over."""
@@ -134,20 +139,21 @@ class _ExplicitMarch(March):
             return Point(x[:n_q, 0], x[n_q:, 0])
         return Point(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
 
-    def _projected(self, t: float, y: Array) -> Point:
+    def _projected(self, s: float, y: Array) -> Point:
         if not is_finite(y):
             raise NotFinite
-        return project(self._problem.system, self._problem.accelerations, t, self._point(y))
+        problem, t = self._problem, s * self._t_end
+        return project(problem.system, problem.accelerations, t, self._point(y))
 
-    def _rate(self, t: float, y: Array) -> Array:
+    def _rate(self, s: float, y: Array) -> Array:
         self.residuals += 1
-        x, accelerations = self._point(y), self._problem.accelerations
+        t, x, accelerations = s * self._t_end, self._point(y), self._problem.accelerations
         a, lam = accelerations.solve(t, x.q, x.v)
         rate = Point(x.v, a)
         if x.q_b is not None and x.v_b is not None:
             state = (x.q, x.v, a, lam)
             rate = Point(x.v, a, x.v_b, accelerations.solve_b(t, state, x.q_b, x.v_b)[0])
-        vector = self._vector(rate)
+        vector = self._vector(rate) * self._t_end
         if not is_finite(vector):
             raise NotFinite
         return vector

@@ -24,6 +24,8 @@ from ancfdae.errors import Verdict, require_count, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem
 from ancfdae.integrators.index_reduced import ColumnStorage, IndexReduction
 from ancfdae.integrators.point import Point
+from ancfdae.integrators.progress import Progress
+from ancfdae.integrators.quiet import without_messages
 from ancfdae.integrators.tolerances import require_rtol
 from ancfdae.numerics.arrays import Array, is_finite
 
@@ -62,7 +64,8 @@ class IDA(HighOrder):
     intervals : int
         As in `HighOrder`.
     max_steps : int
-        Steps between two instants before the run ends with an outcome.
+        Steps of the whole run before it ends with an outcome; a small system takes 10,000 in a
+        second.
 
     Raises
     ------
@@ -75,14 +78,14 @@ class IDA(HighOrder):
     rtol: float = 1e-8
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
     intervals: int = 64
-    max_steps: int = 2_000
+    max_steps: int = 100_000
 
     def __post_init__(self) -> None:
         """Validate."""
         require_rtol("IDA.rtol", self.rtol, _LEAST_RTOL)
         require_kind("IDA.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
         require_count("IDA.intervals", self.intervals, "64 is a good number.")
-        require_count("IDA.max_steps", self.max_steps, "2000 is plenty.")
+        require_count("IDA.max_steps", self.max_steps, "100000 is plenty.")
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up IDA."""
@@ -94,7 +97,7 @@ class _IdaMarch(March):
     """One run of IDA; the vector y holds the states and then one block per design variable."""
 
     def __init__(self, settings: IDA, problem: Problem, t_end: float) -> None:
-        self._settings, self._t_end = settings, t_end
+        self._settings, self._t_end, self._progress = settings, t_end, Progress(t_end)
         self._form = settings.form.form(problem.system, problem.scales)
         system, b = problem.system, problem.derivative
         self._m = 0 if b is None else system.n_b
@@ -116,18 +119,23 @@ class _IdaMarch(March):
 
     def to(self, t: float) -> Point | Verdict:
         """Step until t lies behind, then interpolate."""
-        taken = 0
+        with without_messages():
+            return self._to(t)
+
+    def _to(self, t: float) -> Point | Verdict:
         while self._t < t:
-            if taken == self._settings.max_steps:
+            if self.steps == self._settings.max_steps:
                 return Verdict.STEP_LIMIT
             result = self._solver.step(self._t_end, "onestep", self._t_end)
             if not result.success:
                 return _FAILURES.get(result.status, Verdict.NO_CONVERGENCE)
-            self._t, self._y, self._yp = result.t, result.y.copy(), result.yp.copy()
             if self.steps == 0:
                 _release(self._solver)
-            taken += 1
-            self.steps += 1
+            # After an interpolation IDA returns its last step once more before it goes on.
+            self.steps += int(result.t > self._t)
+            self._t, self._y, self._yp = result.t, result.y.copy(), result.yp.copy()
+            if self._progress.stalls(self._t):
+                return Verdict.ERROR_TEST
         y = self._y if self._t == t else self._solver.step(t, "normal", self._t_end).y.copy()
         if not is_finite(y):
             raise NotFinite
@@ -142,8 +150,7 @@ class _IdaMarch(March):
         return self._last
 
     def _set_up(self, settings: IDA) -> Any:
-        own, below = self._form.tolerances(settings.rtol), self._form.tolerances_b(settings.rtol)
-        tolerances = np.concatenate([own, np.tile(below, self._m)])
+        tolerances = np.tile(self._form.tolerances(settings.rtol), self._m + 1)
         size = len(self._y)
         rows, columns = self._storage.sparsity()
         options: dict[str, Any] = {"linsolver": "dense"}
@@ -168,6 +175,7 @@ class _IdaMarch(March):
 
     def _fill_residual(self, t: float, y: Array, yp: Array, R: Array) -> None:
         self.residuals += 1
+        self.iterations += 1  # One residual each; the wrapper has no other count.
         (x, Y), (xp, Yp) = self._split(y), self._split(yp)
         n = self._form.n
         R[:n] = self._form.residual(t, x, xp)

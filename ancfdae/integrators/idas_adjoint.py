@@ -149,9 +149,7 @@ class _Backward:
         self._memory = e.memory
         bindings.check(idas.IDAAdjInit(self._memory, _CHECKPOINT, idas.IDA_HERMITE))
         bindings.check(idas.IDASetStopTime(self._memory, self._t_end))
-        bindings.check(
-            idas.IDASetMaxNumSteps(self._memory, len(self._solution.t) * self._max_steps)
-        )
+        bindings.check(idas.IDASetMaxNumSteps(self._memory, self._max_steps))
         flag, _, _ = idas.IDASolveF(self._memory, self._t_end, e.y, e.yp, idas.IDA_NORMAL)
         e.guard.raise_kept()
         if flag < 0:
@@ -193,7 +191,7 @@ class _Backward:
         check(idas.IDAInitB(self._memory, which, self._residual, t, self._y, self._yp))
         atol = _SMALL * self._rtol
         check(idas.IDASStolerancesB(self._memory, which, self._rtol, atol))
-        check(idas.IDASetMaxNumStepsB(self._memory, which, len(self._solution.t) * self._max_steps))
+        check(idas.IDASetMaxNumStepsB(self._memory, which, self._max_steps))
         self._matrix = core.SUNDenseMatrix(self._n, self._n, context)
         self._solver = core.SUNLinSol_Dense(self._y, self._matrix, context)
         check(idas.IDASetLinearSolverB(self._memory, which, self._solver, self._matrix))

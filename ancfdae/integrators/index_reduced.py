@@ -38,7 +38,8 @@ from ancfdae.numerics.patterns import Pattern
 from ancfdae.system import MechanicalSystem
 
 # Absolute tolerance of multipliers, in their own scale: so loose that they stay out of the error
-# test, as they must where they are of index 2 (shared/ida-notes: any of 1e-2 to 1e6 will do).
+# test (any of 1 to 1e6 will do). They must where they are of index 2. In the index-1 form the test
+# would stop at every jump of a force, and cost up to twice the steps for no better digits.
 _LOOSE = 1e3
 # Absolute tolerance of coordinates and velocities relative to their scale, per unit of rtol.
 _SMALL = 1e-2
@@ -93,15 +94,11 @@ class IndexReduced(abc.ABC):
     ) -> list[Array]:
         """Entries of the blocks of J, for the system or for one at moved design values."""
 
-    @abc.abstractmethod
-    def tolerances(self, rtol: float) -> Array:
-        """Absolute tolerances of the scaled unknowns, shape (n,)."""
-
     @final
-    def tolerances_b(self, rtol: float) -> Array:
-        """Return absolute tolerances of scaled sensitivities; multipliers stay out of the test.
+    def tolerances(self, rtol: float) -> Array:
+        """Return absolute tolerances of scaled unknowns or their sensitivities, shape (n,).
 
-        Tested in the index-1 form they cost IDAS fifty times the steps.
+        They error-control q and v only.
         """
         tested = 2 * self._system.n_q
         return np.repeat([_SMALL * rtol, _LOOSE], [tested, self.n - tested])
@@ -183,11 +180,6 @@ class StabilisedIndex2(IndexReduced):
         s = self._scales
         size = np.concatenate([s.q, s.v, s.lam, s.eta])
         return size, np.concatenate([s.v, s.force, s.row * s.speed, s.row * s.position])
-
-    def tolerances(self, rtol: float) -> Array:
-        """Error-control q and v only."""
-        n_q, n_lam = self._system.n_q, self._system.n_lam
-        return np.repeat([_SMALL * rtol, _LOOSE], [2 * n_q, 2 * n_lam])
 
     def _split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         n_q, n_lam = self._system.n_q, self._system.n_lam
@@ -281,10 +273,6 @@ class Index1(IndexReduced):
         s = self._scales
         acceleration = s.load * s.row
         return np.concatenate([s.q, s.v, s.lam]), np.concatenate([s.v, s.force, acceleration])
-
-    def tolerances(self, rtol: float) -> Array:
-        """Error-control everything."""
-        return np.full(self.n, _SMALL * rtol)
 
     def _split(self, x: Array) -> tuple[Array, Array, Array]:
         n_q = self._system.n_q

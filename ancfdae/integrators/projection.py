@@ -2,10 +2,11 @@
 
 In the norm of M at the state itself,
 
-    M dq + Phi_q^T nu = 0,      Phi_q dq = -Phi,
-    M dv + Phi_q^T kappa = 0,   Phi_q dv = nu - Phi_q v,
+    M dq + Phi_q^T sigma = 0,   Phi_q dq = -Phi,
+    M dv + Phi_q^T sigma = 0,   Phi_q dv = nu - Phi_q v,
 
 one Newton step: the drift of one integration step is small, and its square is round-off. The
+matrix is that at the state before, the right side of the second line is at the moved q. The
 design derivatives of the state are moved onto the derivatives of the constraints in the same way.
 """
 
