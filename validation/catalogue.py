@@ -6,7 +6,7 @@ To add one, write a module with a function that fills a `Report`, and enter it i
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from validation import crank_slider, pendulum
+from validation import crank_slider, external_dae, pendulum
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -50,5 +50,12 @@ CATALOGUE: tuple[Definition, ...] = (
         "paper's second experiment, what do they cost, and why do two of its sensitivities "
         "disagree with finite differences?",
         run=crank_slider.run,
+    ),
+    Definition(
+        name="external-dae",
+        title="External DAE benchmarks",
+        question="Do published multibody problems that a user brings as a system of equations come "
+        "out right, motion and design sensitivities, by every integrator and every method?",
+        run=external_dae.run,
     ),
 )
