@@ -27,12 +27,15 @@ class Definition:
     run : callable
         ``run(report, quick)`` fills the report; `quick` asks for coarse settings that exercise
         every part of it without giving figures worth quoting.
+    source : str
+        What the claims of the report are compared with, one word.
     """
 
     name: str
     title: str
     question: str
     run: Callable[[Report, bool], None]
+    source: str = "paper"
 
 
 CATALOGUE: tuple[Definition, ...] = (
@@ -57,5 +60,6 @@ CATALOGUE: tuple[Definition, ...] = (
         question="Do published multibody problems that a user brings as a system of equations come "
         "out right, motion and design sensitivities, by every integrator and every method?",
         run=external_dae.run,
+        source="benchmark",
     ),
 )

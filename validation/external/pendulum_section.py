@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from ancfdae import HHT, IDA, IDAS, Integral, Solution, custom
+from ancfdae import HHT, IDA, IDAS, Explicit, Integral, Solution, custom
 from ancfdae.integrators import Integrator
 from ancfdae.plotting import Panel, Series
 from validation.external import published
@@ -29,6 +29,8 @@ from validation.report import Report, Verdict
 __all__ = ["pendulum", "speed"]
 
 _LIMIT: Final = 1e-8
+# See `_NOTES`.
+_TIGHTEST_IDA: Final = 3e-13
 # Which columns of the table belong together.
 _GROUPS: Final = {
     "position, velocity": slice(0, 4),
@@ -56,12 +58,14 @@ def speed(t: Array, q: Array, v: Array, lam: Array, b: Array) -> Array:
 def pendulum(report: Report, quick: bool) -> list[Requirement]:
     """Fill the section and return what was required of it."""
     table = published.PENDULUM[:3] if quick else published.PENDULUM
-    rtols = (1e-8, 1e-12) if quick else (1e-8, 1e-10, 1e-12)
-    steps = (0.005, 0.0025) if quick else (0.01, 0.005, 0.0025, 0.00125)
+    rtols = (1e-4, 1e-6) if quick else (1e-8, 1e-10, 1e-12)
+    tightest = 1e-7 if quick else _TIGHTEST_IDA
+    steps = (0.01, 0.005) if quick else (0.01, 0.005, 0.0025, 0.00125)
     report.heading("Cartesian pendulum (IFToMM library, A01)")
     report.text(_TEXT)
-    runs = _ladder(table, rtols, steps)
+    runs = _ladder(table, rtols, tightest, steps)
     _table(report, runs)
+    report.text(_NOTES)
     orders = _order(report, runs)
     _columns(report, runs)
     _plots(report, runs, table)
@@ -71,15 +75,20 @@ def pendulum(report: Report, quick: bool) -> list[Requirement]:
     exact = np.array([row["x"] + 1, row["dx/dL"] + 1, row["dx/dg"]])
     travel = Integral(custom(speed, "speed"))
     problem = Problem("pendulum", cartesian_pendulum(), travel, 1.0, exact)
-    compare_methods(report, problem, [HHT(steps[-2]), *controlled((1e-10,), 4)])
-    return _verdict(report, runs, rtols[-1], orders)
+    compare_methods(report, problem, [HHT(steps[-2]), *controlled((rtols[1],), 4)])
+    return _verdict(report, runs, orders)
 
 
-def _ladder(table: Array, rtols: Sequence[float], steps: Sequence[float]) -> list[_Run]:
+def _ladder(
+    table: Array, rtols: Sequence[float], tightest: float, steps: Sequence[float]
+) -> list[_Run]:
     t_end = float(table[-1, 0])
     # Every time of the table is the end of an interval.
+    n = round(4 * t_end)
     integrators: list[Integrator] = [HHT(step) for step in steps]
-    integrators += controlled(rtols, round(4 * t_end))
+    integrators += controlled(rtols, n)
+    last = max(k for k, x in enumerate(integrators) if isinstance(x, IDA))
+    integrators.insert(last + 1, IDA(rtol=tightest, intervals=n, max_steps=20_000))
     runs = []
     for integrator in integrators:
         attempt = run(cartesian_pendulum(), t_end, integrator)
@@ -162,7 +171,7 @@ def _plots(report: Report, runs: Sequence[_Run], table: Array) -> None:
         if each.errors is not None:
             pair = (each.attempt.seconds, float(np.max(each.errors)))
             points.setdefault(type(each.integrator).__name__, []).append(pair)
-    panels.append(work_precision("Work", points, "largest error of the table [-]"))
+    panels.append(work_precision("Error against work", points, "largest error of the table [-]"))
     report.plot(
         "cartesian-pendulum",
         panels,
@@ -172,21 +181,21 @@ def _plots(report: Report, runs: Sequence[_Run], table: Array) -> None:
     )
 
 
-def _verdict(report: Report, runs: Sequence[_Run], rtol: float, orders: Array) -> list[Requirement]:
+def _verdict(report: Report, runs: Sequence[_Run], orders: Array) -> list[Requirement]:
+    tightest = {type(each.integrator): each for each in runs}
     found = []
-    for each in runs:
-        if isinstance(each.integrator, IDA | IDAS) and each.integrator.rtol == rtol:
-            name = type(each.integrator).__name__
-            what = f"pendulum, {name}, rtol {rtol:.0e}: every column of the table"
-            missing = "not installed" in each.attempt.note
-            worst = float("inf") if each.errors is None else float(np.max(each.errors))
-            found.append(Requirement(what, _LIMIT, None if missing else worst))
+    for kind in (IDA, IDAS, Explicit):
+        each = tightest[kind]
+        what = f"pendulum, {kind.__name__}, {setting(each.integrator)}: every column of the table"
+        missing = "not installed" in each.attempt.note
+        worst = float("inf") if each.errors is None else float(np.max(each.errors))
+        found.append(Requirement(what, _LIMIT, None if missing else worst))
     first = found[0].found
     assert first is not None
     report.claim(
         "Cartesian pendulum, states and sensitivities",
         "table of the IFToMM problem A01, recomputed; 1e-8",
-        f"{first:.1e} (IDA, rtol {rtol:.0e}), largest of all columns",
+        f"{first:.1e} (IDA, {setting(tightest[IDA].integrator)}), largest of all columns",
         Verdict.AGREES if first <= _LIMIT else Verdict.DISAGREES,
     )
     distance = float(np.max(np.abs(orders - 2)))
@@ -197,6 +206,13 @@ _TEXT = """
 A point of 1 kg on a rod of L = 1 m in Cartesian coordinates, g = 9.81 m/s², released from rest at
 (-L, 0), so that the start depends on L. Errors are relative to max(1, |value|), because the
 derivatives of the multiplier reach 200; the largest over the times of the table counts.
+"""
+
+_NOTES = """
+IDA has one setting more, because at 1e-12 to 3e-12 round-off decides which side of 1e-8 its error
+at t = 10 s falls: 3e-9 on one build, 2e-8 on another. What Newton's iteration leaves behind is in
+proportion to the tolerance and adds up over the steps. IDAS stops that iteration earlier by a
+factor of its own and needs no such margin.
 """
 
 _METHODS = """

@@ -49,6 +49,7 @@ __all__ = [
 ]
 
 FINISHED: Final = "finished"
+_REFUSED: Final = "refused"
 
 _METHODS: Final[Mapping[str, GradientMethod]] = {
     "direct": Direct(),
@@ -84,6 +85,11 @@ class Attempt:
     def finished(self) -> bool:
         """Whether the end time was reached."""
         return self.note == FINISHED
+
+    @property
+    def refused(self) -> bool:
+        """Whether the package does not offer the combination."""
+        return self.note.startswith(_REFUSED)
 
 
 @dataclass(frozen=True)
@@ -191,7 +197,7 @@ def _timed(call: Callable[[], Attempt]) -> Attempt:
         note = error.solution.outcome.verdict.value
         attempt = Attempt(note, 0.0, error.solution)
     except InvalidInput as error:
-        attempt = Attempt(f"refused: {error.where} {error.rule}", 0.0)
+        attempt = Attempt(f"{_REFUSED}: {error.where} {error.rule}", 0.0)
     seconds = time.process_time() - clock
     return Attempt(attempt.note, seconds, attempt.solution, attempt.value)
 
@@ -204,24 +210,32 @@ def rows_at(solution: Solution, times: Array) -> list[int]:
 
 
 def compare_methods(report: Report, problem: Problem, integrators: Sequence[Integrator]) -> None:
-    """Add the table of all integrators by all methods."""
+    """Add the table of all integrators by all methods; name the refused combinations below."""
     table: list[list[object]] = []
+    refused: dict[str, list[str]] = {}
     for integrator in integrators:
+        family = type(integrator).__name__
         direct: Array | None = None
         for name, method in _METHODS.items():
             attempt = differentiated(problem, integrator, method)
-            row: list[object] = [type(integrator).__name__, setting(integrator), name]
+            if attempt.refused:
+                refused.setdefault(name, []).append(family)
+                continue
+            row: list[object] = [family, setting(integrator), name]
             if attempt.value is None:
-                table.append([*row, "-", "-", "-", attempt.note])
+                table.append([*row, "-", "-", f"{attempt.seconds:.2f}", attempt.note])
                 continue
             error = float(np.max(np.abs(attempt.value - problem.exact)[1:]))
             report.figure(key(problem.name, "methods", integrator, name, "error"), error)
-            direct = attempt.value if direct is None else direct
-            apart = float(np.max(np.abs(attempt.value - direct)[1:]))
-            table.append([*row, f"{error:.2g}", f"{apart:.2g}", _short(attempt.seconds), FINISHED])
+            direct = attempt.value if name == "direct" else direct
+            apart = None if direct is None else np.max(np.abs(attempt.value - direct)[1:])
+            cells = [f"{error:.1e}", "-" if apart is None else f"{apart:.1e}"]
+            table.append([*row, *cells, f"{attempt.seconds:.2f}", attempt.note])
     report.table(
         ["integrator", "setting", "method", "error", "from direct", "CPU [s]", "outcome"], table
     )
+    which = (f"{name} ({', '.join(families)})" for name, families in refused.items())
+    report.text(f"Refused by the package: {'; '.join(which)}.")
 
 
 def work_precision(
@@ -243,7 +257,3 @@ def work_precision(
         if points
     ]
     return Panel(title, "processor time [s]", what, series, x_scale="log", y_scale="log")
-
-
-def _short(seconds: float) -> str:
-    return f"{seconds:.2f}"
