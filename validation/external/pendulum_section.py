@@ -209,10 +209,10 @@ derivatives of the multiplier reach 200; the largest over the times of the table
 """
 
 _NOTES = """
-IDA has one setting more, because at 1e-12 to 3e-12 round-off decides which side of 1e-8 its error
-at t = 10 s falls: 3e-9 on one build, 2e-8 on another. What Newton's iteration leaves behind is in
-proportion to the tolerance and adds up over the steps. IDAS stops that iteration earlier by a
-factor of its own and needs no such margin.
+IDA has one setting more, for a margin: at 3e-12 round-off decides on which side of 1e-8 its error
+at t = 10 s falls (3e-9 in one build, 2e-8 in another), since what Newton's iteration leaves behind
+is in proportion to the tolerance and adds up over the steps. IDAS is given a tighter test of that
+iteration (`_NEWTON` in `ancfdae/integrators/idas_equations.py`), IDA does not offer one.
 """
 
 _METHODS = """
