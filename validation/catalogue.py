@@ -6,7 +6,7 @@ To add one, write a module with a function that fills a `Report`, and enter it i
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from validation import crank_slider, external_dae, pendulum
+from validation import crank_slider, external_dae, integrators, pendulum
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -61,5 +61,12 @@ CATALOGUE: tuple[Definition, ...] = (
         "out right, motion and design sensitivities, by every integrator and every method?",
         run=external_dae.run,
         source="benchmark",
+    ),
+    Definition(
+        name="integrators",
+        title="The integrators compared on the paper's scenes",
+        question="How many digits of motion, multipliers and sensitivities do HHT-I3, IDA, IDAS "
+        "and the explicit integrator agree on, at what cost, and why not on more?",
+        run=integrators.run,
     ),
 )

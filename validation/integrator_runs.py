@@ -31,6 +31,7 @@ __all__ = [
     "errors",
     "family",
     "label",
+    "motion_errors",
     "timed",
 ]
 
@@ -64,6 +65,8 @@ class Errors:
     ----------
     deflection : float
         In metres.
+    states : float
+        Of any coordinate: positions in m, slopes without unit.
     multipliers : float
         Relative to the largest multiplier.
     sensitivities : array, shape (n_b,)
@@ -71,6 +74,7 @@ class Errors:
     """
 
     deflection: float
+    states: float
     multipliers: float
     sensitivities: Array
 
@@ -111,20 +115,31 @@ def common_rows(solution: Solution, spacing: float) -> npt.NDArray[np.int64]:
 
 def errors(run: Run, reference: Run, spacing: float) -> Errors:
     """Compare two runs of the pendulum at the common instants."""
-    (y, lam, y_b), (y_0, lam_0, y_b0) = (_curves(r, spacing) for r in (run, reference))
+    (y, y_b), (y_0, y_b0) = (_curves(r, spacing) for r in (run, reference))
     return Errors(
         float(np.max(np.abs(y - y_0))),
-        float(np.max(np.abs(lam - lam_0)) / np.max(np.abs(lam_0))),
+        *motion_errors(run.solution, reference.solution, spacing),
         np.max(np.abs(y_b - y_b0), axis=0),
     )
 
 
-def _curves(run: Run, spacing: float) -> tuple[Array, Array, Array]:
+def motion_errors(solution: Solution, reference: Solution, spacing: float) -> tuple[float, float]:
+    """Return largest differences at the common instants.
+
+    The first is of any coordinate, the second of the multipliers relative to the largest one.
+    """
+    rows, rows_0 = (common_rows(s, spacing) for s in (solution, reference))
+    lam, lam_0 = solution.lam[rows], reference.lam[rows_0]
+    states = float(np.max(np.abs(solution.q[rows] - reference.q[rows_0])))
+    return states, float(np.max(np.abs(lam - lam_0)) / np.max(np.abs(lam_0)))
+
+
+def _curves(run: Run, spacing: float) -> tuple[Array, Array]:
     solution, sensitivities = run.solution, run.solution.sensitivities
     assert sensitivities is not None
     rows = common_rows(solution, spacing)
     y_b = solution.derivative(deflection)[rows] * sensitivities.values
-    return deflection(solution).real[rows], solution.lam[rows], y_b
+    return deflection(solution).real[rows], y_b
 
 
 def balance(system: AncfSystem, solution: Solution, length: float) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from ancfdae.integrators import IndexReduction
 from ancfdae.plotting import Panel, Series
 from ancfdae.system import AncfSystem
 from validation import integrators_crank_slider
+from validation.external.runs import Requirement
 from validation.integrator_runs import (
     Array,
     Errors,
@@ -47,7 +48,7 @@ class _Extent:
     reference: float
 
 
-_FULL = _Extent(1.0, range(7, 16), (1e-5, 1e-7, 1e-9), 1e-11)
+_FULL = _Extent(1.0, range(7, 17), (1e-5, 1e-7, 1e-9), 1e-11)
 _QUICK = _Extent(2 * _SPACING, (7, 8, 9), (1e-5, 1e-6), 1e-8)
 
 
@@ -62,13 +63,24 @@ def run(report: Report, quick: bool) -> None:
     assert reference is not None
     found = [(r, errors(r, reference, _SPACING)) for _, r in runs if r is not None]
     _work_table(report, system, runs, reference)
-    _agreement(report, [r for r, _ in found], reference, extent)
-    _convergence(report, found, reference)
+    requirements = _agreement(report, [r for r, _ in found], reference, extent)
+    requirements += _convergence(report, found, reference)
     _work_precision(report, found)
     _question(report, found, reference)
-    integrators_crank_slider.run(report, quick)
+    requirements += integrators_crank_slider.run(report, quick)
+    _verdict(report, requirements, quick)
     report.heading("Limits")
     report.text(_LIMITS)
+
+
+def _verdict(report: Report, requirements: Sequence[Requirement], quick: bool) -> None:
+    report.heading("Verdict")
+    reached = sum(r.found is not None and r.found <= r.limit for r in requirements)
+    report.figure("verdict.required", len(requirements))
+    report.figure("verdict.reached", reached)
+    settings = " (coarse settings: not results)" if quick else ""
+    report.text(f"{reached} of {len(requirements)} figures are reached{settings}.")
+    report.table(["figure", "limit", "found", "reached"], [r.row() for r in requirements])
 
 
 def _intervals(extent: _Extent) -> int:
@@ -96,7 +108,8 @@ def _work_table(
     reference: Run,
 ) -> None:
     report.heading("Planar pendulum: errors and work")
-    header = ["integrator", "setting", "steps", "CPU [s]", "deflection [m]", "multipliers [-]"]
+    header = ["integrator", "setting", "steps", "CPU [s]", "deflection [m]", "states [m]"]
+    header += ["multipliers [-]"]
     header += [f"{symbol}-sensitivity [m]" for symbol in _SYMBOLS]
     header += ["drift [-]", "energy [-]"]
     rows: list[list[object]] = []
@@ -111,7 +124,8 @@ def _work_table(
     report.text(
         f"Three design variables along. Errors are largest differences to the last row at the "
         f"instants every {_SPACING:g} s; sensitivities are those of the deflection times the "
-        "variable. *Multipliers* relative to the largest one, *drift* max |Phi| over the length of "
+        "variable. *States*: the largest difference of any coordinate (slopes have no unit). "
+        "*Multipliers* relative to the largest one, *drift* max |Phi| over the length of "
         "the beam, *energy* the change of the total energy over the largest kinetic energy, both "
         "at all instants of the run."
     )
@@ -126,6 +140,7 @@ def _cells(system: AncfSystem, done: Run, reference: Run) -> list[float]:
         done.solution.statistics.steps,
         done.seconds,
         own.deflection,
+        own.states,
         own.multipliers,
         *own.sensitivities.tolist(),
         drift,
@@ -144,7 +159,9 @@ def _keep(report: Report, scene: str, integrator: Integrator, values: dict[str, 
 # ---------------------------------------------------------------- agreement
 
 
-def _agreement(report: Report, runs: Sequence[Run], reference: Run, extent: _Extent) -> None:
+def _agreement(
+    report: Report, runs: Sequence[Run], reference: Run, extent: _Extent
+) -> list[Requirement]:
     """Compare the most accurate runs with each other at all instants."""
     report.heading("Do the integrators of high order agree?")
     tight = [r for r in runs if label(r.integrator) == f"rtol {extent.tolerances[-1]:.0e}"]
@@ -171,6 +188,11 @@ def _agreement(report: Report, runs: Sequence[Run], reference: Run, extent: _Ext
         + ".\n\n"
         + _WHY_NOT_MORE
     )
+    who = f"pendulum, every pair of high order at rtol {extent.tolerances[-1]:.0e}"
+    return [
+        Requirement(f"{who}: deflection [m]", 1e-8, float(worst[0])),
+        Requirement(f"{who}: its sensitivities to h, rho, E [m]", 1e-6, float(np.max(worst[1:]))),
+    ]
 
 
 def _at_all_instants(done: Run) -> tuple[Array, Array]:
@@ -183,34 +205,50 @@ def _at_all_instants(done: Run) -> tuple[Array, Array]:
 # ---------------------------------------------------------------- HHT
 
 
-def _convergence(report: Report, found: Sequence[tuple[Run, Errors]], reference: Run) -> None:
+def _convergence(
+    report: Report, found: Sequence[tuple[Run, Errors]], reference: Run
+) -> list[Requirement]:
+    """Order of HHT-I3 and the steps it needs."""
     report.heading("How HHT-I3 converges to them")
-    y_0, y_b0 = (x[-1] for x in _at_all_instants(reference))
-    exact = np.array([y_0, *y_b0])
+    sizes = _sizes(reference)
     table, steps = [], []
-    for done, _ in found:
+    for done, own in found:
         if isinstance(done.integrator, HHT):
-            y, y_b = (x[-1] for x in _at_all_instants(done))
-            table.append(np.abs(np.array([y, *y_b]) / exact - 1))
+            table.append(np.array([own.deflection, *own.sensitivities]) / sizes)
             steps.append(done.integrator.step)
-    errors_at_end = np.array(table)
-    orders = np.log2(errors_at_end[:-1] / errors_at_end[1:])
+    relative = np.array(table)
+    orders = np.log2(relative[:-1] / relative[1:])
     names = ("deflection", *_SYMBOLS)
     rows: list[list[object]] = []
     for k, step in enumerate(steps):
         order = ["-"] * 4 if k == 0 else [f"{x:.2f}" for x in orders[k - 1]]
-        cells = [f"{e:.2g} ({o})" for e, o in zip(errors_at_end[k], order, strict=True)]
+        cells = [f"{e:.2g} ({o})" for e, o in zip(relative[k], order, strict=True)]
         rows.append([f"2^{int(np.log2(step))}", *cells])
-        for name, value in zip(names, errors_at_end[k], strict=True):
+        for name, value in zip(names, relative[k], strict=True):
             report.figure(f"hht.2{int(np.log2(step))}.{name}", value)
-    t_end = float(reference.solution.t[-1])
+    for name, order in zip(names, orders[-1], strict=True):
+        report.figure(f"hht.order.{name}", order)
     report.text(
-        f"Relative errors at t = {t_end:g} s; in brackets the order from the step above. An error "
-        "that passes through zero shows a high order and then a low one."
+        f"Largest errors at the instants every {_SPACING:g} s, relative to the largest value; in "
+        "brackets the order from the step above."
     )
     report.table(["step [s]", *names], rows)
-    _steps_needed(report, np.array(steps), errors_at_end)
-    _claim(report, steps[0], errors_at_end[0])
+    _steps_needed(report, np.array(steps), relative)
+    report.text(_CONVERGENCE_NOTES)
+    _claim(report, steps[0], relative[0])
+    distance = float(np.max(np.abs(orders[-1] - 2)))
+    return [
+        Requirement(
+            "pendulum, HHT-I3: distance of the order of the last halving from 2", 0.1, distance
+        )
+    ]
+
+
+def _sizes(reference: Run) -> Array:
+    """Largest deflection and sensitivities at the common instants."""
+    rows = common_rows(reference.solution, _SPACING)
+    y, y_b = _at_all_instants(reference)
+    return np.array([np.max(np.abs(y[rows])), *np.max(np.abs(y_b[rows]), axis=0)])
 
 
 def _steps_needed(report: Report, steps: Array, table: Array) -> None:
@@ -237,13 +275,13 @@ def _step_needed(steps: Array, column: Array, target: float) -> tuple[float, boo
     return float(2.0**exponent), True
 
 
-def _claim(report: Report, step: float, at_end: Array) -> None:
-    wrong = ", ".join(f"{s}: {e:.2g}" for s, e in zip(_SYMBOLS, at_end[1:], strict=True))
+def _claim(report: Report, step: float, relative: Array) -> None:
+    wrong = ", ".join(f"{s}: {e:.2g}" for s, e in zip(_SYMBOLS, relative[1:], strict=True))
     report.claim(
         f"HHT-I3 at the step {step:g} s shows motion and sensitivities of the pendulum",
         "implied by Figs. 4 to 6, made with one step (2^-7 s)",
-        f"relative errors at the end of the run: deflection {at_end[0]:.2g}, sensitivities {wrong}",
-        Verdict.AGREES if np.max(at_end) < 0.05 else Verdict.DISAGREES,
+        f"largest relative errors: deflection {relative[0]:.2g}, sensitivities {wrong}",
+        Verdict.AGREES if np.max(relative) < 0.05 else Verdict.DISAGREES,
     )
 
 
@@ -296,9 +334,7 @@ class _Point:
 
 
 def _point(done: Run, own: Errors, reference: Run) -> _Point:
-    rows = common_rows(reference.solution, _SPACING)
-    size = np.max(np.abs(_at_all_instants(reference)[1][rows]), axis=0)
-    error = float(np.max(own.sensitivities / size))
+    error = float(np.max(own.sensitivities / _sizes(reference)[1:]))
     return _Point(family(done.integrator), label(done.integrator), error, done.seconds)
 
 
@@ -363,6 +399,10 @@ Why not more digits: the beam is undamped and gravity sets in suddenly, so axial
 never die out, and a sensitivity to E counts their phases, error times frequency times time. The
 tolerances bound the error of a step; tens of thousands of steps add up to 10 to 1000 times as much.
 BDF methods (IDA, IDAS) of order 5 need ten times the steps of order 8 here, and damp a little.
+"""
+
+_CONVERGENCE_NOTES = """
+CONV
 """
 
 _ANSWER = """
