@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal
 
@@ -21,6 +22,7 @@ import matplotlib.style
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -311,6 +313,19 @@ def _draw_panel(
     axes.set_yscale(panel.y_scale, **_gaps(panel.y_scale))
     for series in panel.series:
         entries.setdefault(series.label, _draw_series(axes, series, places[series.label]))
+    for axis, scale in ((axes.xaxis, panel.x_scale), (axes.yaxis, panel.y_scale)):
+        if scale == "log":
+            axis.set_minor_formatter(partial(_between_powers, axis))
+
+
+def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
+    """Label 2 and 5 between powers of ten where an axis is short; more labels would overlap."""
+    low, high = axis.get_view_interval()
+    exponent = math.floor(math.log10(x) + 1e-9)
+    digit = round(x / 10.0**exponent)
+    if high > 100 * low or digit not in (2, 5):
+        return ""
+    return rf"$\mathdefault{{{digit}\times10^{{{exponent}}}}}$"
 
 
 def _gaps(scale: Scale) -> dict[str, str]:

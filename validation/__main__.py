@@ -61,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(definition: Definition, directory: Path, quick: bool, words: Sequence[str]) -> int:
     command = shlex.join(["python", "-m", "validation", *words])
-    report = Report(definition.title, definition.question, directory, command)
+    report = Report(definition.title, definition.question, directory, command, definition.source)
     if quick:
         report.text("**Made with `--quick`: the figures below are not results.**")
     try:

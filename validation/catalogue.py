@@ -6,7 +6,7 @@ To add one, write a module with a function that fills a `Report`, and enter it i
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from validation import crank_slider, pendulum
+from validation import crank_slider, external_dae, integrators, pendulum
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -27,12 +27,15 @@ class Definition:
     run : callable
         ``run(report, quick)`` fills the report; `quick` asks for coarse settings that exercise
         every part of it without giving figures worth quoting.
+    source : str
+        What the claims of the report are compared with, one word.
     """
 
     name: str
     title: str
     question: str
     run: Callable[[Report, bool], None]
+    source: str = "paper"
 
 
 CATALOGUE: tuple[Definition, ...] = (
@@ -50,5 +53,20 @@ CATALOGUE: tuple[Definition, ...] = (
         "paper's second experiment, what do they cost, and why do two of its sensitivities "
         "disagree with finite differences?",
         run=crank_slider.run,
+    ),
+    Definition(
+        name="external-dae",
+        title="External DAE benchmarks",
+        question="Do published multibody problems that a user brings as a system of equations come "
+        "out right, motion and design sensitivities, by every integrator and every method?",
+        run=external_dae.run,
+        source="benchmark",
+    ),
+    Definition(
+        name="integrators",
+        title="The integrators compared on the paper's scenes",
+        question="How many digits of motion, multipliers and sensitivities do HHT-I3, IDA, IDAS "
+        "and the explicit integrator agree on, at what cost, and why not on more?",
+        run=integrators.run,
     ),
 )

@@ -56,13 +56,18 @@ class Report:
         Where `write` puts the files; created if missing.
     command : str
         Command that makes this report; kept with the results.
+    source : str
+        What the claims are compared with, one word.
     """
 
-    def __init__(self, title: str, question: str, directory: Path, command: str) -> None:
+    def __init__(
+        self, title: str, question: str, directory: Path, command: str, source: str = "paper"
+    ) -> None:
         self._title = title
         self._question = question
         self._directory = directory
         self._command = command
+        self._source = source
         self._started = datetime.now(UTC)
         self._clock = time.perf_counter()
         self._body: list[str] = []
@@ -145,14 +150,14 @@ class Report:
             self._body.append(f"*{caption.strip()}*")
 
     def claim(self, statement: str, paper: str, found: str, verdict: Verdict) -> None:
-        """Add a row to the table that compares the paper with what is found here.
+        """Add a row to the table that compares the source with what is found here.
 
         Parameters
         ----------
         statement : str
             What is compared.
         paper : str
-            What the paper says, with its place.
+            What the paper, or another source, says, with its place.
         found : str
             What this run shows.
         verdict : Verdict
@@ -199,8 +204,8 @@ class Report:
         blocks = [f"# {self._title}", self._question]
         if self._claims:
             rows = [(c.statement, c.paper, c.found, c.verdict.value) for c in self._claims]
-            header = ("claim", "what the paper says", "what we see", "agrees?")
-            blocks += ["## The paper and this run", _table(header, rows)]
+            header = ("claim", f"what the {self._source} says", "what we see", "agrees?")
+            blocks += [f"## The {self._source} and this run", _table(header, rows)]
         blocks += self._body
         lost = {name: value for name, value in self._figures.items() if not math.isfinite(value)}
         if lost:

@@ -1,0 +1,259 @@
+"""Runs of external problems that tell what came, at what cost, or why nothing came."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ancfdae import (
+    HHT,
+    IDA,
+    IDAS,
+    Adjoint,
+    ComplexStep,
+    ContinuousAdjoint,
+    Direct,
+    Explicit,
+    FiniteDifference,
+    InvalidInput,
+    MechanicalSystem,
+    MissingPackage,
+    Solution,
+    UnfinishedRun,
+    differentiate,
+    gradient,
+    simulate,
+)
+from ancfdae.integrators import Integrator
+from ancfdae.objectives import Objective
+from ancfdae.plotting import Panel, Series
+from ancfdae.sensitivity import GradientMethod
+from validation.external.scleronomic import Array
+from validation.report import Report
+
+__all__ = [
+    "FINISHED",
+    "Attempt",
+    "Problem",
+    "Requirement",
+    "compare_methods",
+    "controlled",
+    "differentiated",
+    "key",
+    "rows_at",
+    "run",
+    "setting",
+    "work_precision",
+]
+
+FINISHED: Final = "finished"
+_REFUSED: Final = "refused"
+
+_METHODS: Final[Mapping[str, GradientMethod]] = {
+    "direct": Direct(),
+    "adjoint": Adjoint(),
+    "continuous adjoint": ContinuousAdjoint(),
+    "central difference": FiniteDifference(1e-3, central=True),
+    "complex step": ComplexStep(),
+}
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A run or a gradient.
+
+    Attributes
+    ----------
+    note : str
+        `FINISHED`, or why there is no result.
+    seconds : float
+        Processor time.
+    solution : Solution or None
+        What was computed, also if the run ended early.
+    value : array or None
+        Objective and its gradient, where one was asked for and came.
+    """
+
+    note: str
+    seconds: float
+    solution: Solution | None = None
+    value: Array | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end time was reached."""
+        return self.note == FINISHED
+
+    @property
+    def refused(self) -> bool:
+        """Whether the package does not offer the combination."""
+        return self.note.startswith(_REFUSED)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A system with an objective whose value and gradient are known.
+
+    Attributes
+    ----------
+    name : str
+        For the keys of figures.
+    system : MechanicalSystem
+    objective : Objective
+    t_end : float
+    exact : array, shape (1 + n_b,)
+        Objective, then its gradient.
+    """
+
+    name: str
+    system: MechanicalSystem
+    objective: Objective
+    t_end: float
+    exact: Array
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A figure that had to be reached.
+
+    Attributes
+    ----------
+    what : str
+    limit : float
+    found : float or None
+        None where the package is not installed.
+    """
+
+    what: str
+    limit: float
+    found: float | None
+
+    def row(self) -> list[object]:
+        """Return the row of the verdict."""
+        if self.found is None:
+            return [self.what, self.limit, "-", "sundials4py is not installed"]
+        return [self.what, self.limit, self.found, "yes" if self.found <= self.limit else "NO"]
+
+
+def controlled(
+    rtols: Sequence[float], intervals: int, max_steps: int = 20_000
+) -> list[IDA | IDAS | Explicit]:
+    """Return every integrator with error control at every tolerance."""
+    kinds = (IDA, IDAS, Explicit)
+    return [k(rtol=r, intervals=intervals, max_steps=max_steps) for k in kinds for r in rtols]
+
+
+def setting(integrator: Integrator) -> str:
+    """Return the step or the tolerance in words."""
+    if isinstance(integrator, HHT):
+        return f"h = {integrator.step:g}"
+    assert isinstance(integrator, IDA | IDAS | Explicit)
+    return f"rtol = {integrator.rtol:.0e}"
+
+
+def key(*parts: object) -> str:
+    """Return the key of a figure."""
+    words = [
+        f"{type(x).__name__}.{setting(x)}" if isinstance(x, Integrator) else str(x) for x in parts
+    ]
+    return ".".join(words).replace(" = ", "").replace(" ", "_")
+
+
+def run(
+    system: MechanicalSystem, t_end: float, integrator: Integrator, sensitivities: bool = True
+) -> Attempt:
+    """Integrate, with direct differentiation if sensitivities are asked for."""
+
+    def call() -> Attempt:
+        if sensitivities:
+            solution = differentiate(system, (), t_end, integrator)
+        else:
+            solution = simulate(system, t_end, integrator)
+        note = FINISHED if solution.outcome.success else solution.outcome.verdict.value
+        return Attempt(note, 0.0, solution)
+
+    return _timed(call)
+
+
+def differentiated(problem: Problem, integrator: Integrator, method: GradientMethod) -> Attempt:
+    """Return the objective and its gradient."""
+
+    def call() -> Attempt:
+        answer = gradient(problem.system, problem.objective, (), problem.t_end, integrator, method)
+        return Attempt(FINISHED, 0.0, answer.solution, np.array([answer.value, *answer.gradient]))
+
+    return _timed(call)
+
+
+def _timed(call: Callable[[], Attempt]) -> Attempt:
+    clock = time.process_time()
+    try:
+        attempt = call()
+    except MissingPackage:
+        attempt = Attempt("sundials4py is not installed", 0.0)
+    except UnfinishedRun as error:
+        note = error.solution.outcome.verdict.value
+        attempt = Attempt(note, 0.0, error.solution)
+    except InvalidInput as error:
+        attempt = Attempt(f"{_REFUSED}: {error.where} {error.rule}", 0.0)
+    seconds = time.process_time() - clock
+    return Attempt(attempt.note, seconds, attempt.solution, attempt.value)
+
+
+def rows_at(solution: Solution, times: Array) -> list[int]:
+    """Return the instants at the given times, which must be instants and reached."""
+    rows = [int(np.argmin(np.abs(solution.t - time))) for time in times]
+    assert np.allclose(solution.t[rows], times, rtol=0, atol=1e-9)
+    return rows
+
+
+def compare_methods(report: Report, problem: Problem, integrators: Sequence[Integrator]) -> None:
+    """Add the table of all integrators by all methods; name the refused combinations below."""
+    table: list[list[object]] = []
+    refused: dict[str, list[str]] = {}
+    for integrator in integrators:
+        family = type(integrator).__name__
+        direct: Array | None = None
+        for name, method in _METHODS.items():
+            attempt = differentiated(problem, integrator, method)
+            if attempt.refused:
+                refused.setdefault(name, []).append(family)
+                continue
+            row: list[object] = [family, setting(integrator), name]
+            if attempt.value is None:
+                table.append([*row, "-", "-", f"{attempt.seconds:.2f}", attempt.note])
+                continue
+            error = float(np.max(np.abs(attempt.value - problem.exact)[1:]))
+            report.figure(key(problem.name, "methods", integrator, name, "error"), error)
+            direct = attempt.value if name == "direct" else direct
+            apart = None if direct is None else np.max(np.abs(attempt.value - direct)[1:])
+            cells = [f"{error:.1e}", "-" if apart is None else f"{apart:.1e}"]
+            table.append([*row, *cells, f"{attempt.seconds:.2f}", attempt.note])
+    report.table(
+        ["integrator", "setting", "method", "error", "from direct", "CPU [s]", "outcome"], table
+    )
+    which = (f"{name} ({', '.join(families)})" for name, families in refused.items())
+    report.text(f"Refused by the package: {'; '.join(which)}.")
+
+
+def work_precision(
+    title: str, errors: Mapping[str, Sequence[tuple[float, float]]], what: str
+) -> Panel:
+    """Return error over processor time, one series per integrator.
+
+    Parameters
+    ----------
+    title : str
+    errors : mapping
+        Pairs (seconds, error) by name of the series; empty ones are left out.
+    what : str
+        Label of the error.
+    """
+    series = [
+        Series(name, [p[0] for p in points], [p[1] for p in points], marker=True)
+        for name, points in errors.items()
+        if points
+    ]
+    return Panel(title, "processor time [s]", what, series, x_scale="log", y_scale="log")

@@ -1,0 +1,321 @@
+"""Crank-slider's part of the report on the integrators."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ancfdae import (
+    HHT,
+    IDA,
+    IDAS,
+    Explicit,
+    Integral,
+    Integrator,
+    MissingPackage,
+    Solution,
+    assemble,
+    gradient,
+    position,
+)
+from ancfdae.plotting import Panel, Series
+from ancfdae.system import AncfSystem
+from validation.external.runs import Requirement
+from validation.integrator_runs import (
+    Array,
+    balance,
+    common_rows,
+    family,
+    label,
+    motion_errors,
+    timed,
+)
+from validation.report import Report
+from validation.scenes import crank_slider
+
+__all__ = ["run"]
+
+_SYMBOLS = ("E_1", "h_1", "rho_1", "E_2", "h_2", "rho_2")
+_DESIGN = tuple(
+    f"{beam}.{name}"
+    for beam in ("crank", "rod")
+    for name in ("youngs_modulus", "height", "density")
+)
+_LENGTH = 2.7
+_NAMES = ("Psi", *_SYMBOLS)
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """How much of the crank-slider's part is run.
+
+    The early part of the motion, up to `t_short`, is run by all integrators. Sensitivities carry
+    the waves of the section, with periods of 1e-4 s and more, so that Psi needs many panels: over
+    2 s, 256 miss dPsi/dE_2 by 2e-4 and dPsi/dE_1 by 1e-2; 1024 and 4096 agree to 1e-8 and 1e-7.
+    """
+
+    t_end: float
+    exponents: Sequence[int]
+    rtol: float
+    intervals: int
+    t_short: float
+    short_exponents: Sequence[int]
+    short_rtol: float
+
+
+_FULL = _Extent(2.0, range(6, 16), 1e-6, 1024, 2.0**-4, range(9, 15), 1e-6)
+_QUICK = _Extent(2.0**-6, (8, 9, 10), 1e-4, 8, 2.0**-8, (10, 11), 1e-4)
+
+
+def run(report: Report, quick: bool) -> list[Requirement]:
+    """Fill the crank-slider's part and return what was required of it."""
+    extent = _QUICK if quick else _FULL
+    system = assemble(crank_slider(), _DESIGN)
+    report.heading("Crank-slider: the first instants by all integrators")
+    _early(report, system, extent)
+    report.heading("Crank-slider: dΨ/db over the whole run")
+    return _objective(report, extent)
+
+
+# ---------------------------------------------------------------- early motion
+
+
+def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
+    """States and sensitivities of the slider's position by all integrators."""
+    n, rtol = 4, extent.short_rtol
+    spacing = extent.t_short / n
+    settings: list[Integrator] = [HHT(2.0**-k) for k in extent.short_exponents]
+    settings += [IDA(rtol, intervals=n), IDAS(rtol, intervals=n), Explicit(rtol, n)]
+    reference = timed(system, extent.t_short, Explicit(1e-2 * rtol, n))
+    assert reference is not None
+    x_0, x_b0 = _slider(reference.solution, system, spacing)
+    rows: list[list[object]] = []
+    for integrator in settings:
+        done = timed(system, extent.t_short, integrator)
+        names = [family(integrator), label(integrator)]
+        if done is None:
+            rows.append([*names, "not installed: sundials4py (Python 3.12)", *["-"] * len(_TITLES)])
+            continue
+        x, x_b = _slider(done.solution, system, spacing)
+        states, multipliers = motion_errors(done.solution, reference.solution, spacing)
+        own = np.max(np.abs(x_b - x_b0), axis=0) / np.max(np.abs(x_b0), axis=0)
+        drift, energy = balance(system, done.solution, _LENGTH)
+        apart = float(np.max(np.abs(x - x_0)))
+        ours = [float(np.max(own[3:])), float(np.max(own[:3]))]
+        cells = [done.seconds, apart, states, multipliers, *ours, drift, energy]
+        for name, value in zip(_COLUMNS, cells, strict=True):
+            report.figure(f"early.{_key(integrator)}.{name}", value)
+        rows.append([*names, done.solution.statistics.steps, *(f"{c:.2g}" for c in cells)])
+    report.text(
+        f"Six design variables along, up to t = {extent.t_short:g} s; against Explicit at rtol "
+        f"{1e-2 * rtol:.0e} at {n + 1} common instants. Position of the slider and *states*, the "
+        "largest difference of any coordinate, in metres (slopes without unit); multipliers "
+        "relative to the largest one; sensitivities of the slider's position relative to the "
+        "largest value of each so far, the worst of three variables of the rod and of the crank. "
+        "Drift and energy as above."
+    )
+    report.table(["integrator", "setting", "steps", *_TITLES], rows)
+    report.text(_EARLY_NOTES)
+
+
+_TITLES = (
+    "CPU [s]",
+    "slider [m]",
+    "states [m]",
+    "multipliers [-]",
+    "rod's [-]",
+    "crank's [-]",
+    "drift [-]",
+    "energy [-]",
+)
+_COLUMNS = ("seconds", "slider", "states", "multipliers", "rod", "crank", "drift", "energy")
+_EARLY_NOTES = """
+Multipliers and the crank's sensitivities come last: they follow waves through the section of the
+stiffer beam (the fastest mode has 57,900 rad/s, a period of 0.11 ms), which none of these steps of
+HHT-I3 resolves with more than two steps per period.
+"""
+
+
+def _key(integrator: Integrator) -> str:
+    place = f"{family(integrator)}.{label(integrator)}".replace(" ", "_")
+    return place.replace("step_", "").replace("rtol_", "").replace("^", "").replace("_s", "")
+
+
+def _slider(solution: Solution, system: AncfSystem, spacing: float) -> tuple[Array, Array]:
+    """Position of the slider and its derivatives times the variables, at common instants."""
+
+    def read(s: Solution) -> Array:
+        x: Array = s.position("rod", 1.0)[:, 0]
+        return x
+
+    rows = common_rows(solution, spacing)
+    x_b = solution.derivative(read)[rows] * system.b
+    return read(solution).real[rows], x_b
+
+
+# ---------------------------------------------------------------- the objective
+
+
+@dataclass(frozen=True)
+class _Value:
+    """Psi and b dPsi/db by one integrator, in the order of `_NAMES`; nan where not asked for."""
+
+    integrator: Integrator
+    values: Array
+    seconds: float
+
+
+def _objective(report: Report, extent: _Extent) -> list[Requirement]:
+    """Convergence of HHT-I3 to the path of high order in Psi and its gradient."""
+    slider = position(crank_slider().beams[1].at_end, 0)
+    psi = Integral((slider - 1.8) ** 2)
+
+    def value(integrator: Integrator, variables: Sequence[str] = _DESIGN) -> _Value:
+        chosen = assemble(crank_slider(), variables)
+        started = time.process_time()
+        found = gradient(chosen, psi, (), extent.t_end, integrator)
+        seconds = time.process_time() - started
+        values = np.full(1 + len(_DESIGN), np.nan)
+        values[0] = found.value
+        values[[1 + _DESIGN.index(v) for v in variables]] = found.gradient * chosen.b
+        return _Value(integrator, values, seconds)
+
+    explicit = value(Explicit(extent.rtol, extent.intervals))
+    try:
+        sundials = value(IDAS(extent.rtol, intervals=extent.intervals), _DESIGN[3:])
+    except MissingPackage:
+        sundials = value(IDA(extent.rtol, intervals=extent.intervals), _DESIGN[3:])
+    ladder = [value(HHT(2.0**-k)) for k in extent.exponents]
+    exact = np.where(np.isnan(sundials.values), explicit.values, sundials.values)
+    table = np.abs(np.array([each.values for each in ladder]) / exact - 1)
+    for each in (explicit, sundials):
+        for name, number in zip(_NAMES, each.values, strict=True):
+            if np.isfinite(number):
+                report.figure(f"objective.{_key(each.integrator)}.{name}", number)
+        report.figure(f"objective.{_key(each.integrator)}.seconds", each.seconds)
+    for each, errors in zip(ladder, table, strict=True):
+        report.figure(f"objective.{_key(each.integrator)}.seconds", each.seconds)
+        for name, error in zip(_NAMES, errors, strict=True):
+            report.figure(f"objective.{_key(each.integrator)}.{name}", error)
+    report.text(
+        "Ψ = ∫ (x - 1.8)² dt over the whole run and b · dΨ/db, in m² s. Explicit and SUNDIALS "
+        f"({family(sundials.integrator)}) integrate by Gauss-Lobatto quadrature over "
+        f"{extent.intervals} panels of nine instants, HHT-I3 by the trapezoidal rule over its "
+        "steps. SUNDIALS, with the rod's three variables along, is what HHT-I3 is compared with; "
+        "for the crank's variables it is Explicit."
+    )
+    orders = _show(report, ladder, table)
+    agreed = _values(report, explicit, sundials, ladder)
+    report.text(_OBJECTIVE_NOTES)
+    which = f"crank-slider, {', '.join(_SYMBOLS[3:])}"
+    distance = float(np.max(np.abs(np.array(orders[4:]) - 2)))
+    return [
+        Requirement(
+            f"{which}: HHT-I3 to SUNDIALS, distance of the mean order from 2", 0.1, distance
+        ),
+        Requirement(f"{which}: Explicit from SUNDIALS, relative", 1e-6, agreed),
+    ]
+
+
+def _show(report: Report, ladder: Sequence[_Value], table: Array) -> list[float]:
+    """Table and plot of the errors of HHT-I3; returns the mean orders."""
+    names = ("Ψ", *_SYMBOLS)
+    steps = [each.integrator.step for each in ladder if isinstance(each.integrator, HHT)]
+    rows: list[list[object]] = []
+    for k, step in enumerate(steps):
+        order = np.log2(table[k - 1] / table[k]) if k else np.full(len(names), np.nan)
+        cells = [
+            f"{e:.2g}" + (f" ({o:.2f})" if k else "") for e, o in zip(table[k], order, strict=True)
+        ]
+        rows.append([f"2^{int(np.log2(step))}", f"{ladder[k].seconds:.2g}", *cells])
+    report.text(
+        "Relative errors of HHT-I3 (gradient by the discrete adjoint), in brackets the order from "
+        "the step above:"
+    )
+    report.table(["step [s]", "CPU [s]", *names], rows)
+    # Over three halvings: single ones are irregular while waves are not resolved.
+    orders = [
+        report.figure(f"objective.order.{name}", _mean_order(column))
+        for name, column in zip(_NAMES, table.T, strict=True)
+    ]
+    report.text(
+        "Mean order over the last three halvings: "
+        + ", ".join(f"{name} {order:.2f}" for name, order in zip(names, orders, strict=True))
+        + "."
+    )
+    series = [
+        Series(name, steps, column, marker=True)
+        for name, column in zip(names, table.T, strict=True)
+    ]
+    anchor = float(np.max(table[-1, 4:]))
+    guide = Series("order 2", steps, anchor * (np.array(steps) / steps[-1]) ** 2, dashed=True)
+    report.plot(
+        "crank-slider-convergence",
+        [
+            Panel(
+                "Relative error of Ψ and of its sensitivities",
+                "step of HHT-I3 [s]",
+                "relative error [-]",
+                [*series, guide],
+                x_scale="log",
+                y_scale="log",
+            )
+        ],
+        title="Crank-slider: HHT-I3 converges to the path of high order",
+        caption="Rod (2): against SUNDIALS; crank (1) against Explicit.",
+    )
+    return orders
+
+
+def _values(report: Report, explicit: _Value, sundials: _Value, ladder: Sequence[_Value]) -> float:
+    """Values side by side with the digits they share; returns the worst difference."""
+    coarse, fine = ladder[-2].values, ladder[-1].values
+    extrapolated = fine + (fine - coarse) / 3
+    finest = ladder[-1].integrator
+    rows: list[list[object]] = []
+    for k, name in enumerate(("Ψ", *_SYMBOLS)):
+        one, other = sundials.values[k], explicit.values[k]
+        exact = other if np.isnan(one) else one
+        cells = ["-" if np.isnan(one) else f"{one:.10g}", f"{other:.10g}"]
+        cells += [f"{fine[k]:.7g}", f"{extrapolated[k]:.7g}"]
+        cells += ["-" if np.isnan(one) else _digits(other / one - 1)]
+        cells += [_digits(fine[k] / exact - 1), _digits(extrapolated[k] / exact - 1)]
+        report.figure(f"objective.extrapolated.{_NAMES[k]}", abs(extrapolated[k] / exact - 1))
+        rows.append([name, *cells])
+    report.text(
+        f"Values. Processor times: {_paid(sundials)} (three variables), {_paid(explicit)} (six), "
+        f"{_paid(ladder[-1])} (six). *Extrapolated*: from the last two steps of HHT-I3, as a "
+        "second-order method. Digits: -log10 of the relative difference, of Explicit and of "
+        "HHT-I3 from SUNDIALS (for the crank's variables from Explicit)."
+    )
+    header = [
+        "",
+        f"SUNDIALS, {label(sundials.integrator)}",
+        f"Explicit, {label(explicit.integrator)}",
+    ]
+    header += [f"HHT-I3, {label(finest)}", "HHT-I3 extrapolated"]
+    header += ["digits: Explicit", "digits: HHT-I3", "digits: extrapolated"]
+    report.table(header, rows)
+    apart = np.abs(explicit.values[4:] / sundials.values[4:] - 1)
+    for name, number in zip(_SYMBOLS[3:], apart, strict=True):
+        report.figure(f"objective.agreement.{name}", number)
+    return float(np.max(apart))
+
+
+def _paid(each: _Value) -> str:
+    return f"{family(each.integrator)} {each.seconds:.3g} s"
+
+
+def _digits(difference: float) -> str:
+    return f"{-np.log10(max(abs(difference), 1e-16)):.1f}"
+
+
+def _mean_order(column: Array) -> float:
+    first = max(len(column) - 4, 0)
+    return float(np.log2(column[first] / column[-1]) / (len(column) - 1 - first))
+
+
+_OBJECTIVE_NOTES = """
+NOTES
+"""
