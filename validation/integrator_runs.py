@@ -99,9 +99,15 @@ def family(integrator: Integrator) -> str:
 def label(integrator: Integrator) -> str:
     """Return the setting that decides about accuracy."""
     if isinstance(integrator, HHT):
-        return f"step 2^{int(np.log2(integrator.step))} s"
+        return f"step 2^{int(np.log2(step_of(integrator)))} s"
     assert isinstance(integrator, IDA | IDAS | Explicit)
     return f"rtol {integrator.rtol:.0e}"
+
+
+def step_of(integrator: HHT) -> float:
+    """Return the step of a run with a fixed one."""
+    assert integrator.step is not None
+    return integrator.step
 
 
 def common_rows(solution: Solution, spacing: float) -> npt.NDArray[np.int64]:

@@ -22,6 +22,7 @@ from validation.integrator_runs import (
     errors,
     family,
     label,
+    step_of,
     timed,
 )
 from validation.report import Report, Verdict
@@ -223,7 +224,7 @@ def _convergence(
     for done, own in found:
         if isinstance(done.integrator, HHT):
             table.append(np.array([own.deflection, *own.sensitivities]) / sizes)
-            steps.append(done.integrator.step)
+            steps.append(step_of(done.integrator))
     relative = np.array(table)
     orders = np.log2(relative[:-1] / relative[1:])
     names = ("deflection", *_SYMBOLS)

@@ -29,6 +29,7 @@ from validation.integrator_runs import (
     family,
     label,
     motion_errors,
+    step_of,
     timed,
 )
 from validation.report import Report
@@ -221,7 +222,7 @@ def _objective(report: Report, extent: _Extent) -> list[Requirement]:
 def _show(report: Report, ladder: Sequence[_Value], table: Array) -> list[float]:
     """Table and plot of the errors of HHT-I3; returns the mean orders."""
     names = ("Ψ", *_SYMBOLS)
-    steps = [each.integrator.step for each in ladder if isinstance(each.integrator, HHT)]
+    steps = [step_of(each.integrator) for each in ladder if isinstance(each.integrator, HHT)]
     rows: list[list[object]] = []
     for k, step in enumerate(steps):
         order = np.log2(table[k - 1] / table[k]) if k else np.full(len(names), np.nan)
