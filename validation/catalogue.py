@@ -6,7 +6,7 @@ To add one, write a module with a function that fills a `Report`, and enter it i
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from validation import crank_slider, external_dae, integrators, pendulum
+from validation import crank_slider, error_bars, external_dae, integrators, pendulum
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -68,5 +68,12 @@ CATALOGUE: tuple[Definition, ...] = (
         question="How many digits of motion, multipliers and sensitivities do HHT-I3, IDA, IDAS "
         "and the explicit integrator agree on, at what cost, and why not on more?",
         run=integrators.run,
+    ),
+    Definition(
+        name="error-bars",
+        title="How often error bars hold",
+        question="Do the error bars of objectives and gradients contain the true error, and how "
+        "much better are the extrapolated values?",
+        run=error_bars.run,
     ),
 )

@@ -18,9 +18,12 @@ class Integrator(abc.ABC):
     ----------
     real_only : bool
         Whether it refuses systems at complex design values, as the complex step needs them.
+    order : int or None
+        Power of the step with which errors fall; None where a tolerance rules them.
     """
 
     real_only: ClassVar[bool] = False
+    order: ClassVar[int | None] = None
 
     def frozen(self, solution: Solution) -> Integrator:
         """Return the integrator that repeats the steps of a run at another design.
@@ -29,6 +32,21 @@ class Integrator(abc.ABC):
         runs show the jumps. `HHT` can repeat them; other integrators return themselves.
         """
         return self
+
+    @abc.abstractmethod
+    def refined(self, solution: Solution) -> Integrator:
+        """Return the integrator of a more accurate run: half the step, or a tenth of the tolerance.
+
+        Parameters
+        ----------
+        solution : Solution
+            The run to be refined.
+
+        Raises
+        ------
+        InvalidInput
+            If there is no better setting.
+        """
 
     @abc.abstractmethod
     def integrate(

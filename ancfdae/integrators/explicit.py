@@ -12,7 +12,7 @@ times in seconds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
 import numpy as np
@@ -25,6 +25,7 @@ from ancfdae.integrators.progress import Progress
 from ancfdae.integrators.projection import project
 from ancfdae.integrators.tolerances import require_rtol
 from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.solution import Solution
 
 # SciPy raises smaller ones to 100 eps with a warning.
 _LEAST_RTOL = 3e-14
@@ -67,6 +68,10 @@ class Explicit(HighOrder):
         require_rtol("Explicit.rtol", self.rtol, _LEAST_RTOL)
         require_count("Explicit.intervals", self.intervals, "64 is a good number.")
         require_count("Explicit.max_steps", self.max_steps, "20000 is plenty.")
+
+    def refined(self, solution: Solution) -> Explicit:
+        """Return the integrator with a tenth of the tolerance."""
+        return replace(self, rtol=self.rtol / 10)
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up DOP853."""

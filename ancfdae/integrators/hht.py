@@ -6,7 +6,7 @@ import math
 import time
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from tqdm import tqdm
@@ -91,6 +91,8 @@ class HHT(AdjointIntegrator):
         If a setting is out of range.
     """
 
+    order: ClassVar[int | None] = 2
+
     step: float | None = None
     hht_alpha: float = -0.3
     newton_tolerance: float | None = None
@@ -168,6 +170,21 @@ class HHT(AdjointIntegrator):
             return self
         times = tuple(float(t) for t in solution.t)
         return replace(self, rtol=None, atol=None, times=times, newton_tolerance=self._tolerance())
+
+    def refined(self, solution: Solution) -> HHT:
+        """Return the integrator that halves every step of a run."""
+        if self.step is not None:
+            return replace(self, step=self.step / 2)
+        t = solution.t
+        halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
+        tolerance = None if self.rtol is None else self._tolerance() / 4
+        return replace(
+            self,
+            rtol=None,
+            atol=None,
+            times=tuple(float(x) for x in halves),
+            newton_tolerance=tolerance or self.newton_tolerance,
+        )
 
     def integrate(
         self,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import ctypes
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -28,6 +28,7 @@ from ancfdae.integrators.progress import Progress
 from ancfdae.integrators.quiet import without_messages
 from ancfdae.integrators.tolerances import require_rtol
 from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.solution import Solution
 
 # Below round-off of a double, with what an integrator of order five needs on top.
 _LEAST_RTOL = 1e-13
@@ -86,6 +87,10 @@ class IDA(HighOrder):
         require_kind("IDA.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
         require_count("IDA.intervals", self.intervals, "64 is a good number.")
         require_count("IDA.max_steps", self.max_steps, "100000 is plenty.")
+
+    def refined(self, solution: Solution) -> IDA:
+        """Return the integrator with a tenth of the tolerance."""
+        return replace(self, rtol=self.rtol / 10)
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up IDA."""

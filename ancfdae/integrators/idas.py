@@ -7,7 +7,7 @@ matrix of the states. Backward: see `idas_adjoint`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -69,6 +69,10 @@ class IDAS(HighOrder, AdjointIntegrator):
         require_kind("IDAS.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
         require_count("IDAS.intervals", self.intervals, "64 is a good number.")
         require_count("IDAS.max_steps", self.max_steps, "100000 is plenty.")
+
+    def refined(self, solution: Solution) -> IDAS:
+        """Return the integrator with a tenth of the tolerance."""
+        return replace(self, rtol=self.rtol / 10)
 
     def start(self, problem: Problem, t_end: float) -> March:
         """Set up IDAS."""

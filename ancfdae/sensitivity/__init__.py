@@ -5,6 +5,7 @@ from ancfdae.sensitivity.complex_step import ComplexStep
 from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
 from ancfdae.sensitivity.contract import Gradient, GradientMethod, Method, UnfinishedRun
 from ancfdae.sensitivity.direct import Direct
+from ancfdae.sensitivity.error_bars import ErrorBars, error_bars
 from ancfdae.sensitivity.finite_difference import FiniteDifference
 from ancfdae.sensitivity.run import (
     as_system,
@@ -21,6 +22,7 @@ __all__ = [
     "ComplexStep",
     "ContinuousAdjoint",
     "Direct",
+    "ErrorBars",
     "FiniteDifference",
     "Gradient",
     "GradientMethod",
@@ -30,6 +32,7 @@ __all__ = [
     "as_system",
     "cheapest",
     "differentiate",
+    "error_bars",
     "gradient",
     "gradients",
     "simulate",

@@ -1,0 +1,102 @@
+"""Error bars of objectives and gradients: how large, how often they hold, when they widen."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    IDA,
+    Adjoint,
+    Direct,
+    Explicit,
+    Integral,
+    InvalidInput,
+    Terminal,
+    custom,
+    error_bars,
+    gradient,
+)
+from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
+
+from mechanisms import CartesianPendulum
+
+HEIGHT = custom(lambda t, q, v, lam, b: q[:, 1], "y")
+TENSION = custom(lambda t, q, v, lam, b: lam[:, 0] ** 2, "lam")
+CASES = {
+    "slider-crank": (SliderCrank, kinetic_energy_integral(), 10.0, 0.1, 1e-2),
+    "height": (CartesianPendulum, Integral(HEIGHT**2), 2.0, 0.02, 1e-2),
+    "end": (CartesianPendulum, Terminal(HEIGHT), 2.0, 0.02, 1e-2),
+    "tension": (lambda: CartesianPendulum(0.7, 1.0), Integral(TENSION), 2.0, 0.02, 1e-2),
+}
+
+
+def numbers(value, slope):
+    return np.array([value, *slope])
+
+
+@pytest.mark.parametrize("levels", [2, 3])
+@pytest.mark.parametrize("controlled", [False, True])
+@pytest.mark.parametrize("name", CASES)
+def test_bars_hold_and_are_not_wasteful(name, controlled, levels):
+    build, objective, t_end, step, rtol = CASES[name]
+    exact = numbers(*gradient(build(), objective, (), t_end, Explicit(1e-11), Direct()).pair)
+    integrator = HHT(rtol=rtol) if controlled else HHT(step)
+    found = error_bars(build(), objective, (), t_end, integrator, levels=levels)
+    error = np.abs(numbers(found.value, found.gradient) - exact)
+    bar = numbers(found.value_bar, found.gradient_bar)
+    assert np.all(error <= bar), (error, bar)
+    # Three levels see the order: the bar is then 1.25 times the error and a little.
+    assert np.all(bar <= (6 if levels == 2 else 3) * error + 1e-3 * bar), (error, bar)
+    better = np.abs(numbers(found.extrapolated_value, found.extrapolated_gradient) - exact)
+    assert np.linalg.norm(better) < 0.3 * np.linalg.norm(error)
+    if levels == 3:
+        assert np.all(np.abs(found.orders - 2) < 0.5), found.orders
+
+
+def test_runs_are_those_of_gradient():
+    objective = Integral(HEIGHT)
+    found = error_bars(CartesianPendulum(), objective, (), 1.0, HHT(0.02), Adjoint())
+    for run, step in zip(found.runs, (0.02, 0.01), strict=True):
+        alone = gradient(CartesianPendulum(), objective, (), 1.0, HHT(step), Adjoint())
+        np.testing.assert_array_equal(run.gradient, alone.gradient)
+    assert found.value == found.runs[-1].value
+    assert found.names == ("L", "g")
+    assert np.all(np.isnan(found.orders))
+    assert found.value_bar == pytest.approx(abs(found.runs[1].value - found.runs[0].value))
+
+
+def test_halved_steps_of_a_controlled_run_contain_its_instants():
+    found = error_bars(CartesianPendulum(), Integral(HEIGHT), (), 1.0, HHT(rtol=1e-2))
+    coarse, fine = (run.solution.t for run in found.runs)
+    np.testing.assert_array_equal(fine[::2], coarse)
+    np.testing.assert_allclose(fine[1::2], 0.5 * (coarse[1:] + coarse[:-1]))
+
+
+def test_bars_widen_where_runs_do_not_converge():
+    # Steps of a third of a swing: orders are not reached, and the bar does not believe in them.
+    objective = Terminal(HEIGHT)
+    exact = gradient(CartesianPendulum(), objective, (), 6.0, Explicit(1e-11), Direct())
+    found = error_bars(CartesianPendulum(), objective, (), 6.0, HHT(0.25), levels=3)
+    assert np.min(found.orders) < 1.5
+    assert abs(found.value - exact.value) <= found.value_bar
+
+
+@pytest.mark.parametrize("integrator", [IDA(1e-6), Explicit(1e-6)])
+def test_tolerances_are_refined_without_extrapolation(integrator):
+    objective = Integral(HEIGHT**2)
+    exact = gradient(CartesianPendulum(), objective, (), 1.0, Explicit(1e-12), Direct())
+    found = error_bars(CartesianPendulum(), objective, (), 1.0, integrator)
+    assert found.extrapolated_value == found.value
+    assert abs(found.value - exact.value) <= found.value_bar
+    assert np.all(np.abs(found.gradient - exact.gradient) <= found.gradient_bar)
+
+
+@pytest.mark.parametrize("levels", [1, 4, 2.5, True, "2"])
+def test_other_levels_are_refused(levels):
+    with pytest.raises(InvalidInput, match="levels"):
+        error_bars(CartesianPendulum(), Integral(HEIGHT), (), 1.0, HHT(0.02), levels=levels)
+
+
+def test_no_better_tolerance_is_refused():
+    with pytest.raises(InvalidInput, match=r"Explicit\.rtol"):
+        error_bars(CartesianPendulum(), Integral(HEIGHT), (), 0.1, Explicit(2e-14))

@@ -1,0 +1,269 @@
+"""Report on error bars: how often they hold over the scenes of the other reports."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ancfdae import (
+    HHT,
+    IDA,
+    Direct,
+    ErrorBars,
+    Explicit,
+    Integral,
+    Integrator,
+    Scene,
+    Terminal,
+    error_bars,
+    gradient,
+    position,
+    reaction,
+)
+from ancfdae.objectives import Objective
+from ancfdae.plotting import Panel, Series
+from ancfdae.system import MechanicalSystem
+from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
+from validation.report import Report
+from validation.scenes import crank_slider, pendulum
+
+__all__ = ["run"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A scene, what is asked of it, and the settings of its coarsest runs."""
+
+    name: str
+    model: Scene | MechanicalSystem
+    objective: Objective
+    design: tuple[str, ...]
+    t_end: float
+    settings: Sequence[Integrator]
+    reference: Integrator
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Errors of value and gradient, relative to the value and to the norm of the gradient."""
+
+    case: str
+    kind: str
+    error: Array
+    bar: Array
+    better: Array
+
+
+def run(report: Report, quick: bool) -> None:
+    """Fill the report."""
+    report.heading("Method")
+    report.text(_METHOD)
+    found = [row for case in _cases(quick) for row in _measured(case, quick)]
+    _table(report, found)
+    _pictures(report, found)
+    _verdict(report, found)
+    report.heading("Limits")
+    report.text(_LIMITS)
+
+
+def _cases(quick: bool) -> list[_Case]:
+    beam = pendulum()
+    tip, pin = position(beam.beams[0].at_end, 1), beam.joints[0].name
+    design = ("pendulum.youngs_modulus", "pendulum.height", "pendulum.density")
+    soft_end = 2.0**-4 if quick else 0.5
+    first, second = crank_slider(), ("crank.youngs_modulus", "rod.height", "rod.density")
+    slider = (position(first.beams[1].at_end, 0) - 1.8) ** 2
+    steps = (7,) if quick else (6, 8, 10)
+    soft: list[Integrator] = [HHT(2.0**-k) for k in steps]
+    soft += [HHT(rtol=1e-2 if quick else 1e-3), IDA(1e-6)]
+    rigid: list[Integrator] = [HHT(10 / n) for n in ((100,) if quick else (50, 200, 800))]
+    rigid += [HHT(rtol=x) for x in ((1e-2,) if quick else (1e-2, 1e-3, 1e-4))]
+    rigid += [IDA(1e-6), Explicit(1e-6)]
+    cases = [
+        _Case(
+            "SUNDIALS slider-crank, energy",
+            SliderCrank(),
+            kinetic_energy_integral(),
+            (),
+            10.0,
+            rigid,
+            Explicit(1e-11),
+        ),
+        _Case(
+            "soft pendulum, integral of y²",
+            beam,
+            Integral(tip**2),
+            design,
+            soft_end,
+            soft,
+            Explicit(1e-9),
+        ),
+        _Case(
+            "soft pendulum, y at the end",
+            beam,
+            Terminal(tip),
+            design,
+            soft_end,
+            soft,
+            Explicit(1e-9),
+        ),
+        _Case(
+            "soft pendulum, reaction²",
+            beam,
+            Integral(reaction(pin, 0) ** 2 + reaction(pin, 1) ** 2),
+            design,
+            soft_end,
+            soft,
+            Explicit(1e-9),
+        ),
+    ]
+    if not quick:
+        wide = [HHT(2.0**-k) for k in (7, 9)] + [HHT(rtol=1e-2)]
+        cases.append(
+            _Case(
+                "crank-slider, eq. (43)",
+                first,
+                Integral(slider),
+                second,
+                0.25,
+                wide,
+                Explicit(1e-7),
+            )
+        )
+    return cases
+
+
+def _measured(case: _Case, quick: bool) -> list[_Found]:
+    exact = gradient(case.model, case.objective, case.design, case.t_end, case.reference, Direct())
+    rows = []
+    for integrator in case.settings:
+        for levels in (2,) if quick or not isinstance(integrator, HHT) else (2, 3):
+            bars = error_bars(
+                case.model, case.objective, case.design, case.t_end, integrator, levels=levels
+            )
+            rows.append(_row(case, integrator, levels, bars, exact.value, exact.gradient))
+    return rows
+
+
+def _row(
+    case: _Case,
+    integrator: Integrator,
+    levels: int,
+    bars: ErrorBars,
+    value: float,
+    slope: Array,
+) -> _Found:
+    # Derivatives times the variable, so that they can be compared with each other.
+    b = bars.runs[-1].solution.sensitivities
+    scale = np.ones_like(slope) if b is None else np.abs(b.values)
+    sizes = np.append(abs(value), np.full(len(slope), np.linalg.norm(slope * scale)))
+    factor = np.append(1.0, scale) / sizes
+    exact = np.append(value, slope)
+    kind = type(integrator).__name__
+    if isinstance(integrator, HHT):
+        kind = "HHT, fixed" if integrator.step is not None else "HHT, controlled"
+    return _Found(
+        case.name,
+        f"{kind}, {levels} levels",
+        np.abs(np.append(bars.value, bars.gradient) - exact) * factor,
+        np.append(bars.value_bar, bars.gradient_bar) * factor,
+        np.abs(np.append(bars.extrapolated_value, bars.extrapolated_gradient) - exact) * factor,
+    )
+
+
+def _table(report: Report, found: Sequence[_Found]) -> None:
+    report.heading("How often the bars hold")
+    rows: list[list[object]] = []
+    for kind in dict.fromkeys(row.kind for row in found):
+        for case in dict.fromkeys(row.case for row in found if row.kind == kind):
+            mine = [row for row in found if row.kind == kind and row.case == case]
+            error, bar, better = (
+                np.concatenate([getattr(row, name) for row in mine])
+                for name in ("error", "bar", "better")
+            )
+            held, width = np.mean(error <= bar), np.median(bar / error)
+            rows.append(
+                [
+                    kind,
+                    case,
+                    len(error),
+                    f"{100 * held:.0f} %",
+                    f"{np.max(error / bar):.2g}",
+                    f"{width:.2g}",
+                    f"{np.median(better / error):.2g}",
+                ]
+            )
+    report.text(
+        "*Numbers*: values and derivatives, over all settings of the kind. *Worst*: the largest "
+        "error over its bar; 1 or less where all bars hold. *Width*: the median bar over its "
+        "error. *Extrapolated*: the median error of the extrapolated number over that of the "
+        "finest run."
+    )
+    report.table(
+        ["runs", "scene and objective", "numbers", "bar holds", "worst", "width", "extrapolated"],
+        rows,
+    )
+
+
+def _pictures(report: Report, found: Sequence[_Found]) -> None:
+    kinds = list(dict.fromkeys(row.kind for row in found))
+    series = []
+    for kind in kinds:
+        mine = [row for row in found if row.kind == kind]
+        error = np.concatenate([row.error for row in mine])
+        bar = np.concatenate([row.bar for row in mine])
+        good = (error > 0) & (bar > 0)
+        series.append(Series(kind, error[good], bar[good], marker=True, line=False))
+    ends = np.array([1e-13, 1.0])
+    series.append(Series("bar = error", ends, ends))
+    panel = Panel(
+        "Bars against true errors, relative",
+        "true error [-]",
+        "bar [-]",
+        series,
+        x_scale="log",
+        y_scale="log",
+    )
+    report.plot("bars", [panel], caption="Points below the line are bars that do not hold.")
+
+
+def _verdict(report: Report, found: Sequence[_Found]) -> None:
+    report.heading("Verdict")
+    lines = []
+    for levels in ("2 levels", "3 levels"):
+        mine = [row for row in found if row.kind.endswith(levels) and row.kind.startswith("HHT")]
+        if not mine:
+            continue
+        error, bar = (np.concatenate([getattr(row, x) for row in mine]) for x in ("error", "bar"))
+        held = report.figure(f"held.hht.{levels[0]}", float(np.mean(error <= bar)))
+        worst = report.figure(f"worst.hht.{levels[0]}", float(np.max(error / bar)))
+        lines.append(
+            f"HHT-I3, {levels}: {100 * held:.0f} % of {len(error)} bars hold; the worst error is "
+            f"{worst:.2g} times its bar."
+        )
+    mine = [row for row in found if not row.kind.startswith("HHT")]
+    error, bar = (np.concatenate([getattr(row, x) for row in mine]) for x in ("error", "bar"))
+    held = report.figure("held.tolerance", float(np.mean(error <= bar)))
+    lines.append(f"Runs refined by tolerance: {100 * held:.0f} % of {len(error)} bars hold.")
+    report.text("\n".join(f"- {line}" for line in lines))
+
+
+_METHOD = """
+`error_bars` runs a gradient at the given setting and once or twice refined: half the step for
+HHT-I3 (the accepted steps halved, if they were controlled), a tenth of the tolerance for the
+others.
+From the differences follow a bar for the finest run and, for HHT-I3, an extrapolated value. Here
+the bars are compared with true errors, taken against `Explicit` at a tolerance of 1e-7 to 1e-11.
+Errors of values are relative to the value, errors of derivatives (times their variable) relative to
+the norm of the gradient.
+"""
+
+_LIMITS = """
+- A bar is an estimate, not a proof: where a step does not resolve the motion, differences of runs
+  say little, and only three levels can tell.
+- Errors of the model (elements, constitutive law) are not in the bars.
+- An adjoint-weighted estimate from one run is not offered.
+"""
