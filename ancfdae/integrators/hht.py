@@ -121,8 +121,10 @@ class HHT(AdjointIntegrator):
                 self.hht_alpha,
                 "-0.3 damps fast motion strongly, -0.05 hardly.",
             )
-        if self.newton_tolerance is not None:
-            require_positive("HHT.newton_tolerance", self.newton_tolerance)
+        if self.newton_tolerance is None:
+            own = _EXACT if self.rtol is None else max(_EXACT, _SHARE * self.rtol)
+            object.__setattr__(self, "newton_tolerance", own)
+        require_positive("HHT.newton_tolerance", self._tolerance())
         require_count("HHT.max_iterations", self.max_iterations, "60 is plenty.")
         require_count("HHT.max_steps", self.max_steps, "1000000 is plenty.")
         # A NumPy number of single precision would spread its precision.
@@ -169,7 +171,7 @@ class HHT(AdjointIntegrator):
         if self.rtol is None or len(solution.t) < 2:
             return self
         times = tuple(float(t) for t in solution.t)
-        return replace(self, rtol=None, atol=None, times=times, newton_tolerance=self._tolerance())
+        return replace(self, rtol=None, atol=None, times=times)
 
     def refined(self, solution: Solution) -> HHT:
         """Return the integrator that halves every step of a run."""
@@ -177,13 +179,12 @@ class HHT(AdjointIntegrator):
             return replace(self, step=self.step / 2)
         t = solution.t
         halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
-        tolerance = None if self.rtol is None else self._tolerance() / 4
         return replace(
             self,
             rtol=None,
             atol=None,
             times=tuple(float(x) for x in halves),
-            newton_tolerance=tolerance or self.newton_tolerance,
+            newton_tolerance=max(_EXACT, self._tolerance() / 4),
         )
 
     def integrate(
@@ -313,10 +314,9 @@ class HHT(AdjointIntegrator):
         return Steps(np.diff(solution.t), self.hht_alpha)
 
     def _tolerance(self) -> float:
-        """Return the tolerance of Newton's method."""
-        if self.newton_tolerance is not None:
-            return self.newton_tolerance
-        return _EXACT if self.rtol is None else max(_EXACT, _SHARE * self.rtol)
+        """Return the tolerance of Newton's method, which is a number from the start."""
+        assert self.newton_tolerance is not None
+        return self.newton_tolerance
 
     def _pace(
         self, system: MechanicalSystem, initial: InitialState, t_end: float, count: int
