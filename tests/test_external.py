@@ -13,6 +13,9 @@ from ancfdae import (
     Direct,
     Explicit,
     FiniteDifference,
+    Integral,
+    UnfinishedRun,
+    custom,
     differentiate,
     gradient,
     simulate,
@@ -310,3 +313,12 @@ def test_integrators_of_high_order_end_cleanly_at_the_singular_configuration(kin
     # What was computed is right, however far it got.
     assert np.max(np.abs(mine - exact)) <= 1e-5
     assert outcome.success or "results up to there are kept" in str(outcome)
+
+
+@needs_idas
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6])
+def test_adjoint_of_idas_ends_cleanly_at_the_singular_configuration(rtol):
+    # The motion goes through, the covectors become infinite there.
+    place = custom(lambda t, q, v, lam, b: q[:, 0] ** 2, "place")
+    with pytest.raises(UnfinishedRun, match="no gradient"):
+        gradient(double_four_bar(), Integral(place), (), 2.0, IDAS(rtol), Adjoint())

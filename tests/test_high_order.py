@@ -11,6 +11,7 @@ from ancfdae import (
     IDAS,
     Adjoint,
     AtTimes,
+    Beam,
     ComplexStep,
     ContinuousAdjoint,
     Direct,
@@ -19,7 +20,11 @@ from ancfdae import (
     IndexReduction,
     Integral,
     InvalidInput,
+    Material,
     MissingPackage,
+    Pin,
+    Rectangle,
+    Scene,
     Solution,
     Terminal,
     Verdict,
@@ -176,6 +181,15 @@ def test_a_jump_of_the_force_is_passed(integrator):
     other = simulate(Disturbed(push), 1.0, Explicit(1e-11, intervals=8))
     assert ours.outcome.success
     assert np.max(np.abs(ours.q - other.q)) < 1e-6
+
+
+def test_a_first_step_that_overshoots_is_no_end_of_an_explicit_run():
+    steel = Material(7800, 2e11, 0.3)
+    rod = Beam("a", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), steel)
+    scene = Scene([rod], [Pin(rod.at_start)], (0, -9.81))
+    run = simulate(scene, 0.5, Explicit(1e-6, max_steps=50))
+    assert run.outcome.verdict is Verdict.STEP_LIMIT
+    assert run.outcome.step == 50
 
 
 STUCK = {

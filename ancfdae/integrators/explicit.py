@@ -18,7 +18,7 @@ from typing import ClassVar, final
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput
 
-from ancfdae.errors import Verdict, require_count
+from ancfdae.errors import SingularMatrix, Verdict, require_count
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem
 from ancfdae.integrators.point import Point
 from ancfdae.integrators.progress import Progress
@@ -84,7 +84,7 @@ class _ExplicitMarch(March):
 
     def __init__(self, settings: Explicit, problem: Problem, t_end: float) -> None:
         self._max_steps, self._problem, self._t_end = settings.max_steps, problem, t_end
-        self._progress = Progress(1.0)
+        self._progress, self._trouble = Progress(1.0), Verdict.ERROR_TEST
         system, s, b = problem.system, problem.scales, problem.derivative
         self._m = 0 if b is None else system.n_b
         self.steps = self.iterations = self.factorisations = self.residuals = 0
@@ -110,8 +110,11 @@ class _ExplicitMarch(March):
         while solver.t < s:
             if self.steps == self._max_steps:
                 return Verdict.STEP_LIMIT
+            self._trouble = Verdict.ERROR_TEST
             solver.step()
-            if solver.status == "failed" or self._progress.stalls(solver.t):
+            if solver.status == "failed":
+                return self._trouble
+            if self._progress.stalls(solver.t):
                 return Verdict.ERROR_TEST
             self.steps += 1
             self._between = None
@@ -151,7 +154,19 @@ class _ExplicitMarch(March):
         return project(problem.system, problem.accelerations, t, self._point(y))
 
     def _rate(self, s: float, y: Array) -> Array:
+        """Return dy/ds; NaN if there is none, from which the solver tries a shorter step."""
         self.residuals += 1
+        try:
+            return self._finite_rate(s, y)
+        except NotFinite:
+            self._trouble = Verdict.NOT_FINITE
+        except SingularMatrix:
+            self._trouble = Verdict.SINGULAR
+        return np.full_like(y, np.nan)
+
+    def _finite_rate(self, s: float, y: Array) -> Array:
+        if not is_finite(y):
+            raise NotFinite
         t, x, accelerations = s * self._t_end, self._point(y), self._problem.accelerations
         a, lam = accelerations.solve(t, x.q, x.v)
         rate = Point(x.v, a)

@@ -15,12 +15,13 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.adjoint_equations import AdjointEquations, PulledBack
 from ancfdae.integrators.bindings import Bindings
 from ancfdae.integrators.high_order import NotFinite, Problem
 from ancfdae.integrators.idas_equations import IdasEquations
 from ancfdae.integrators.index_reduced import IndexReduced
+from ancfdae.integrators.progress import Progress
 from ancfdae.integrators.seeds import Seeds
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.time_grid import TimeGrid
@@ -114,6 +115,7 @@ class _Backward:
         self._bindings, self._problem, self._form = bindings, problem, form
         self._rtol, self._max_steps, self._seeds = rtol, max_steps, seeds
         self._solution, self._t_end = solution, float(solution.t[-1])
+        self._progress, self._calls = Progress(self._t_end), 0
         s = problem.scales
         self._scale = np.concatenate([s.q, s.v]) / seeds.size
         self._b_scale = s.b / seeds.size
@@ -238,6 +240,12 @@ class _Backward:
         array = self._bindings.array
 
         def evaluate() -> None:
+            # This is called once or twice a step; IDAS itself counts from checkpoint to checkpoint.
+            self._calls += 1
+            stalls, limit = self._progress.stalls(self._t_end - t), 2 * self._max_steps
+            if stalls or self._calls > limit:
+                verdict = Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT
+                raise SingularMatrix(f"IDAS backward: {verdict.value}")
             q, v = self._form.coordinates(array(y))
             # Backward in time the integral counts negative.
             array(out)[:] = -self._rates(t, q, v, array(z) / self._scale)[1] * self._b_scale
