@@ -23,6 +23,7 @@ from ancfdae import (
 )
 from ancfdae.objectives import Objective
 from ancfdae.plotting import Panel, Series
+from ancfdae.sensitivity import as_system
 from ancfdae.system import MechanicalSystem
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.report import Report
@@ -157,8 +158,7 @@ def _row(
     slope: Array,
 ) -> _Found:
     # Derivatives times the variable, so that they can be compared with each other.
-    b = bars.runs[-1].solution.sensitivities
-    scale = np.ones_like(slope) if b is None else np.abs(b.values)
+    scale = np.abs(as_system(case.model, case.design).b)
     sizes = np.append(abs(value), np.full(len(slope), np.linalg.norm(slope * scale)))
     factor = np.append(1.0, scale) / sizes
     exact = np.append(value, slope)

@@ -5,7 +5,7 @@ d_2 = x(h/4) - x(h/2). With the order p seen in d_1/d_2 = 2^p, or p = 2 taken fo
 finest run errs by d/(2^p - 1), and adding that at p = 2 is Richardson's extrapolation. The bar
 multiplies it by the safety factor of Roache's grid convergence index (J. Fluids Eng. 116, 1994): 3
 where the order is taken for granted, 1.25 where it was seen; an order seen is kept within 1/2 and
-2, so that runs that do not converge yet get wide bars.
+2, so that runs that do not converge yet get wide bars, and d_2 counts as no less than d_1/4.
 
 Runs with error control by SUNDIALS or SciPy have no step to halve. Their tolerance falls to a
 tenth, the bar is the whole difference, and nothing is extrapolated.
@@ -135,4 +135,5 @@ def _bars(differences: Array, order: int | None) -> tuple[Array, Array]:
         orders = np.log2(size[0] / size[1])
     # Two differences of zero: nothing changes, and the bar is zero at any order.
     p = np.clip(np.nan_to_num(orders, nan=_ORDER), _LOWEST, _ORDER)
-    return _SEEN * size[1] / (2.0**p - 1), orders
+    # A difference that passes through zero while the step falls is not believed.
+    return _SEEN * np.maximum(size[1], size[0] / 2.0**order) / (2.0**p - 1), orders
