@@ -54,6 +54,7 @@ from ancfdae.scene import NodeState, RigidMotion, Scene
 from ancfdae.sections import Material, Rectangle
 from ancfdae.sensitivity import (
     Adjoint,
+    AdjointError,
     ComplexStep,
     ContinuousAdjoint,
     Direct,
@@ -62,6 +63,7 @@ from ancfdae.sensitivity import (
     Gradient,
     TaylorTest,
     UnfinishedRun,
+    adjoint_error,
     differentiate,
     error_bars,
     gradient,
@@ -87,6 +89,7 @@ __all__ = [
     "IDA",
     "IDAS",
     "Adjoint",
+    "AdjointError",
     "AncfSystem",
     "AncfdaeError",
     "AtTimes",
@@ -144,6 +147,7 @@ __all__ = [
     "UnknownName",
     "Verdict",
     "__version__",
+    "adjoint_error",
     "apply",
     "assemble",
     "axial_strain",

@@ -12,6 +12,7 @@ from ancfdae import (
     Integral,
     InvalidInput,
     Terminal,
+    adjoint_error,
     custom,
     error_bars,
     gradient,
@@ -100,3 +101,25 @@ def test_other_levels_are_refused(levels):
 def test_no_better_tolerance_is_refused():
     with pytest.raises(InvalidInput, match=r"Explicit\.rtol"):
         error_bars(CartesianPendulum(), Integral(HEIGHT), (), 0.1, Explicit(2e-14))
+
+
+@pytest.mark.parametrize("controlled", [False, True])
+@pytest.mark.parametrize("name", CASES)
+def test_adjoint_weighted_estimate_is_the_error(name, controlled):
+    build, objective, t_end, step, rtol = CASES[name]
+    exact = gradient(build(), objective, (), t_end, Explicit(1e-11), Direct()).value
+    integrator = HHT(rtol=0.1 * rtol) if controlled else HHT(0.5 * step)
+    found = adjoint_error(build(), objective, (), t_end, integrator)
+    # The estimate is the error but for terms of the next order.
+    assert found.error == pytest.approx(exact - found.value, rel=0.15)
+    assert abs(found.extrapolated_value - exact) < 0.15 * abs(found.value - exact)
+
+
+def test_adjoint_weighted_estimate_refuses_what_it_cannot_do():
+    objective = Integral(HEIGHT)
+    with pytest.raises(InvalidInput, match="adjoint_error: runs with HHT"):
+        adjoint_error(CartesianPendulum(), objective, (), 1.0, IDA())
+    with pytest.raises(InvalidInput, match="needs four steps"):
+        adjoint_error(CartesianPendulum(), objective, (), 0.2, HHT(0.1))
+    with pytest.raises(InvalidInput, match="objective"):
+        adjoint_error(CartesianPendulum(), HEIGHT, (), 0.2, HHT(0.1))

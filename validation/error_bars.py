@@ -265,5 +265,6 @@ _LIMITS = """
 - A bar is an estimate, not a proof: where a step does not resolve the motion, differences of runs
   say little, and only three levels can tell.
 - Errors of the model (elements, constitutive law) are not in the bars.
-- An adjoint-weighted estimate from one run is not offered.
+- `adjoint_error`, an estimate of the value's error from one run, is compared with it in
+  `tests/test_error_bars.py` (within 15 %), not here.
 """

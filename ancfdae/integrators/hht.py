@@ -23,6 +23,7 @@ from ancfdae.errors import (
 )
 from ancfdae.integrators import hht_linear
 from ancfdae.integrators.contract import AdjointIntegrator
+from ancfdae.integrators.hht_defects import Defects
 from ancfdae.integrators.hht_equations import (
     Coefficients,
     Steps,
@@ -289,7 +290,7 @@ class HHT(AdjointIntegrator):
         initial = consistent_start(system, matrices, 0.0)
         derivative = start_sensitivity(system, matrices, initial)
         node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
-        gradient, back = hht_linear.pull_back(system, matrices, steps, solution, seeds)
+        gradient, back, _ = hht_linear.pull_back(system, matrices, steps, solution, seeds)
         for covector, start_b in (
             (back.q_b, node_b.q_b),
             (back.v_b, node_b.v_b),
@@ -306,6 +307,24 @@ class HHT(AdjointIntegrator):
             if seed is not None:
                 gradient = gradient + seed[0] @ start_b
         return gradient
+
+    def discretisation_error(
+        self, system: MechanicalSystem, solution: Solution, seeds: Seeds
+    ) -> float:
+        """Return what an objective would change without the defects of the steps.
+
+        Parameters
+        ----------
+        system, solution, seeds
+            As for `pull_back`; three instants at least.
+        """
+        steps, matrices = self.steps_of(solution), saddle_point(system, 0.0)
+        initial = consistent_start(system, matrices, 0.0)
+        node = start_node(system, matrices, steps.first, initial)
+        defects = Defects.of(solution.t, solution.a, steps)
+        _, back, change = hht_linear.pull_back(system, matrices, steps, solution, seeds, defects)
+        start = back.v_b @ (initial.v - node.v) + back.a_b @ defects.start
+        return change + float(start)
 
     def steps_of(self, solution: Solution) -> Steps:
         """Return the steps of a run of this integrator."""

@@ -24,6 +24,7 @@ from dataclasses import replace
 import numpy as np
 
 from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.integrators.hht_defects import Defects
 from ancfdae.integrators.hht_equations import (
     Coefficients,
     NodeSensitivity,
@@ -152,7 +153,8 @@ def pull_back(
     all_steps: Steps,
     run: Solution,
     seeds: Seeds,
-) -> tuple[Array, NodeSensitivity]:
+    defects: Defects | None = None,
+) -> tuple[Array, NodeSensitivity, float]:
     """Run the transposed recurrence backward (discrete adjoint).
 
     Returns
@@ -162,10 +164,12 @@ def pull_back(
     start : NodeSensitivity
         Covectors on the start: the derivative through it is the sum of their products with the
         start's derivatives. Its arrays have no design axis.
+    change : float
+        What the defects of all steps change in the objective; zero without them.
     """
     n_t, n_q, alpha = len(run.t), system.n_q, all_steps.alpha
     share = alpha / (1 + alpha)
-    gradient = np.zeros(system.n_b)
+    gradient, change = np.zeros(system.n_b), 0.0
     back = NodeSensitivity(*(np.zeros(n) for n in (n_q, n_q, n_q, system.n_lam, n_q)))
     for steps in reversed(_chunks(system, n_t, 0)):
         t, q, v, A, lam = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
@@ -187,6 +191,9 @@ def pull_back(
             q_bar -= system.constraint_pattern.dot_transposed(local.Phi_q[k], zeta[k])
             if local.f_v is not None:
                 v_bar = v_bar - system.pattern.dot_transposed(local.f_v[k], mu[k])
+            if defects is not None:
+                on_A = back.A_b - system.mass_times(q[k], mu[k])
+                change += q_bar @ defects.q[n] + v_bar @ defects.v[n] + on_A @ defects.A[n]
             back = NodeSensitivity(
                 q_b=q_bar,
                 v_b=v_bar + c.h * q_bar,
@@ -197,7 +204,7 @@ def pull_back(
             if n > 1:
                 back = _rescaled_transposed(back, all_steps.ratio(n - 1))
         gradient -= system.pull_back(t, (q, v, A, lam), (mu, zeta))
-    return gradient, back
+    return gradient, back, float(change)
 
 
 def _rescaled_transposed(back: NodeSensitivity, ratio: float) -> NodeSensitivity:

@@ -1,6 +1,7 @@
 """Design sensitivities of whole runs, by several independent methods, and their checks."""
 
 from ancfdae.sensitivity.adjoint import Adjoint
+from ancfdae.sensitivity.adjoint_error import AdjointError, adjoint_error
 from ancfdae.sensitivity.complex_step import ComplexStep
 from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
 from ancfdae.sensitivity.contract import Gradient, GradientMethod, Method, UnfinishedRun
@@ -19,6 +20,7 @@ from ancfdae.sensitivity.taylor import TaylorTest, taylor_test
 
 __all__ = [
     "Adjoint",
+    "AdjointError",
     "ComplexStep",
     "ContinuousAdjoint",
     "Direct",
@@ -29,6 +31,7 @@ __all__ = [
     "Method",
     "TaylorTest",
     "UnfinishedRun",
+    "adjoint_error",
     "as_system",
     "cheapest",
     "differentiate",

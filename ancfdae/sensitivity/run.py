@@ -136,8 +136,24 @@ def gradients(
 ) -> list[Gradient]:
     """Return value and gradient of several objectives of one run; see `gradient`."""
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
-    require_positive("t_end", t_end)
     objectives = require_sequence("objectives", objectives)
+    system = as_system(model, design)
+    require_objectives(system, objectives, t_end)
+    chosen = _follow(integrator, system.n_b, len(objectives)) if method is None else method
+    require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
+    return chosen.gradients(system, objectives, t_end, integrator, progress)
+
+
+def require_objectives(
+    system: MechanicalSystem, objectives: Sequence[Objective], t_end: float
+) -> None:
+    """Refuse what is no objective of a run of this system.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require_positive("t_end", t_end)
     for objective in objectives:
         require_kind(
             "objective",
@@ -145,12 +161,8 @@ def gradients(
             (Objective,),
             "Wrap an observable in Integral, Terminal, AtTimes or SmoothMaximum.",
         )
-    system = as_system(model, design)
     for objective in objectives:
         objective.check(system, t_end)
-    chosen = _follow(integrator, system.n_b, len(objectives)) if method is None else method
-    require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
-    return chosen.gradients(system, objectives, t_end, integrator, progress)
 
 
 def _follow(integrator: Integrator, variables: int, objectives: int) -> GradientMethod:
