@@ -111,7 +111,7 @@ def run(report: Report, quick: bool) -> list[Requirement]:
     report.text(_WHOLE_NOTES)
     found = [
         Requirement(
-            f"crank-slider, {name}: HHT-I3 to SUNDIALS, distance of the order from 2", 0.1, x
+            f"crank-slider, {name}: HHT-I3 to SUNDIALS, distance of mean order from 2", 0.1, x
         )
         for name, x in zip(_SYMBOLS[3:], distances, strict=True)
     ]
@@ -301,7 +301,7 @@ def _show(
                 y_scale="log",
             )
         ],
-        title=f"Crank-slider up to t = {extent.t_end:g} s: HHT-I3 against the path of high order",
+        title=f"Crank-slider up to t = {extent.t_end:g} s, HHT-I3",
         caption="Rod (2): against SUNDIALS; crank (1) against Explicit.",
     )
     return orders
