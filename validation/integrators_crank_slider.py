@@ -48,25 +48,52 @@ _NAMES = ("Psi", *_SYMBOLS)
 
 
 @dataclass(frozen=True)
-class _Extent:
-    """How much of the crank-slider's part is run.
+class _Objective:
+    """A run of the objective by HHT-I3 at several steps, and by the others at one tolerance.
 
-    The early part of the motion, up to `t_short`, is run by all integrators. Sensitivities carry
-    the waves of the section, with periods of 1e-4 s and more, so that Psi needs many panels: over
-    2 s, 256 miss dPsi/dE_2 by 2e-4 and dPsi/dE_1 by 1e-2; 1024 and 4096 agree to 1e-8 and 1e-7.
+    Sensitivities carry the waves of the section, with periods of 1e-4 s and more, so that Psi needs
+    many panels: over 2 s, 256 miss dPsi/dE_2 by 2e-4 and dPsi/dE_1 by 1e-2; 1024 and 4096 agree to
+    1e-8 and 1e-7.
     """
 
+    name: str
     t_end: float
     exponents: Sequence[int]
     rtol: float
     intervals: int
-    t_short: float
-    short_exponents: Sequence[int]
-    short_rtol: float
 
 
-_FULL = _Extent(2.0, range(6, 16), 1e-6, 1024, 2.0**-4, range(9, 15), 1e-6)
-_QUICK = _Extent(2.0**-6, (8, 9, 10), 1e-4, 8, 2.0**-8, (10, 11), 1e-4)
+@dataclass(frozen=True)
+class _Extent:
+    """How much of the crank-slider's part is run.
+
+    The early part of the motion, up to `t_early`, is run by all integrators.
+    """
+
+    t_early: float
+    early_exponents: Sequence[int]
+    early_rtol: float
+    objectives: tuple[_Objective, _Objective]
+
+
+_FULL = _Extent(
+    2.0**-4,
+    range(9, 15),
+    1e-6,
+    (
+        _Objective("short", 2.0**-4, range(13, 19), 1e-9, 64),
+        _Objective("whole", 2.0, range(6, 15), 1e-6, 1024),
+    ),
+)
+_QUICK = _Extent(
+    2.0**-8,
+    (10, 11),
+    1e-4,
+    (
+        _Objective("short", 2.0**-8, (10, 11), 1e-4, 2),
+        _Objective("whole", 2.0**-7, (8, 9), 1e-4, 4),
+    ),
+)
 
 
 def run(report: Report, quick: bool) -> list[Requirement]:
@@ -75,8 +102,24 @@ def run(report: Report, quick: bool) -> list[Requirement]:
     system = assemble(crank_slider(), _DESIGN)
     report.heading("Crank-slider: the first instants by all integrators")
     _early(report, system, extent)
+    short, whole = extent.objectives
+    report.heading("Crank-slider: dΨ/db as far as HHT-I3 can resolve the waves")
+    report.text(_PSI)
+    distances, agreed = _objective(report, short)
+    report.text(_SHORT_NOTES)
     report.heading("Crank-slider: dΨ/db over the whole run")
-    return _objective(report, extent)
+    _, agreed_whole = _objective(report, whole)
+    report.text(_WHOLE_NOTES)
+    found = [
+        Requirement(
+            f"crank-slider, {name}: HHT-I3 to SUNDIALS, distance of mean order from 2", 0.1, x
+        )
+        for name, x in zip(_SYMBOLS[3:], distances, strict=True)
+    ]
+    which = f"crank-slider, {', '.join(_SYMBOLS[3:])}: Explicit from SUNDIALS, relative, up to"
+    found.append(Requirement(f"{which} {short.t_end:g} s", 1e-6, agreed))
+    found.append(Requirement(f"{which} {whole.t_end:g} s", 1e-6, agreed_whole))
+    return found
 
 
 # ---------------------------------------------------------------- early motion
@@ -84,16 +127,16 @@ def run(report: Report, quick: bool) -> list[Requirement]:
 
 def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
     """States and sensitivities of the slider's position by all integrators."""
-    n, rtol = 4, extent.short_rtol
-    spacing = extent.t_short / n
-    settings: list[Integrator] = [HHT(2.0**-k) for k in extent.short_exponents]
+    n, rtol = 4, extent.early_rtol
+    spacing = extent.t_early / n
+    settings: list[Integrator] = [HHT(2.0**-k) for k in extent.early_exponents]
     settings += [IDA(rtol, intervals=n), IDAS(rtol, intervals=n), Explicit(rtol, n)]
-    reference = timed(system, extent.t_short, Explicit(1e-2 * rtol, n))
+    reference = timed(system, extent.t_early, Explicit(1e-2 * rtol, n))
     assert reference is not None
     x_0, x_b0 = _slider(reference.solution, system, spacing)
     rows: list[list[object]] = []
     for integrator in settings:
-        done = timed(system, extent.t_short, integrator)
+        done = timed(system, extent.t_early, integrator)
         names = [family(integrator), label(integrator)]
         if done is None:
             rows.append([*names, "not installed: sundials4py (Python 3.12)", *["-"] * len(_TITLES)])
@@ -109,7 +152,7 @@ def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
             report.figure(f"early.{_key(integrator)}.{name}", value)
         rows.append([*names, done.solution.statistics.steps, *(f"{c:.2g}" for c in cells)])
     report.text(
-        f"Six design variables along, up to t = {extent.t_short:g} s; against Explicit at rtol "
+        f"Six design variables along, up to t = {extent.t_early:g} s; against Explicit at rtol "
         f"{1e-2 * rtol:.0e} at {n + 1} common instants. Position of the slider and *states*, the "
         "largest difference of any coordinate, in metres (slopes without unit); multipliers "
         "relative to the largest one; sensitivities of the slider's position relative to the "
@@ -167,8 +210,13 @@ class _Value:
     seconds: float
 
 
-def _objective(report: Report, extent: _Extent) -> list[Requirement]:
-    """Convergence of HHT-I3 to the path of high order in Psi and its gradient."""
+def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
+    """Convergence of HHT-I3 to the path of high order in Psi and its gradient.
+
+    Returns the distances of the orders of the rod's sensitivities from 2, and the largest relative
+    difference of Explicit from SUNDIALS in them.
+    """
+    place = f"objective.{extent.name}"
     slider = position(crank_slider().beams[1].at_end, 0)
     psi = Integral((slider - 1.8) ** 2)
 
@@ -193,33 +241,24 @@ def _objective(report: Report, extent: _Extent) -> list[Requirement]:
     for each in (explicit, sundials):
         for name, number in zip(_NAMES, each.values, strict=True):
             if np.isfinite(number):
-                report.figure(f"objective.{_key(each.integrator)}.{name}", number)
-        report.figure(f"objective.{_key(each.integrator)}.seconds", each.seconds)
+                report.figure(f"{place}.{_key(each.integrator)}.{name}", number)
     for each, errors in zip(ladder, table, strict=True):
-        report.figure(f"objective.{_key(each.integrator)}.seconds", each.seconds)
         for name, error in zip(_NAMES, errors, strict=True):
-            report.figure(f"objective.{_key(each.integrator)}.{name}", error)
+            report.figure(f"{place}.{_key(each.integrator)}.{name}", error)
+    for each in (explicit, sundials, *ladder):
+        report.figure(f"{place}.{_key(each.integrator)}.seconds", each.seconds)
     report.text(
-        "Ψ = ∫ (x - 1.8)² dt over the whole run and b · dΨ/db, in m² s. Explicit and SUNDIALS "
-        f"({family(sundials.integrator)}) integrate by Gauss-Lobatto quadrature over "
-        f"{extent.intervals} panels of nine instants, HHT-I3 by the trapezoidal rule over its "
-        "steps. SUNDIALS, with the rod's three variables along, is what HHT-I3 is compared with; "
-        "for the crank's variables it is Explicit."
+        f"Up to t = {extent.t_end:g} s; {family(sundials.integrator)} and Explicit over "
+        f"{extent.intervals} panels of nine instants."
     )
-    orders = _show(report, ladder, table)
-    agreed = _values(report, explicit, sundials, ladder)
-    report.text(_OBJECTIVE_NOTES)
-    which = f"crank-slider, {', '.join(_SYMBOLS[3:])}"
-    distance = float(np.max(np.abs(np.array(orders[4:]) - 2)))
-    return [
-        Requirement(
-            f"{which}: HHT-I3 to SUNDIALS, distance of the mean order from 2", 0.1, distance
-        ),
-        Requirement(f"{which}: Explicit from SUNDIALS, relative", 1e-6, agreed),
-    ]
+    orders = _show(report, extent, ladder, table)
+    agreed = _values(report, place, explicit, sundials, ladder)
+    return [abs(order - 2) for order in orders[4:]], agreed
 
 
-def _show(report: Report, ladder: Sequence[_Value], table: Array) -> list[float]:
+def _show(
+    report: Report, extent: _Objective, ladder: Sequence[_Value], table: Array
+) -> list[float]:
     """Table and plot of the errors of HHT-I3; returns the mean orders."""
     names = ("Ψ", *_SYMBOLS)
     steps = [step_of(each.integrator) for each in ladder if isinstance(each.integrator, HHT)]
@@ -237,7 +276,7 @@ def _show(report: Report, ladder: Sequence[_Value], table: Array) -> list[float]
     report.table(["step [s]", "CPU [s]", *names], rows)
     # Over three halvings: single ones are irregular while waves are not resolved.
     orders = [
-        report.figure(f"objective.order.{name}", _mean_order(column))
+        report.figure(f"objective.{extent.name}.order.{name}", _mean_order(column))
         for name, column in zip(_NAMES, table.T, strict=True)
     ]
     report.text(
@@ -252,7 +291,7 @@ def _show(report: Report, ladder: Sequence[_Value], table: Array) -> list[float]
     anchor = float(np.max(table[-1, 4:]))
     guide = Series("order 2", steps, anchor * (np.array(steps) / steps[-1]) ** 2, dashed=True)
     report.plot(
-        "crank-slider-convergence",
+        f"crank-slider-{extent.name}",
         [
             Panel(
                 "Relative error of Ψ and of its sensitivities",
@@ -263,13 +302,15 @@ def _show(report: Report, ladder: Sequence[_Value], table: Array) -> list[float]
                 y_scale="log",
             )
         ],
-        title="Crank-slider: HHT-I3 converges to the path of high order",
+        title=f"Crank-slider up to t = {extent.t_end:g} s, HHT-I3",
         caption="Rod (2): against SUNDIALS; crank (1) against Explicit.",
     )
     return orders
 
 
-def _values(report: Report, explicit: _Value, sundials: _Value, ladder: Sequence[_Value]) -> float:
+def _values(
+    report: Report, place: str, explicit: _Value, sundials: _Value, ladder: Sequence[_Value]
+) -> float:
     """Values side by side with the digits they share; returns the worst difference."""
     coarse, fine = ladder[-2].values, ladder[-1].values
     extrapolated = fine + (fine - coarse) / 3
@@ -282,7 +323,7 @@ def _values(report: Report, explicit: _Value, sundials: _Value, ladder: Sequence
         cells += [f"{fine[k]:.7g}", f"{extrapolated[k]:.7g}"]
         cells += ["-" if np.isnan(one) else _digits(other / one - 1)]
         cells += [_digits(fine[k] / exact - 1), _digits(extrapolated[k] / exact - 1)]
-        report.figure(f"objective.extrapolated.{_NAMES[k]}", abs(extrapolated[k] / exact - 1))
+        report.figure(f"{place}.extrapolated.{_NAMES[k]}", abs(extrapolated[k] / exact - 1))
         rows.append([name, *cells])
     report.text(
         f"Values. Processor times: {_paid(sundials)} (three variables), {_paid(explicit)} (six), "
@@ -300,7 +341,7 @@ def _values(report: Report, explicit: _Value, sundials: _Value, ladder: Sequence
     report.table(header, rows)
     apart = np.abs(explicit.values[4:] / sundials.values[4:] - 1)
     for name, number in zip(_SYMBOLS[3:], apart, strict=True):
-        report.figure(f"objective.agreement.{name}", number)
+        report.figure(f"{place}.agreement.{name}", number)
     return float(np.max(apart))
 
 
@@ -317,6 +358,23 @@ def _mean_order(column: Array) -> float:
     return float(np.log2(column[first] / column[-1]) / (len(column) - 1 - first))
 
 
-_OBJECTIVE_NOTES = """
-NOTES
+_PSI = """
+Ψ = ∫ (x - 1.8)² dt and b · dΨ/db, in m² s. SUNDIALS is IDAS, or IDA where sundials4py is not
+installed, with the rod's three variables along; HHT-I3 is compared with it, and for the crank's
+variables with Explicit. SUNDIALS and Explicit integrate Ψ by Gauss-Lobatto quadrature over panels,
+HHT-I3 by the trapezoidal rule over its steps.
+"""
+
+_SHORT_NOTES = """
+The fastest mode of the linearised mechanism has 57,900 rad/s, a period of 0.11 ms; 2^-13 s is about
+a period, 2^-17 s a fourteenth of it. Where the smallest steps resolve that mode the order is two.
+Both paths of high order agree on more digits than HHT-I3 reaches at any step here.
+"""
+
+_WHOLE_NOTES = """
+Over the whole run a ladder of HHT-I3 that resolves the fastest mode would need 250,000 steps and
+more. At the steps above it does not, and although errors fall by 2 to 4 powers of ten single
+halvings are irregular: parts of an error that come from different modes have different signs, and
+the sum passes through zero (E_2 and rho_2 near 2^-13 s). Extrapolation gains nothing there. The
+order is therefore taken from the short run. What SUNDIALS and Explicit agree on is not affected.
 """
