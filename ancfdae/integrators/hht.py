@@ -77,14 +77,15 @@ class HHT(AdjointIntegrator):
     max_iterations : int
         Newton iterations per step before the run ends with an outcome.
     rtol : float, optional
-        Error of one step relative to every coordinate; the step follows from it.
+        What the errors of all steps may add up to, relative to every coordinate; the step follows
+        from it. The run errs by 1 to 10 times as much (docs/theory.md, section 5).
     atol : float, optional
         The same relative to the size of the coordinates at the start (`Scales`), for coordinates
         that pass through zero; by default rtol.
     times : tuple of float, optional
         Instants of the run, from 0 on; see `frozen`.
     max_steps : int
-        Steps before a run with error control ends with an outcome.
+        Steps, repeated ones included, before a run with error control ends with an outcome.
 
     Raises
     ------

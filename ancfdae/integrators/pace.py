@@ -140,11 +140,6 @@ class Controlled(Pace):
     alpha : float
     t_end : float
     max_steps : int
-
-    Attributes
-    ----------
-    rejected : int
-        Steps repeated with a smaller size.
     """
 
     def __init__(
@@ -158,7 +153,7 @@ class Controlled(Pace):
         max_steps: int,
     ) -> None:
         self._rtol, self._floor, self._t_end = rtol, atol * scales.q, t_end
-        self._max_steps, self.rejected = max_steps, 0
+        self._max_steps = max_steps
         self._h = self._start = self._first(initial, alpha)
         self._verdict: Verdict | None = None
         self._taken = 0
@@ -222,7 +217,6 @@ class Controlled(Pace):
         return t >= self._t_end
 
     def _reject(self, h: float, t: float, why: Verdict) -> bool:
-        self.rejected += 1
         self._h, self._last_wish, self._last_ratio = h, 1.0, 1.0
         self._remaining, self._last_h = 0, h
         if h <= _SMALLEST * max(t, self._t_end):
