@@ -450,8 +450,9 @@ def _cost(report: Report, extent: _Extent) -> None:
     report.text(
         f"Six design variables, {t_end:g} s at step 2⁻⁸ s, processor time, medians of "
         f"{extent.repeats} alternating runs; dynamics alone {per_step:.0f} µs per step. The "
-        "paper's figures are from MATLAB on a processor of about 2009; only ratios can be compared. The targets set for this report "
-        "are 1.4 (direct) and 1.5 (adjoint) times dynamics alone."
+        "paper's figures are from MATLAB on a processor of about 2009; only ratios can be "
+        "compared. The targets set for this report are 1.4 (direct) and 1.5 (adjoint) "
+        "times dynamics alone."
     )
     direct, adjoint = (float(np.median(seconds[name])) for name in ("direct", "adjoint"))
     finite = float(np.median(seconds["finite difference"]))
