@@ -75,5 +75,6 @@ CATALOGUE: tuple[Definition, ...] = (
         question="Do the error bars of objectives and gradients contain the true error, and how "
         "much better are the extrapolated values?",
         run=error_bars.run,
+        source="literature",
     ),
 )
