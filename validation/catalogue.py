@@ -6,7 +6,7 @@ To add one, write a module with a function that fills a `Report`, and enter it i
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from validation import crank_slider, error_bars, external_dae, integrators, pendulum
+from validation import crank_slider, error_bars, external_dae, extremes, integrators, pendulum
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -76,5 +76,13 @@ CATALOGUE: tuple[Definition, ...] = (
         "much better are the extrapolated values?",
         run=error_bars.run,
         source="literature",
+    ),
+    Definition(
+        name="extremes",
+        title="Where the numerics end",
+        question="Which moduli, shapes, steps, sizes, ratios, places and units does a simulation "
+        "survive, how exactly, and how does it say so where it does not?",
+        run=extremes.run,
+        source="aim",
     ),
 )

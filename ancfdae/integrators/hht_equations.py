@@ -17,6 +17,8 @@ and its Jacobian
     J = [ M/(1 + alpha) + beta h^2 (f_q + (M A)_q) - gamma h Q_v    Phi_q^T ]   (6)
         [ Phi_q                                                     0       ].
 
+With small steps Phi is formed from its increment (`constraint_increment`; docs/theory.md, 5).
+
 A is the acceleration at t_{n+1}; the algorithm's a stands for t_{n+1} + alpha h. For a constant
 mass f_n = -M A_n turns R_1 into the paper's (4), M a/(1+alpha) + f - alpha/(1+alpha) f_n. Where
 the mass depends on q, the paper's form would multiply M at one instant with an acceleration at
@@ -36,6 +38,7 @@ order in the multipliers; starting with it leaves them second order:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -46,6 +49,10 @@ from ancfdae.integrators.totals import constraint_force_total, inertia_total
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.system import Linearisation, MechanicalSystem
+
+# Gauss points on (0, 1).
+_PLACES = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))
+_WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 
 
 @final
@@ -147,12 +154,18 @@ def newmark(alpha: float) -> tuple[float, float, float]:
 
 def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
     """q~ and v~ of eqs. (2) and (3); arrays of derivatives go through unchanged."""
+    dq_p, v_p = predict_increment(c, v, a)
+    dq_p += q
+    return dq_p, v_p
+
+
+def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array]:
+    """q~ - q_n, without the round-off of q_n, and v~."""
     v_p = v + (c.h * (1 - c.gamma)) * a
     # h v + h^2 (1/2 - beta) a = h v~ + h^2 (gamma - 1/2 - beta) a
-    q_p = (c.h**2 * (c.gamma - 0.5 - c.beta)) * a
-    q_p += c.h * v_p
-    q_p += q
-    return q_p, v_p
+    dq_p = (c.h**2 * (c.gamma - 0.5 - c.beta)) * a
+    dq_p += c.h * v_p
+    return dq_p, v_p
 
 
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
@@ -175,12 +188,26 @@ def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
 
 
 def residual(
-    system: MechanicalSystem, c: Coefficients, t: float, q: Array, A: Array, f: Array
+    system: MechanicalSystem, c: Coefficients, q: Array, A: Array, f: Array, Phi: Array
 ) -> Array:
     """Eqs. (4) and (5), shape (n_q + n_lam,)."""
-    return np.concatenate(
-        [system.mass_times(q, A) + f, system.constraint(q, t) / (c.beta * c.h**2)]
-    )
+    return np.concatenate([system.mass_times(q, A) + f, Phi / (c.beta * c.h**2)])
+
+
+def constraint_increment(
+    system: MechanicalSystem, c: Coefficients, before: Node, dq: Array
+) -> Array:
+    """Phi(q_n + dq, t_n + h) - Phi(q_n, t_n), free of the round-off of Phi itself.
+
+    The integral of dPhi/ds = Phi_q dq - nu h along the step by three Gauss points: exact for
+    polynomials of degree 6, such as the joints, which are quadratic in q.
+    """
+    total = np.zeros(system.n_lam)
+    for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
+        q, t = before.q + place * dq, before.t + place * c.h
+        rate = system.constraint_pattern.dot(system.constraint_q(q, t), dq)
+        total = total + weight * (rate - c.h * system.velocity_side(q, t))
+    return total
 
 
 def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:

@@ -12,9 +12,10 @@ from ancfdae.integrators.hht_equations import (
     Coefficients,
     Node,
     acceleration,
+    constraint_increment,
     correct,
     factor_jacobian,
-    predict,
+    predict_increment,
     residual,
 )
 from ancfdae.integrators.recorder import Recorder
@@ -30,6 +31,8 @@ _NEAR = 0.1
 _ROUND_OFF = 1e-6
 # Forces may grow by this factor from one step to the next before the Newton test gets stricter.
 _JUMP = 100.0
+# Part of the motion that round-off of the constraints may disturb.
+_QUIET = 1e-9
 
 
 @final
@@ -79,18 +82,26 @@ class StepSolver:
         SingularMatrix
         """
         system, tolerance = self._system, self._tolerance
-        q_p, v_p = predict(c, before.q, before.v, before.a)
+        dq_p, v_p = predict_increment(c, before.v, before.a)
+        q_p = before.q + dq_p
         a, lam = before.a, before.lam
         is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
         far = abs(c.h - self._h) > _NEAR * self._h
         jacobian = None if is_complex or far else self._jacobian
         self._h = c.h
         last, settled, motion = math.inf, 0, _JUMP * self._motion_before(before)
+        share = self._share_of_defect(c, before)
+        defect = share * system.constraint(before.q, before.t) if share < 1 else None
         for _ in range(self._max_iterations):
             q, v = correct(c, q_p, v_p, a)
             A = acceleration(c, a, before.A)
             reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
-            R = residual(system, c, t, q, A, reaction - Q)
+            if defect is None:
+                Phi = system.constraint(q, t)
+            else:
+                dq = dq_p + (c.beta * c.h**2) * a
+                Phi = defect + constraint_increment(system, c, before, dq)
+            R = residual(system, c, q, A, reaction - Q, Phi)
             self._recorder.residuals += 1
             self._recorder.iterations += 1
             if not is_finite(R):
@@ -112,6 +123,9 @@ class StepSolver:
             # Error left after the correction: quadratic convergence squares the rate once more.
             left = size * (min(1.0, rate * rate) if fresh else rate / max(1.0 - rate, 1e-3))
             stuck = fresh and rate > 0.5 and size <= _ROUND_OFF
+            # Of stiff bodies far from balance corrections are small too: forces must balance.
+            if stuck:
+                stuck = real_norm(R[: system.n_q], self._inverse_weights) <= _ROUND_OFF * now
             if stuck and settled == 0:
                 self._recorder.round_off_steps += 1
             if left <= tolerance or size <= tolerance or stuck:
@@ -142,6 +156,18 @@ class StepSolver:
         return real_norm(x[: system.n_q], system.weights) + real_norm(
             reaction, self._inverse_weights
         )
+
+    def _share_of_defect(self, c: Coefficients, before: Node) -> float:
+        """Part of Phi(q_n) that the step removes: 1, or less where it is all round-off.
+
+        Phi has the round-off eps |q|, and its removal within a step takes accelerations of
+        eps |q| / (beta h^2). Where that exceeds a part of the motion, increments of Phi are
+        formed without it, and what has gathered in Phi is removed slowly enough.
+        """
+        system = self._system
+        noise = np.finfo(float).eps * real_norm(before.q, system.weights)
+        allowed = _QUIET * self._motion_before(before) * c.beta * c.h**2
+        return 1.0 if noise <= allowed else allowed / noise
 
     def _motion_before(self, before: Node) -> float:
         """Motion at the last accepted step, or at the start."""

@@ -1,0 +1,86 @@
+"""Where the numerics end: tiny steps, stiff bodies under huge ones, very large and small units."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ancfdae import HHT, simulate
+from ancfdae.integrators.hht_equations import Coefficients, Node, constraint_increment
+from validation.extremes_rows import Case, measure
+from validation.extremes_scenes import Rod, Units
+
+from mechanisms import CartesianPendulum, GuidedDoublePendulum, chain
+
+
+def rigid_pendulum(t, angle, spin):
+    """Accelerations and multiplier of `CartesianPendulum` from its angle."""
+    rate = lambda t, y: [y[1], -9.81 * np.sin(y[0])]  # noqa: E731
+    run = solve_ivp(
+        rate, (0, t[-1]), [angle, spin], method="DOP853", t_eval=t, rtol=1e-13, atol=1e-15
+    )
+    theta, omega = run.y
+    turning = -9.81 * np.sin(theta)
+    along, inward = (
+        np.stack([np.cos(theta), np.sin(theta)]),
+        np.stack([-np.sin(theta), np.cos(theta)]),
+    )
+    a = (along * turning + inward * omega**2).T
+    return a, (omega**2 + 9.81 * np.cos(theta))[:, None]
+
+
+@pytest.mark.parametrize("alpha", [-0.05, -0.3])
+@pytest.mark.parametrize("h", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+def test_accelerations_and_multipliers_stay_usable_at_tiny_steps(h, alpha):
+    # With Phi(q) itself in the equations: 3e-5 at 1e-5 s, no convergence below.
+    run = simulate(CartesianPendulum(-1.0, 2.0), 400 * h, HHT(h, hht_alpha=alpha))
+    assert run.outcome.success
+    a, lam = rigid_pendulum(run.t, -1.0, 2.0)
+    assert np.max(np.abs(run.a - a)) < 2e-6 * np.max(np.abs(a))
+    assert np.max(np.abs(run.lam - lam)) < 2e-6 * np.max(np.abs(lam))
+
+
+def test_constraints_do_not_drift_over_many_tiny_steps():
+    run = simulate(CartesianPendulum(-1.0, 2.0), 4_000 * 1e-6, HHT(1e-6, hht_alpha=-0.05))
+    drift = np.abs(np.sum(run.q**2, axis=1) - 1.0)
+    assert np.max(drift) < 1e-12
+
+
+@pytest.mark.parametrize("system", [CartesianPendulum(), GuidedDoublePendulum(), chain()])
+def test_increment_of_constraints_is_their_difference(system):
+    rng, c = np.random.default_rng(0), Coefficients.of(1e-2, -0.3)
+    q, v = system.start()
+    dq = 0.02 * rng.standard_normal(system.n_q)
+    node = Node(0.3, q, v, v, np.zeros(system.n_lam), v)
+    difference = system.constraint(q + dq, 0.3 + c.h) - system.constraint(q, 0.3)
+    found = constraint_increment(system, c, node, dq)
+    np.testing.assert_allclose(found, difference, atol=1e-12, rtol=0)
+
+
+def test_no_step_far_from_balance_is_taken_for_round_off():
+    # Corrections are small since the rod is stiff against its step, not since it has converged.
+    row = measure(Case("", Rod(length=1e-6, spin=0.0).scene, 2.0**-7, 8))
+    assert row.clean
+    assert not row.survived
+    assert "did not converge" in row.message
+
+
+@pytest.mark.parametrize(
+    "units",
+    [
+        Units(10.0**i, 10.0**j, 10.0**k)
+        for i, j, k in [(7, 0, 0), (-7, 0, 0), (0, 7, 0), (0, -7, 0), (0, 0, 7), (0, 0, -7)]
+    ],
+)
+def test_a_rod_scales_over_fourteen_orders_of_magnitude(units):
+    rod = Rod()
+    runs = [simulate(rod.scene(u), 0.25 * u.time, HHT(2.0**-7 * u.time)) for u in (Units(), units)]
+    base, other = (rod.arm(run, u) for run, u in zip(runs, (Units(), units), strict=True))
+    np.testing.assert_allclose(other, base, atol=1e-11, rtol=0)
+    reactions = runs[0].lam, runs[1].lam / units.force
+    np.testing.assert_allclose(*reactions, atol=1e-10 * np.max(np.abs(runs[0].lam)), rtol=0)
+
+
+def test_a_row_tells_a_refusal_in_words():
+    row = measure(Case("", Rod().scene, 1e-2, 4, alpha=-0.4))
+    assert row.clean
+    assert "hht_alpha" in row.message

@@ -1,0 +1,348 @@
+"""The cases of the report `extremes`, in groups; each row of a table is one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ancfdae import (
+    HHT,
+    Beam,
+    Clamp,
+    Distance,
+    Material,
+    Pin,
+    PointOnLine,
+    Rectangle,
+    Revolute,
+    Scene,
+    Solution,
+    simulate,
+)
+from validation.extremes_rows import Case
+from validation.extremes_scenes import Crank, Rod
+
+__all__ = ["GROUPS", "Group"]
+
+_STEP = 2.0**-7
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cases of one kind.
+
+    Parameters
+    ----------
+    name : str
+        Of the figures.
+    title : str
+    text : str
+        What is run and what the error is measured against.
+    cases : callable
+        ``cases(quick)`` returns them.
+    """
+
+    name: str
+    title: str
+    text: str
+    cases: Callable[[bool], Sequence[Case]]
+
+
+def _against_natural(rod: Rod, step: float, steps: int, alpha: float = -0.3) -> Case:
+    """Case of a rod whose error is the difference to the run in natural units."""
+
+    def error(run: Solution) -> float:
+        units = rod.natural()
+        h = step * units.time
+        other = simulate(rod.scene(units), h * steps, HHT(h, hht_alpha=alpha))
+        if not other.outcome.success:
+            return np.inf
+        return float(np.max(np.abs(rod.arm(run) - rod.arm(other, units))))
+
+    return Case("", rod.scene, step, steps, alpha, error)
+
+
+def _named(label: str, case: Case) -> Case:
+    return Case(label, case.make, case.step, case.steps, case.alpha, case.error)
+
+
+def _against_half_step(label: str, rod: Rod, step: float, steps: int) -> Case:
+    def error(run: Solution) -> float:
+        fine = simulate(rod.scene(), step * steps, HHT(step / 2))
+        if not fine.outcome.success:
+            return np.inf
+        return float(np.max(np.abs(rod.arm(run) - rod.arm(fine)[::2])))
+
+    return Case(label, rod.scene, step, steps, error=error)
+
+
+def _moduli(quick: bool) -> list[Case]:
+    exponents = (3, 7, 13) if quick else range(3, 14)
+    steps = 16 if quick else 128
+    return [
+        _named(f"E = 1e{k} Pa", _against_natural(Rod(modulus=10.0**k), _STEP, steps))
+        for k in exponents
+    ]
+
+
+def _slenderness(quick: bool) -> list[Case]:
+    steps = 16 if quick else 128
+    cases = []
+    for ratio in (0.2, 1e-4) if quick else (0.2, 0.1, 0.03, 1e-2, 1e-3, 1e-4):
+        for E in (1e7, 2e11):
+            rod = Rod(modulus=E, slenderness=ratio)
+            label = f"h/L = {ratio:g}, E = {E:.0e} Pa"
+            cases.append(_named(label, _against_natural(rod, _STEP, steps)))
+    if not quick:
+        thin = Rod(modulus=2e11, slenderness=1e-4)
+        label = "the last with the step 2^-11 s"
+        cases.append(_named(label, _against_natural(thin, 2.0**-11, 1024)))
+    return cases
+
+
+def _steps(quick: bool) -> list[Case]:
+    exponents = (1, 4, 8) if quick else range(1, 9)
+    return [
+        _against_half_step(f"step 1e-{k} s", Rod(), 10.0**-k, 10 if quick else 100)
+        for k in exponents
+    ]
+
+
+def _alphas(quick: bool) -> list[Case]:
+    steps = 16 if quick else 128
+    rod = Rod()
+    cases = [
+        _named(f"hht_alpha = {name}", _against_natural(rod, _STEP, steps, alpha))
+        for name, alpha in (("-1/3", -1 / 3), ("-1e-6", -1e-6), ("0", 0.0))
+    ]
+    refused = [Case(f"hht_alpha = {a}", rod.scene, _STEP, steps, a) for a in (-0.34, 1e-3)]
+    return cases + refused
+
+
+def _elements(quick: bool) -> list[Case]:
+    steps, reference = 10, Rod(elements=20)
+
+    def error(run: Solution) -> float:
+        other = simulate(reference.scene(), _STEP * steps, HHT(_STEP))
+        return float(np.max(np.abs(reference.arm(run) - reference.arm(other))))
+
+    counts = (1, 100) if quick else (1, 10, 100, 1000, 10000)
+    return [
+        Case(
+            f"{n} element{'s' if n > 1 else ''}",
+            Rod(elements=n).scene,
+            _STEP,
+            steps,
+            error=error,
+        )
+        for n in counts
+    ]
+
+
+def _ratios(quick: bool) -> list[Case]:
+    exponents = (-6, 6) if quick else (-6, -4, -2, 0, 2, 4, 6)
+    steps = 16 if quick else 128
+    return [
+        _crank(f"{what} 1e{k}", Crank(angle=0.5, **{f"{key}_ratio": 10.0**k}), steps)  # type: ignore[arg-type]  # numbers
+        for what, key in (("mass", "mass"), ("stiffness", "stiffness"))
+        for k in exponents
+    ]
+
+
+def _crank(label: str, crank: Crank, steps: int, step: float = 2.0**-8) -> Case:
+    """Case of a crank-slider whose error is the difference to the mechanism turned by 1 rad."""
+
+    def error(run: Solution) -> float:
+        turned = crank.with_turn(crank.turned + 1.0)
+        other = simulate(turned.scene(), step * steps, HHT(step))
+        if not other.outcome.success:
+            return np.inf
+        return float(np.max(np.abs(crank.reach(run) - turned.reach(other))) / crank.rod)
+
+    return Case(label, crank.scene, step, steps, error=error)
+
+
+def _dead_centres(quick: bool) -> list[Case]:
+    steps, spun = 16 if quick else 256, Crank(spin=10.0)
+    return [
+        _crank("stretched out, at rest", Crank(), steps),
+        _crank("stretched out, crank turning at 10 rad/s, step 2^-9 s", spun, steps, 2.0**-9),
+        _crank("the same turned by 1 rad, step 2^-8 s", spun.with_turn(1.0), steps),
+        _crank("folded, at rest", Crank(angle=np.pi), steps),
+        _crank(
+            "crank as long as rod, folded: slider in the bearing", Crank(rod=0.9, angle=3.1), steps
+        ),
+        Case("rod on a line and a link, in one line: no second direction", _dead_link, _STEP, 16),
+        Case("distance joint of length zero", _no_length, _STEP, 16),
+        Case("distance joint shorter than the gap", _short_link, _STEP, 16),
+    ]
+
+
+def _redundant(quick: bool) -> list[Case]:
+    return [
+        Case("pin twice at one point", _two_pins, _STEP, 16),
+        Case("clamp and pin at one point", _clamped_pin, _STEP, 16),
+        Case("clamped at both ends", _two_clamps, _STEP, 16),
+        Case("spatial four-bar of four revolutes", _four_bar, _STEP, 16),
+        Case("the same, one revolute a spherical joint", _free_four_bar, _STEP, 16),
+    ]
+
+
+def _far(quick: bool) -> list[Case]:
+    steps, near = 16 if quick else 64, Rod()
+
+    def error(run: Solution) -> float:
+        other = simulate(near.scene(), _STEP * steps, HHT(_STEP))
+        return float(np.max(np.abs(near.arm(run) - near.arm(other))))
+
+    distances = (1e6,) if quick else (1.0, 1e3, 1e6, 1e9, 1e12)
+    return [
+        Case(f"{at:g} m from the origin", Rod(at=at).scene, _STEP, steps, error=error)
+        for at in distances
+    ]
+
+
+def _lengths(quick: bool) -> list[Case]:
+    steps, cases = 16 if quick else 64, []
+    for length in (1e-6, 1e4):
+        rod = Rod(length=length, spin=0.0)
+        fitting = _STEP * np.sqrt(length)
+        label = f"L = {length:g} m, step {fitting:.1e} s"
+        cases.append(_named(label, _against_natural(rod, fitting, steps)))
+        label = f"L = {length:g} m, step {_STEP:.1e} s"
+        cases.append(_named(label, _against_natural(rod, _STEP, steps)))
+    return cases
+
+
+_SECTION, _SOFT = Rectangle(0.05, 0.05), Material(2770.0, 1e8, 0.3)
+
+
+def _bar(
+    name: str = "bar", end: tuple[float, ...] = (1.0, 0.0), **where: tuple[float, ...]
+) -> Beam:
+    start = where.get("start", (0.0,) * len(end))
+    return Beam(name, start, end, 2, _SECTION, _SOFT)
+
+
+def _dead_link() -> Scene:
+    bar = _bar()
+    joints = [
+        Pin(bar.at_start),
+        PointOnLine(bar.at_end, (0, 1), name="line"),
+        Distance(bar.at_end, 0.5, ground=(1.5, 0.0), name="link"),
+    ]
+    return Scene([bar], joints, (0, -9.81))
+
+
+def _no_length() -> Scene:
+    bar = _bar()
+    return Scene([bar], [Distance(bar.at_end, 1e-9, ground=(1.0, 0.0))], project_start=True)
+
+
+def _short_link() -> Scene:
+    bar = _bar()
+    joints = [Pin(bar.at_start), Distance(bar.at_end, 0.4, ground=(1.5, 0.0), name="link")]
+    return Scene([bar], joints, (0, -9.81))
+
+
+def _two_pins() -> Scene:
+    bar = _bar()
+    return Scene([bar], [Pin(bar.at_start, name="first"), Pin(bar.at_start, name="second")])
+
+
+def _clamped_pin() -> Scene:
+    bar = _bar()
+    return Scene([bar], [Clamp(bar.at_start, name="clamp"), Pin(bar.at_start, name="pin")])
+
+
+def _two_clamps() -> Scene:
+    bar = _bar()
+    return Scene([bar], [Clamp(bar.at_start), Clamp(bar.at_end)], (0, -9.81))
+
+
+def _four_bar(last: type[Pin] | None = None) -> Scene:
+    corners = [(0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1.0, 0.0), (1.0, 0.0, 0.0)]
+    a, b, c = (_bar(n, corners[i + 1], start=corners[i]) for i, n in enumerate("abc"))
+    axis = (0, 0, 1)
+    joints = [
+        Revolute(a.at_start, axis, name="A"),
+        Revolute(a.at_end, axis, b.at_start, name="B"),
+        Revolute(b.at_end, axis, c.at_start, name="C"),
+        Pin(c.at_end, name="D") if last else Revolute(c.at_end, axis, name="D"),
+    ]
+    return Scene([a, b, c], joints, (0, -9.81, 0))
+
+
+def _free_four_bar() -> Scene:
+    return _four_bar(Pin)
+
+
+_NATURAL = (
+    "Error: largest difference of the arm from pin to tip, in lengths of the rod, to the same "
+    "scene in units in which length, density and Young's modulus are 1."
+)
+
+GROUPS: tuple[Group, ...] = (
+    Group(
+        "modulus", "Young's modulus", f"Pendulum at the step 2⁻⁷ s, 128 steps. {_NATURAL}", _moduli
+    ),
+    Group(
+        "slenderness",
+        "Slenderness h/L",
+        f"The same at two moduli. {_NATURAL} A thin stiff rod buckles and whips: a "
+        "large step meets configurations in which Newton's "
+        "method finds no solution near; a smaller step does.",
+        _slenderness,
+    ),
+    Group(
+        "step",
+        "Step",
+        "Pendulum, E = 1e7 Pa, 100 steps of each size. Error: what half the step changes of "
+        "the arm: truncation, at the large steps.",
+        _steps,
+    ),
+    Group("alpha", "Both ends of hht_alpha", f"128 steps of 2⁻⁷ s. {_NATURAL}", _alphas),
+    Group(
+        "elements",
+        "1 to 10,000 elements",
+        "Ten steps of 2⁻⁷ s. Error: difference of the arm to 20 elements, discretisation in space "
+        "that is.",
+        _elements,
+    ),
+    Group(
+        "ratio",
+        "Mass and stiffness of the crank to those of the rod",
+        "Planar crank-slider, crank at 0.5 rad, 128 steps of 2⁻⁸ s. Error: largest difference of "
+        "the slider's place, in lengths of the rod, to the same mechanism turned by 1 rad.",
+        _ratios,
+    ),
+    Group(
+        "dead-centre",
+        "Dead centres and stretched configurations",
+        "Crank-slider, 256 steps of 2⁻⁸ s; error as before. Then joints that hold nothing, or the "
+        "same, where they stand.",
+        _dead_centres,
+    ),
+    Group(
+        "redundant",
+        "Redundant constraints",
+        "Refused by name before anything is integrated, unless flexible bodies set them apart.",
+        _redundant,
+    ),
+    Group(
+        "far",
+        "Far from the origin",
+        "Pendulum, 64 steps of 2⁻⁷ s. Error: difference of the arm to the run at the origin. "
+        "Coordinates of 1e6 m carry round-off of 1e-10 m.",
+        _far,
+    ),
+    Group(
+        "length",
+        "Rods of 1e-6 m and 1e4 m",
+        "E = 1e7 Pa, from rest, 64 steps; a step that fits the rod and one that does not. "
+        f"{_NATURAL}",
+        _lengths,
+    ),
+)

@@ -1,0 +1,215 @@
+"""One row of the report `extremes`: run a case, and say how it ended and how right it is."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ancfdae import HHT, Scene, Solution, StabilityWarning, assemble, simulate
+from ancfdae.errors import AncfdaeError
+from ancfdae.integrators.hht_equations import Coefficients, iteration_matrices
+from ancfdae.integrators.initial import saddle_point
+from ancfdae.system import MechanicalSystem
+from validation.report import Report
+
+__all__ = ["HEADER", "Case", "Row", "add_table", "measure"]
+
+Array = npt.NDArray[np.float64]
+
+HEADER = (
+    "case",
+    "outcome",
+    "error",
+    "equations",
+    "constraints",
+    "condition",
+    "iterations",
+)
+# An accepted step whose equations are violated by more is a wrong number without a sign; the
+# stopping rule lets round-off pass up to 1e-6 of the motion (docs/theory.md, section 5).
+_WRONG_EQUATIONS = 1e-5
+_WRONG_CONSTRAINTS = 1e-8
+_DENSE = 500
+_CHECKED_INSTANTS = 40
+_NOT_MEASURED = "-"
+# What a defect of the package would look like.
+_CRASHES = (ArithmeticError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is run.
+
+    Parameters
+    ----------
+    label : str
+        First cell of the row.
+    make : callable
+        Returns the scene or the system; may be refused.
+    step : float
+    steps : int
+    alpha : float
+    error : callable, optional
+        Error of the finished run against a reference; free of units.
+    """
+
+    label: str
+    make: Callable[[], Scene | MechanicalSystem]
+    step: float
+    steps: int
+    alpha: float = -0.3
+    error: Callable[[Solution], float] | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was found.
+
+    Attributes
+    ----------
+    case : Case
+    message : str
+        How the run ended, or with which message it was refused.
+    clean : bool
+        Whether the ending is one that the package promises.
+    solution : Solution or None
+    error, equations, constraints, condition, iterations : float or None
+        None where there is nothing to measure.
+    """
+
+    case: Case
+    message: str
+    clean: bool
+    solution: Solution | None = None
+    error: float | None = None
+    equations: float | None = None
+    constraints: float | None = None
+    condition: float | None = None
+    iterations: float | None = None
+
+    @property
+    def survived(self) -> bool:
+        """Whether the run reached its end."""
+        return self.solution is not None and self.solution.outcome.success
+
+    def cells(self) -> list[object]:
+        """Return the row of the table."""
+        numbers = (self.error, self.equations, self.constraints, self.condition, self.iterations)
+        formats = (".1e", ".0e", ".0e", ".0e", ".1f")
+        shown = [
+            _NOT_MEASURED if value is None else format(value, style)
+            for value, style in zip(numbers, formats, strict=True)
+        ]
+        return [self.case.label, self.message, *shown]
+
+
+def measure(case: Case) -> Row:
+    """Run a case."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            row = _run(case)
+        except AncfdaeError as error:
+            row = Row(case, f"refused: {error}", True)
+        except _CRASHES as error:
+            row = Row(case, f"CRASH: {type(error).__name__}: {error}", False)
+    noise = {f"{w.category.__name__}: {w.message}" for w in caught if not _expected(w)}
+    for said in sorted({str(w.message) for w in caught if _expected(w)}):
+        row = replace(row, message=f"{row.message}; warned: {said}")
+    if not noise:
+        return row
+    message = f"{row.message} WARNING: {'; '.join(sorted(noise))}"
+    return replace(row, message=message, clean=False)
+
+
+def add_table(report: Report, name: str, rows: list[Row]) -> None:
+    """Add the rows of one group and keep their figures."""
+    report.table(HEADER, [row.cells() for row in rows])
+    for number, row in enumerate(rows):
+        for what in ("error", "equations", "constraints", "condition", "iterations"):
+            value = getattr(row, what)
+            if value is not None:
+                report.figure(f"{name}.{number}.{what}", value)
+        report.figure(f"{name}.{number}.survived", row.survived)
+
+
+def _expected(warning: warnings.WarningMessage) -> bool:
+    return issubclass(warning.category, StabilityWarning)
+
+
+def _run(case: Case) -> Row:
+    model = case.make()
+    system = assemble(model) if isinstance(model, Scene) else model
+    run = simulate(system, case.step * case.steps, HHT(case.step, hht_alpha=case.alpha))
+    equations, constraints = _defects(system, run)
+    right = equations < _WRONG_EQUATIONS and constraints < _WRONG_CONSTRAINTS
+    statistics, outcome = run.statistics, run.outcome
+    if outcome.success:
+        message = f"survived {statistics.steps} steps"
+        if statistics.round_off_steps:
+            message += f", {statistics.round_off_steps} to round-off"
+    else:
+        message = f"stopped: {outcome}"
+    if not right:
+        message += " WRONG: accepted steps violate the equations."
+    return Row(
+        case,
+        message,
+        right,
+        run,
+        None if case.error is None or not outcome.success else case.error(run),
+        equations,
+        constraints,
+        _condition(system, case),
+        statistics.iterations / max(statistics.steps, 1),
+    )
+
+
+def _defects(system: MechanicalSystem, run: Solution) -> tuple[float, float]:
+    """Largest violation of the equations of motion and of the constraints, both free of units.
+
+    Recomputed from the solution: |M A + Phi_q^T lam - Q| against its terms, and |Phi_k|/|Phi_qk|
+    against |q|, in the norm of the weights.
+    """
+    weights, pattern = system.weights, system.constraint_pattern
+    chosen = np.unique(np.linspace(0, len(run.t) - 1, _CHECKED_INSTANTS).astype(int))
+    worst = [0.0, 0.0]
+
+    def norm(x: Array) -> float:
+        return float(np.sqrt(np.sum(x * x / weights)))
+
+    for t, q, v, a, lam in zip(
+        *(x[chosen] for x in (run.t, run.q, run.v, run.a, run.lam)), strict=True
+    ):
+        parts = (system.mass_times(q, a), system.constraint_force(q, lam, t))
+        Q = system.force(q, v, t)
+        size = sum(norm(x) for x in (*parts, Q))
+        floor = system.force_round_off * 1e6
+        worst[0] = max(worst[0], norm(parts[0] + parts[1] - Q) / max(size, floor, 1e-300))
+        if system.n_lam:
+            values = system.constraint_q(q, t) / np.sqrt(weights[pattern.columns])
+            rows = np.sqrt(np.bincount(pattern.rows, values**2, minlength=system.n_lam))
+            distance = np.abs(system.constraint(q, t)) / np.where(rows > 0, rows, 1.0)
+            length = float(np.sqrt(np.sum(weights * q * q)))
+            worst[1] = max(worst[1], float(np.max(distance)) / max(length, 1e-300))
+    return worst[0], worst[1]
+
+
+def _condition(system: MechanicalSystem, case: Case) -> float | None:
+    """Condition number of the scaled iteration matrix at the start, for small systems."""
+    n, m = system.n_q, system.n_lam
+    if n + m > _DENSE:
+        return None
+    q, v = system.start()
+    t, zero = np.zeros(1), np.zeros((1, n))
+    local = system.linearise(t, q[None], v[None], zero, np.zeros((1, m)))
+    c = Coefficients.of(case.step, case.alpha)
+    K = system.pattern.dense(iteration_matrices(c, local)[0])
+    B = system.constraint_pattern.dense(local.Phi_q[0])
+    scale = saddle_point(system, 0.0).scale
+    matrix = np.block([[K, B.T], [B, np.zeros((m, m))]]) * np.outer(scale, scale)
+    return float(np.linalg.cond(matrix))
