@@ -77,6 +77,7 @@ from ancfdae.system import (
     assemble,
     check_system,
 )
+from ancfdae.trade import Setting, TargetNotReached, Tradeoff, tradeoff
 
 __version__ = "0.1.0"
 
@@ -128,14 +129,17 @@ __all__ = [
     "RigidMotion",
     "Scene",
     "Sensitivities",
+    "Setting",
     "SmoothMaximum",
     "Solution",
     "Spherical",
     "SpringDamper",
     "StabilityWarning",
     "Statistics",
+    "TargetNotReached",
     "TaylorTest",
     "Terminal",
+    "Tradeoff",
     "UnfinishedRun",
     "Uniform",
     "UnknownName",
@@ -161,5 +165,6 @@ __all__ = [
     "slope_angle",
     "strain_energy",
     "taylor_test",
+    "tradeoff",
     "velocity",
 ]
