@@ -81,6 +81,7 @@ from ancfdae.system import (
     assemble,
     check_system,
 )
+from ancfdae.trade import Setting, TargetNotReached, Tradeoff, tradeoff
 
 __version__ = "0.1.0"
 
@@ -134,14 +135,17 @@ __all__ = [
     "RigidMotion",
     "Scene",
     "Sensitivities",
+    "Setting",
     "SmoothMaximum",
     "Solution",
     "Spherical",
     "SpringDamper",
     "StabilityWarning",
     "Statistics",
+    "TargetNotReached",
     "TaylorTest",
     "Terminal",
+    "Tradeoff",
     "UnfinishedRun",
     "Uniform",
     "UnknownName",
@@ -169,5 +173,6 @@ __all__ = [
     "slope_angle",
     "strain_energy",
     "taylor_test",
+    "tradeoff",
     "velocity",
 ]
