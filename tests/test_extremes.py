@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ancfdae import HHT, simulate
+from ancfdae import HHT, ComplexStep, Direct, differentiate, simulate
 from ancfdae.integrators.hht_equations import Coefficients, Node, constraint_increment
 from validation.extremes_rows import Case, measure
 from validation.extremes_scenes import Rod, Units
@@ -37,6 +37,24 @@ def test_accelerations_and_multipliers_stay_usable_at_tiny_steps(h, alpha):
     a, lam = rigid_pendulum(run.t, -1.0, 2.0)
     assert np.max(np.abs(run.a - a)) < 2e-6 * np.max(np.abs(a))
     assert np.max(np.abs(run.lam - lam)) < 2e-6 * np.max(np.abs(lam))
+
+
+@pytest.mark.parametrize("system", [GuidedDoublePendulum(), chain()])
+def test_constraints_that_move_hold_at_tiny_steps(system):
+    run = simulate(system, 500 * 1e-6, HHT(1e-6, hht_alpha=-0.05))
+    assert run.outcome.success
+    worst = max(np.max(np.abs(system.constraint(q, t))) for q, t in zip(run.q, run.t, strict=True))
+    assert worst < 1e-13
+
+
+def test_derivatives_at_tiny_steps_are_those_of_the_complex_step():
+    runs = [
+        differentiate(CartesianPendulum(-1.0, 2.0), (), 100 * 1e-5, HHT(1e-5), method)
+        for method in (Direct(), ComplexStep())
+    ]
+    ours, theirs = (run.sensitivities for run in runs)
+    np.testing.assert_allclose(ours.q_b, theirs.q_b, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(ours.v_b, theirs.v_b, rtol=0, atol=1e-8)
 
 
 def test_constraints_do_not_drift_over_many_tiny_steps():

@@ -19,7 +19,7 @@ __all__ = ["Long", "long_runs"]
 Array = npt.NDArray[np.float64]
 
 _ALPHAS = (-0.3, -0.05, 0.0)
-_SHOWN = 400  # points of a curve
+_SHOWN = 50  # points of a curve
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _plot(report: Report, runs: list[Long]) -> None:
         panels,
         columns=3,
         title="Pendulum over 100 s: size of the change of the total energy",
-        caption="Largest change within each of 400 parts of the run, relative to what the fall "
+        caption="Largest change within each of 50 parts of the run, relative to what the fall "
         "sets free. With damping it stays below a few per cent; without, the rigid one blows up.",
     )
 

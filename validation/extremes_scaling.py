@@ -56,19 +56,21 @@ def scaling(report: Report, quick: bool) -> float:
         columns=3,
         title="Difference of dimensionless results to those in SI",
         caption="Flat over sixteen orders of magnitude: no absolute tolerance. What is left "
-        "is the round-off of the elastic forces; values below 1e-17 are drawn there.",
+        "is the round-off of the elastic forces.",
     )
     report.figure("units.worst", worst)
     return worst
 
 
 def _panel(title: str, unit: str, exponents: Sequence[int], errors: Array) -> Panel:
+    others = [i for i, k in enumerate(exponents) if k != 0]
+    units = 10.0 ** np.array(exponents)[others]
     return Panel(
         title,
         f"unit of {unit}, SI / new [-]",
         "difference [-]",
         [
-            Series(name, 10.0 ** np.array(exponents), np.maximum(errors[:, i], 1e-17), marker=True)
+            Series(name, units, np.maximum(errors[others, i], 1e-17), marker=True)
             for i, name in enumerate(_QUANTITIES)
         ],
         x_scale="log",

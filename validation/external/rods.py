@@ -208,8 +208,14 @@ class Rods(Scleronomic):
         return self._matrix(d).ravel()
 
 
-def cartesian_pendulum(b: npt.ArrayLike = (1.0, 9.81)) -> Rods:
-    """Return a point of 1 kg on a rod, horizontal and at rest at (-L, 0) (IFToMM library, A01)."""
+def cartesian_pendulum(
+    b: npt.ArrayLike = (1.0, 9.81), angle: float = np.pi, spin: float = 0.0
+) -> Rods:
+    """Return a point of 1 kg on a rod, by default at rest at (-L, 0) (IFToMM library, A01).
+
+    `angle` is that of the rod to the x axis at the start, `spin` its rate.
+    """
+    along = np.array([-1.0, 0.0] if angle == np.pi else [np.cos(angle), np.sin(angle)])
     geometry = Geometry(
         mass_matrix=np.eye(2),
         ends=np.eye(2)[None],
@@ -217,8 +223,8 @@ def cartesian_pendulum(b: npt.ArrayLike = (1.0, 9.81)) -> Rods:
         shares=np.ones(1),
         weight=np.array([0.0, -1.0]),
         rest=np.zeros(2),
-        along=np.array([-1.0, 0.0]),
-        across=np.zeros(2),
+        along=along,
+        across=spin * np.array([-along[1], along[0]]),
         names=("rod",),
     )
     return Rods(geometry, b)
