@@ -419,8 +419,8 @@ Why not more digits: the beam is undamped and gravity sets in suddenly, so axial
 never die out (the fastest mode of the linearised beam has 4108 rad/s, 650 periods in this second),
 and a sensitivity to E counts their phases: error times frequency times time. The tolerances bound
 the error of one step; IDA and IDAS add up tens of thousands of them, whence 1 to 20 times the
-tolerance in the sensitivities. Tighter ones would bring more digits
-at the price of the table; Explicit at 1e-11 stands closest to what round-off leaves.
+tolerance in the sensitivities. Tighter ones would bring more digits at the price of the table;
+Explicit at 1e-11 stands closest to what round-off leaves.
 """
 
 _CONVERGENCE_NOTES = """
