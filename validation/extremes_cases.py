@@ -285,9 +285,8 @@ _NATURAL = (
 )
 
 _STIFF = (
-    "From 1e12 Pa on the round-off of the elastic forces leaves less than seven digits of the "
-    "motion, and every step is counted as such; at 1e16 Pa this count is the sign that reactions "
-    "are noise."
+    "From 1e11 Pa on the round-off of the elastic forces leaves less than seven digits of the "
+    "motion, and such steps are counted; at 1e16 Pa Newton's method ends in it."
 )
 
 GROUPS: tuple[Group, ...] = (
