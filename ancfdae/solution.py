@@ -44,7 +44,8 @@ class Statistics:
     residuals : int
         Evaluations of the residual.
     round_off_steps : int
-        Steps whose Newton corrections stopped shrinking, at round-off, above the tolerance.
+        Steps of `HHT` whose Newton corrections stopped shrinking, at round-off, above the
+        tolerance, or that round-off of the elastic forces leaves less than seven digits.
     wall_seconds : float
         Elapsed time of the integration.
     rejected : int

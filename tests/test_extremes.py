@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ancfdae import HHT, ComplexStep, Direct, differentiate, simulate
+from ancfdae import HHT, ComplexStep, Direct, InvalidInput, differentiate, simulate
 from ancfdae.integrators.hht_equations import Coefficients, Node, constraint_increment
 from validation.extremes_rows import Case, measure
 from validation.extremes_scenes import Rod, Units
@@ -102,3 +102,17 @@ def test_a_row_tells_a_refusal_in_words():
     row = measure(Case("", Rod().scene, 1e-2, 4, alpha=-0.4))
     assert row.clean
     assert "hht_alpha" in row.message
+
+
+def test_steps_whose_forces_are_mostly_round_off_are_counted():
+    counts = [
+        simulate(Rod(modulus=E).scene(), 8 * 2.0**-7, HHT(2.0**-7)).statistics.round_off_steps
+        for E in (1e7, 1e13, 1e16)
+    ]
+    assert counts == [0, 8, 8]
+
+
+@pytest.mark.parametrize("step", [1e-200, 1e200])
+def test_a_step_whose_square_is_no_number_is_refused(step):
+    with pytest.raises(InvalidInput, match=r"HHT\.step"):
+        HHT(step)

@@ -94,7 +94,8 @@ thing changed at a time. Columns:
   CRASH, WARNING and WRONG would stand here for anything else.
 - *error*: against the reference that the text above each table names.
 - *equations*: largest |M A + Phi_qᵀ lambda - Q| of accepted steps, recomputed from the solution,
-  relative to the three terms; above 1e-5 the row is WRONG. It is where a stiff scene shows its
+  relative to the three terms; above 1e-5 the row is WRONG, unless most steps are counted as ended
+  by round-off. It is where a stiff scene shows its
   round-off, eps |K| |q|.
 - *constraints*: largest distance from a constraint, relative to |q|, in the norm of the mass;
   above 1e-8 the row is WRONG.

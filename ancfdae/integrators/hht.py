@@ -144,6 +144,10 @@ class HHT(AdjointIntegrator):
     def _check_pace(self) -> None:
         if self.step is not None:
             require_positive("HHT.step", self.step)
+            if not 0 < float(self.step) * float(self.step) < math.inf:
+                raise InvalidInput(
+                    "HHT.step", "must have a square that is a number", self.step, "Change units."
+                )
         if self.rtol is not None:
             require_rtol("HHT.rtol", self.rtol, _LEAST_RTOL)
         if self.atol is not None:
@@ -237,7 +241,7 @@ class HHT(AdjointIntegrator):
             h, t_next = pace.next(n, t)
             c = Coefficients.of(h, self.hht_alpha)
             # A run that blows up overflows; its outcome tells so, not NumPy's warnings.
-            with np.errstate(over="ignore", invalid="ignore"):
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 if node is None:
                     before = start_node(system, matrices, c, initial)
                 else:

@@ -70,6 +70,8 @@ class StepSolver:
         self._h = 0.0
         self._jacobian: Factorization | None = None
         self._inverse_weights = 1 / system.weights
+        # The round-off of elastic forces, times 1e7.
+        self._blur = system.force_round_off / (0.1 * _ROUND_OFF)
         self._last_motion = math.inf
         self.verdict = Verdict.NO_CONVERGENCE
         self.correction = math.inf
@@ -126,11 +128,11 @@ class StepSolver:
             # Of stiff bodies far from balance corrections are small too: forces must balance.
             if stuck:
                 stuck = real_norm(R[: system.n_q], self._inverse_weights) <= _ROUND_OFF * now
-            if stuck and settled == 0:
-                self._recorder.round_off_steps += 1
             if left <= tolerance or size <= tolerance or stuck:
                 # The imaginary part of a complex step lags the real part by one iteration.
                 settled += 1
+                if settled == 1 and (stuck or self._blurred(t, q, a, lam)):
+                    self._recorder.round_off_steps += 1
                 if not is_complex or settled == 3:
                     self._jacobian = None if is_complex else jacobian
                     self._last_motion = now
@@ -169,6 +171,13 @@ class StepSolver:
         allowed = _QUIET * self._motion_before(before) * c.beta * c.h**2
         return 1.0 if noise <= allowed else allowed / noise
 
+    def _blurred(self, t: float, q: Array, a: Array, lam: Array) -> bool:
+        """Whether round-off of the elastic forces leaves less than seven digits of the motion."""
+        if real_norm(a, self._system.weights) >= self._blur:
+            return False
+        reaction = self._system.constraint_force(q, lam, t)
+        return real_norm(reaction, self._inverse_weights) < self._blur
+
     def _motion_before(self, before: Node) -> float:
         """Motion at the last accepted step, or at the start."""
         if self._last_motion == math.inf:
@@ -186,5 +195,4 @@ class StepSolver:
         inverse = self._inverse_weights
         size = real_norm(a, self._system.weights)
         size += real_norm(reaction, inverse) + real_norm(Q, inverse)
-        floor = self._system.force_round_off / (0.1 * _ROUND_OFF)
-        return max(size, floor, float(np.finfo(float).tiny))
+        return max(size, self._blur, float(np.finfo(float).tiny))

@@ -51,7 +51,7 @@ class _Run:
         """Integrator and tolerance of Newton's method, where it matters."""
         x = self.integrator
         if isinstance(x, HHT):
-            return f"HHT, newton_tolerance = {x.newton_tolerance:.0e}"
+            return f"HHT, newton_tolerance = {x.newton_tolerance or 1e-14:.0e}"
         return type(x).__name__
 
 
