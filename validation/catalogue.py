@@ -6,7 +6,7 @@ To add one, write a module with a function that fills a `Report`, and enter it i
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from validation import crank_slider, external_dae, integrators, pendulum
+from validation import crank_slider, external_dae, integrators, pendulum, work_precision
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -68,5 +68,14 @@ CATALOGUE: tuple[Definition, ...] = (
         question="How many digits of motion, multipliers and sensitivities do HHT-I3, IDA, IDAS "
         "and the explicit integrator agree on, at what cost, and why not on more?",
         run=integrators.run,
+    ),
+    Definition(
+        name="work-precision",
+        title="Work and precision of motion and gradient",
+        question="Which integrator gives a motion or a gradient of a wanted accuracy at the least "
+        "processor time, on soft and stiff, damped and undamped scenes, and what does error "
+        "control of HHT-I3 gain?",
+        run=work_precision.run,
+        source="expectation",
     ),
 )
