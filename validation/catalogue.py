@@ -6,7 +6,15 @@ To add one, write a module with a function that fills a `Report`, and enter it i
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from validation import crank_slider, error_bars, external_dae, extremes, integrators, pendulum
+from validation import (
+    crank_slider,
+    error_bars,
+    external_dae,
+    extremes,
+    integrators,
+    pendulum,
+    work_precision,
+)
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -84,5 +92,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "survive, how exactly, and how does it say so where it does not?",
         run=extremes.run,
         source="aim",
+    ),
+    Definition(
+        name="work-precision",
+        title="Work and precision of motion and gradient",
+        question="Which integrator gives a motion or a gradient of a wanted accuracy at the least "
+        "processor time, on soft and stiff, damped and undamped scenes, and what does error "
+        "control of HHT-I3 gain?",
+        run=work_precision.run,
+        source="expectation",
     ),
 )

@@ -28,11 +28,12 @@ def pendulum(
     youngs_modulus: float = 1e7,
     elements: int = 5,
     start: Sequence[RigidMotion | NodeState] = (),
+    damping_time: float = 0.0,
 ) -> Scene:
     """Return the flexible pendulum of section 4.1, planar or spatial.
 
     L = 1.2 m, h = w = 0.05 m, rho = 4000 kg/m^3, nu = 0.3, pinned at the left end, horizontal
-    at the start, under 9.81 m/s^2.
+    at the start, under 9.81 m/s^2. The paper has no damping.
     """
     rest = (0.0,) * (dimension - 1)
     beam = Beam(
@@ -41,7 +42,7 @@ def pendulum(
         end=(1.2, *rest),
         elements=elements,
         section=Rectangle(height=0.05, width=0.05),
-        material=Material(density=4000, youngs_modulus=youngs_modulus, poisson_ratio=0.3),
+        material=Material(4000, youngs_modulus, 0.3, damping_time),
     )
     gravity = (0.0, -9.81, 0.0)[:dimension]
     return Scene([beam], [Pin(beam.at_start)], gravity=gravity, start=start)

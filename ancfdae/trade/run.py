@@ -59,7 +59,8 @@ def tradeoff(
     method : GradientMethod, optional
         As in `gradient`.
     repeats : int
-        Runs of each setting; the least processor time counts.
+        Runs of each setting, of which the least processor time counts; what takes more than a
+        second is not repeated.
     executor : concurrent.futures.Executor, optional
         Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
         client; by default in this process, one after the other. Model and objective must

@@ -1,0 +1,149 @@
+"""What the measured tables say: time for an accuracy, gain and honesty of the controlled step."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ancfdae import HHT, Setting, TargetNotReached, Tradeoff
+
+__all__ = [
+    "Gain",
+    "best_gain",
+    "cheapest_of",
+    "controlled",
+    "fixed",
+    "largest_ratio",
+    "seconds_for",
+    "settled",
+    "short_name",
+]
+
+Choice = Callable[[Setting], bool]
+
+
+def fixed(row: Setting) -> bool:
+    """Whether a setting is HHT-I3 at a fixed step."""
+    return isinstance(row.integrator, HHT) and row.integrator.rtol is None
+
+
+def controlled(row: Setting) -> bool:
+    """Whether a setting is HHT-I3 with error control."""
+    return isinstance(row.integrator, HHT) and row.integrator.rtol is not None
+
+
+def short_name(row: Setting) -> str:
+    """Return family and setting in a few characters."""
+    integrator = row.integrator
+    if isinstance(integrator, HHT):
+        return f"HHT {row.label}, alpha {integrator.hht_alpha:g}"
+    return f"{type(integrator).__name__} {row.label}"
+
+
+def cheapest_of(table: Tradeoff, target: float, choice: Choice) -> Setting | None:
+    """Return the recommendation among some settings; None if none is accurate enough."""
+    rows = tuple(row for row in table.rows if choice(row))
+    try:
+        return Tradeoff(rows, table.reference).recommend(target)
+    except TargetNotReached:
+        return None
+
+
+def settled(table: Tradeoff) -> Tradeoff:
+    """Leave out what is accurate by chance: settings whose finer ones have larger errors.
+
+    Settings of a family stand in the table from coarse to fine.
+    """
+    families: dict[str, list[Setting]] = {}
+    for row in table.rows:
+        families.setdefault(row.family, []).append(row)
+    kept: list[Setting] = []
+    for rows in families.values():
+        worst = 0.0
+        for row in reversed(rows):
+            if row.error("gradient") >= worst:
+                worst = row.error("gradient")
+                kept.append(row)
+    return Tradeoff(tuple(kept), table.reference)
+
+
+def seconds_for(table: Tradeoff, error: float, choice: Choice) -> float:
+    """Return the processor time at which a family reaches an error of the gradient.
+
+    Between the measured settings of the Pareto front the time is interpolated in logarithms, as if
+    any step could be chosen; outside of them it is not a number.
+    """
+    rows = tuple(row for row in table.rows if choice(row))
+    front = [row for row in Tradeoff(rows, table.reference).pareto() if row.error("gradient") > 0]
+    front.sort(key=lambda row: row.error("gradient"))
+    errors = np.log([row.error("gradient") for row in front])
+    if not front or not errors[0] <= np.log(error) <= errors[-1]:
+        return float("nan")
+    return float(np.exp(np.interp(np.log(error), errors, np.log([row.seconds for row in front]))))
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Where the controlled step gains most.
+
+    Attributes
+    ----------
+    row : Setting
+        The controlled setting.
+    fixed_seconds : float
+        What the best fixed step needs for the same error.
+    """
+
+    row: Setting
+    fixed_seconds: float
+
+    @property
+    def ratio(self) -> float:
+        """Processor time of the controlled step over that of the best fixed one."""
+        return self.row.seconds / self.fixed_seconds
+
+
+def best_gain(table: Tradeoff, floor: float, same_alpha: bool, ceiling: float = 0.1) -> Gain | None:
+    """Return the controlled setting that gains most against the best fixed step.
+
+    Parameters
+    ----------
+    table : Tradeoff
+    floor, ceiling : float
+        Errors below the first say nothing for want of a reference, above the second they are no
+        result.
+    same_alpha : bool
+        Whether the fixed step must have the same hht_alpha; otherwise the best of all counts.
+    """
+    gains = []
+    for row in settled(table).rows:
+        if controlled(row) and floor <= row.error("gradient") <= ceiling:
+            alpha = _alpha(row) if same_alpha else None
+            seconds = seconds_for(table, row.error("gradient"), partial(_is_fixed, alpha=alpha))
+            if np.isfinite(seconds):
+                gains.append(Gain(row, seconds))
+    return min(gains, key=lambda gain: gain.ratio, default=None)
+
+
+def _alpha(row: Setting) -> float:
+    assert isinstance(row.integrator, HHT)
+    return row.integrator.hht_alpha
+
+
+def _is_fixed(row: Setting, alpha: float | None) -> bool:
+    return fixed(row) and (alpha is None or _alpha(row) == alpha)
+
+
+def largest_ratio(tables: Sequence[Tradeoff], of: str) -> tuple[float, Setting | None]:
+    """Return the largest error over tolerance of the controlled step, and where it was."""
+    worst, where = 0.0, None
+    for table in tables:
+        for row in table.rows:
+            error = getattr(row, of)
+            if controlled(row) and error is not None:
+                assert isinstance(row.integrator, HHT)
+                assert row.integrator.rtol is not None
+                if error / row.integrator.rtol > worst:
+                    worst, where = error / row.integrator.rtol, row
+    return worst, where

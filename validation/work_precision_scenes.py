@@ -1,0 +1,230 @@
+"""Scenes and settings of the report on work and precision."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ancfdae import (
+    HHT,
+    IDA,
+    IDAS,
+    Explicit,
+    Integral,
+    Integrator,
+    MechanicalSystem,
+    Point,
+    StabilityWarning,
+    Terminal,
+    Tradeoff,
+    assemble,
+    custom,
+    position,
+    tradeoff,
+)
+from ancfdae.objectives import Objective
+from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
+from validation.integrator_runs import Array
+from validation.scenes import crank_slider, pendulum
+
+__all__ = ["ALPHAS", "OBJECTIVES", "Case", "Measured", "cases", "measured", "newton_tolerances"]
+
+#: Numerical damping of HHT-I3.
+ALPHAS = (0.0, -0.05, -0.1, -0.3)
+#: Kinds of sensitivity that every scene is asked for.
+OBJECTIVES = ("integrated", "pointwise")
+
+_MANY = 1_000_000
+# More than any controlled run needs that gets to its end.
+_FEW = 10_000
+_REPEATS = 2
+# Tolerance of Newton's method near round-off.
+_SHARP = 1e-9
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene with what is asked of it and how.
+
+    Attributes
+    ----------
+    name : str
+        For keys of figures and names of plots.
+    title : str
+    system : MechanicalSystem
+    t_end : float
+    objectives : tuple of Objective
+        In the order of `OBJECTIVES`.
+    steps : int
+        Numbers of steps of HHT, as powers of two.
+    high : sequence of Integrator
+        Settings of high order.
+    reference : Integrator
+    """
+
+    name: str
+    title: str
+    system: MechanicalSystem
+    t_end: float
+    objectives: tuple[Objective, Objective]
+    steps: range
+    rtols: Sequence[float]
+    high: Sequence[Integrator]
+    reference: Integrator
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A case with its tables, in the order of `OBJECTIVES`."""
+
+    case: Case
+    tables: tuple[Tradeoff, ...]
+
+
+def measured(case: Case, quick: bool) -> Measured:
+    """Measure every setting for both objectives."""
+    settings = [*_second_order(case, ALPHAS), *case.high]
+    tables = tuple(
+        tradeoff(
+            case.system,
+            objective,
+            (),
+            case.t_end,
+            settings,
+            reference=case.reference,
+            repeats=1 if quick else _REPEATS,
+        )
+        for objective in case.objectives
+    )
+    return Measured(case, tables)
+
+
+def newton_tolerances(rtols: Sequence[float], quick: bool) -> tuple[str, list[Tradeoff]]:
+    """Measure the controlled step with the default tolerance of Newton's method and a sharp one.
+
+    Returns
+    -------
+    str
+        The scene.
+    list of Tradeoff
+        One for each tolerance; the default first.
+    """
+    case = _pendulum("newton", 2e11, 1e-3, 2.0**-4 if quick else 1.0, range(1), rtols, ())
+    reference = HHT(rtol=1e-4 if quick else 1e-6, newton_tolerance=1e-12)
+    settings: list[Integrator] = []
+    for sharp in (None, _SHARP):
+        settings += [HHT(rtol=rtol, newton_tolerance=sharp) for rtol in rtols]
+    table = tradeoff(case.system, case.objectives[0], (), case.t_end, settings, reference=reference)
+    halves = table.rows[: len(rtols)], table.rows[len(rtols) :]
+    return case.title, [Tradeoff(rows, table.reference) for rows in halves]
+
+
+def _second_order(case: Case, alphas: Sequence[float]) -> list[Integrator]:
+    settings: list[Integrator] = []
+    with warnings.catch_warnings():
+        # At hht_alpha = 0 it is the subject of this report.
+        warnings.simplefilter("ignore", StabilityWarning)
+        for alpha in alphas:
+            settings += [HHT(case.t_end / 2**k, hht_alpha=alpha) for k in case.steps]
+            settings += [HHT(rtol=rtol, hht_alpha=alpha, max_steps=_FEW) for rtol in case.rtols]
+    return settings
+
+
+def _high(
+    ida: Sequence[float], explicit: Sequence[float] = (), intervals: int = 64
+) -> list[Integrator]:
+    settings: list[Integrator] = []
+    settings += [IDA(rtol, intervals=intervals, max_steps=_MANY) for rtol in ida]
+    settings += [IDAS(rtol, intervals=intervals, max_steps=_MANY) for rtol in ida]
+    return [*settings, *(Explicit(r, intervals, max_steps=_MANY) for r in explicit)]
+
+
+def cases(quick: bool) -> list[Case]:
+    """Return the scenes; quick ones are short and coarse."""
+    if quick:
+        return [
+            _pendulum("soft", 1e7, 0.0, 2.0**-6, range(2, 5), (1e-2, 1e-3), _QUICK_HIGH),
+            _slider("slider-crank", 1.0, range(4, 8), (1e-2, 1e-3, 1e-4), _QUICK_HIGH),
+        ]
+    rtols, high = (1e-2, 1e-3, 1e-4, 1e-5), _high((1e-5, 1e-7), (1e-5, 1e-7))
+    dense = (1e-2, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
+    stiff, few = _high((1e-4,), (1e-5,)), [IDA(1e-5, max_steps=1000)]
+    return [
+        _pendulum("soft", 1e7, 0.0, 0.25, range(5, 11), rtols, high),
+        _pendulum("soft-damped", 1e7, 1e-3, 0.25, range(4, 10), rtols, high),
+        _pendulum("stiff", 2e11, 0.0, 2.0**-6, range(3, 11), rtols, stiff),
+        _pendulum("medium-damped", 1e9, 4e-3, 2.0, range(8, 13), dense, ()),
+        _pendulum("stiff-damped", 2e11, 1e-3, 1.0, range(9, 13), dense, few),
+        _slider("slider-crank", 10.0, range(7, 12), rtols, high),
+        _crank(0.125, range(4, 9), rtols, stiff),
+    ]
+
+
+_QUICK_HIGH = [IDA(1e-5), Explicit(1e-5)]
+
+
+def _pendulum(
+    name: str,
+    modulus: float,
+    damping: float,
+    t_end: float,
+    steps: range,
+    rtols: Sequence[float],
+    high: Sequence[Integrator],
+) -> Case:
+    """Return the flexible pendulum; height and density are its design."""
+    scene = pendulum(youngs_modulus=modulus, damping_time=damping)
+    system = assemble(scene, ("pendulum.height", "pendulum.density"))
+    tip = position(Point("pendulum", 1.0), 1)
+    words = f", retardation time {damping:g} s" if damping else ""
+    reference: Integrator = Explicit(1e-10 if modulus < 1e8 else 1e-7, max_steps=_MANY)
+    if modulus > 1e8 and damping:
+        reference = HHT(t_end / 2**14, hht_alpha=-0.05)
+    return Case(
+        name,
+        f"Pendulum, E = {modulus:.0e} N/m²{words}, {t_end:g} s",
+        system,
+        t_end,
+        (Integral((tip + 0.5) ** 2), Terminal(tip)),
+        steps,
+        rtols,
+        high,
+        reference,
+    )
+
+
+def _crank(t_end: float, steps: range, rtols: Sequence[float], high: Sequence[Integrator]) -> Case:
+    """Return the paper's crank-slider; height and density of the rod are its design."""
+    slider = position(Point("rod", 1.0), 0)
+    middle = position(Point("rod", 0.5), 1)
+    return Case(
+        "crank",
+        f"Crank-slider of the paper, {t_end:g} s",
+        assemble(crank_slider(), ("rod.height", "rod.density")),
+        t_end,
+        (Integral((slider - 1.8) ** 2), Terminal(middle)),
+        steps,
+        rtols,
+        high,
+        Explicit(1e-7, max_steps=_MANY),
+    )
+
+
+def _slider(
+    name: str, t_end: float, steps: range, rtols: Sequence[float], high: Sequence[Integrator]
+) -> Case:
+    """Return the slider-crank of SUNDIALS; stiffness and damping of its spring are its design."""
+    return Case(
+        name,
+        f"Slider-crank of SUNDIALS, {t_end:g} s",
+        SliderCrank(),
+        t_end,
+        (kinetic_energy_integral(), Terminal(custom(_crank_angle, "crank angle"))),
+        steps,
+        rtols,
+        high,
+        Explicit(1e-10, max_steps=_MANY),
+    )
+
+
+def _crank_angle(t: Array, q: Array, v: Array, lam: Array, b: Array) -> Array:
+    return q[:, 0]
