@@ -433,8 +433,8 @@ these tolerances of the coordinates.
 """
 
 _TRUST_NOTES = """
-*States* keep to ten times the tolerance everywhere. *Objectives* do so too where they are of the size of the coordinates; the height of
-the tip at the end of the stiff scenes is some hundredths or thousandths of that, and its relative
+*States* keep to ten times the tolerance everywhere. *Objectives* do so too where they are of the
+size of the coordinates; the height of the tip at the end of the stiff scenes is some hundredths or thousandths of that, and its relative
 error that much larger. *Gradients* do not, nor does the tolerance speak of them: on the soft
 undamped pendulum they are wrong by up to 14 (integrated) and 230 (pointwise) tolerances, on the
 stiff undamped one by a tenth to their own size at every tolerance tried. Only on the slider-crank
@@ -443,10 +443,10 @@ the tolerance.
 """
 
 _NEWTON_NOTES = """
-Newton's method at rtol/1000 of the forces would be the usual choice. On the stiff damped beam forces
-are large for the motion they make, and what is left of them moves it: states would be wrong by tens
-of tolerances, gradients by any factor. That is why the default is no more than 1e-9; the table has
-what it costs.
+Newton's method at rtol/1000 of the forces would be the usual choice. On the stiff damped beam
+forces are large for the motion they make, and what is left of them moves it: states would be
+wrong by tens of tolerances, gradients by any factor. That is why the default is no more than
+1e-9; the table has what it costs.
 """
 
 _ALPHA_NOTES = """

@@ -37,7 +37,7 @@ _MANY = 1_000_000
 # More than any controlled run needs that gets to its end.
 _FEW = 10_000
 _REPEATS = 2
-# Tolerance of Newton's method near round-off.
+# Tolerance of Newton's method against that of the step, as one might choose it.
 _LOOSE = 1e-3
 
 
