@@ -434,12 +434,12 @@ these tolerances of the coordinates.
 
 _TRUST_NOTES = """
 *States* keep to ten times the tolerance everywhere. *Objectives* do so too where they are of the
-size of the coordinates; the height of the tip at the end of the stiff scenes is some hundredths or thousandths of that, and its relative
-error that much larger. *Gradients* do not, nor does the tolerance speak of them: on the soft
-undamped pendulum they are wrong by up to 14 (integrated) and 230 (pointwise) tolerances, on the
-stiff undamped one by a tenth to their own size at every tolerance tried. Only on the slider-crank
-is a gradient as right as the motion (3.7 tolerances). To know a gradient, repeat it at a tenth of
-the tolerance.
+size of the coordinates; the height of the tip at the end of the stiff scenes is some hundredths or
+thousandths of that, and its relative error that much larger. *Gradients* do not, nor does the
+tolerance speak of them: on the soft undamped pendulum they are wrong by up to 14 (integrated) and
+230 (pointwise) tolerances, on the stiff undamped one by a tenth to their own size at every
+tolerance tried. Only on the slider-crank is a gradient as right as the motion (3.7 tolerances). To
+know a gradient, ask `error_bars`.
 """
 
 _NEWTON_NOTES = """
