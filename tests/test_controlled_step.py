@@ -253,6 +253,24 @@ def test_trouble_on_the_way_is_an_outcome(kind):
     assert np.all(np.isfinite(run.q))
 
 
+class NeverRight(CartesianPendulum):
+    """Its force is a number at the start only."""
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) * (np.nan if t > 0 else 1.0)
+
+
+@pytest.mark.parametrize("integrator", [HHT(0.01), HHT(rtol=1e-3)])
+def test_a_run_that_ends_in_its_first_step_has_the_derivatives_of_its_start(integrator):
+    run = differentiate(NeverRight(), (), 1.0, integrator)
+    assert not run.outcome.success
+    assert len(run.t) == 1
+    exact = differentiate(CartesianPendulum(), (), 1.0, HHT(0.01)).sensitivities
+    for name in ("q_b", "v_b", "a_b", "lam_b"):
+        ours = getattr(run.sensitivities, name)
+        np.testing.assert_allclose(ours, getattr(exact, name)[:1], atol=1e-12)
+
+
 def test_the_limit_of_steps_is_an_outcome():
     run = simulate(CartesianPendulum(), 2.0, HHT(rtol=1e-6, max_steps=50))
     assert run.outcome.verdict is Verdict.STEP_LIMIT

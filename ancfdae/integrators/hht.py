@@ -82,7 +82,7 @@ class HHT(AdjointIntegrator):
         Newton iterations per step before the run ends with an outcome.
     rtol : float, optional
         What the errors of all steps may add up to, relative to every coordinate; the step follows
-        from it. The run errs by 1 to 10 times as much (docs/theory.md, section 5).
+        from it. The run errs by up to 10 times as much (docs/theory.md, section 5).
     atol : float, optional
         The same relative to the size of the coordinates at the start (`Scales`), for coordinates
         that pass through zero; by default rtol.
@@ -223,7 +223,7 @@ class HHT(AdjointIntegrator):
         size = 0.0 if verdict is Verdict.FINISHED else solver.correction
         outcome = Outcome(verdict, recorder.time, recorder.steps, size)
         solution = recorder.solution(outcome)
-        if not sensitivities or not recorder.steps:
+        if not sensitivities:
             return solution
         return self._differentiate(system, matrices, initial, solution)
 
@@ -286,9 +286,13 @@ class HHT(AdjointIntegrator):
     ) -> Solution:
         started, steps = time.perf_counter(), self.steps_of(solution)
         derivative = start_sensitivity(system, matrices, initial)
-        node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
-        arrays, verdict = hht_linear.differentiate(system, matrices, steps, solution, node_b)
-        arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
+        start = (derivative.q_b, derivative.v_b, derivative.a_b, derivative.lam_b)
+        # A run that ended in its first step has the derivatives of its start.
+        arrays, verdict = [x[None] for x in start], Verdict.FINISHED
+        if len(steps.h):
+            node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
+            arrays, verdict = hht_linear.differentiate(system, matrices, steps, solution, node_b)
+            arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
         own = Sensitivities(system.design_names, system.b, *arrays)
         seconds = time.perf_counter() - started
         return solution.with_sensitivities(own, verdict, len(arrays[0]) - 1, seconds)
