@@ -6,9 +6,9 @@ Inserted in eqs. (2)-(4), with a_n standing for q'' at t_n + alpha h, the smooth
     v: h^3 (alpha^2/2 - 1/12) q''''                 from (3)
     A: -alpha h^2/2 q''''                           from A = (a + alpha A_n)/(1 + alpha)
 
-per step, and at the start -(v shift) in v and alpha^2 h^2/2 q'''' in a. Where steps change slowly
-the change of a with them adds alpha^2/2 h' (h' - h) q'''', which is left out. Time derivatives are
-differences of the accelerations A of the run.
+per step, and the shift of v_0 at the start. That a_0 misses alpha^2 h^2/2 q'''' changes a run by
+O(h^3) and is left out, as is alpha^2/2 h' (h' - h) q'''' of a change of the step. Time derivatives
+are differences of the accelerations A of the run.
 """
 
 from __future__ import annotations
@@ -30,14 +30,11 @@ class Defects:
     Attributes
     ----------
     q, v, A : array, shape (n_t, n_q)
-    start : array, shape (n_q,)
-        Of a at the start.
     """
 
     q: Array
     v: Array
     A: Array
-    start: Array
 
     @staticmethod
     def of(t: Array, A: Array, steps: Steps) -> Defects:
@@ -56,4 +53,4 @@ class Defects:
         q[1:] = -(1 + 3 * alpha**2) / 12 * h**2 * np.diff(A, axis=0)
         v[1:] = (alpha**2 / 2 - 1 / 12) * h**3 * 0.5 * (snap[1:] + snap[:-1])
         own[1:] = -alpha / 2 * h**2 * snap[1:]
-        return Defects(q, v, own, 0.5 * alpha**2 * steps.h[0] ** 2 * snap[0])
+        return Defects(q, v, own)
