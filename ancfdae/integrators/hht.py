@@ -6,42 +6,40 @@ import math
 import time
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 import numpy as np
-from tqdm import tqdm
 
 from ancfdae.errors import (
     InvalidInput,
-    Outcome,
-    SingularMatrix,
     StabilityWarning,
     Verdict,
     require_count,
     require_finite,
+    require_kind,
     require_positive,
 )
 from ancfdae.integrators import hht_linear
 from ancfdae.integrators.contract import AdjointIntegrator
 from ancfdae.integrators.hht_defects import Defects
 from ancfdae.integrators.hht_equations import (
-    Coefficients,
     Steps,
-    rescaled,
     start_node,
     start_node_sensitivity,
 )
-from ancfdae.integrators.hht_newton import StepSolver
+from ancfdae.integrators.hht_march import march
+from ancfdae.integrators.hht_step import Stepper
 from ancfdae.integrators.initial import (
     InitialState,
     consistent_start,
     saddle_point,
     start_sensitivity,
 )
-from ancfdae.integrators.pace import Controlled, Given, Pace, Uniform
+from ancfdae.integrators.pace import Controlled, Given, Pace, Uniform, first_step
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.scales import Scales
 from ancfdae.integrators.seeds import Seeds
+from ancfdae.integrators.step_error import StepError, derivative_sizes, sizes_hold, smaller_sizes
 from ancfdae.integrators.tolerances import require_rtol
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
@@ -59,6 +57,10 @@ _SHARE = 1e-3
 # more time).
 _LOOSEST = 1e-9
 _EXACT = 1e-14
+# Sizes of derivatives need no better tolerance.
+_ROUGH = 1e-3
+# Instants to allot memory for where their number is not known.
+_ROWS = 1000
 
 
 @final
@@ -90,6 +92,11 @@ class HHT(AdjointIntegrator):
         Instants of the run, from 0 on; see `frozen`.
     max_steps : int
         Steps, repeated ones included, before a run with error control ends with an outcome.
+    control_sensitivities : bool
+        Whether the tolerance also bounds the errors of the design derivatives q_b, each relative
+        to its largest size in the run. They then go along with the motion, whatever is asked for,
+        after a run that tells their sizes. Without it gradients of undamped waves can be wrong
+        by any factor of the tolerance (docs/reports/work-precision).
 
     Raises
     ------
@@ -107,6 +114,7 @@ class HHT(AdjointIntegrator):
     atol: float | None = None
     times: tuple[float, ...] | None = None
     max_steps: int = 1_000_000
+    control_sensitivities: bool = False
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -130,7 +138,7 @@ class HHT(AdjointIntegrator):
         if self.newton_tolerance is None:
             own = _EXACT if self.rtol is None else max(_EXACT, min(_SHARE * self.rtol, _LOOSEST))
             object.__setattr__(self, "newton_tolerance", own)
-        require_positive("HHT.newton_tolerance", self._tolerance())
+        require_positive("HHT.newton_tolerance", self._newton[0])
         require_count("HHT.max_iterations", self.max_iterations, "60 is plenty.")
         require_count("HHT.max_steps", self.max_steps, "1000000 is plenty.")
         # A NumPy number of single precision would spread its precision.
@@ -146,6 +154,13 @@ class HHT(AdjointIntegrator):
             )
 
     def _check_pace(self) -> None:
+        require_kind(
+            "HHT.control_sensitivities", self.control_sensitivities, (bool,), "True or False."
+        )
+        if self.control_sensitivities and self.rtol is None:
+            raise InvalidInput(
+                "HHT.control_sensitivities", "belongs to error control", True, "Give rtol too."
+            )
         if self.step is not None:
             require_positive("HHT.step", self.step)
             if not 0 < float(self.step) * float(self.step) < math.inf:
@@ -181,7 +196,7 @@ class HHT(AdjointIntegrator):
         if self.rtol is None or len(solution.t) < 2:
             return self
         times = tuple(float(t) for t in solution.t)
-        return replace(self, rtol=None, atol=None, times=times)
+        return replace(self, rtol=None, atol=None, times=times, control_sensitivities=False)
 
     def refined(self, solution: Solution) -> HHT:
         """Return the integrator that halves every step of a run."""
@@ -193,8 +208,9 @@ class HHT(AdjointIntegrator):
             self,
             rtol=None,
             atol=None,
+            control_sensitivities=False,
             times=tuple(float(x) for x in halves),
-            newton_tolerance=max(_EXACT, self._tolerance() / 4),
+            newton_tolerance=max(_EXACT, self._newton[0] / 4),
         )
 
     def integrate(
@@ -209,63 +225,58 @@ class HHT(AdjointIntegrator):
         count = self._count_steps(t_end)
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
+        if self.control_sensitivities and system.n_b > 0:
+            return self._integrate_with_derivatives(system, matrices, initial, t_end, progress)
         recorder = Recorder(system, count + 1)
-        solver = StepSolver(system, matrices, self._tolerance(), self.max_iterations, recorder)
-        recorder.record(initial.t, initial.q, initial.v, initial.a, initial.lam)
+        stepper = Stepper.of(system, matrices, initial, None, self._newton, recorder)
         pace = self._pace(system, initial, t_end, count)
-        with tqdm(total=t_end, disable=not progress, unit="s") as bar:
-            try:
-                verdict = self._march(system, matrices, initial, pace, solver, recorder, bar)
-            except SingularMatrix:
-                verdict = Verdict.SINGULAR
-            except KeyboardInterrupt:
-                verdict = Verdict.INTERRUPTED
-        size = 0.0 if verdict is Verdict.FINISHED else solver.correction
-        outcome = Outcome(verdict, recorder.time, recorder.steps, size)
-        solution = recorder.solution(outcome)
+        solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
         if not sensitivities:
             return solution
         return self._differentiate(system, matrices, initial, solution)
 
-    def _march(
+    def _integrate_with_derivatives(
         self,
         system: MechanicalSystem,
         matrices: SaddlePoint,
         initial: InitialState,
-        pace: Pace,
-        solver: StepSolver,
-        recorder: Recorder,
-        bar: Any,
-    ) -> Verdict:
-        """Step to the end; return how that went."""
-        n, t, last, node = 0, 0.0, 0.0, None
-        while not pace.done(n, t):
-            if pace.exhausted():
-                return Verdict.STEP_LIMIT
-            h, t_next = pace.next(n, t)
-            c = Coefficients.of(h, self.hht_alpha)
-            # A run that blows up overflows; its outcome tells so, not NumPy's warnings.
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                if node is None:
-                    before = start_node(system, matrices, c, initial)
-                else:
-                    before = rescaled(node, h / last)
-                after = solver.advance(c, before, t_next)
-                accepted = pace.accepts(c, before, after)
-            if not accepted or after is None:
-                recorder.rejected += 1
-                verdict = pace.failure()
-                if verdict is not None:
-                    return solver.verdict if after is None else verdict
-                if pace.restarts(n):
-                    n, t, last, node = 0, 0.0, 0.0, None
-                    recorder.restart()
-                    bar.reset()
-                continue
-            n, t, last, node = n + 1, t_next, h, after
-            recorder.record(t, node.q, node.v, node.A, node.lam)
-            bar.update(h)
-        return Verdict.FINISHED
+        t_end: float,
+        progress: bool,
+    ) -> Solution:
+        """Integrate with the derivatives along, under error control of both.
+
+        Their sizes come from a run under error control of the motion alone. Where that had them
+        too large the tolerance was too loose; then the sizes found count, and all is run again.
+        """
+        started, sizes_b = time.perf_counter(), None
+        derivative = start_sensitivity(system, matrices, initial)
+        scales = Scales.of(system, initial, t_end)
+        solution = self._rough().integrate(system, t_end, sensitivities=True, progress=progress)
+        while solution.outcome.verdict is not Verdict.INTERRUPTED:
+            assert solution.sensitivities is not None
+            found = derivative_sizes(scales, solution.sensitivities.q_b)
+            if sizes_b is None:
+                sizes_b = found
+            elif not solution.outcome.success or sizes_hold(sizes_b, found):
+                break
+            else:
+                sizes_b = smaller_sizes(sizes_b, found)
+            recorder = Recorder(system, _ROWS, sensitivities=True)
+            stepper = Stepper.of(system, matrices, initial, derivative, self._newton, recorder)
+            error = self._step_error(scales, t_end, sizes_b)
+            first = first_step(error, self.hht_alpha, initial, derivative)
+            pace = Controlled(error, first, self.max_steps)
+            solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
+        seconds = time.perf_counter() - started
+        return replace(solution, statistics=replace(solution.statistics, wall_seconds=seconds))
+
+    def _rough(self) -> HHT:
+        """Return the integrator of the run that tells the sizes of the derivatives."""
+        assert self.rtol is not None
+        rtol = max(self.rtol, _ROUGH)
+        return replace(
+            self, rtol=rtol, atol=None, newton_tolerance=None, control_sensitivities=False
+        )
 
     def differentiate(self, system: MechanicalSystem, solution: Solution) -> Solution:
         """Add the design derivatives of a run of this integrator (eqs. 22-25).
@@ -344,10 +355,11 @@ class HHT(AdjointIntegrator):
             return Steps(np.full(len(solution.t) - 1, self.step), self.hht_alpha)
         return Steps(np.diff(solution.t), self.hht_alpha)
 
-    def _tolerance(self) -> float:
-        """Return the tolerance of Newton's method, which is a number from the start."""
+    @property
+    def _newton(self) -> tuple[float, int]:
+        """Tolerance of Newton's method, which is a number from the start, and its iterations."""
         assert self.newton_tolerance is not None
-        return self.newton_tolerance
+        return self.newton_tolerance, self.max_iterations
 
     def _pace(
         self, system: MechanicalSystem, initial: InitialState, t_end: float, count: int
@@ -356,16 +368,13 @@ class HHT(AdjointIntegrator):
             return Uniform(self.step, count)
         if self.times is not None:
             return Given(self.times)
+        error = self._step_error(Scales.of(system, initial, t_end), t_end, np.zeros(0))
+        return Controlled(error, first_step(error, self.hht_alpha, initial, None), self.max_steps)
+
+    def _step_error(self, scales: Scales, t_end: float, sizes_b: Array) -> StepError:
         assert self.rtol is not None
-        return Controlled(
-            self.rtol,
-            self.rtol if self.atol is None else self.atol,
-            Scales.of(system, initial, t_end),
-            initial,
-            self.hht_alpha,
-            t_end,
-            self.max_steps,
-        )
+        atol = self.rtol if self.atol is None else self.atol
+        return StepError(self.rtol, atol, t_end, scales.q, sizes_b)
 
     def _count_steps(self, t_end: float) -> int:
         """Return the number of steps to allot memory for; check that the end is an instant."""
@@ -377,7 +386,7 @@ class HHT(AdjointIntegrator):
                 )
             return len(self.times) - 1
         if self.step is None:
-            return 1000
+            return _ROWS
         steps = t_end / self.step
         count = round(steps) if math.isfinite(steps) else 0
         if count < 1 or not math.isclose(steps, count, rel_tol=_WHOLE):

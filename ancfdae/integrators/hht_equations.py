@@ -182,6 +182,13 @@ def rescaled(node: Node, ratio: float) -> Node:
     return node if ratio == 1.0 else replace(node, a=node.A + ratio * (node.a - node.A))
 
 
+def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity:
+    """Differentiate `rescaled`."""
+    if ratio == 1.0:
+        return node
+    return replace(node, a_b=node.A_b + ratio * (node.a_b - node.A_b))
+
+
 def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
     """Return A at t_{n+1} from the algorithm's a and the A before, also for derivatives."""
     return (a + c.alpha * A_n) / (1 + c.alpha)

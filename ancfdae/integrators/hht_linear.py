@@ -27,8 +27,10 @@ from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.hht_defects import Defects
 from ancfdae.integrators.hht_equations import (
     Coefficients,
+    Node,
     NodeSensitivity,
     Steps,
+    acceleration,
     correct,
     iteration_matrices,
     newmark,
@@ -108,15 +110,61 @@ def _advance(
         jacobians = _factorised(matrices, c, local, range(len(t)))
         for k, jacobian in enumerate(jacobians):
             n, right = steps.start + k, given[k]
-            right -= stacked.dot_rows(local.f_q[k], constraints_q[k], z[0])
-            right[:, :n_q] -= system.mass_times(q[k], z[2].T).T
-            if local.f_v is not None:
-                right[:, :n_q] -= system.pattern.dot(local.f_v[k], z[1].T).T
+            _subtract_predicted(right, system, stacked, local, constraints_q, k, q[k], z)
             x = jacobian.solve(right.T).T
             z[3], lam_b[n] = x[:, :n_q], x[:, n_q:]
             after = (step_matrices[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
             states[n], z[:3] = after[:3], after[3:]
             yield
+
+
+def advance(
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    c: Coefficients,
+    before: NodeSensitivity,
+    after: Node,
+) -> NodeSensitivity:
+    """Take one step of the derivative recurrence, to a state that is just computed.
+
+    Raises
+    ------
+    SingularMatrix
+    """
+    n_q, scale = system.n_q, c.beta * c.h**2
+    q_p, v_p = predict(c, before.q_b, before.v_b, before.a_b)
+    z = np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * before.A_b.T])
+    t, q = np.array([after.t]), after.q[None]
+    states = (q, after.v[None], after.A[None], after.lam[None])
+    local = system.linearise(t, *states)
+    columns = Coefficients(np.array([[c.h]]), c.alpha, c.beta, c.gamma)
+    (right,) = _given(columns, system.design_partials(t, *states))
+    stacked = Stack(system.pattern, system.constraint_pattern)
+    _subtract_predicted(right, system, stacked, local, local.Phi_q / scale, 0, after.q, z)
+    jacobian = matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
+    x = jacobian.solve(right.T)
+    a_b = x[:n_q]
+    q_b, v_b = correct(c, q_p, v_p, a_b)
+    A_b = acceleration(c, a_b, before.A_b)
+    return NodeSensitivity(q_b, v_b, a_b, x[n_q:], A_b)
+
+
+def _subtract_predicted(
+    right: Array,
+    system: MechanicalSystem,
+    stacked: Stack,
+    local: Linearisation,
+    constraints_q: Array,
+    k: int,
+    q: Array,
+    z: Array,
+) -> None:
+    """Subtract what the predictors z = (q~_b, v~_b, A~_b, ...) add to step k of a chunk."""
+    n_q = system.n_q
+    right -= stacked.dot_rows(local.f_q[k], constraints_q[k], z[0])
+    right[:, :n_q] -= system.mass_times(q, z[2].T).T
+    if local.f_v is not None:
+        right[:, :n_q] -= system.pattern.dot(local.f_v[k], z[1].T).T
 
 
 def _step_matrices(steps: Steps) -> Array:

@@ -1,18 +1,6 @@
 """Step sizes of HHT-I3: uniform, given, or controlled by the error of a step.
 
-**Error of a step** (Negrut, Rampalli, Ottarsson & Sajdak 2007, section 3). Inserting the smooth
-solution in eq. (2), with a_n standing for q'' at t_n + alpha h, the position update misses
-
-    delta = C h^3 q''' = C h^2 (a_{n+1} - a_n),     C = -(1 + 3 alpha^2)/12,
-
-so the increment of the acceleration estimates it at no cost. The rates delta / h add up to the
-error of the run, so that is what the tolerance bounds (error per unit step; the original bounds
-delta, and its runs then err by the tolerance to the power 2/3):
-
-    e^2 = mean of (T delta_i / h / (rtol |q_i| + atol Q_i))^2
-
-with T the length of the run and Q_i the size of coordinate i (`Scales`). A step is accepted if
-e <= 1.
+A step with error control is accepted if its error, e of `step_error`, is at most 1.
 
 **Size of the next step.** Where the step jumps, multipliers and accelerations suffer a transient
 of first order (docs/theory.md); where it changes slowly they keep their second order. So sizes
@@ -28,13 +16,11 @@ import math
 from collections.abc import Sequence
 from typing import final
 
-import numpy as np
-
 from ancfdae.errors import Verdict
-from ancfdae.integrators.hht_equations import Coefficients, Node, constraint_error
-from ancfdae.integrators.initial import InitialState
-from ancfdae.integrators.scales import Scales
-from ancfdae.numerics.arrays import Array
+from ancfdae.integrators.hht_equations import Coefficients
+from ancfdae.integrators.hht_step import Instant
+from ancfdae.integrators.initial import InitialSensitivity, InitialState
+from ancfdae.integrators.step_error import StepError
 
 _AIM = 0.5
 # Exponent 1/b of the filter; the error per unit step is of order 2 in the step.
@@ -64,7 +50,7 @@ class Pace(abc.ABC):
         return False
 
     @abc.abstractmethod
-    def accepts(self, c: Coefficients, before: Node, after: Node | None) -> bool:
+    def accepts(self, c: Coefficients, before: Instant, after: Instant | None) -> bool:
         """Judge a step; None stands for one whose equations were not solved."""
 
     @abc.abstractmethod
@@ -91,7 +77,7 @@ class Uniform(Pace):
         """Return the step."""
         return self._step, (n + 1) * self._step
 
-    def accepts(self, c: Coefficients, before: Node, after: Node | None) -> bool:
+    def accepts(self, c: Coefficients, before: Instant, after: Instant | None) -> bool:
         """Accept what was solved."""
         return after is not None
 
@@ -115,7 +101,7 @@ class Given(Pace):
         """Return the distance to the next instant, and it."""
         return self._times[n + 1] - self._times[n], self._times[n + 1]
 
-    def accepts(self, c: Coefficients, before: Node, after: Node | None) -> bool:
+    def accepts(self, c: Coefficients, before: Instant, after: Instant | None) -> bool:
         """Accept what was solved."""
         return after is not None
 
@@ -134,27 +120,15 @@ class Controlled(Pace):
 
     Parameters
     ----------
-    rtol, atol : float
-    scales : Scales
-    initial : InitialState
-    alpha : float
-    t_end : float
+    error : StepError
+    first : float
+        First step that is tried.
     max_steps : int
     """
 
-    def __init__(
-        self,
-        rtol: float,
-        atol: float,
-        scales: Scales,
-        initial: InitialState,
-        alpha: float,
-        t_end: float,
-        max_steps: int,
-    ) -> None:
-        self._rtol, self._floor, self._t_end = rtol, atol * scales.q, t_end
-        self._max_steps = max_steps
-        self._h = self._start = self._first(initial, alpha)
+    def __init__(self, error: StepError, first: float, max_steps: int) -> None:
+        self._error, self._t_end, self._max_steps = error, error.t_end, max_steps
+        self._h = self._start = first
         self._verdict: Verdict | None = None
         self._taken = 0
         self._last_wish = self._last_ratio = 1.0
@@ -177,15 +151,15 @@ class Controlled(Pace):
         # What the instants will say, so that a run over given ones repeats this one.
         return end - t, end
 
-    def accepts(self, c: Coefficients, before: Node, after: Node | None) -> bool:
+    def accepts(self, c: Coefficients, before: Instant, after: Instant | None) -> bool:
         """Compare the error of the step with the tolerance, and choose the next size."""
         self._taken += 1
         if after is None:
-            return self._reject(c.h / 4, before.t, Verdict.NO_CONVERGENCE)
-        error = self._error(c, before, after)
+            return self._reject(c.h / 4, before.node.t, Verdict.NO_CONVERGENCE)
+        error = self._error.of_step(c, before, after)
         if not error <= 1.0:
             factor = math.sqrt(_AIM / error) if error < math.inf else 0.0
-            return self._reject(c.h * min(0.9, max(0.2, factor)), before.t, Verdict.ERROR_TEST)
+            return self._reject(c.h * min(0.9, max(0.2, factor)), before.node.t, Verdict.ERROR_TEST)
         # The third derivative passes through zero: without memory the step would leap there.
         self._memory = max(error / c.h**2, _MEMORY * self._memory)
         wish = math.sqrt(_AIM / (self._memory * c.h**2)) if self._memory > 0 else _MOST
@@ -223,19 +197,11 @@ class Controlled(Pace):
             self._verdict = why
         return False
 
-    def _error(self, c: Coefficients, before: Node, after: Node) -> float:
-        delta = constraint_error(c) * (after.a - before.a).real
-        size = np.maximum(np.abs(before.q.real), np.abs(after.q.real))
-        return self._norm(delta * (self._t_end / c.h), size)
 
-    def _norm(self, delta: Array, size: Array) -> float:
-        ratio = delta / (self._rtol * size + self._floor)
-        return float(np.sqrt(np.mean(ratio * ratio)))
-
-    def _first(self, initial: InitialState, alpha: float) -> float:
-        """Return the step whose estimated error at the start is half of what is aimed at."""
-        unit = Coefficients.of(1.0, alpha)
-        delta = constraint_error(unit) * initial.jerk.real
-        error = self._norm(delta * self._t_end, np.abs(initial.q.real))
-        longest = self._t_end / 20
-        return longest if error == 0 else min(longest, math.sqrt(_AIM / 2 / error))
+def first_step(
+    error: StepError, alpha: float, initial: InitialState, derivative: InitialSensitivity | None
+) -> float:
+    """Return the step whose estimated error at the start is half of what is aimed at."""
+    e = error.of_start(Coefficients.of(1.0, alpha), initial, derivative)
+    longest = error.t_end / 20
+    return longest if e == 0 else min(longest, math.sqrt(_AIM / 2 / e))

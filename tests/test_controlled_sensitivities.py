@@ -1,0 +1,206 @@
+"""HHT-I3 whose tolerance bounds the design derivatives too: honesty, frozen steps, outcomes."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    Adjoint,
+    Beam,
+    ComplexStep,
+    Direct,
+    Explicit,
+    InvalidInput,
+    Material,
+    Pin,
+    Point,
+    Rectangle,
+    Scene,
+    Terminal,
+    assemble,
+    differentiate,
+    gradient,
+    position,
+    simulate,
+)
+from ancfdae.errors import Verdict
+from ancfdae.integrators import hht
+from ancfdae.integrators.step_error import sizes_hold, smaller_sizes
+from validation.external.slider_crank import SliderCrank
+from validation.scenes import crank_slider, pendulum
+
+from mechanisms import CartesianPendulum
+
+STATES = ("q_b", "v_b", "a_b", "lam_b")
+
+
+def soft():
+    return assemble(pendulum(), ("pendulum.height", "pendulum.density"))
+
+
+def crank():
+    return assemble(crank_slider(), ("rod.height", "rod.density"))
+
+
+def error_of_derivatives(system, run, exact):
+    """Largest error of any coordinate at any instant, as rtol and atol measure it if equal.
+
+    In the weighted form of the coordinates, which has one unit for all of them.
+    """
+    root = np.sqrt(system.weights)[:, None]
+    ours, theirs = (root * x.sensitivities.q_b for x in (run.at(exact.t[:-1]), exact))
+    size = np.max(np.sqrt(np.mean(theirs**2, axis=1)), axis=0)
+    return np.max(np.abs(ours - theirs[:-1]) / (size + np.max(np.abs(theirs), axis=0)))
+
+
+@pytest.mark.parametrize(
+    ("build", "t_end"), [(CartesianPendulum, 2.0), (SliderCrank, 10.0), (soft, 0.25), (crank, 0.05)]
+)
+def test_derivatives_keep_to_ten_times_the_tolerance(build, t_end):
+    system = build()
+    exact = differentiate(system, (), t_end, Explicit(1e-7))
+    for rtol in (1e-2, 2e-3):
+        run = differentiate(system, (), t_end, HHT(rtol=rtol, control_sensitivities=True))
+        assert run.outcome.success
+        error = error_of_derivatives(system, run, exact)
+        assert error < 10 * rtol, rtol
+
+
+def test_what_the_tolerance_of_the_motion_does_not_bound():
+    # Waves below the tolerance of the motion decide about this gradient.
+    system, tip, rtol = soft(), Terminal(position(Point("pendulum", 1.0), 1)), 1e-3
+    exact = gradient(system, tip, (), 0.25, Explicit(1e-6)).gradient * system.b
+    errors = []
+    for along in (False, True):
+        found = gradient(system, tip, (), 0.25, HHT(rtol=rtol, control_sensitivities=along))
+        errors.append(np.linalg.norm(found.gradient * system.b - exact) / np.linalg.norm(exact))
+    assert errors[0] > 20 * rtol
+    assert errors[1] < rtol
+
+
+def test_derivatives_along_are_those_of_the_frozen_steps():
+    integrator = HHT(rtol=1e-2, control_sensitivities=True, newton_tolerance=1e-14)
+    system = soft()
+    run = differentiate(system, (), 0.1, integrator)
+    batched = integrator.differentiate(system, run)
+    check = differentiate(system, (), 0.1, integrator, ComplexStep())
+    np.testing.assert_array_equal(check.t, run.t)
+    assert len(np.unique(np.round(np.diff(run.t), 12))) > 15
+    for name in STATES:
+        ours = getattr(run.sensitivities, name)
+        for other, bound in ((batched, 1e-11), (check, 1e-9)):
+            theirs = getattr(other.sensitivities, name)
+            assert np.max(np.abs(ours - theirs)) < bound * np.max(np.abs(theirs)), name
+
+
+def test_adjoint_and_direct_agree_on_the_same_steps():
+    integrator, tip = HHT(rtol=1e-2, control_sensitivities=True), position(Point("rod", 0.5), 1)
+    direct, adjoint = (
+        gradient(crank(), Terminal(tip), (), 0.02, integrator, method)
+        for method in (Direct(), Adjoint())
+    )
+    np.testing.assert_array_equal(direct.solution.t, adjoint.solution.t)
+    size = np.linalg.norm(direct.gradient)
+    assert np.linalg.norm(adjoint.gradient - direct.gradient) < 1e-11 * size
+
+
+def test_sizes_that_were_too_large_are_replaced(monkeypatch):
+    integrator = HHT(rtol=1e-3, control_sensitivities=True)
+    expected = differentiate(CartesianPendulum(), (), 1.0, integrator)
+    true_sizes, calls = hht.derivative_sizes, []
+
+    def exaggerated(scales, q_b):
+        calls.append(len(q_b))
+        return true_sizes(scales, q_b) * (1e3 if len(calls) == 1 else 1.0)
+
+    monkeypatch.setattr(hht, "derivative_sizes", exaggerated)
+    run = differentiate(CartesianPendulum(), (), 1.0, integrator)
+    # A rough run, one with the wrong sizes, which has too few steps, and one with its own sizes.
+    assert len(calls) == 3
+    assert calls[1] < 0.9 * calls[2]
+    assert abs(run.statistics.steps - expected.statistics.steps) <= 2
+
+
+def test_comparison_of_sizes():
+    found = np.array([1.0, 2.0, 0.0])
+    assert sizes_hold(np.array([2.0, 1e-3, 0.0]), found)
+    assert not sizes_hold(np.array([2.1, 2.0, 0.0]), found)
+    assert not sizes_hold(np.array([0.0, 2.0, 0.0]), found)
+    assert not sizes_hold(np.array([1.0, 2.0, 0.1]), found)
+    np.testing.assert_array_equal(smaller_sizes(np.array([3.0, 0.0, 1.0]), found), found)
+    np.testing.assert_array_equal(smaller_sizes(np.array([0.5, 2.0, 0.0]), found), [0.5, 2.0, 0.0])
+
+
+def test_a_variable_without_influence_bounds_nothing():
+    # In this plane the width of the section cancels: forces and masses are proportional to it.
+    system = assemble(pendulum(), ("pendulum.width", "pendulum.height"))
+    both = HHT(rtol=1e-2, control_sensitivities=True)
+    run = differentiate(system, (), 0.05, both)
+    assert run.outcome.success
+    alone = differentiate(assemble(pendulum(), ("pendulum.height",)), (), 0.05, both)
+    assert run.statistics.steps < 1.5 * alone.statistics.steps
+
+
+def test_without_design_variables_the_motion_rules():
+    system = assemble(pendulum(), ())
+    runs = [simulate(system, 0.1, HHT(rtol=1e-2, control_sensitivities=x)) for x in (False, True)]
+    np.testing.assert_array_equal(runs[0].t, runs[1].t)
+
+
+def test_same_steps_for_other_units_of_the_design():
+    # A modulus counted in other units has derivatives of another size, and the same steps.
+    runs = [
+        differentiate(
+            pendulum_with(modulus),
+            ("beam.youngs_modulus", "beam.height"),
+            0.25 * time,
+            HHT(rtol=1e-2, control_sensitivities=True),
+        )
+        for modulus, time in ((1e7, 1.0), (1e1, 1e3))
+    ]
+    assert runs[0].statistics.steps == runs[1].statistics.steps > 100
+    ours, theirs = (run.sensitivities.q_b[-1, :, 0] * run.sensitivities.values[0] for run in runs)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-8 * np.max(np.abs(theirs)))
+
+
+def pendulum_with(modulus):
+    """The paper's pendulum with time counted in units that make the modulus what it is."""
+    beam = Beam("beam", (0, 0), (1.2, 0), 4, Rectangle(0.05, 0.04), Material(4000, modulus, 0.3))
+    return Scene([beam], [Pin(beam.at_start)], (0, -9.81 * modulus / 1e7))
+
+
+def test_the_limit_of_steps_is_an_outcome():
+    run = differentiate(soft(), (), 0.25, HHT(rtol=1e-3, control_sensitivities=True, max_steps=99))
+    assert run.outcome.verdict is Verdict.STEP_LIMIT
+    assert len(run.sensitivities.q_b) == len(run.t) <= 100
+
+
+@pytest.mark.parametrize("after", [10, 200])
+def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
+    true_force, calls = CartesianPendulum.force, []
+
+    def interrupted(self, q, v, t):
+        calls.append(t)
+        if len(calls) == after:
+            raise KeyboardInterrupt
+        return true_force(self, q, v, t)
+
+    monkeypatch.setattr(CartesianPendulum, "force", interrupted)
+    integrator = HHT(rtol=1e-3, control_sensitivities=True)
+    run = differentiate(CartesianPendulum(), (), 2.0, integrator)
+    assert run.outcome.verdict is Verdict.INTERRUPTED
+    assert len(run.sensitivities.q_b) == len(run.t) >= 1
+    assert len(calls) == after  # Nothing goes on after it.
+
+
+@pytest.mark.parametrize(
+    ("settings", "match"),
+    [
+        ({"step": 0.1, "control_sensitivities": True}, "belongs to error control"),
+        ({"times": (0.0, 0.1), "control_sensitivities": True}, "belongs to error control"),
+        ({"rtol": 1e-3, "control_sensitivities": "yes"}, "HHT.control_sensitivities"),
+    ],
+)
+def test_settings_out_of_range_are_refused_by_name(settings, match):
+    with pytest.raises(InvalidInput, match=match):
+        HHT(**settings)
