@@ -16,6 +16,7 @@ from ancfdae import (
     Point,
     Rectangle,
     Scene,
+    StabilityWarning,
     Terminal,
     assemble,
     differentiate,
@@ -204,3 +205,12 @@ def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
 def test_settings_out_of_range_are_refused_by_name(settings, match):
     with pytest.raises(InvalidInput, match=match):
         HHT(**settings)
+
+
+def test_what_a_setting_is_warned_about_is_said_once():
+    with pytest.warns(StabilityWarning):
+        integrator = HHT(rtol=1e-2, hht_alpha=0.0, control_sensitivities=True)
+    # From here on a warning is an error.
+    run = differentiate(CartesianPendulum(), (), 0.5, integrator, ComplexStep())
+    assert run.outcome.success
+    assert integrator.refined(run).hht_alpha == 0

@@ -5,13 +5,12 @@ from collections.abc import Sequence
 from ancfdae import HHT, Explicit, Setting, Tradeoff
 from ancfdae.plotting import Panel, Series
 from validation.report import Report, Verdict
+from validation.work_precision_control import gains, newton, trust
 from validation.work_precision_findings import (
-    Gain,
-    best_gain,
     cheapest_of,
     controlled,
+    controlled_both,
     fixed,
-    largest_ratio,
     short_name,
 )
 from validation.work_precision_scenes import (
@@ -20,7 +19,6 @@ from validation.work_precision_scenes import (
     Measured,
     cases,
     measured,
-    newton_tolerances,
 )
 
 __all__ = ["run"]
@@ -28,12 +26,12 @@ __all__ = ["run"]
 # Lines that a plot shows; the others are in the tables.
 _SHOWN = (-0.05, -0.3)
 _TARGETS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
-# Errors of a gradient below this are as large as those of some references.
-_FLOOR = 1e-6
+# Errors above it are no result.
 _ALLOWED = 10.0
 _GROUPS = {
     "HHT fixed": fixed,
     "HHT controlled": controlled,
+    "both controlled": controlled_both,
     "high order": lambda row: not isinstance(row.integrator, HHT),
 }
 
@@ -48,10 +46,10 @@ def run(report: Report, quick: bool) -> None:
     _pointwise(report, found)
     _stiff(report, found)
     report.heading("What the controlled step gains")
-    _gains(report, found)
+    gains(report, found)
     report.heading("How far the controlled step may be trusted")
-    _trust(report, found)
-    _newton(report, quick)
+    trust(report, found)
+    newton(report, quick)
     report.heading("The numerical damping hht_alpha")
     _alphas(report, found)
     report.heading("Scene by scene")
@@ -161,108 +159,6 @@ def _stiff(report: Report, found: Sequence[Measured]) -> None:
         )
 
 
-# ---------------------------------------------------------------- the controlled step
-
-
-def _gains(report: Report, found: Sequence[Measured]) -> None:
-    rows: list[list[object]] = []
-    best: dict[bool, tuple[Gain, str]] = {}
-    for each in found:
-        for kind, table in zip(OBJECTIVES, each.tables, strict=True):
-            row: list[object] = [each.case.title, kind]
-            for same in (False, True):
-                gain = best_gain(table, _FLOOR, same)
-                if gain is None:
-                    row += ["-"] * 4
-                    continue
-                name = "same_alpha" if same else "any_alpha"
-                report.figure(f"gain.{each.case.name}.{kind}.{name}", gain.ratio)
-                row += [short_name(gain.row), f"{gain.row.error('gradient'):.2g}"]
-                row += [f"{gain.row.seconds:.2g} / {gain.fixed_seconds:.2g}", f"{gain.ratio:.2f}"]
-                if same not in best or gain.ratio < best[same][0].ratio:
-                    best[same] = gain, f"{each.case.title}, {kind}"
-            rows.append(row)
-    report.text(_GAIN_TEXT)
-    header = ["scene", "gradient"]
-    for which in ("any alpha", "same alpha"):
-        header += [f"controlled ({which})", "error", "CPU [s] / fixed", "ratio"]
-    report.table(header, rows)
-    ratios = {same: gain.ratio for same, (gain, _) in best.items()}
-    verdict = Verdict.PARTLY if ratios.get(True, 1.0) <= 0.5 else Verdict.DISAGREES
-    report.claim(
-        "The controlled step needs at most half the CPU time of the best fixed step for the same "
-        "gradient error on at least one scene",
-        "asked for",
-        "; ".join(
-            f"fixed step at {'the same' if same else 'the best'} hht_alpha: ratio {gain.ratio:.2f} "
-            f"({where}: {short_name(gain.row)}, error {gain.row.error('gradient'):.1g}, "
-            f"{gain.row.seconds:.2g} s against {gain.fixed_seconds:.2g} s)"
-            for same, (gain, where) in best.items()
-        )
-        or "no pair to compare",
-        Verdict.AGREES if ratios.get(False, 1.0) <= 0.5 else verdict,
-    )
-    report.text(_GAIN_NOTES)
-
-
-def _trust(report: Report, found: Sequence[Measured]) -> None:
-    rows: list[list[object]] = []
-    worst: dict[str, float] = {}
-    for each in found:
-        cells: list[object] = [each.case.title]
-        looks: list[tuple[str, str, Sequence[Tradeoff]]] = [("states", "states", each.tables[:1])]
-        for kind, table in zip(OBJECTIVES, each.tables, strict=True):
-            looks += [(f"objective {kind}", "objective", [table])]
-            looks += [(f"gradient {kind}", "gradient", [table])]
-        for name, of, tables in looks:
-            ratio, row = largest_ratio(tables, of)
-            report.figure(f"trust.{each.case.name}.{name.replace(' ', '.')}", ratio)
-            worst[name] = max(worst.get(name, 0.0), ratio)
-            cells.append(f"{ratio:.2g}" + ("" if row is None else f" ({_place(row)})"))
-        rows.append(cells)
-    report.text(_TRUST_TEXT)
-    report.table(["scene", *worst], rows)
-    listed = ", ".join(f"{name} {ratio:.2g}" for name, ratio in worst.items())
-    if worst["states"] > _ALLOWED:
-        verdict = Verdict.DISAGREES
-    else:
-        verdict = Verdict.AGREES if max(worst.values()) <= _ALLOWED else Verdict.PARTLY
-    report.claim(
-        "The controlled step is never wrong by more than 10 times its tolerance",
-        "asked for",
-        f"largest error over rtol on any scene, at any hht_alpha: {listed}",
-        verdict,
-    )
-    report.text(_TRUST_NOTES)
-
-
-def _newton(report: Report, quick: bool) -> None:
-    """Show what the tolerance of Newton's method has to do with it."""
-    rtols = (1e-2, 1e-3) if quick else (1e-2, 1e-3, 1e-4)
-    title, tables = newton_tolerances(rtols, quick)
-    rows: list[list[object]] = []
-    for k, rtol in enumerate(rtols):
-        row: list[object] = [f"{rtol:.0e}"]
-        for name, table in zip(("loose", "default"), tables, strict=True):
-            one = table.rows[k]
-            row += [f"{one.error('states'):.1g}", f"{one.error('gradient'):.1g}", one.seconds]
-            for of in ("states", "gradient"):
-                report.figure(f"newton.{name}.{rtol:.0e}.{of}", getattr(one, of))
-        rows.append(row)
-    report.text(f"{title}, hht_alpha = -0.3, integrated:")
-    report.text("*Loose* is newton_tolerance = rtol/1000, *default* no more than 1e-9.")
-    header = [
-        f"{what}, {x}" for x in ("loose", "default") for what in ("states", "gradient", "CPU")
-    ]
-    report.table(["rtol", *header], rows)
-    report.text(_NEWTON_NOTES)
-
-
-def _place(row: Setting) -> str:
-    assert isinstance(row.integrator, HHT)
-    return f"rtol {row.integrator.rtol:.0e}, alpha {row.integrator.hht_alpha:g}"
-
-
 # ---------------------------------------------------------------- hht_alpha
 
 
@@ -352,7 +248,8 @@ def _panel(title: str, table: Tradeoff, of: str) -> Panel:
 def _line(row: Setting) -> str:
     if not isinstance(row.integrator, HHT):
         return type(row.integrator).__name__
-    kind = "controlled" if controlled(row) else "fixed"
+    kind = "both controlled" if controlled_both(row) else "fixed"
+    kind = "controlled" if controlled(row) else kind
     return f"HHT {kind}, alpha = {row.integrator.hht_alpha:g}"
 
 
@@ -366,32 +263,18 @@ multiplication by the design values. Processor time is that of motion and gradie
 two runs where one takes less than a second; on a shared machine read ratios, to a third.
 
 *HHT fixed* and *HHT controlled* are HHT-I3 with `step` or with `rtol`, each at four values of
-hht_alpha. *IDA*, *IDAS* (needs Python 3.12; a row says so where it is missing) and *Explicit* are
-of high order. End times are short where the beam is stiff: at E = 2e11 N/m² the fastest wave has
-6e5 rad/s, so high order takes half a million steps for a second; 2⁻⁶ s hold two and a half
-periods of the first bending mode (1.1e3 rad/s). With damping the waves die out, but their decay,
-up to 1e8 1/s, is out of reach of an explicit step, so that the reference is HHT itself at a small
-step; seconds of motion are affordable there.
+hht_alpha; *both* stands for `control_sensitivities=True`, where the tolerance bounds the errors
+of the derivatives as well as those of the motion. *IDA*, *IDAS* (needs Python 3.12; a row says so
+where it is missing) and *Explicit* are of high order. End times are short where the beam is
+stiff: at E = 2e11 N/m² the fastest wave has 6e5 rad/s, so high order takes half a million steps
+for a second; 2⁻⁶ s hold two and a half periods of the first bending mode (1.1e3 rad/s). With
+damping the waves die out, but their decay, up to 1e8 1/s, is out of reach of an explicit step, so
+that the reference is HHT itself at a small step; seconds of motion are affordable there.
 """
 
 _CHOICE = """
 The cheapest measured setting whose gradient has at most the relative error on top, as
 `recommend(error)` returns it:
-"""
-
-_GAIN_TEXT = f"""
-For every scene the controlled setting that gains most, among those with an error of the gradient
-between {_FLOOR:g} and 0.1, against the best fixed step for the same error: at any of the four
-hht_alpha, which a user does not know beforehand, and at the same one. Its time is interpolated in
-logarithms between measured steps, as if any step could be chosen. *ratio*: processor time of the
-controlled step over that of the fixed one. Controlled settings that are accurate by chance, with
-a larger error at a finer tolerance, are left out; fixed steps that are so are not.
-"""
-
-_TRUST_TEXT = """
-The largest error divided by rtol over all tolerances and all hht_alpha, and where it occurred.
-The tolerance bounds the rate at which errors of the coordinates arise; nothing bounds those of
-sensitivities.
 """
 
 _ALPHA_TEXT = """
@@ -419,34 +302,6 @@ In words:
 
 A coarse setting in the column 1e-01 may be right by chance: on undamped scenes errors do not fall
 steadily before waves are resolved. Look at the tables below, or ask for two settings in a row.
-"""
-
-_GAIN_NOTES = """
-A controlled step gains where the pace of a scene changes and nowhere else: on the damped
-pendulums of larger modulus, where gravity sets in suddenly, waves decay, and a slow swing
-remains. A fixed step has to be small enough for the start until the end; larger ones fail there
-(Newton's method does not converge) or leave a wrong kick. On undamped scenes and on the rigid
-slider-crank, whose pace is even, control is as good as the best fixed step or dearer (up to 1.6
-times), and its advantage is that nobody has to find that step. On the undamped stiff pendulum no
-tolerance tried resolves the waves that decide about the gradient: they are smaller than any of
-these tolerances of the coordinates.
-"""
-
-_TRUST_NOTES = """
-*States* keep to ten times the tolerance everywhere. *Objectives* do so too where they are of the
-size of the coordinates; the height of the tip at the end of the stiff scenes is some hundredths or
-thousandths of that, and its relative error that much larger. *Gradients* do not, nor does the
-tolerance speak of them: on the soft undamped pendulum they are wrong by up to 14 (integrated) and
-230 (pointwise) tolerances, on the stiff undamped one by a tenth to their own size at every
-tolerance tried. Only on the slider-crank is a gradient as right as the motion (3.7 tolerances). To
-know a gradient, ask `error_bars`.
-"""
-
-_NEWTON_NOTES = """
-Newton's method at rtol/1000 of the forces would be the usual choice. On the stiff damped beam
-forces are large for the motion they make, and what is left of them moves it: states would be
-wrong by tens of tolerances, gradients by any factor. That is why the default is no more than
-1e-9; the table has what it costs.
 """
 
 _ALPHA_NOTES = """

@@ -13,6 +13,7 @@ __all__ = [
     "best_gain",
     "cheapest_of",
     "controlled",
+    "controlled_both",
     "fixed",
     "largest_ratio",
     "seconds_for",
@@ -29,7 +30,16 @@ def fixed(row: Setting) -> bool:
 
 
 def controlled(row: Setting) -> bool:
-    """Whether a setting is HHT-I3 with error control."""
+    """Whether a setting is HHT-I3 with error control of the motion alone."""
+    return _has_tolerance(row) and not controlled_both(row)
+
+
+def controlled_both(row: Setting) -> bool:
+    """Whether a setting is HHT-I3 with error control of motion and derivatives."""
+    return isinstance(row.integrator, HHT) and row.integrator.control_sensitivities
+
+
+def _has_tolerance(row: Setting) -> bool:
     return isinstance(row.integrator, HHT) and row.integrator.rtol is not None
 
 
@@ -37,7 +47,8 @@ def short_name(row: Setting) -> str:
     """Return family and setting in a few characters."""
     integrator = row.integrator
     if isinstance(integrator, HHT):
-        return f"HHT {row.label}, alpha {integrator.hht_alpha:g}"
+        both = " of both" if integrator.control_sensitivities else ""
+        return f"HHT {row.label}{both}, alpha {integrator.hht_alpha:g}"
     return f"{type(integrator).__name__} {row.label}"
 
 
@@ -104,7 +115,9 @@ class Gain:
         return self.row.seconds / self.fixed_seconds
 
 
-def best_gain(table: Tradeoff, floor: float, same_alpha: bool, ceiling: float = 0.1) -> Gain | None:
+def best_gain(
+    table: Tradeoff, floor: float, same_alpha: bool, choice: Choice, ceiling: float = 0.1
+) -> Gain | None:
     """Return the controlled setting that gains most against the best fixed step.
 
     Parameters
@@ -115,10 +128,12 @@ def best_gain(table: Tradeoff, floor: float, same_alpha: bool, ceiling: float = 
         result.
     same_alpha : bool
         Whether the fixed step must have the same hht_alpha; otherwise the best of all counts.
+    choice : callable
+        Which settings are looked at.
     """
     gains = []
     for row in settled(table).rows:
-        if controlled(row) and floor <= row.error("gradient") <= ceiling:
+        if choice(row) and floor <= row.error("gradient") <= ceiling:
             alpha = _alpha(row) if same_alpha else None
             seconds = seconds_for(table, row.error("gradient"), partial(_is_fixed, alpha=alpha))
             if np.isfinite(seconds):
@@ -135,13 +150,15 @@ def _is_fixed(row: Setting, alpha: float | None) -> bool:
     return fixed(row) and (alpha is None or _alpha(row) == alpha)
 
 
-def largest_ratio(tables: Sequence[Tradeoff], of: str) -> tuple[float, Setting | None]:
-    """Return the largest error over tolerance of the controlled step, and where it was."""
+def largest_ratio(
+    tables: Sequence[Tradeoff], of: str, choice: Choice
+) -> tuple[float, Setting | None]:
+    """Return the largest error over tolerance of some settings, and where it was."""
     worst, where = 0.0, None
     for table in tables:
         for row in table.rows:
             error = getattr(row, of)
-            if controlled(row) and error is not None:
+            if choice(row) and error is not None:
                 assert isinstance(row.integrator, HHT)
                 assert row.integrator.rtol is not None
                 if error / row.integrator.rtol > worst:

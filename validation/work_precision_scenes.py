@@ -34,8 +34,8 @@ ALPHAS = (0.0, -0.05, -0.1, -0.3)
 OBJECTIVES = ("integrated", "pointwise")
 
 _MANY = 1_000_000
-# More than any controlled run needs that gets to its end.
-_FEW = 10_000
+# More than any controlled run needs that gets to its end, of the motion and with derivatives.
+_FEW, _FEW_BOTH = 10_000, 60_000
 _REPEATS = 2
 # Tolerance of Newton's method against that of the step, as one might choose it.
 _LOOSE = 1e-3
@@ -56,6 +56,8 @@ class Case:
         In the order of `OBJECTIVES`.
     steps : int
         Numbers of steps of HHT, as powers of two.
+    rtols, both : sequence of float
+        Tolerances of HHT under control of the motion, and of motion and derivatives.
     high : sequence of Integrator
         Settings of high order.
     reference : Integrator
@@ -68,6 +70,7 @@ class Case:
     objectives: tuple[Objective, Objective]
     steps: range
     rtols: Sequence[float]
+    both: Sequence[float]
     high: Sequence[Integrator]
     reference: Integrator
 
@@ -108,7 +111,7 @@ def newton_tolerances(rtols: Sequence[float], quick: bool) -> tuple[str, list[Tr
     list of Tradeoff
         One for each tolerance; the loose one, rtol/1000, first.
     """
-    case = _pendulum("newton", 2e11, 1e-3, 2.0**-4 if quick else 1.0, range(1), rtols, ())
+    case = _pendulum("newton", 2e11, 1e-3, 2.0**-4 if quick else 1.0, range(1), rtols, (), ())
     reference = HHT(rtol=1e-4 if quick else 1e-6, newton_tolerance=1e-12)
     settings: list[Integrator] = []
     settings += [HHT(rtol=rtol, newton_tolerance=_LOOSE * rtol) for rtol in rtols]
@@ -126,6 +129,10 @@ def _second_order(case: Case, alphas: Sequence[float]) -> list[Integrator]:
         for alpha in alphas:
             settings += [HHT(case.t_end / 2**k, hht_alpha=alpha) for k in case.steps]
             settings += [HHT(rtol=rtol, hht_alpha=alpha, max_steps=_FEW) for rtol in case.rtols]
+            settings += [
+                HHT(rtol=rtol, hht_alpha=alpha, max_steps=_FEW_BOTH, control_sensitivities=True)
+                for rtol in case.both
+            ]
     return settings
 
 
@@ -142,20 +149,21 @@ def cases(quick: bool) -> list[Case]:
     """Return the scenes; quick ones are short and coarse."""
     if quick:
         return [
-            _pendulum("soft", 1e7, 0.0, 2.0**-6, range(2, 5), (1e-2, 1e-3), _QUICK_HIGH),
-            _slider("slider-crank", 1.0, range(4, 8), (1e-2, 1e-3, 1e-4), _QUICK_HIGH),
+            _pendulum("soft", 1e7, 0.0, 2.0**-6, range(2, 5), (1e-2, 1e-3), (1e-2,), _QUICK_HIGH),
+            _slider("slider-crank", 1.0, range(4, 8), (1e-2, 1e-3, 1e-4), (1e-2,), _QUICK_HIGH),
         ]
     rtols, high = (1e-2, 1e-3, 1e-4, 1e-5), _high((1e-5, 1e-7), (1e-5, 1e-7))
     dense = (1e-2, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
+    three, two, one = (1e-2, 1e-3, 1e-4), (1e-2, 1e-3), (1e-2,)
     stiff, few = _high((1e-4,), (1e-5,)), [IDA(1e-5, max_steps=1000)]
     return [
-        _pendulum("soft", 1e7, 0.0, 0.25, range(5, 11), rtols, high),
-        _pendulum("soft-damped", 1e7, 1e-3, 0.25, range(4, 10), rtols, high),
-        _pendulum("stiff", 2e11, 0.0, 2.0**-6, range(3, 11), rtols, stiff),
-        _pendulum("medium-damped", 1e9, 4e-3, 2.0, range(8, 13), dense, ()),
-        _pendulum("stiff-damped", 2e11, 1e-3, 1.0, range(9, 13), dense, few),
-        _slider("slider-crank", 10.0, range(7, 12), rtols, high),
-        _crank(0.125, range(4, 9), rtols, stiff),
+        _pendulum("soft", 1e7, 0.0, 0.25, range(5, 11), rtols, three, high),
+        _pendulum("soft-damped", 1e7, 1e-3, 0.25, range(4, 10), rtols, three, high),
+        _pendulum("stiff", 2e11, 0.0, 2.0**-6, range(3, 11), rtols, one, stiff),
+        _pendulum("medium-damped", 1e9, 4e-3, 2.0, range(8, 13), dense, three, ()),
+        _pendulum("stiff-damped", 2e11, 1e-3, 1.0, range(9, 13), dense, three, few),
+        _slider("slider-crank", 10.0, range(7, 12), rtols, three, high),
+        _crank(0.125, range(4, 9), rtols, two, stiff),
     ]
 
 
@@ -169,6 +177,7 @@ def _pendulum(
     t_end: float,
     steps: range,
     rtols: Sequence[float],
+    both: Sequence[float],
     high: Sequence[Integrator],
 ) -> Case:
     """Return the flexible pendulum; height and density are its design."""
@@ -187,12 +196,19 @@ def _pendulum(
         (Integral((tip + 0.5) ** 2), Terminal(tip)),
         steps,
         rtols,
+        both,
         high,
         reference,
     )
 
 
-def _crank(t_end: float, steps: range, rtols: Sequence[float], high: Sequence[Integrator]) -> Case:
+def _crank(
+    t_end: float,
+    steps: range,
+    rtols: Sequence[float],
+    both: Sequence[float],
+    high: Sequence[Integrator],
+) -> Case:
     """Return the paper's crank-slider; height and density of the rod are its design."""
     slider = position(Point("rod", 1.0), 0)
     middle = position(Point("rod", 0.5), 1)
@@ -204,13 +220,19 @@ def _crank(t_end: float, steps: range, rtols: Sequence[float], high: Sequence[In
         (Integral((slider - 1.8) ** 2), Terminal(middle)),
         steps,
         rtols,
+        both,
         high,
         Explicit(1e-7, max_steps=_MANY),
     )
 
 
 def _slider(
-    name: str, t_end: float, steps: range, rtols: Sequence[float], high: Sequence[Integrator]
+    name: str,
+    t_end: float,
+    steps: range,
+    rtols: Sequence[float],
+    both: Sequence[float],
+    high: Sequence[Integrator],
 ) -> Case:
     """Return the slider-crank of SUNDIALS; stiffness and damping of its spring are its design."""
     return Case(
@@ -221,6 +243,7 @@ def _slider(
         (kinetic_energy_integral(), Terminal(custom(_crank_angle, "crank angle"))),
         steps,
         rtols,
+        both,
         high,
         Explicit(1e-10, max_steps=_MANY),
     )

@@ -6,7 +6,7 @@ import math
 import time
 import warnings
 from dataclasses import dataclass, replace
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -196,16 +196,15 @@ class HHT(AdjointIntegrator):
         if self.rtol is None or len(solution.t) < 2:
             return self
         times = tuple(float(t) for t in solution.t)
-        return replace(self, rtol=None, atol=None, times=times, control_sensitivities=False)
+        return self._changed(rtol=None, atol=None, times=times, control_sensitivities=False)
 
     def refined(self, solution: Solution) -> HHT:
         """Return the integrator that halves every step of a run."""
         if self.step is not None:
-            return replace(self, step=self.step / 2)
+            return self._changed(step=self.step / 2)
         t = solution.t
         halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
-        return replace(
-            self,
+        return self._changed(
             rtol=None,
             atol=None,
             control_sensitivities=False,
@@ -274,9 +273,15 @@ class HHT(AdjointIntegrator):
         """Return the integrator of the run that tells the sizes of the derivatives."""
         assert self.rtol is not None
         rtol = max(self.rtol, _ROUGH)
-        return replace(
-            self, rtol=rtol, atol=None, newton_tolerance=None, control_sensitivities=False
+        return self._changed(
+            rtol=rtol, atol=None, newton_tolerance=None, control_sensitivities=False
         )
+
+    def _changed(self, **changes: Any) -> HHT:
+        """Return a copy with other settings; what these are warned about was said before."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", StabilityWarning)
+            return replace(self, **changes)
 
     def differentiate(self, system: MechanicalSystem, solution: Solution) -> Solution:
         """Add the design derivatives of a run of this integrator (eqs. 22-25).
