@@ -71,7 +71,7 @@ from ancfdae.sensitivity import (
     simulate,
     taylor_test,
 )
-from ancfdae.solution import Sensitivities, Solution, Statistics
+from ancfdae.solution import EstimatedErrors, Sensitivities, Solution, Statistics
 from ancfdae.system import (
     AncfSystem,
     ComplexStepSystem,
@@ -107,6 +107,7 @@ __all__ = [
     "DistributedForce",
     "Drive",
     "ErrorBars",
+    "EstimatedErrors",
     "Explicit",
     "FiniteDifference",
     "FollowerForce",

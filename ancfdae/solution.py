@@ -21,7 +21,7 @@ from ancfdae.layout import BeamLayout, JointLayout, Layout, Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 
-_FORMAT = "ancfdae solution 2"
+_FORMAT = "ancfdae solution 3"
 # What reading a file that is no archive, or a damaged one, ends in.
 _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 # Imaginary perturbation of observables: any value whose square underflows against one is exact.
@@ -59,6 +59,29 @@ class Statistics:
     round_off_steps: int
     wall_seconds: float
     rejected: int = 0
+
+
+@final
+@dataclass(frozen=True)
+class EstimatedErrors:
+    """Discretisation errors as a run of HHT-I3 itself tells them (docs/theory.md, section 5).
+
+    The errors of all steps, added up. Against the true ones they are right within a factor of
+    three (motion) and ten (derivatives) on undamped scenes, waves that the steps do not resolve
+    included; strong damping, which removes errors again, makes them too large
+    (docs/reports/error-bars). For an objective and its gradient see `error_bars`.
+
+    Attributes
+    ----------
+    motion : float
+        Of q, relative to the size of the coordinates.
+    derivatives : tuple of float, or None
+        Of q_b, one per design variable, relative to the largest size of that derivative in the
+        run; nan where the variable has no influence.
+    """
+
+    motion: float
+    derivatives: tuple[float, ...] | None = None
 
 
 @final
@@ -104,6 +127,8 @@ class Solution:
     degree : int
         Degree of the polynomials between the instants: 1 for HHT, whose instants are its steps,
         8 for Gauss-Lobatto instants (`ancfdae.numerics.time_grid`).
+    estimated_errors : EstimatedErrors or None
+        Of HHT only; the others keep their tolerances to themselves.
     """
 
     t: Array
@@ -116,6 +141,7 @@ class Solution:
     naming: Naming | None
     sensitivities: Sensitivities | None = None
     degree: int = 1
+    estimated_errors: EstimatedErrors | None = None
 
     # -- named access --------------------------------------------------------------------------
 
@@ -380,6 +406,7 @@ class Solution:
             "statistics": asdict(self.statistics),
             "outcome": {**asdict(self.outcome), "verdict": self.outcome.verdict.name},
             "degree": self.degree,
+            "estimated_errors": self.estimated_errors and asdict(self.estimated_errors),
             "layout": None,
             "names": None,
         }
@@ -450,6 +477,10 @@ def _rebuild(arrays: dict[str, Array], meta: dict[str, Any]) -> Solution:
         sensitivities = Sensitivities(
             tuple(meta["names"]), *(arrays[f"sensitivity_{name}"] for name in parts)
         )
+    errors = None
+    if meta["estimated_errors"] is not None:
+        motion, derivatives = (meta["estimated_errors"][x] for x in ("motion", "derivatives"))
+        errors = EstimatedErrors(motion, None if derivatives is None else tuple(derivatives))
     return Solution(
         **{name: arrays[name] for name in ("t", "q", "v", "a", "lam")},
         statistics=Statistics(**meta["statistics"]),
@@ -457,4 +488,5 @@ def _rebuild(arrays: dict[str, Array], meta: dict[str, Any]) -> Solution:
         naming=naming,
         sensitivities=sensitivities,
         degree=int(meta["degree"]),
+        estimated_errors=errors,
     )

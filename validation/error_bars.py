@@ -25,6 +25,7 @@ from ancfdae.objectives import Objective
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import as_system
 from ancfdae.system import MechanicalSystem
+from validation.error_estimates import estimates
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.report import Report, Verdict
 from validation.scenes import crank_slider, pendulum
@@ -66,6 +67,7 @@ def run(report: Report, quick: bool) -> None:
     _table(report, found)
     _pictures(report, found)
     _verdict(report, found)
+    estimates(report, quick)
     report.heading("Limits")
     report.text(_LIMITS)
 

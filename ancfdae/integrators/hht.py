@@ -39,7 +39,13 @@ from ancfdae.integrators.pace import Controlled, Given, Pace, Uniform, first_ste
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.scales import Scales
 from ancfdae.integrators.seeds import Seeds
-from ancfdae.integrators.step_error import StepError, derivative_sizes, sizes_hold, smaller_sizes
+from ancfdae.integrators.step_error import (
+    StepError,
+    derivative_sizes,
+    estimated_errors,
+    sizes_hold,
+    smaller_sizes,
+)
 from ancfdae.integrators.tolerances import require_rtol
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
@@ -230,9 +236,9 @@ class HHT(AdjointIntegrator):
         stepper = Stepper.of(system, matrices, initial, None, self._newton, recorder)
         pace = self._pace(system, initial, t_end, count)
         solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
-        if not sensitivities:
-            return solution
-        return self._differentiate(system, matrices, initial, solution)
+        if sensitivities:
+            return self._differentiate(system, matrices, initial, solution)
+        return self._estimated(solution, Scales.of(system, initial, t_end))
 
     def _integrate_with_derivatives(
         self,
@@ -267,7 +273,14 @@ class HHT(AdjointIntegrator):
             pace = Controlled(error, first, self.max_steps)
             solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
         seconds = time.perf_counter() - started
+        solution = self._estimated(solution, scales)
         return replace(solution, statistics=replace(solution.statistics, wall_seconds=seconds))
+
+    def _estimated(self, solution: Solution, scales: Scales) -> Solution:
+        """Return the solution with estimates of its errors."""
+        return replace(
+            solution, estimated_errors=estimated_errors(scales, self.hht_alpha, solution)
+        )
 
     def _rough(self) -> HHT:
         """Return the integrator of the run that tells the sizes of the derivatives."""
@@ -311,7 +324,10 @@ class HHT(AdjointIntegrator):
             arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
         own = Sensitivities(system.design_names, system.b, *arrays)
         seconds = time.perf_counter() - started
-        return solution.with_sensitivities(own, verdict, len(arrays[0]) - 1, seconds)
+        full = solution.with_sensitivities(own, verdict, len(arrays[0]) - 1, seconds)
+        if len(full.t) < 2:
+            return full
+        return self._estimated(full, Scales.of(system, initial, float(full.t[-1])))
 
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
         """Return the gradient of an objective by the discrete adjoint."""

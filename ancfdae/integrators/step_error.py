@@ -37,6 +37,7 @@ from ancfdae.integrators.hht_step import Instant
 from ancfdae.integrators.initial import InitialSensitivity, InitialState
 from ancfdae.integrators.scales import Scales
 from ancfdae.numerics.arrays import Array
+from ancfdae.solution import EstimatedErrors, Solution
 
 # Errors of the motion feed into those of the derivatives as much again (docs/theory.md, 5).
 _FED = 2.0
@@ -97,6 +98,26 @@ class StepError:
         delta = constraint_error(c) * increment * (self.t_end / c.h)
         ratio = delta / (self.rtol * size + self.atol * least)
         return float(np.sqrt(np.max(np.mean(ratio * ratio, axis=0), initial=0.0)))
+
+
+def estimated_errors(scales: Scales, alpha: float, solution: Solution) -> EstimatedErrors:
+    """Add up the errors of all steps of a run, relative to Q_i and Q_i S_j.
+
+    The accelerations at the instants serve as those of the recurrence.
+    """
+    root, squared = scales.q, np.diff(solution.t) ** 2
+    constant = abs(constraint_error(Coefficients.of(1.0, alpha)))
+    with np.errstate(over="ignore"):  # A motion that blew up may have no finite error.
+        increments = np.diff(solution.a.real, axis=0) / root
+        motion = constant * float(squared @ np.sqrt(np.mean(increments**2, axis=1)))
+        if solution.sensitivities is None:
+            return EstimatedErrors(motion)
+        increments = np.diff(solution.sensitivities.a_b, axis=0) / root[:, None]
+        sums = _FED * constant * (squared @ np.sqrt(np.mean(increments**2, axis=1)))
+        sizes = derivative_sizes(scales, solution.sensitivities.q_b)
+    seen = sizes > 0
+    relative = np.divide(sums, sizes, out=np.full_like(sums, np.nan), where=seen)
+    return EstimatedErrors(motion, tuple(float(x) for x in relative))
 
 
 def derivative_sizes(scales: Scales, q_b: Array) -> Array:

@@ -1,0 +1,90 @@
+"""What a run of HHT-I3 tells about its own errors."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    ComplexStep,
+    Explicit,
+    Solution,
+    assemble,
+    differentiate,
+    simulate,
+)
+from validation.external.slider_crank import SliderCrank
+from validation.scenes import pendulum
+
+from mechanisms import CartesianPendulum
+
+
+def soft():
+    return assemble(pendulum(), ("pendulum.height", "pendulum.density"))
+
+
+def rms(x):
+    return np.sqrt(np.mean(x**2, axis=1))
+
+
+def true_errors(system, run, exact):
+    root, same = np.sqrt(system.weights), run.at(exact.t[1:-1])
+    motion = rms((same.q - exact.q[1:-1]) * root).max() / rms(exact.q[:1] * root)[0]
+    ours, theirs = (x.sensitivities.q_b * root[:, None] for x in (same, exact))
+    return motion, rms(ours - theirs[1:-1]).max(axis=0) / rms(theirs).max(axis=0)
+
+
+@pytest.mark.parametrize(
+    ("build", "t_end", "settings"),
+    [
+        (CartesianPendulum, 2.0, [HHT(2.0**-4), HHT(2.0**-8), HHT(rtol=1e-3)]),
+        (SliderCrank, 10.0, [HHT(2.0**-2), HHT(2.0**-5, hht_alpha=-0.05), HHT(rtol=1e-3)]),
+        # At 2^-6 s the waves of the soft beam are not resolved: q is right to 1e-3, q_b to 0.2.
+        (soft, 0.25, [HHT(2.0**-6), HHT(2.0**-9), HHT(rtol=1e-2, control_sensitivities=True)]),
+    ],
+)
+def test_estimates_are_of_the_size_of_the_errors(build, t_end, settings):
+    system = build()
+    exact = differentiate(system, (), t_end, Explicit(1e-7))
+    for integrator in settings:
+        run = differentiate(system, (), t_end, integrator)
+        motion, derivatives = true_errors(system, run, exact)
+        assert 1 / 3 < run.estimated_errors.motion / motion < 3, integrator
+        ratios = np.array(run.estimated_errors.derivatives) / derivatives
+        assert np.all((ratios > 1 / 5) & (ratios < 5)), (integrator, ratios)
+
+
+def test_a_beam_that_blew_up_says_so():
+    # A single step, far too large, whose equations are solved; the middle is 0.1 m off.
+    stiff = assemble(pendulum(youngs_modulus=2e11, damping_time=1e-3), ())
+    run = simulate(stiff, 2.0**-7, HHT(2.0**-7, hht_alpha=-0.1))
+    assert run.outcome.success
+    assert abs(np.linalg.norm(run.position("pendulum", 0.5)[-1]) - 0.6) > 0.1
+    assert run.estimated_errors.motion > 0.1
+
+
+def test_a_variable_without_influence_has_no_error():
+    # In the plane the width cancels.
+    system = assemble(pendulum(), ("pendulum.width", "pendulum.height"))
+    errors = differentiate(system, (), 2.0**-5, HHT(2.0**-8)).estimated_errors
+    assert math.isnan(errors.derivatives[0])
+    assert errors.derivatives[1] > 0
+
+
+def test_motion_alone_has_no_error_of_derivatives():
+    run = simulate(CartesianPendulum(), 1.0, HHT(2.0**-5))
+    both = differentiate(CartesianPendulum(), (), 1.0, HHT(2.0**-5))
+    assert run.estimated_errors.derivatives is None
+    assert run.estimated_errors.motion == both.estimated_errors.motion > 0
+    assert simulate(CartesianPendulum(), 1.0, Explicit(1e-4)).estimated_errors is None
+    other = differentiate(CartesianPendulum(), (), 1.0, HHT(2.0**-5), ComplexStep())
+    assert other.estimated_errors.motion == pytest.approx(run.estimated_errors.motion, rel=1e-9)
+
+
+def test_files_keep_them(tmp_path):
+    run = differentiate(CartesianPendulum(), (), 1.0, HHT(2.0**-5))
+    again = Solution.load(run.save(tmp_path / "run.npz"))
+    assert again.estimated_errors == run.estimated_errors
+    plain = simulate(CartesianPendulum(), 1.0, Explicit(1e-4))
+    assert Solution.load(plain.save(tmp_path / "plain.npz")).estimated_errors is None
