@@ -232,13 +232,14 @@ class HHT(AdjointIntegrator):
         initial = consistent_start(system, matrices, 0.0)
         if self.control_sensitivities and system.n_b > 0:
             return self._integrate_with_derivatives(system, matrices, initial, t_end, progress)
+        scales = Scales.of(system, initial, t_end)
         recorder = Recorder(system, count + 1)
         stepper = Stepper.of(system, matrices, initial, None, self._newton, recorder)
-        pace = self._pace(system, initial, t_end, count)
+        pace = self._pace(scales, initial, t_end, count)
         solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
         if sensitivities:
-            return self._differentiate(system, matrices, initial, solution)
-        return self._estimated(solution, Scales.of(system, initial, t_end))
+            return self._differentiate(system, matrices, initial, scales, solution)
+        return self._estimated(solution, scales)
 
     def _integrate_with_derivatives(
         self,
@@ -304,13 +305,16 @@ class HHT(AdjointIntegrator):
         """
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        return self._differentiate(system, matrices, initial, solution)
+        # The length of a run of one instant scales nothing.
+        scales = Scales.of(system, initial, float(solution.t[-1]) or 1.0)
+        return self._differentiate(system, matrices, initial, scales, solution)
 
     def _differentiate(
         self,
         system: MechanicalSystem,
         matrices: SaddlePoint,
         initial: InitialState,
+        scales: Scales,
         solution: Solution,
     ) -> Solution:
         started, steps = time.perf_counter(), self.steps_of(solution)
@@ -325,9 +329,7 @@ class HHT(AdjointIntegrator):
         own = Sensitivities(system.design_names, system.b, *arrays)
         seconds = time.perf_counter() - started
         full = solution.with_sensitivities(own, verdict, len(arrays[0]) - 1, seconds)
-        if len(full.t) < 2:
-            return full
-        return self._estimated(full, Scales.of(system, initial, float(full.t[-1])))
+        return self._estimated(full, scales)
 
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
         """Return the gradient of an objective by the discrete adjoint."""
@@ -382,14 +384,12 @@ class HHT(AdjointIntegrator):
         assert self.newton_tolerance is not None
         return self.newton_tolerance, self.max_iterations
 
-    def _pace(
-        self, system: MechanicalSystem, initial: InitialState, t_end: float, count: int
-    ) -> Pace:
+    def _pace(self, scales: Scales, initial: InitialState, t_end: float, count: int) -> Pace:
         if self.step is not None:
             return Uniform(self.step, count)
         if self.times is not None:
             return Given(self.times)
-        error = self._step_error(Scales.of(system, initial, t_end), t_end, np.zeros(0))
+        error = self._step_error(scales, t_end, np.zeros(0))
         return Controlled(error, first_step(error, self.hht_alpha, initial, None), self.max_steps)
 
     def _step_error(self, scales: Scales, t_end: float, sizes_b: Array) -> StepError:
