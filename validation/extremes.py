@@ -93,6 +93,8 @@ thing changed at a time. Columns:
   or *stopped*, with the sentence of the outcome; or *refused*, with the message of the error.
   CRASH, WARNING and WRONG would stand here for anything else.
 - *error*: against the reference that the text above each table names.
+- *estimated*: `estimated_errors.motion`, what the run says about the errors of its steps, relative
+  to the coordinates.
 - *equations*: largest |M A + Phi_qᵀ lambda - Q| of accepted steps, recomputed from the solution,
   relative to the three terms; above 1e-5 the row is WRONG, unless most steps are counted as ended
   by round-off. It is where a stiff scene shows its

@@ -25,11 +25,15 @@ HEADER = (
     "case",
     "outcome",
     "error",
+    "estimated",
     "equations",
     "constraints",
     "condition",
     "iterations",
 )
+_NUMBERS = HEADER[2:]
+# A motion wrong by this part of its size must say so: its estimated error may not be much less.
+_WRONG_MOTION, _SHARE = 0.02, 0.2
 # An accepted step whose equations are violated by more is a wrong number without a sign; the
 # stopping rule lets round-off pass up to 1e-6 of the motion (docs/theory.md, section 5).
 _WRONG_EQUATIONS = 1e-5
@@ -58,6 +62,8 @@ class Case:
     alpha : float
     error : callable, optional
         Error of the finished run against a reference; free of units.
+    in_time : bool
+        Whether that is the error of the steps, which the run then has to tell by itself.
     """
 
     label: str
@@ -66,6 +72,7 @@ class Case:
     steps: int
     alpha: float = -0.3
     error: Callable[[Solution], float] | None = None
+    in_time: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,7 +87,7 @@ class Row:
     clean : bool
         Whether the ending is one that the package promises.
     solution : Solution or None
-    error, equations, constraints, condition, iterations : float or None
+    error, estimated, equations, constraints, condition, iterations : float or None
         None where there is nothing to measure.
     """
 
@@ -89,6 +96,7 @@ class Row:
     clean: bool
     solution: Solution | None = None
     error: float | None = None
+    estimated: float | None = None
     equations: float | None = None
     constraints: float | None = None
     condition: float | None = None
@@ -101,8 +109,8 @@ class Row:
 
     def cells(self) -> list[object]:
         """Return the row of the table."""
-        numbers = (self.error, self.equations, self.constraints, self.condition, self.iterations)
-        formats = (".1e", ".0e", ".0e", ".0e", ".1f")
+        numbers = [getattr(self, name) for name in _NUMBERS]
+        formats = (".1e", ".0e", ".0e", ".0e", ".0e", ".1f")
         shown = [
             _NOT_MEASURED if value is None else format(value, style)
             for value, style in zip(numbers, formats, strict=True)
@@ -133,7 +141,7 @@ def add_table(report: Report, name: str, rows: list[Row]) -> None:
     """Add the rows of one group and keep their figures."""
     report.table(HEADER, [row.cells() for row in rows])
     for number, row in enumerate(rows):
-        for what in ("error", "equations", "constraints", "condition", "iterations"):
+        for what in _NUMBERS:
             value = getattr(row, what)
             if value is not None:
                 report.figure(f"{name}.{number}.{what}", value)
@@ -163,12 +171,17 @@ def _run(case: Case) -> Row:
         error, message = None, f"{message}; the run to compare with stopped"
     if not right:
         message += " WRONG: accepted steps violate the equations."
+    assert run.estimated_errors is not None
+    estimated = run.estimated_errors.motion
+    if case.in_time and error is not None and estimated < _SHARE * error > _SHARE * _WRONG_MOTION:
+        right, message = False, f"{message} WRONG: without a sign."
     return Row(
         case,
         message,
         right,
         run,
         error,
+        estimated,
         equations,
         constraints,
         _condition(system, case),
