@@ -16,8 +16,10 @@ from ancfdae import (
     custom,
     error_bars,
     gradient,
+    position,
 )
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
+from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
 
@@ -123,3 +125,18 @@ def test_adjoint_weighted_estimate_refuses_what_it_cannot_do():
         adjoint_error(CartesianPendulum(), objective, (), 0.2, HHT(0.1))
     with pytest.raises(InvalidInput, match="objective"):
         adjoint_error(CartesianPendulum(), HEIGHT, (), 0.2, HHT(0.1))
+
+
+def test_bars_say_whether_waves_are_resolved():
+    beam = pendulum()
+    tip = Terminal(position(beam.beams[0].at_end, 1))
+    design = ("pendulum.height", "pendulum.width")
+    # Of the finest run, at 2^-8 s, the height's derivative is wrong by some per cent; the width has
+    # no influence and no error.
+    assert error_bars(beam, tip, design, 0.25, HHT(2.0**-7)).resolved is False
+    damped = pendulum(damping_time=1e-3)
+    assert error_bars(damped, tip, design, 0.25, HHT(2.0**-9)).resolved is True
+    assert error_bars(CartesianPendulum(), Integral(HEIGHT), (), 1.0, HHT(0.02)).resolved is True
+    for integrator, method in ((HHT(0.02), Adjoint()), (Explicit(1e-4), Direct())):
+        found = error_bars(CartesianPendulum(), Integral(HEIGHT), (), 1.0, integrator, method)
+        assert found.resolved is None

@@ -26,11 +26,14 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.scene import Scene
 from ancfdae.sensitivity.contract import Gradient, GradientMethod
+from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.run import gradient
 from ancfdae.system import MechanicalSystem
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
+# Estimated error of derivatives up to which all bars measured held (docs/reports/error-bars).
+_RESOLVED = 0.01
 
 
 @final
@@ -57,6 +60,11 @@ class ErrorBars:
         Orders seen for the value and the gradient; nan where they were not looked for.
     runs : tuple of Gradient
         From the coarsest to the finest.
+    resolved : bool or None
+        Whether the steps of the finest run resolve the waves of the derivatives: where their
+        estimated error (`Solution.estimated_errors`) exceeds 1 %, differences of runs say little,
+        and an error may be ten times its bar. None where the method or the integrator does not
+        tell: only `Direct` with `HHT` does.
     """
 
     names: tuple[str, ...]
@@ -68,6 +76,7 @@ class ErrorBars:
     extrapolated_gradient: Array
     orders: Array
     runs: tuple[Gradient, ...]
+    resolved: bool | None
 
 
 def error_bars(
@@ -85,8 +94,10 @@ def error_bars(
 
     Parameters
     ----------
-    model, objective, design, t_end, integrator, method, progress
+    model, objective, design, t_end, integrator, progress
         As in `gradient`; the integrator is that of the coarsest run.
+    method : GradientMethod
+        As in `gradient`, but `Direct` by default.
     levels : int
         Runs at two levels cost three times, at three levels seven times the first run with `HHT`;
         three show whether the order is reached.
@@ -101,11 +112,11 @@ def error_bars(
     if isinstance(levels, bool) or levels not in (2, 3):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
     runs: list[Gradient] = []
-    settings = integrator
+    settings, chosen = integrator, Direct() if method is None else method
     for _ in range(levels):
         if runs:
             settings = settings.refined(runs[-1].solution)
-        runs.append(gradient(model, objective, design, t_end, settings, method, progress=progress))
+        runs.append(gradient(model, objective, design, t_end, settings, chosen, progress=progress))
     x = np.array([[run.value, *run.gradient] for run in runs])
     bars, orders = _bars(np.diff(x, axis=0), integrator.order)
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
@@ -120,7 +131,16 @@ def error_bars(
         extrapolated_gradient=better[1:],
         orders=orders,
         runs=tuple(runs),
+        resolved=_resolved(runs[-1]),
     )
+
+
+def _resolved(run: Gradient) -> bool | None:
+    errors = run.solution.estimated_errors
+    if errors is None or errors.derivatives is None:
+        return None
+    # A variable without influence has no error: nan, which is not larger.
+    return not any(error > _RESOLVED for error in errors.derivatives)
 
 
 def _bars(differences: Array, order: int | None) -> tuple[Array, Array]:
