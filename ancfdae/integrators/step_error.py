@@ -111,13 +111,18 @@ def derivative_sizes(scales: Scales, q_b: Array) -> Array:
 
 
 def sizes_hold(assumed: Array, found: Array) -> bool:
-    """Whether sizes under which a run was controlled are at most twice those it shows."""
-    return bool(np.all((assumed <= _TWICE * found) & ((assumed > 0) | (found == 0))))
+    """Whether sizes under which a run was controlled are at most twice those it shows.
+
+    A derivative that turns out to be round-off has no size to compare with, and no error either.
+    """
+    return bool(np.all((found == 0) | ((assumed > 0) & (assumed <= _TWICE * found))))
 
 
 def smaller_sizes(assumed: Array, found: Array) -> Array:
     """Return the smaller ones; zero, which bounds nothing, counts as none.
 
-    Where `sizes_hold` is false one of them at least falls to half, so that repeating a run ends.
+    Where `sizes_hold` is false one of them at least falls to half or stops being zero, which none
+    becomes again, so that repeating a run ends.
     """
-    return np.where(assumed > 0, np.minimum(assumed, found), found)
+    smaller = np.where(assumed > 0, np.minimum(assumed, found), found)
+    return np.where(found > 0, smaller, assumed)
