@@ -204,6 +204,21 @@ def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
     assert len(calls) == after  # Nothing goes on after it.
 
 
+@pytest.mark.parametrize("start", [-1.0, 0.5])
+def test_derivatives_that_are_no_numbers_are_an_outcome(monkeypatch, start):
+    true_force_b = CartesianPendulum.force_b
+
+    def undefined(self, q, v, t):
+        return true_force_b(self, q, v, t) * (np.nan if t > start else 1.0)
+
+    monkeypatch.setattr(CartesianPendulum, "force_b", undefined)
+    integrator = HHT(rtol=1e-2, control_sensitivities=True)
+    run = differentiate(CartesianPendulum(), (), 1.0, integrator)
+    assert run.outcome.verdict is Verdict.ERROR_TEST
+    assert run.t[-1] == pytest.approx(max(start, 0.0))
+    assert np.all(np.isfinite(run.sensitivities.q_b[1:]))
+
+
 @pytest.mark.parametrize(
     ("settings", "match"),
     [

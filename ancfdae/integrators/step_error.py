@@ -75,7 +75,7 @@ class StepError:
         if before.node_b is None or after.node_b is None:
             return error
         increments = after.node_b.a_b - before.node_b.a_b
-        return max(error, self._of_derivatives(c, increments, np.abs(after.node_b.q_b)))
+        return _larger(error, self._of_derivatives(c, increments, np.abs(after.node_b.q_b)))
 
     def of_start(
         self, c: Coefficients, initial: InitialState, derivative: InitialSensitivity | None
@@ -86,7 +86,7 @@ class StepError:
         if derivative is None:
             return error
         size = np.abs(derivative.q_b)
-        return max(error, self._of_derivatives(c, c.h * derivative.jerk_b, size))
+        return _larger(error, self._of_derivatives(c, c.h * derivative.jerk_b, size))
 
     def _of_derivatives(self, c: Coefficients, increments: Array, size: Array) -> float:
         seen = self.sizes_b > 0
@@ -97,6 +97,11 @@ class StepError:
         delta = constraint_error(c) * increment * (self.t_end / c.h)
         ratio = delta / (self.rtol * size + self.atol * least)
         return float(np.sqrt(np.max(np.mean(ratio * ratio, axis=0), initial=0.0)))
+
+
+def _larger(motion: float, derivatives: float) -> float:
+    """Return the larger error; of one that is not a number nothing is known, and no step passes."""
+    return float(np.maximum(motion, derivatives))
 
 
 def derivative_sizes(scales: Scales, q_b: Array) -> Array:
