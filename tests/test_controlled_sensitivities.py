@@ -186,6 +186,19 @@ def test_the_limit_of_steps_is_an_outcome():
     assert len(run.sensitivities.q_b) == len(run.t) <= 100
 
 
+def test_complex_steps_repeat_a_run_without_a_step_too():
+    integrator = HHT(rtol=1e-3, control_sensitivities=True, max_steps=1)
+    run = differentiate(CartesianPendulum(), (), 1.0, integrator, ComplexStep())
+    assert run.outcome.verdict is Verdict.STEP_LIMIT
+    assert len(run.sensitivities.q_b) == len(run.t) == 1
+
+
+def test_complex_systems_are_refused():
+    system = CartesianPendulum(b=(1.0 + 1e-40j, 9.81))
+    with pytest.raises(InvalidInput, match="a complex system"):
+        simulate(system, 1.0, HHT(rtol=1e-3, control_sensitivities=True))
+
+
 @pytest.mark.parametrize("after", [10, 200])
 def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
     true_force, calls = CartesianPendulum.force, []

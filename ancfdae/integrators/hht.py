@@ -193,8 +193,10 @@ class HHT(AdjointIntegrator):
         With error control the steps depend on the design and jump with it, so no derivative of
         the run exists. Every method differentiates it at the steps as they were taken.
         """
-        if self.rtol is None or len(solution.t) < 2:
+        if self.rtol is None:
             return self
+        if len(solution.t) < 2:
+            return self._changed(control_sensitivities=False)
         times = tuple(float(t) for t in solution.t)
         return self._changed(rtol=None, atol=None, times=times, control_sensitivities=False)
 
@@ -222,6 +224,13 @@ class HHT(AdjointIntegrator):
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, for a fixed step a whole number of steps."""
         count = self._count_steps(t_end)
+        if self.control_sensitivities and np.iscomplexobj(system.b):
+            raise InvalidInput(
+                "HHT.control_sensitivities",
+                "computes derivatives in real numbers",
+                "a complex system",
+                "Repeat the steps of a run at real values: HHT.frozen.",
+            )
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
         if self.control_sensitivities and system.n_b > 0:
