@@ -94,6 +94,13 @@ def test_derivatives_along_are_those_of_the_frozen_steps():
             assert np.max(np.abs(ours - theirs)) < bound * np.max(np.abs(theirs)), name
 
 
+def test_factorisations_of_the_derivatives_are_counted():
+    # One for the derivatives of each step, and about one for its motion.
+    run = differentiate(CartesianPendulum(), (), 1.0, HHT(rtol=1e-2, control_sensitivities=True))
+    tried = run.statistics.steps + run.statistics.rejected
+    assert run.statistics.factorisations >= 2 * tried
+
+
 def test_adjoint_and_direct_agree_on_the_same_steps():
     integrator, tip = HHT(rtol=1e-2, control_sensitivities=True), position(Point("rod", 0.5), 1)
     direct, adjoint = (

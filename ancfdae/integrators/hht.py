@@ -238,7 +238,7 @@ class HHT(AdjointIntegrator):
         recorder = Recorder(system, count + 1)
         stepper = Stepper.of(system, matrices, initial, None, self._newton, recorder)
         pace = self._pace(system, initial, t_end, count)
-        solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
+        solution = march(stepper, pace, self.hht_alpha, t_end, progress)
         if not sensitivities:
             return solution
         return self._differentiate(system, matrices, initial, solution)
@@ -274,7 +274,7 @@ class HHT(AdjointIntegrator):
             error = self._step_error(scales, t_end, sizes_b)
             first = first_step(error, self.hht_alpha, initial, derivative)
             pace = Controlled(error, first, self.max_steps)
-            solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
+            solution = march(stepper, pace, self.hht_alpha, t_end, progress)
         seconds = time.perf_counter() - started
         return replace(solution, statistics=replace(solution.statistics, wall_seconds=seconds))
 
