@@ -26,7 +26,6 @@ from ancfdae import (
 )
 from ancfdae.errors import Verdict
 from ancfdae.integrators import hht
-from ancfdae.integrators.step_error import sizes_hold, smaller_sizes
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 
@@ -129,14 +128,17 @@ def test_sizes_that_were_too_large_are_replaced(monkeypatch):
     assert abs(run.statistics.steps - expected.statistics.steps) <= 2
 
 
-def test_comparison_of_sizes():
-    found = np.array([1.0, 2.0, 0.0])
-    assert sizes_hold(np.array([2.0, 1e-3, 0.0]), found)
-    assert not sizes_hold(np.array([2.1, 2.0, 0.0]), found)
-    assert not sizes_hold(np.array([0.0, 2.0, 0.0]), found)
-    assert sizes_hold(np.array([1.0, 2.0, 0.1]), found)
-    np.testing.assert_array_equal(smaller_sizes(np.array([3.0, 0.0, 1.0]), found), [1.0, 2.0, 1.0])
-    np.testing.assert_array_equal(smaller_sizes(np.array([0.5, 2.0, 0.0]), found), [0.5, 2.0, 0.0])
+def test_sizes_come_from_a_rough_run(monkeypatch):
+    true_sizes, calls = hht.derivative_sizes, []
+
+    def seen(scales, q_b):
+        calls.append(len(q_b))
+        return true_sizes(scales, q_b)
+
+    monkeypatch.setattr(hht, "derivative_sizes", seen)
+    differentiate(CartesianPendulum(), (), 0.3, HHT(rtol=1e-5, control_sensitivities=True))
+    assert len(calls) == 2
+    assert 5 * calls[0] < calls[1]
 
 
 @pytest.mark.parametrize("sizes", [[2e-12, 0.0] * 4, [0.0, 2e-12] * 4])
