@@ -26,6 +26,7 @@ from ancfdae import (
 )
 from ancfdae.errors import Verdict
 from ancfdae.integrators import hht
+from ancfdae.integrators.step_error import StepError
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 
@@ -93,6 +94,16 @@ def test_derivatives_along_are_those_of_the_frozen_steps():
             assert np.max(np.abs(ours - theirs)) < bound * np.max(np.abs(theirs)), name
 
 
+def test_a_solution_starts_with_the_derivatives_of_the_consistent_start():
+    integrator, system = HHT(rtol=1e-2, control_sensitivities=True), CartesianPendulum(0.3, 1.0)
+    run = differentiate(system, (), 0.1, integrator)
+    batched = integrator.differentiate(system, run)
+    for name in STATES:
+        ours, theirs = (getattr(x.sensitivities, name)[0] for x in (run, batched))
+        assert np.any(ours != 0), name
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_factorisations_of_the_derivatives_are_counted():
     # One for the derivatives of each step, and about one for its motion.
     run = differentiate(CartesianPendulum(), (), 1.0, HHT(rtol=1e-2, control_sensitivities=True))
@@ -139,6 +150,19 @@ def test_sizes_come_from_a_rough_run(monkeypatch):
     differentiate(CartesianPendulum(), (), 0.3, HHT(rtol=1e-5, control_sensitivities=True))
     assert len(calls) == 2
     assert 5 * calls[0] < calls[1]
+
+
+def test_of_sizes_assumed_and_found_the_smaller_count(monkeypatch):
+    found, used = iter([[8.0, 1.0], [1.0, 2.0], [1.0, 2.0]]), []
+
+    def seen(rtol, atol, t_end, sizes, sizes_b):
+        used.append(list(sizes_b))
+        return StepError(rtol, atol, t_end, sizes, sizes_b)
+
+    monkeypatch.setattr(hht, "derivative_sizes", lambda scales, q_b: np.array(next(found)))
+    monkeypatch.setattr(hht, "StepError", seen)
+    differentiate(CartesianPendulum(), (), 0.1, HHT(rtol=1e-2, control_sensitivities=True))
+    assert used == [[], [8.0, 1.0], [1.0, 1.0]]  # The first is the rough run.
 
 
 @pytest.mark.parametrize("sizes", [[2e-12, 0.0] * 4, [0.0, 2e-12] * 4])
