@@ -87,7 +87,8 @@ class HHT(AdjointIntegrator):
         from it. The run errs by up to 10 times as much (docs/theory.md, section 5).
     atol : float, optional
         The same relative to the size of the coordinates at the start (`Scales`), for coordinates
-        that pass through zero; by default rtol.
+        that pass through zero; by default rtol. With `control_sensitivities` also relative to the
+        size of each derivative: the smaller, the shorter the first steps, where they are zero.
     times : tuple of float, optional
         Instants of the run, from 0 on; see `frozen`.
     max_steps : int
@@ -255,6 +256,7 @@ class HHT(AdjointIntegrator):
 
         Their sizes come from a run under error control of the motion alone. Where that had them
         too large the tolerance was too loose; then the sizes found count, and all is run again.
+        The statistics count the last run, and the time of all.
         """
         started, sizes_b = time.perf_counter(), None
         derivative = start_sensitivity(system, matrices, initial)

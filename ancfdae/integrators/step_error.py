@@ -22,7 +22,7 @@ Where they go along, each design variable j has its own e, with
 below the fraction and twice the value, because errors of the motion feed into those of its
 derivatives as much again; the largest e is that of the step. S_j is the largest size of
 derivative j in the run, relative to the coordinates. Derivatives in parameters start from zero,
-so that no instant tells it, but a run before does (`HHT`).
+so that the start does not tell it, but a run before does (`HHT`).
 """
 
 from __future__ import annotations
