@@ -26,7 +26,7 @@ from ancfdae import (
 )
 from ancfdae.errors import Verdict
 from ancfdae.integrators import hht
-from ancfdae.integrators.step_error import sizes_hold, smaller_sizes
+from ancfdae.integrators.step_error import StepError
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 
@@ -94,6 +94,23 @@ def test_derivatives_along_are_those_of_the_frozen_steps():
             assert np.max(np.abs(ours - theirs)) < bound * np.max(np.abs(theirs)), name
 
 
+def test_a_solution_starts_with_the_derivatives_of_the_consistent_start():
+    integrator, system = HHT(rtol=1e-2, control_sensitivities=True), CartesianPendulum(0.3, 1.0)
+    run = differentiate(system, (), 0.1, integrator)
+    batched = integrator.differentiate(system, run)
+    for name in STATES:
+        ours, theirs = (getattr(x.sensitivities, name)[0] for x in (run, batched))
+        assert np.any(ours != 0), name
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_factorisations_of_the_derivatives_are_counted():
+    # One for the derivatives of each step, and about one for its motion.
+    run = differentiate(CartesianPendulum(), (), 1.0, HHT(rtol=1e-2, control_sensitivities=True))
+    tried = run.statistics.steps + run.statistics.rejected
+    assert run.statistics.factorisations >= 2 * tried
+
+
 def test_adjoint_and_direct_agree_on_the_same_steps():
     integrator, tip = HHT(rtol=1e-2, control_sensitivities=True), position(Point("rod", 0.5), 1)
     direct, adjoint = (
@@ -122,14 +139,40 @@ def test_sizes_that_were_too_large_are_replaced(monkeypatch):
     assert abs(run.statistics.steps - expected.statistics.steps) <= 2
 
 
-def test_comparison_of_sizes():
-    found = np.array([1.0, 2.0, 0.0])
-    assert sizes_hold(np.array([2.0, 1e-3, 0.0]), found)
-    assert not sizes_hold(np.array([2.1, 2.0, 0.0]), found)
-    assert not sizes_hold(np.array([0.0, 2.0, 0.0]), found)
-    assert not sizes_hold(np.array([1.0, 2.0, 0.1]), found)
-    np.testing.assert_array_equal(smaller_sizes(np.array([3.0, 0.0, 1.0]), found), found)
-    np.testing.assert_array_equal(smaller_sizes(np.array([0.5, 2.0, 0.0]), found), [0.5, 2.0, 0.0])
+def test_sizes_come_from_a_rough_run(monkeypatch):
+    true_sizes, calls = hht.derivative_sizes, []
+
+    def seen(scales, q_b):
+        calls.append(len(q_b))
+        return true_sizes(scales, q_b)
+
+    monkeypatch.setattr(hht, "derivative_sizes", seen)
+    differentiate(CartesianPendulum(), (), 0.3, HHT(rtol=1e-5, control_sensitivities=True))
+    assert len(calls) == 2
+    assert 5 * calls[0] < calls[1]
+
+
+def test_of_sizes_assumed_and_found_the_smaller_count(monkeypatch):
+    found, used = iter([[8.0, 1.0], [1.0, 2.0], [1.0, 2.0]]), []
+
+    def seen(rtol, atol, t_end, sizes, sizes_b):
+        used.append(list(sizes_b))
+        return StepError(rtol, atol, t_end, sizes, sizes_b)
+
+    monkeypatch.setattr(hht, "derivative_sizes", lambda scales, q_b: np.array(next(found)))
+    monkeypatch.setattr(hht, "StepError", seen)
+    differentiate(CartesianPendulum(), (), 0.1, HHT(rtol=1e-2, control_sensitivities=True))
+    assert used == [[], [8.0, 1.0], [1.0, 1.0]]  # The first is the rough run.
+
+
+@pytest.mark.parametrize("sizes", [[2e-12, 0.0] * 4, [0.0, 2e-12] * 4])
+def test_sizes_at_the_threshold_of_round_off_do_not_alternate(monkeypatch, sizes):
+    # Coarse steps find a size just above it, fine ones none: each would ask for the other's run.
+    found = iter(sizes)
+    monkeypatch.setattr(hht, "derivative_sizes", lambda scales, q_b: np.array([1.0, next(found)]))
+    integrator = HHT(rtol=1e-2, control_sensitivities=True)
+    assert differentiate(CartesianPendulum(), (), 0.5, integrator).outcome.success
+    assert len(list(found)) >= 5
 
 
 def test_a_variable_without_influence_bounds_nothing():
@@ -176,6 +219,29 @@ def test_the_limit_of_steps_is_an_outcome():
     assert len(run.sensitivities.q_b) == len(run.t) <= 100
 
 
+class NeverRight(CartesianPendulum):
+    """Its force is a number at the start only."""
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) * (np.nan if t > 0 else 1.0)
+
+    def with_values(self, b):
+        return NeverRight(self.angle, self.spin, b)
+
+
+def test_complex_steps_repeat_a_run_without_a_step_too():
+    integrator = HHT(rtol=1e-3, control_sensitivities=True)
+    run = differentiate(NeverRight(), (), 1.0, integrator, ComplexStep())
+    assert run.outcome.verdict is Verdict.NOT_FINITE
+    assert len(run.sensitivities.q_b) == len(run.t) == 1
+
+
+def test_complex_systems_are_refused():
+    system = CartesianPendulum(b=(1.0 + 1e-40j, 9.81))
+    with pytest.raises(InvalidInput, match="a complex system"):
+        simulate(system, 1.0, HHT(rtol=1e-3, control_sensitivities=True))
+
+
 @pytest.mark.parametrize("after", [10, 200])
 def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
     true_force, calls = CartesianPendulum.force, []
@@ -192,6 +258,21 @@ def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
     assert run.outcome.verdict is Verdict.INTERRUPTED
     assert len(run.sensitivities.q_b) == len(run.t) >= 1
     assert len(calls) == after  # Nothing goes on after it.
+
+
+@pytest.mark.parametrize("start", [-1.0, 0.5])
+def test_derivatives_that_are_no_numbers_are_an_outcome(monkeypatch, start):
+    true_force_b = CartesianPendulum.force_b
+
+    def undefined(self, q, v, t):
+        return true_force_b(self, q, v, t) * (np.nan if t > start else 1.0)
+
+    monkeypatch.setattr(CartesianPendulum, "force_b", undefined)
+    integrator = HHT(rtol=1e-2, control_sensitivities=True)
+    run = differentiate(CartesianPendulum(), (), 1.0, integrator)
+    assert run.outcome.verdict is Verdict.ERROR_TEST
+    assert run.t[-1] == pytest.approx(max(start, 0.0))
+    assert np.all(np.isfinite(run.sensitivities.q_b[1:]))
 
 
 @pytest.mark.parametrize(
@@ -214,3 +295,12 @@ def test_what_a_setting_is_warned_about_is_said_once():
     run = differentiate(CartesianPendulum(), (), 0.5, integrator, ComplexStep())
     assert run.outcome.success
     assert integrator.refined(run).hht_alpha == 0
+
+
+def test_a_rough_run_that_breaks_off_tells_no_sizes(monkeypatch):
+    integrator = HHT(rtol=1e-3, control_sensitivities=True)
+    expected = differentiate(CartesianPendulum(), (), 1.0, integrator)
+    monkeypatch.setattr(HHT, "_rough", lambda self: HHT(rtol=1e-3, max_steps=3))
+    run = differentiate(CartesianPendulum(), (), 1.0, integrator)
+    assert run.outcome.success
+    assert abs(run.statistics.steps - expected.statistics.steps) <= 2

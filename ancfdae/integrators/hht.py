@@ -93,7 +93,8 @@ class HHT(AdjointIntegrator):
         from it. The run errs by up to 10 times as much (docs/theory.md, section 5).
     atol : float, optional
         The same relative to the size of the coordinates at the start (`Scales`), for coordinates
-        that pass through zero; by default rtol.
+        that pass through zero; by default rtol. With `control_sensitivities` also relative to the
+        size of each derivative: the smaller, the shorter the first steps, where they are zero.
     times : tuple of float, optional
         Instants of the run, from 0 on; see `frozen`.
     max_steps : int
@@ -199,8 +200,10 @@ class HHT(AdjointIntegrator):
         With error control the steps depend on the design and jump with it, so no derivative of
         the run exists. Every method differentiates it at the steps as they were taken.
         """
-        if self.rtol is None or len(solution.t) < 2:
+        if self.rtol is None:
             return self
+        if len(solution.t) < 2:
+            return self._changed(control_sensitivities=False)
         times = tuple(float(t) for t in solution.t)
         return self._changed(rtol=None, atol=None, times=times, control_sensitivities=False)
 
@@ -228,6 +231,13 @@ class HHT(AdjointIntegrator):
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, for a fixed step a whole number of steps."""
         count = self._count_steps(t_end)
+        if self.control_sensitivities and np.iscomplexobj(system.b):
+            raise InvalidInput(
+                "HHT.control_sensitivities",
+                "computes derivatives in real numbers",
+                "a complex system",
+                "Repeat the steps of a run at real values: HHT.frozen.",
+            )
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
         if self.control_sensitivities and system.n_b > 0:
@@ -236,7 +246,7 @@ class HHT(AdjointIntegrator):
         recorder = Recorder(system, count + 1)
         stepper = Stepper.of(system, matrices, initial, None, self._newton, recorder)
         pace = self._pace(scales, initial, t_end, count)
-        solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
+        solution = march(stepper, pace, self.hht_alpha, t_end, progress)
         if sensitivities:
             return self._differentiate(system, matrices, initial, scales, solution)
         return self._estimated(solution, scales)
@@ -253,6 +263,7 @@ class HHT(AdjointIntegrator):
 
         Their sizes come from a run under error control of the motion alone. Where that had them
         too large the tolerance was too loose; then the sizes found count, and all is run again.
+        The statistics count the last run, and the time of all.
         """
         started, sizes_b = time.perf_counter(), None
         derivative = start_sensitivity(system, matrices, initial)
@@ -262,7 +273,8 @@ class HHT(AdjointIntegrator):
             assert solution.sensitivities is not None
             found = derivative_sizes(scales, solution.sensitivities.q_b)
             if sizes_b is None:
-                sizes_b = found
+                # A rough run that broke off may have seen the beginning of a derivative only.
+                sizes_b = found if solution.outcome.success else np.full(system.n_b, np.inf)
             elif not solution.outcome.success or sizes_hold(sizes_b, found):
                 break
             else:
@@ -272,7 +284,7 @@ class HHT(AdjointIntegrator):
             error = self._step_error(scales, t_end, sizes_b)
             first = first_step(error, self.hht_alpha, initial, derivative)
             pace = Controlled(error, first, self.max_steps)
-            solution = march(stepper, pace, self.hht_alpha, recorder, t_end, progress)
+            solution = march(stepper, pace, self.hht_alpha, t_end, progress)
         seconds = time.perf_counter() - started
         solution = self._estimated(solution, scales)
         return replace(solution, statistics=replace(solution.statistics, wall_seconds=seconds))
@@ -288,7 +300,10 @@ class HHT(AdjointIntegrator):
         assert self.rtol is not None
         rtol = max(self.rtol, _ROUGH)
         return self._changed(
-            rtol=rtol, atol=None, newton_tolerance=None, control_sensitivities=False
+            rtol=rtol,
+            atol=None,
+            newton_tolerance=max(self._newton[0], _LOOSEST),
+            control_sensitivities=False,
         )
 
     def _changed(self, **changes: Any) -> HHT:

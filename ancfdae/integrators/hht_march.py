@@ -11,17 +11,16 @@ from ancfdae.errors import Outcome, SingularMatrix, Verdict
 from ancfdae.integrators.hht_equations import Coefficients
 from ancfdae.integrators.hht_step import Stepper
 from ancfdae.integrators.pace import Pace
-from ancfdae.integrators.recorder import Recorder
 from ancfdae.solution import Solution
 
 
-def march(
-    stepper: Stepper, pace: Pace, alpha: float, recorder: Recorder, t_end: float, progress: bool
-) -> Solution:
+def march(stepper: Stepper, pace: Pace, alpha: float, t_end: float, progress: bool) -> Solution:
     """Step to the end; the solution says how that went, and keeps what an interrupt leaves."""
+    recorder = stepper.recorder
+    recorder.record(*stepper.consistent())
     with tqdm(total=t_end, disable=not progress, unit="s") as bar:
         try:
-            verdict = _to_end(stepper, pace, alpha, recorder, bar)
+            verdict = _to_end(stepper, pace, alpha, bar)
         except SingularMatrix:
             verdict = Verdict.SINGULAR
         except KeyboardInterrupt:
@@ -30,9 +29,8 @@ def march(
     return recorder.solution(Outcome(verdict, recorder.time, recorder.steps, size))
 
 
-def _to_end(stepper: Stepper, pace: Pace, alpha: float, recorder: Recorder, bar: Any) -> Verdict:
-    n, t, last, now = 0, 0.0, 0.0, None
-    recorder.record(*stepper.consistent())
+def _to_end(stepper: Stepper, pace: Pace, alpha: float, bar: Any) -> Verdict:
+    n, t, last, now, recorder = 0, 0.0, 0.0, None, stepper.recorder
     while not pace.done(n, t):
         if pace.exhausted():
             return Verdict.STEP_LIMIT

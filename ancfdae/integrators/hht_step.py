@@ -66,6 +66,8 @@ class Stepper:
     initial : InitialState
     derivative : InitialSensitivity or None
         Where the derivatives go along.
+    recorder : Recorder
+        Whose counters go on.
     """
 
     system: MechanicalSystem
@@ -73,6 +75,7 @@ class Stepper:
     solver: StepSolver
     initial: InitialState
     derivative: InitialSensitivity | None
+    recorder: Recorder
 
     @staticmethod
     def of(
@@ -85,7 +88,7 @@ class Stepper:
     ) -> Stepper:
         """Return a stepper; `newton` is the tolerance and the most iterations of its solver."""
         solver = StepSolver(system, matrices, *newton, recorder)
-        return Stepper(system, matrices, solver, initial, derivative)
+        return Stepper(system, matrices, solver, initial, derivative, recorder)
 
     def consistent(self) -> Record:
         """Return what a solution keeps of the start, which is the consistent one."""
@@ -109,5 +112,6 @@ class Stepper:
         """
         node, node_b = self.solver.advance(c, before.node, t), before.node_b
         if node is not None and node_b is not None:
+            self.recorder.factorisations += 1
             node_b = hht_linear.advance(self.system, self.matrices, c, node_b, node)
         return None if node is None else Instant(node, node_b)

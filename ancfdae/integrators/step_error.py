@@ -22,7 +22,7 @@ Where they go along, each design variable j has its own e, with
 below the fraction and twice the value, because errors of the motion feed into those of its
 derivatives as much again; the largest e is that of the step. S_j is the largest size of
 derivative j in the run, relative to the coordinates. Derivatives in parameters start from zero,
-so that no instant tells it, but a run before does (`HHT`).
+so that the start does not tell it, but a run before does (`HHT`).
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class StepError:
         if before.node_b is None or after.node_b is None:
             return error
         increments = after.node_b.a_b - before.node_b.a_b
-        return max(error, self._of_derivatives(c, increments, np.abs(after.node_b.q_b)))
+        return _larger(error, self._of_derivatives(c, increments, np.abs(after.node_b.q_b)))
 
     def of_start(
         self, c: Coefficients, initial: InitialState, derivative: InitialSensitivity | None
@@ -87,7 +87,7 @@ class StepError:
         if derivative is None:
             return error
         size = np.abs(derivative.q_b)
-        return max(error, self._of_derivatives(c, c.h * derivative.jerk_b, size))
+        return _larger(error, self._of_derivatives(c, c.h * derivative.jerk_b, size))
 
     def _of_derivatives(self, c: Coefficients, increments: Array, size: Array) -> float:
         seen = self.sizes_b > 0
@@ -100,6 +100,11 @@ class StepError:
         return float(np.sqrt(np.max(np.mean(ratio * ratio, axis=0), initial=0.0)))
 
 
+def _larger(motion: float, derivatives: float) -> float:
+    """Return the larger error; of one that is not a number nothing is known, and no step passes."""
+    return float(np.maximum(motion, derivatives))
+
+
 def estimated_errors(scales: Scales, alpha: float, solution: Solution) -> EstimatedErrors:
     """Add up the errors of all steps of a run, relative to Q_i and Q_i S_j.
 
@@ -107,7 +112,8 @@ def estimated_errors(scales: Scales, alpha: float, solution: Solution) -> Estima
     """
     root, squared = scales.q, np.diff(solution.t) ** 2
     constant = abs(constraint_error(Coefficients.of(1.0, alpha)))
-    with np.errstate(over="ignore"):  # A motion that blew up may have no finite error.
+    # What blew up may have no finite error, and where it has none it is not a number.
+    with np.errstate(over="ignore", invalid="ignore"):
         increments = np.diff(solution.a.real, axis=0) / root
         motion = constant * float(squared @ np.sqrt(np.mean(increments**2, axis=1)))
         if solution.sensitivities is None:
@@ -115,8 +121,7 @@ def estimated_errors(scales: Scales, alpha: float, solution: Solution) -> Estima
         increments = np.diff(solution.sensitivities.a_b, axis=0) / root[:, None]
         sums = _FED * constant * (squared @ np.sqrt(np.mean(increments**2, axis=1)))
         sizes = derivative_sizes(scales, solution.sensitivities.q_b)
-    seen = sizes > 0
-    relative = np.divide(sums, sizes, out=np.full_like(sums, np.nan), where=seen)
+        relative = np.divide(sums, sizes, out=np.full_like(sums, np.nan), where=sizes > 0)
     return EstimatedErrors(motion, tuple(float(x) for x in relative))
 
 
@@ -132,13 +137,18 @@ def derivative_sizes(scales: Scales, q_b: Array) -> Array:
 
 
 def sizes_hold(assumed: Array, found: Array) -> bool:
-    """Whether sizes under which a run was controlled are at most twice those it shows."""
-    return bool(np.all((assumed <= _TWICE * found) & ((assumed > 0) | (found == 0))))
+    """Whether sizes under which a run was controlled are at most twice those it shows.
+
+    A derivative that turns out to be round-off has no size to compare with, and no error either.
+    """
+    return bool(np.all((found == 0) | ((assumed > 0) & (assumed <= _TWICE * found))))
 
 
 def smaller_sizes(assumed: Array, found: Array) -> Array:
     """Return the smaller ones; zero, which bounds nothing, counts as none.
 
-    Where `sizes_hold` is false one of them at least falls to half, so that repeating a run ends.
+    Where `sizes_hold` is false one of them at least falls to half or stops being zero, which none
+    becomes again, so that repeating a run ends.
     """
-    return np.where(assumed > 0, np.minimum(assumed, found), found)
+    smaller = np.where(assumed > 0, np.minimum(assumed, found), found)
+    return np.where(found > 0, smaller, assumed)

@@ -1,0 +1,96 @@
+"""Error of a step of HHT-I3 and sizes of derivatives, against their formulas."""
+
+import numpy as np
+import pytest
+
+from ancfdae.integrators.hht_equations import Coefficients, Node, NodeSensitivity
+from ancfdae.integrators.hht_step import Instant
+from ancfdae.integrators.initial import (
+    InitialSensitivity,
+    InitialState,
+    consistent_start,
+    saddle_point,
+)
+from ancfdae.integrators.pace import first_step
+from ancfdae.integrators.scales import Scales
+from ancfdae.integrators.step_error import (
+    StepError,
+    derivative_sizes,
+    sizes_hold,
+    smaller_sizes,
+)
+
+from mechanisms import CartesianPendulum
+
+H, RTOL, ATOL, T_END = 0.1, 1e-2, 1e-3, 5.0
+SIZES, SIZES_B = np.array([2.0, 4.0]), np.array([3.0, 0.0, 10.0])
+STEP_ERROR = StepError(RTOL, ATOL, T_END, SIZES, SIZES_B)
+INCREMENTS = np.array([[0.3, 9.0, -0.1], [-0.2, 9.0, 0.7]])
+VALUES = np.array([[0.0, 1.0, -4.0], [0.5, 1.0, 3.0]])
+
+
+def expected_error(j, alpha):
+    """The formula of the module, term by term."""
+    delta = (1 + 3 * alpha**2) / 12 * H**2 * INCREMENTS[:, j]
+    allowed = RTOL * np.abs(VALUES[:, j]) + ATOL * SIZES_B[j] * SIZES
+    return np.sqrt(np.mean((2 * T_END * delta / H / allowed) ** 2))
+
+
+@pytest.mark.parametrize("alone", [0, 2])
+def test_error_of_a_step_is_the_formula_of_its_module(alone):
+    alpha, zero, none = -0.3, np.zeros(2), np.zeros((2, 3))
+    chosen = np.arange(3) == alone
+    node = Node(0.0, zero, zero, zero, np.zeros(1), zero)
+    # A_b, which differs from a_b, has no part in it, nor has the variable without a size.
+    before = NodeSensitivity(9 * VALUES, none, none, none, none)
+    increments = np.where(chosen | (SIZES_B == 0), INCREMENTS, 0.0)
+    after = NodeSensitivity(VALUES, none, increments, none, 7 * INCREMENTS)
+    c = Coefficients.of(H, alpha)
+    error = STEP_ERROR.of_step(c, Instant(node, before), Instant(node, after))
+    assert error == pytest.approx(expected_error(alone, alpha), rel=1e-14)
+    # At the start the third derivative tells the increment.
+    initial = InitialState(0.0, zero, zero, zero, np.zeros(1), zero)
+    derivative = InitialSensitivity(VALUES, none, none, none, increments / H)
+    assert STEP_ERROR.of_start(c, initial, derivative) == pytest.approx(error, rel=1e-14)
+    tried = first_step(STEP_ERROR, alpha, initial, derivative)
+    assert tried == pytest.approx(H * np.sqrt(0.25 / error), rel=1e-14)
+
+
+def test_the_larger_error_counts_whether_of_motion_or_derivatives():
+    zero, none = np.zeros(2), np.zeros((2, 3))
+    start = Node(0.0, zero, zero, zero, np.zeros(1), zero)
+    moved = Node(H, zero, zero, np.ones(2), np.zeros(1), zero)
+    c, before = Coefficients.of(H, -0.3), NodeSensitivity(none, none, none, none, none)
+    motion = STEP_ERROR.of_step(c, Instant(start), Instant(moved))
+    assert motion > 0
+    for factor in (1e-9, 1e9):
+        after = NodeSensitivity(none, none, factor * np.ones((2, 3)), none, none)
+        derivatives = STEP_ERROR.of_step(c, Instant(start, before), Instant(start, after))
+        both = STEP_ERROR.of_step(c, Instant(start, before), Instant(moved, after))
+        assert both == max(motion, derivatives)
+
+
+def test_sizes_of_derivatives():
+    system = CartesianPendulum(b=(1.0, 1e-6))
+    scales = Scales.of(system, consistent_start(system, saddle_point(system, 0.0), 0.0), 1.0)
+    # The largest instant counts, which is not the last. The second variable is so small that a
+    # change of it by its own size is round-off where the same derivative in the first is not.
+    q_b = np.zeros((3, 2, 2))
+    q_b[1] = np.array([[3.0, 3e-7], [4.0, 4e-7]]) * scales.q[:, None]
+    np.testing.assert_allclose(derivative_sizes(scales, q_b), [np.sqrt(12.5), 0.0], rtol=1e-14)
+    np.testing.assert_allclose(
+        derivative_sizes(scales, q_b * 1e3), [np.sqrt(12.5e6), np.sqrt(12.5) * 1e-4], rtol=1e-14
+    )
+    for undefined in (np.nan, np.inf):
+        q_b[2, 0, 0] = undefined
+        assert derivative_sizes(scales, q_b)[0] == np.inf
+
+
+def test_comparison_of_sizes():
+    found = np.array([1.0, 2.0, 0.0])
+    assert sizes_hold(np.array([2.0, 1e-3, 0.0]), found)
+    assert not sizes_hold(np.array([2.1, 2.0, 0.0]), found)
+    assert not sizes_hold(np.array([0.0, 2.0, 0.0]), found)
+    assert sizes_hold(np.array([1.0, 2.0, 0.1]), found)
+    np.testing.assert_array_equal(smaller_sizes(np.array([3.0, 0.0, 1.0]), found), [1.0, 2.0, 1.0])
+    np.testing.assert_array_equal(smaller_sizes(np.array([0.5, 2.0, 0.0]), found), [0.5, 2.0, 0.0])
