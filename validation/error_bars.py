@@ -80,7 +80,7 @@ def _cases(quick: bool) -> list[_Case]:
     soft_end = 2.0**-4 if quick else 0.5
     first, second = crank_slider(), ("crank.youngs_modulus", "rod.height", "rod.density")
     slider = (position(first.beams[1].at_end, 0) - 1.8) ** 2
-    steps = (7,) if quick else (6, 8, 10)
+    steps = (7,) if quick else (6, 8, 10, 12)
     soft: list[Integrator] = [HHT(2.0**-k) for k in steps]
     soft += [HHT(rtol=1e-2 if quick else 1e-3), IDA(1e-6)]
     rigid: list[Integrator] = [HHT(10 / n) for n in ((100,) if quick else (50, 200, 800))]

@@ -196,7 +196,13 @@ def _plot(report: Report, found: Sequence[_Pairs]) -> None:
         panels.append(
             Panel(title, "true error [-]", "estimated [-]", series, x_scale="log", y_scale="log")
         )
-    report.plot("estimates", panels, columns=2, caption="One point per run (and design variable).")
+    report.plot(
+        "estimates",
+        panels,
+        columns=2,
+        title="What runs of HHT-I3 say about their errors",
+        caption="One point per run (and design variable).",
+    )
 
 
 _METHOD = """
