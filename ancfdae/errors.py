@@ -87,6 +87,21 @@ class Verdict(Enum):
 
 
 @final
+class PassFailed(AncfdaeError):
+    """A pass over a finished run that broke off; caught and turned into an outcome.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        Why.
+    """
+
+    def __init__(self, verdict: Verdict) -> None:
+        super().__init__(verdict.value)
+        self.verdict = verdict
+
+
+@final
 @dataclass(frozen=True)
 class Outcome:
     """How a run ended and where.

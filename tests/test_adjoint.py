@@ -51,6 +51,7 @@ from ancfdae import (
     taylor_test,
     velocity,
 )
+from ancfdae.errors import PassFailed, SingularMatrix, Verdict
 from ancfdae.integrators import Seeds
 from ancfdae.sensitivity import cheapest
 from validation.scenes import crank_slider, pendulum
@@ -393,3 +394,23 @@ def test_a_run_that_ends_early_keeps_its_results_in_the_error():
     with pytest.raises(UnfinishedRun, match="did not converge") as caught:
         gradient(scene, Integral(y), design, 0.25, HHT(2.0**-7, max_iterations=1))
     assert len(caught.value.solution.t) >= 1
+
+
+@pytest.mark.parametrize(
+    ("raised", "verdict"),
+    [
+        (PassFailed(Verdict.STEP_LIMIT), Verdict.STEP_LIMIT),
+        (SingularMatrix("zero pivot"), Verdict.SINGULAR),
+        (KeyboardInterrupt(), Verdict.INTERRUPTED),
+    ],
+)
+def test_a_pass_back_that_breaks_off_says_why(monkeypatch, raised, verdict):
+    def broken(*_):
+        raise raised
+
+    monkeypatch.setattr(HHT, "pull_back", broken)
+    x = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
+    with pytest.raises(UnfinishedRun, match="no gradient") as caught:
+        gradient(CartesianPendulum(), x, (), 0.5, HHT(2.0**-5), Adjoint())
+    assert caught.value.solution.outcome.verdict is verdict
+    assert len(caught.value.solution.t) == 17

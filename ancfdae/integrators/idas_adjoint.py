@@ -15,7 +15,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors import PassFailed, Verdict
 from ancfdae.integrators.adjoint_equations import AdjointEquations, PulledBack
 from ancfdae.integrators.bindings import Bindings
 from ancfdae.integrators.high_order import NotFinite, Problem
@@ -89,8 +89,8 @@ def pull_back(
 
     Raises
     ------
-    SingularMatrix
-        If a step backward fails; the message says how.
+    PassFailed
+        If a step forward or backward fails.
     """
     adjoint_seeds = AdjointSeeds(problem, solution, seeds)
     if adjoint_seeds.size == 0.0 or problem.system.n_b == 0:
@@ -155,7 +155,7 @@ class _Backward:
         flag, _, _ = idas.IDASolveF(self._memory, self._t_end, e.y, e.yp, idas.IDA_NORMAL)
         e.guard.raise_kept()
         if flag < 0:
-            raise SingularMatrix(f"IDAS forward: {bindings.verdict(flag).value}")
+            raise PassFailed(bindings.verdict(flag))
 
     # -- backward ------------------------------------------------------------------------------
 
@@ -170,7 +170,7 @@ class _Backward:
         flag = idas.IDASolveB(self._memory, stop, idas.IDA_NORMAL)
         self._equations.guard.raise_kept()
         if flag < 0:
-            raise SingularMatrix(f"IDAS backward: {bindings.verdict(flag).value}")
+            raise PassFailed(bindings.verdict(flag))
         check(idas.IDAGetB(self._memory, self._which, self._y, self._yp)[0])
         check(idas.IDAGetQuadB(self._memory, self._which, self._quadrature)[0])
         p = bindings.array(self._y) / self._scale
@@ -244,8 +244,7 @@ class _Backward:
             self._calls += 1
             stalls, limit = self._progress.stalls(self._t_end - t), 2 * self._max_steps
             if stalls or self._calls > limit:
-                verdict = Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT
-                raise SingularMatrix(f"IDAS backward: {verdict.value}")
+                raise PassFailed(Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT)
             q, v = self._form.coordinates(array(y))
             # Backward in time the integral counts negative.
             array(out)[:] = -self._rates(t, q, v, array(z) / self._scale)[1] * self._b_scale

@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import AncfdaeError, Outcome, SingularMatrix, Verdict
+from ancfdae.errors import AncfdaeError, Outcome, PassFailed, SingularMatrix, Verdict
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
@@ -101,7 +101,7 @@ class Method(GradientMethod):
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Turn an interrupt or a singular matrix of a pass back into an error that keeps the run.
+    """Turn what breaks off a pass back into an error that keeps the run and says why.
 
     Raises
     ------
@@ -109,11 +109,16 @@ def keeping(solution: Solution) -> Iterator[None]:
     """
     try:
         yield
-    except (KeyboardInterrupt, SingularMatrix) as error:
-        stopped = isinstance(error, KeyboardInterrupt)
-        verdict = Verdict.INTERRUPTED if stopped else Verdict.SINGULAR
-        outcome = replace(solution.outcome, verdict=verdict)
-        raise UnfinishedRun(replace(solution, outcome=outcome)) from error
+    except KeyboardInterrupt as error:
+        raise _without_gradient(solution, Verdict.INTERRUPTED) from error
+    except SingularMatrix as error:
+        raise _without_gradient(solution, Verdict.SINGULAR) from error
+    except PassFailed as error:
+        raise _without_gradient(solution, error.verdict) from error
+
+
+def _without_gradient(solution: Solution, verdict: Verdict) -> UnfinishedRun:
+    return UnfinishedRun(replace(solution, outcome=replace(solution.outcome, verdict=verdict)))
 
 
 def finished(solution: Solution) -> Solution:
