@@ -112,8 +112,4 @@ _LIMITS = """
   which one Newton's method finds; the same mechanism turned by 1 rad may then stop where it went on
   before. A smaller step cures it.
 - One integrator, HHT-I3; the others are compared in the reports `integrators` and `external-dae`.
-- Derivatives at tiny steps: the recurrence of the sensitivities still takes Phi_q q_b + Phi_b from
-  q_b itself, so that a_b and lambda_b lose digits as 1/h²: on the rigid pendulum with hht_alpha =
-  -0.05 they are good to 1e-4 at 1e-5 s, to 1e-2 at 1e-6 s, and to nothing at 1e-7 s. Increments of
-  them need second derivatives of the constraints along the step. q_b and v_b are not touched.
 """

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from ancfdae import HHT, Solution, simulate
+from ancfdae import HHT, Explicit, Solution, differentiate, simulate
 from ancfdae.plotting import Panel, Series
 from validation.external.rods import cartesian_pendulum
 from validation.extremes_scenes import SI, Crank, Rod
@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 _ALPHAS = (-0.05, -0.3)
 # Start of the rigid pendulum: neither along an axis nor at rest.
 _ANGLE, _SPIN = -2.6, 2.0
+_QUANTITIES = ("q_b", "v_b", "a_b", "lam_b")
 _PHI_NOISE = float(np.finfo(float).eps)
 
 
@@ -75,7 +76,32 @@ def round_off(report: Report, quick: bool) -> float:
         "mechanism turned by 1 rad: round-off alone. The last line is what a step that takes "
         "Phi(q) from q itself costs, where L = 1 m.",
     )
+    _add_derivatives(report, exponents, steps)
     return report.figure("floor.worst_at_1e-6", at_aim)
+
+
+def _add_derivatives(report: Report, exponents: Sequence[int], steps: int) -> None:
+    """Add the errors of the derivatives of the rigid pendulum at the end, per step."""
+    report.text(_DERIVATIVES)
+    rows: list[list[object]] = []
+    for alpha in _ALPHAS:
+        found = [_derivatives(10.0**-k, alpha, steps) for k in exponents]
+        for name in _QUANTITIES:
+            values = [errors[name] for errors in found]
+            for k, value in zip(exponents, values, strict=True):
+                report.figure(f"floor.derivatives.alpha{alpha:g}.{name}.1e-{k}", value)
+            rows.append([f"{name}, hht_alpha = {alpha:g}", *(f"{value:.0e}" for value in values)])
+    report.table(["derivative", *(f"1e-{k} s" for k in exponents)], rows)
+
+
+def _derivatives(h: float, alpha: float, steps: int) -> dict[str, float]:
+    """Errors of the derivatives in L and g against an integrator of high order."""
+    system = cartesian_pendulum(angle=_ANGLE, spin=_SPIN)
+    runs = [
+        differentiate(system, (), h * steps, integrator).sensitivities
+        for integrator in (HHT(h, hht_alpha=alpha), Explicit(1e-12))
+    ]
+    return {name: _largest(*(getattr(run, name)[-1] for run in runs)) for name in _QUANTITIES}
 
 
 def _beta(alpha: float) -> float:
@@ -153,4 +179,11 @@ the amplification of the recurrence, and rises again where eps v/(beta h) exceed
 The stiff flexible systems have a floor of their own, which no formulation of constraints can
 lower: their elastic forces have the round-off eps |K| |q|, and where the step resolves the waves
 across the section, below 1e-6 s, nothing holds that back from the accelerations.
+"""
+
+_DERIVATIVES = """
+The derivatives take the increment as well: Phi_q dq_b + G q_b + g in place of Phi_q q_b + Phi_b,
+which would leave 1e-2 of a_b and lambda_b at 1e-6 s and nothing at 1e-7 s. Largest relative errors
+of the derivatives of the rigid pendulum in its length and in gravity at the end of the same runs;
+the discrete adjoint is the transpose of these lines (`tests/test_extremes.py`).
 """

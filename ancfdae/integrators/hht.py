@@ -28,6 +28,7 @@ from ancfdae.integrators.hht_equations import (
     start_node_sensitivity,
 )
 from ancfdae.integrators.hht_march import march
+from ancfdae.integrators.hht_small_steps import Nodes
 from ancfdae.integrators.hht_step import Stepper
 from ancfdae.integrators.initial import (
     InitialState,
@@ -339,7 +340,9 @@ class HHT(AdjointIntegrator):
         arrays, verdict = [x[None] for x in start], Verdict.FINISHED
         if len(steps.h):
             node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
-            arrays, verdict = hht_linear.differentiate(system, matrices, steps, solution, node_b)
+            node = start_node(system, matrices, steps.first, initial)
+            nodes = Nodes(solution, steps, node)
+            arrays, verdict = hht_linear.differentiate(system, matrices, nodes, node_b)
             arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
         own = Sensitivities(system.design_names, system.b, *arrays)
         seconds = time.perf_counter() - started
@@ -352,7 +355,8 @@ class HHT(AdjointIntegrator):
         initial = consistent_start(system, matrices, 0.0)
         derivative = start_sensitivity(system, matrices, initial)
         node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
-        gradient, back, _ = hht_linear.pull_back(system, matrices, steps, solution, seeds)
+        nodes = Nodes(solution, steps, start_node(system, matrices, steps.first, initial))
+        gradient, back, _ = hht_linear.pull_back(system, matrices, nodes, seeds)
         for covector, start_b in (
             (back.q_b, node_b.q_b),
             (back.v_b, node_b.v_b),
@@ -384,7 +388,8 @@ class HHT(AdjointIntegrator):
         initial = consistent_start(system, matrices, 0.0)
         node = start_node(system, matrices, steps.first, initial)
         defects = Defects.of(solution.t, solution.a, steps)
-        _, back, change = hht_linear.pull_back(system, matrices, steps, solution, seeds, defects)
+        nodes = Nodes(solution, steps, node)
+        _, back, change = hht_linear.pull_back(system, matrices, nodes, seeds, defects)
         return change + float(back.v_b @ (initial.v - node.v))
 
     def steps_of(self, solution: Solution) -> Steps:

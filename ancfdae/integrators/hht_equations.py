@@ -17,7 +17,7 @@ and its Jacobian
     J = [ M/(1 + alpha) + beta h^2 (f_q + (M A)_q) - gamma h Q_v    Phi_q^T ]   (6)
         [ Phi_q                                                     0       ].
 
-With small steps Phi is formed from its increment (`constraint_increment`; docs/theory.md, 5).
+With small steps Phi is formed from its increment (`hht_small_steps`).
 
 A is the acceleration at t_{n+1}; the algorithm's a stands for t_{n+1} + alpha h. For a constant
 mass f_n = -M A_n turns R_1 into the paper's (4), M a/(1+alpha) + f - alpha/(1+alpha) f_n. Where
@@ -38,7 +38,6 @@ order in the multipliers; starting with it leaves them second order:
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -49,10 +48,6 @@ from ancfdae.integrators.totals import constraint_force_total, inertia_total
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.system import Linearisation, MechanicalSystem
-
-# Gauss points on (0, 1).
-_PLACES = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))
-_WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 
 
 @final
@@ -168,6 +163,11 @@ def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array
     return dq_p, v_p
 
 
+def predicted_increment(c: Coefficients, v: Array, v_p: Array) -> Array:
+    """q~ - q_n from v_n and v~, for derivatives too; its round-off is eps h |v|."""
+    return np.asarray(c.h * (v_p + (c.gamma - 0.5 - c.beta) / (1 - c.gamma) * (v_p - v)))
+
+
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
     """Q and v of eqs. (2) and (3) from their predictors and a_{n+1}."""
     return q_p + (c.beta * c.h**2) * a, v_p + (c.gamma * c.h) * a
@@ -199,22 +199,6 @@ def residual(
 ) -> Array:
     """Eqs. (4) and (5), shape (n_q + n_lam,)."""
     return np.concatenate([system.mass_times(q, A) + f, Phi / (c.beta * c.h**2)])
-
-
-def constraint_increment(
-    system: MechanicalSystem, c: Coefficients, before: Node, dq: Array
-) -> Array:
-    """Phi(q_n + dq, t_n + h) - Phi(q_n, t_n), free of the round-off of Phi itself.
-
-    The integral of dPhi/ds = Phi_q dq - nu h along the step by three Gauss points: exact for
-    polynomials of degree 6, such as the joints, which are quadratic in q.
-    """
-    total = np.zeros(system.n_lam)
-    for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
-        q, t = before.q + place * dq, before.t + place * c.h
-        rate = system.constraint_pattern.dot(system.constraint_q(q, t), dq)
-        total = total + weight * (rate - c.h * system.velocity_side(q, t))
-    return total
 
 
 def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:

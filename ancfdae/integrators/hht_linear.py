@@ -12,6 +12,9 @@ states. With c the coefficients, one step of the derivative recurrence is
 where f = M A + Phi_q^T lam - Q with A and lam held. The pass back is the transpose of exactly
 these lines, in reverse order.
 
+At small steps the second row takes Phi_q,{n+1} dq~_b + G q_b,n + g for Phi_q q~_b + Phi_b
+(`hht_small_steps`).
+
 Jacobians and design partials of many steps are formed at once; only the
 factorisation and the recurrence run step by step.
 """
@@ -35,12 +38,13 @@ from ancfdae.integrators.hht_equations import (
     iteration_matrices,
     newmark,
     predict,
+    predicted_increment,
 )
+from ancfdae.integrators.hht_small_steps import ConstraintRow, Nodes
 from ancfdae.integrators.seeds import Seeds
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.numerics.patterns import Stack
-from ancfdae.solution import Solution
 from ancfdae.system import DesignPartials, Linearisation, MechanicalSystem
 
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
@@ -51,8 +55,7 @@ _CHUNK_NUMBERS = 350_000
 def differentiate(
     system: MechanicalSystem,
     matrices: SaddlePoint,
-    all_steps: Steps,
-    run: Solution,
+    nodes: Nodes,
     start: NodeSensitivity,
 ) -> tuple[list[Array], Verdict]:
     """Run the derivative recurrence forward.
@@ -64,15 +67,12 @@ def differentiate(
     verdict : Verdict
         How the pass ended.
     """
-    n_t, n_b, n_q = len(run.t), system.n_b, system.n_q
+    n_t, n_b, n_q = len(nodes.run.t), system.n_b, system.n_q
     states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
     states[0], lam_b[0] = (start.q_b.T, start.v_b.T, start.A_b.T), start.lam_b.T
-    c = all_steps.first
-    q_p, v_p = predict(c, start.q_b, start.v_b, start.a_b)
-    predicted = np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * start.A_b.T])
     done, verdict = 1, Verdict.FINISHED
     try:
-        for _ in _advance(system, matrices, all_steps, run, predicted, states, lam_b):
+        for _ in _advance(system, matrices, nodes, start, states, lam_b):
             done += 1
     except SingularMatrix:
         verdict = Verdict.SINGULAR
@@ -85,19 +85,21 @@ def differentiate(
 def _advance(
     system: MechanicalSystem,
     matrices: SaddlePoint,
-    all_steps: Steps,
-    run: Solution,
-    predicted: Array,
+    nodes: Nodes,
+    start: NodeSensitivity,
     states: Array,
     lam_b: Array,
 ) -> Iterator[None]:
     """Fill the rows of the arrays one by one and yield after each.
 
     States are q_b, v_b, A_b with design variables as rows, (n_t, 3, n_b, n_q), and so is lam_b:
-    right-hand sides then stand in memory as LAPACK wants them. `predicted` is q~_b, v~_b and
-    A~_b of the first step.
+    right-hand sides then stand in memory as LAPACK wants them.
     """
     n_t, _, n_b, n_q = states.shape
+    run, all_steps, small = nodes.run, nodes.steps, nodes.rows(system)
+    c = all_steps.first
+    q_p, v_p = predict(c, start.q_b, start.v_b, start.a_b)
+    predicted = np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * start.A_b.T])
     z = np.concatenate([predicted, np.zeros((1, n_b, n_q))])  # q~_b, v~_b, A~_b, a_b of a step
     step_matrices = _step_matrices(all_steps)
     # f_q and Phi_q / (beta h^2) above each other: one product with the predictors.
@@ -111,6 +113,10 @@ def _advance(
         for k, jacobian in enumerate(jacobians):
             n, right = steps.start + k, given[k]
             _subtract_predicted(right, system, stacked, local, constraints_q, k, q[k], z)
+            if n in small:
+                before, one = states[n - 1], all_steps.of(n)
+                dq_b = predicted_increment(one, before[1], z[1]).T
+                right[:, n_q:] = _small(system, one, local.Phi_q[k], small[n], before[0].T, dq_b)
             x = jacobian.solve(right.T).T
             z[3], lam_b[n] = x[:, :n_q], x[:, n_q:]
             after = (step_matrices[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
@@ -124,8 +130,11 @@ def advance(
     c: Coefficients,
     before: NodeSensitivity,
     after: Node,
+    row: ConstraintRow | None,
 ) -> NodeSensitivity:
-    """Take one step of the derivative recurrence, to a state that is just computed.
+    """Take one step of the derivative recurrence, to a node that is computed.
+
+    The row is that of a small step.
 
     Raises
     ------
@@ -141,6 +150,9 @@ def advance(
     (right,) = _given(columns, system.design_partials(t, *states))
     stacked = Stack(system.pattern, system.constraint_pattern)
     _subtract_predicted(right, system, stacked, local, local.Phi_q / scale, 0, after.q, z)
+    if row is not None:
+        dq_b = predicted_increment(c, before.v_b, v_p)
+        right[:, n_q:] = _small(system, c, local.Phi_q[0], row, before.q_b, dq_b)
     jacobian = matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
     x = jacobian.solve(right.T)
     a_b = x[:n_q]
@@ -165,6 +177,20 @@ def _subtract_predicted(
     right[:, :n_q] -= system.mass_times(q, z[2].T).T
     if local.f_v is not None:
         right[:, :n_q] -= system.pattern.dot(local.f_v[k], z[1].T).T
+
+
+def _small(
+    system: MechanicalSystem,
+    c: Coefficients,
+    Phi_q: Array,
+    row: ConstraintRow,
+    q_b: Array,
+    dq_b: Array,
+) -> Array:
+    """Return the known part of the constraints over a small step, shape (n_b, n_lam)."""
+    pattern = system.constraint_pattern
+    lower = pattern.dot(Phi_q, dq_b) + pattern.dot(row.G, q_b) + row.g
+    return np.asarray(-lower.T / (c.beta * c.h**2))
 
 
 def _step_matrices(steps: Steps) -> Array:
@@ -198,8 +224,7 @@ def _given(c: Coefficients, partials: DesignPartials) -> Array:
 def pull_back(
     system: MechanicalSystem,
     matrices: SaddlePoint,
-    all_steps: Steps,
-    run: Solution,
+    nodes: Nodes,
     seeds: Seeds,
     defects: Defects | None = None,
 ) -> tuple[Array, NodeSensitivity, float]:
@@ -215,6 +240,7 @@ def pull_back(
     change : float
         What the defects of all steps change in the objective; zero without them.
     """
+    run, all_steps, small = nodes.run, nodes.steps, nodes.rows(system)
     n_t, n_q, alpha = len(run.t), system.n_q, all_steps.alpha
     share = alpha / (1 + alpha)
     gradient, change = np.zeros(system.n_b), 0.0
@@ -236,16 +262,21 @@ def pull_back(
             solved = jacobian.solve_transposed(right)
             mu[k], zeta[k] = solved[:n_q], solved[n_q:] / (c.beta * c.h**2)
             q_bar = q_bar - system.pattern.dot_transposed(local.f_q[k], mu[k])
-            q_bar -= system.constraint_pattern.dot_transposed(local.Phi_q[k], zeta[k])
+            constraint = system.constraint_pattern
+            on_dq = on_q = q_bar - constraint.dot_transposed(local.Phi_q[k], zeta[k])
+            if n in small:
+                on_q = q_bar - constraint.dot_transposed(small[n].G, zeta[k])
+                gradient -= zeta[k] @ small[n].g
+                zeta[k] = 0.0  # Phi_b has had its part.
             if local.f_v is not None:
                 v_bar = v_bar - system.pattern.dot_transposed(local.f_v[k], mu[k])
             if defects is not None:
                 on_A = back.A_b - system.mass_times(q[k], mu[k])
-                change += q_bar @ defects.q[n] + v_bar @ defects.v[n] + on_A @ defects.A[n]
+                change += on_dq @ defects.q[n] + v_bar @ defects.v[n] + on_A @ defects.A[n]
             back = NodeSensitivity(
-                q_b=q_bar,
-                v_b=v_bar + c.h * q_bar,
-                a_b=(c.h**2 * (0.5 - c.beta)) * q_bar + (c.h * (1 - c.gamma)) * v_bar,
+                q_b=on_q,
+                v_b=v_bar + c.h * on_dq,
+                a_b=(c.h**2 * (0.5 - c.beta)) * on_dq + (c.h * (1 - c.gamma)) * v_bar,
                 lam_b=np.zeros(system.n_lam),
                 A_b=share * (back.A_b - system.mass_times(q[k], mu[k])),
             )

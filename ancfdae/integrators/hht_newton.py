@@ -12,11 +12,15 @@ from ancfdae.integrators.hht_equations import (
     Coefficients,
     Node,
     acceleration,
-    constraint_increment,
     correct,
     factor_jacobian,
     predict_increment,
     residual,
+)
+from ancfdae.integrators.hht_small_steps import (
+    constraint_increment,
+    motion_size,
+    share_of_defect,
 )
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.numerics.arrays import Array, is_finite, real_norm
@@ -31,8 +35,6 @@ _NEAR = 0.1
 _ROUND_OFF = 1e-6
 # Forces may grow by this factor from one step to the next before the Newton test gets stricter.
 _JUMP = 100.0
-# Part of the motion that round-off of the constraints may disturb.
-_QUIET = 1e-9
 
 
 @final
@@ -92,7 +94,7 @@ class StepSolver:
         jacobian = None if is_complex or far else self._jacobian
         self._h = c.h
         last, settled, motion = math.inf, 0, _JUMP * self._motion_before(before)
-        share = self._share_of_defect(c, before)
+        share = share_of_defect(system, c, before.q, self._motion_before(before))
         defect = share * system.constraint(before.q, before.t) if share < 1 else None
         for _ in range(self._max_iterations):
             q, v = correct(c, q_p, v_p, a)
@@ -159,18 +161,6 @@ class StepSolver:
             reaction, self._inverse_weights
         )
 
-    def _share_of_defect(self, c: Coefficients, before: Node) -> float:
-        """Part of Phi(q_n) that the step removes: 1, or less where it is all round-off.
-
-        Phi has the round-off eps |q|, and its removal within a step takes accelerations of
-        eps |q| / (beta h^2). Where that exceeds a part of the motion, increments of Phi are
-        formed without it, and what has gathered in Phi is removed slowly enough.
-        """
-        system = self._system
-        noise = np.finfo(float).eps * real_norm(before.q, system.weights)
-        allowed = _QUIET * self._motion_before(before) * c.beta * c.h**2
-        return 1.0 if noise <= allowed else allowed / noise
-
     def _blurred(self, t: float, q: Array, a: Array, lam: Array) -> bool:
         """Whether round-off of the elastic forces leaves less than seven digits of the motion."""
         if real_norm(a, self._system.weights) >= self._blur:
@@ -192,7 +182,5 @@ class StepSolver:
 
         Where all of them vanish, as in a body at rest, corrections are compared with round-off.
         """
-        inverse = self._inverse_weights
-        size = real_norm(a, self._system.weights)
-        size += real_norm(reaction, inverse) + real_norm(Q, inverse)
+        size = motion_size(self._system, a, reaction, Q)
         return max(size, self._blur, float(np.finfo(float).tiny))

@@ -16,6 +16,7 @@ from ancfdae.integrators.hht_equations import (
     start_node_sensitivity,
 )
 from ancfdae.integrators.hht_newton import StepSolver
+from ancfdae.integrators.hht_small_steps import ConstraintRow
 from ancfdae.integrators.initial import InitialSensitivity, InitialState
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.numerics.arrays import Array
@@ -113,5 +114,6 @@ class Stepper:
         node, node_b = self.solver.advance(c, before.node, t), before.node_b
         if node is not None and node_b is not None:
             self.recorder.factorisations += 1
-            node_b = hht_linear.advance(self.system, self.matrices, c, node_b, node)
+            row = ConstraintRow.of(self.system, c, before.node, node)
+            node_b = hht_linear.advance(self.system, self.matrices, c, node_b, node, row)
         return None if node is None else Instant(node, node_b)
