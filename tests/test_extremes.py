@@ -170,7 +170,13 @@ def test_steps_whose_forces_are_mostly_round_off_are_counted():
     assert counts == [0, 8, 8]
 
 
-@pytest.mark.parametrize("step", [1e-200, 1e200])
+@pytest.mark.parametrize("step", [1e-200, 1e-160, 1e200])
 def test_a_step_whose_square_is_no_number_is_refused(step):
     with pytest.raises(InvalidInput, match=r"HHT\.step"):
         HHT(step)
+
+
+@pytest.mark.parametrize("t_end", [1e-160, 1e200])
+def test_an_end_whose_square_is_no_number_is_refused(t_end):
+    with pytest.raises(InvalidInput, match="t_end"):
+        simulate(CartesianPendulum(), t_end, HHT(rtol=1e-3))

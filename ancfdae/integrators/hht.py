@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 import warnings
 from dataclasses import dataclass, replace
@@ -171,10 +172,7 @@ class HHT(AdjointIntegrator):
             )
         if self.step is not None:
             require_positive("HHT.step", self.step)
-            if not 0 < float(self.step) * float(self.step) < math.inf:
-                raise InvalidInput(
-                    "HHT.step", "must have a square that is a number", self.step, "Change units."
-                )
+            _require_square("HHT.step", float(self.step))
         if self.rtol is not None:
             require_rtol("HHT.rtol", self.rtol, _LEAST_RTOL)
         if self.atol is not None:
@@ -420,6 +418,7 @@ class HHT(AdjointIntegrator):
     def _count_steps(self, t_end: float) -> int:
         """Return the number of steps to allot memory for; check that the end is an instant."""
         require_positive("t_end", t_end)
+        _require_square("t_end", float(t_end))
         if self.times is not None:
             if not math.isclose(self.times[-1], t_end, rel_tol=_WHOLE):
                 raise InvalidInput(
@@ -438,3 +437,9 @@ class HHT(AdjointIntegrator):
                 f"Use t_end = {max(count, 1) * self.step:.6g}, or another step.",
             )
         return count
+
+
+def _require_square(where: str, value: float) -> None:
+    """Refuse times whose square, or its inverse, is no number of full precision."""
+    if not sys.float_info.min < value * value < math.inf:
+        raise InvalidInput(where, "must have a square that is a number", value, "Change units.")
