@@ -131,8 +131,7 @@ def test_bars_say_whether_waves_are_resolved():
     beam = pendulum()
     tip = Terminal(position(beam.beams[0].at_end, 1))
     design = ("pendulum.height", "pendulum.width")
-    # Of the finest run, at 2^-8 s, the height's derivative is wrong by some per cent; the width has
-    # no influence and no error.
+    # The waves of the soft beam are faster than these steps. The width has no influence, no error.
     assert error_bars(beam, tip, design, 0.25, HHT(2.0**-7)).resolved is False
     damped = pendulum(damping_time=1e-3)
     assert error_bars(damped, tip, design, 0.25, HHT(2.0**-9)).resolved is True

@@ -22,6 +22,7 @@ from ancfdae.system import AncfSystem
 from validation.scenes import deflection
 
 __all__ = [
+    "MANY",
     "Array",
     "Errors",
     "Run",
@@ -36,6 +37,9 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+
+#: Steps; more than any run of a report takes.
+MANY = 10_000_000
 
 _FORMS = {IndexReduction.STABILISED_INDEX_2: "GGL", IndexReduction.INDEX_1: "index 1"}
 

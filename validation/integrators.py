@@ -13,6 +13,7 @@ from ancfdae.system import AncfSystem
 from validation import integrators_crank_slider
 from validation.external.runs import Requirement
 from validation.integrator_runs import (
+    MANY,
     Array,
     Errors,
     Run,
@@ -60,7 +61,9 @@ def run(report: Report, quick: bool) -> None:
     report.text(_METHOD)
     system = assemble(pendulum(), _DESIGN)
     runs = [(i, timed(system, extent.t_end, i)) for i in _settings(extent)]
-    reference = timed(system, extent.t_end, Explicit(extent.reference, _intervals(extent)))
+    reference = timed(
+        system, extent.t_end, Explicit(extent.reference, _intervals(extent), max_steps=MANY)
+    )
     assert reference is not None
     found = [(r, errors(r, reference, _SPACING)) for _, r in runs if r is not None]
     _work_table(report, system, runs, reference)
@@ -92,11 +95,11 @@ def _settings(extent: _Extent) -> list[Integrator]:
     """All settings but the reference."""
     n = _intervals(extent)
     found: list[Integrator] = [HHT(2.0**-k) for k in extent.exponents]
-    found += [IDA(rtol, intervals=n) for rtol in extent.tolerances]
-    found += [IDA(rtol, _INDEX_1, n) for rtol in extent.tolerances[-2:]]
-    found += [IDAS(rtol, intervals=n) for rtol in extent.tolerances]
-    found += [IDAS(rtol, _INDEX_1, n) for rtol in extent.tolerances[-2:]]
-    return [*found, *(Explicit(rtol, n) for rtol in extent.tolerances)]
+    found += [IDA(rtol, intervals=n, max_steps=MANY) for rtol in extent.tolerances]
+    found += [IDA(rtol, _INDEX_1, n, max_steps=MANY) for rtol in extent.tolerances[-2:]]
+    found += [IDAS(rtol, intervals=n, max_steps=MANY) for rtol in extent.tolerances]
+    found += [IDAS(rtol, _INDEX_1, n, max_steps=MANY) for rtol in extent.tolerances[-2:]]
+    return [*found, *(Explicit(rtol, n, max_steps=MANY) for rtol in extent.tolerances)]
 
 
 # ---------------------------------------------------------------- work table

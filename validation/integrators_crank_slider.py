@@ -23,6 +23,7 @@ from ancfdae.plotting import Panel, Series
 from ancfdae.system import AncfSystem
 from validation.external.runs import Requirement
 from validation.integrator_runs import (
+    MANY,
     Array,
     balance,
     common_rows,
@@ -130,8 +131,8 @@ def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
     n, rtol = 4, extent.early_rtol
     spacing = extent.t_early / n
     settings: list[Integrator] = [HHT(2.0**-k) for k in extent.early_exponents]
-    settings += [IDA(rtol, intervals=n), IDAS(rtol, intervals=n), Explicit(rtol, n)]
-    reference = timed(system, extent.t_early, Explicit(1e-2 * rtol, n))
+    settings += [kind(rtol, intervals=n, max_steps=MANY) for kind in (IDA, IDAS, Explicit)]
+    reference = timed(system, extent.t_early, Explicit(1e-2 * rtol, n, max_steps=MANY))
     assert reference is not None
     x_0, x_b0 = _slider(reference.solution, system, spacing)
     rows: list[list[object]] = []
@@ -230,11 +231,12 @@ def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
         values[[1 + _DESIGN.index(v) for v in variables]] = found.gradient * chosen.b
         return _Value(integrator, values, seconds)
 
-    explicit = value(Explicit(extent.rtol, extent.intervals))
+    rtol, n = extent.rtol, extent.intervals
+    explicit = value(Explicit(rtol, n, max_steps=MANY))
     try:
-        sundials = value(IDAS(extent.rtol, intervals=extent.intervals), _DESIGN[3:])
+        sundials = value(IDAS(rtol, intervals=n, max_steps=MANY), _DESIGN[3:])
     except MissingPackage:
-        sundials = value(IDA(extent.rtol, intervals=extent.intervals), _DESIGN[3:])
+        sundials = value(IDA(rtol, intervals=n, max_steps=MANY), _DESIGN[3:])
     ladder = [value(HHT(2.0**-k)) for k in extent.exponents]
     exact = np.where(np.isnan(sundials.values), explicit.values, sundials.values)
     table = np.abs(np.array([each.values for each in ladder]) / exact - 1)

@@ -23,7 +23,7 @@ from ancfdae import (
 )
 from ancfdae.objectives import Objective
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
-from validation.integrator_runs import Array
+from validation.integrator_runs import MANY, Array
 from validation.scenes import crank_slider, pendulum
 
 __all__ = ["ALPHAS", "OBJECTIVES", "Case", "Measured", "cases", "measured", "newton_tolerances"]
@@ -33,7 +33,6 @@ ALPHAS = (0.0, -0.05, -0.1, -0.3)
 #: Kinds of sensitivity that every scene is asked for.
 OBJECTIVES = ("integrated", "pointwise")
 
-_MANY = 1_000_000
 # More than any controlled run needs that gets to its end, of the motion and with derivatives.
 _FEW, _FEW_BOTH = 10_000, 60_000
 _REPEATS = 2
@@ -140,9 +139,9 @@ def _high(
     ida: Sequence[float], explicit: Sequence[float] = (), intervals: int = 64
 ) -> list[Integrator]:
     settings: list[Integrator] = []
-    settings += [IDA(rtol, intervals=intervals, max_steps=_MANY) for rtol in ida]
-    settings += [IDAS(rtol, intervals=intervals, max_steps=_MANY) for rtol in ida]
-    return [*settings, *(Explicit(r, intervals, max_steps=_MANY) for r in explicit)]
+    settings += [IDA(rtol, intervals=intervals, max_steps=MANY) for rtol in ida]
+    settings += [IDAS(rtol, intervals=intervals, max_steps=MANY) for rtol in ida]
+    return [*settings, *(Explicit(r, intervals, max_steps=MANY) for r in explicit)]
 
 
 def cases(quick: bool) -> list[Case]:
@@ -185,7 +184,7 @@ def _pendulum(
     system = assemble(scene, ("pendulum.height", "pendulum.density"))
     tip = position(Point("pendulum", 1.0), 1)
     words = f", retardation time {damping:g} s" if damping else ""
-    reference: Integrator = Explicit(1e-10 if modulus < 1e8 else 1e-7, max_steps=_MANY)
+    reference: Integrator = Explicit(1e-10 if modulus < 1e8 else 1e-7, max_steps=MANY)
     if modulus > 1e8 and damping:
         reference = HHT(t_end / 2**14, hht_alpha=-0.05)
     return Case(
@@ -222,7 +221,7 @@ def _crank(
         rtols,
         both,
         high,
-        Explicit(1e-7, max_steps=_MANY),
+        Explicit(1e-7, max_steps=MANY),
     )
 
 
@@ -245,7 +244,7 @@ def _slider(
         rtols,
         both,
         high,
-        Explicit(1e-10, max_steps=_MANY),
+        Explicit(1e-10, max_steps=MANY),
     )
 
 
