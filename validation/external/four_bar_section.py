@@ -31,7 +31,7 @@ __all__ = ["four_bar"]
 _LIMIT: Final = 1e-5
 # Corrections of the accelerations near a singular position are round-off up to this size.
 _TOLERANCE: Final = 1e-5
-# A run that needs more steps than this between two instants has got stuck.
+# A run that needs more steps than this for each of its intervals has got stuck.
 _MAX_STEPS: Final = 400
 # Finished, but further off than this: wrong without saying so.
 _WRONG: Final = 0.05
@@ -65,13 +65,15 @@ def four_bar(report: Report, quick: bool) -> list[Requirement]:
     tolerant = [HHT(step, newton_tolerance=_TOLERANCE) for step in steps]
     integrators: list[Integrator] = [*tolerant, *(HHT(step) for step in steps)]
     # Every time of the table ends an interval, and no interval ends at a singular position.
-    integrators += controlled(rtols, round(4 * t_end), _MAX_STEPS)
+    intervals = round(4 * t_end)
+    integrators += controlled(rtols, intervals, _MAX_STEPS * intervals)
     runs = [_motion(integrator, t_end) for integrator in integrators]
     _table(report, runs)
     _plot(report, runs[len(steps) - 1])
     t_slopes = 1.0 if quick else 2.0
     loose = (1e-6,) if quick else (1e-4, 1e-6, 1e-8, 1e-10)
-    others = controlled(loose, round(4 * t_slopes), _MAX_STEPS)
+    intervals = round(4 * t_slopes)
+    others = controlled(loose, intervals, _MAX_STEPS * intervals)
     slopes = _sensitivities(report, [*tolerant, *others], t_slopes)
     report.text(_WHY)
     report.heading("Every method", level=3)
@@ -80,7 +82,7 @@ def four_bar(report: Report, quick: bool) -> list[Requirement]:
     exact = np.array([state[0, 0], *state_b[0, 0]])
     problem = Problem("four-bar", double_four_bar(), Integral(custom(speed, "speed")), 1.0, exact)
     step = HHT(4e-3 if quick else 2e-3, newton_tolerance=_TOLERANCE)
-    compare_methods(report, problem, [step, *controlled((1e-6,), 4, _MAX_STEPS)])
+    compare_methods(report, problem, [step, *controlled((1e-6,), 4, 4 * _MAX_STEPS)])
     return _verdict(report, runs, steps[-1], slopes)
 
 

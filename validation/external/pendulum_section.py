@@ -24,6 +24,7 @@ from validation.external.runs import (
     work_precision,
 )
 from validation.external.scleronomic import Array
+from validation.integrator_runs import MANY
 from validation.report import Report, Verdict
 
 __all__ = ["pendulum", "speed"]
@@ -88,7 +89,7 @@ def _ladder(
     integrators: list[Integrator] = [HHT(step) for step in steps]
     integrators += controlled(rtols, n)
     last = max(k for k, x in enumerate(integrators) if isinstance(x, IDA))
-    integrators.insert(last + 1, IDA(rtol=tightest, intervals=n, max_steps=20_000))
+    integrators.insert(last + 1, IDA(rtol=tightest, intervals=n, max_steps=MANY))
     runs = []
     for integrator in integrators:
         attempt = run(cartesian_pendulum(), t_end, integrator)

@@ -31,6 +31,7 @@ from ancfdae.objectives import Objective
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import GradientMethod
 from validation.external.scleronomic import Array
+from validation.integrator_runs import MANY
 from validation.report import Report
 
 __all__ = [
@@ -138,7 +139,7 @@ class Requirement:
 
 
 def controlled(
-    rtols: Sequence[float], intervals: int, max_steps: int = 20_000
+    rtols: Sequence[float], intervals: int, max_steps: int = MANY
 ) -> list[IDA | IDAS | Explicit]:
     """Return every integrator with error control at every tolerance."""
     kinds = (IDA, IDAS, Explicit)
