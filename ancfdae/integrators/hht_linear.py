@@ -35,10 +35,10 @@ from ancfdae.integrators.hht_equations import (
     Steps,
     acceleration,
     correct,
+    increment_from_velocities,
     iteration_matrices,
     newmark,
     predict,
-    predicted_increment,
 )
 from ancfdae.integrators.hht_small_steps import ConstraintRow, Nodes
 from ancfdae.integrators.seeds import Seeds
@@ -115,7 +115,7 @@ def _advance(
             _subtract_predicted(right, system, stacked, local, constraints_q, k, q[k], z)
             if n in small:
                 before, one = states[n - 1], all_steps.of(n)
-                dq_b = predicted_increment(one, before[1], z[1]).T
+                dq_b = increment_from_velocities(one, before[1], z[1]).T
                 right[:, n_q:] = _small(system, one, local.Phi_q[k], small[n], before[0].T, dq_b)
             x = jacobian.solve(right.T).T
             z[3], lam_b[n] = x[:, :n_q], x[:, n_q:]
@@ -151,7 +151,7 @@ def advance(
     stacked = Stack(system.pattern, system.constraint_pattern)
     _subtract_predicted(right, system, stacked, local, local.Phi_q / scale, 0, after.q, z)
     if row is not None:
-        dq_b = predicted_increment(c, before.v_b, v_p)
+        dq_b = increment_from_velocities(c, before.v_b, v_p)
         right[:, n_q:] = _small(system, c, local.Phi_q[0], row, before.q_b, dq_b)
     jacobian = matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
     x = jacobian.solve(right.T)
