@@ -18,8 +18,9 @@ from ancfdae import (
     gradient,
     simulate,
 )
+from ancfdae.errors import Verdict
 from ancfdae.integrators.hht_equations import Coefficients, Node
-from ancfdae.integrators.hht_small_steps import constraint_increment
+from ancfdae.integrators.hht_small_steps import ConstraintRow, constraint_increment
 from validation.extremes_rows import Case, measure
 from validation.extremes_scenes import Rod, Units
 
@@ -114,6 +115,20 @@ def test_derivatives_along_take_small_steps_into_account():
     for name in ("q_b", "v_b", "a_b", "lam_b"):
         ours, theirs = (getattr(x.sensitivities, name) for x in (run, batched))
         assert np.max(np.abs(ours - theirs)) < 1e-6 * np.max(np.abs(theirs)), name
+
+
+def test_an_interrupt_among_small_steps_keeps_the_derivatives_before(monkeypatch):
+    count, original = iter(range(100)), ConstraintRow.of
+
+    def interrupted(*arguments):
+        if next(count) == 5:
+            raise KeyboardInterrupt
+        return original(*arguments)
+
+    monkeypatch.setattr(ConstraintRow, "of", interrupted)
+    run = differentiate(CartesianPendulum(-1.0, 2.0), (), 20e-7, HHT(1e-7))
+    assert run.outcome.verdict is Verdict.INTERRUPTED
+    assert len(run.t) == len(run.sensitivities.q_b) == 6
 
 
 class Carriage(ComplexStepSystem):

@@ -138,17 +138,16 @@ class Nodes:
         a = (1 + alpha) * run.a[n] - alpha * run.a[n - 1]
         return Node(float(run.t[n]), run.q[n], run.v[n], a, run.lam[n], run.a[n])
 
-    def rows(self, system: MechanicalSystem) -> dict[int, ConstraintRow]:
-        """Return the rows of the small steps, by the instants where these end."""
-        root, h = np.sqrt(system.weights), self.steps.h
+    def maybe_small(self, system: MechanicalSystem) -> Array:
+        """Return for every instant whether the step that ends there may be small, shape (n_t,)."""
+        root, h, beta = np.sqrt(system.weights), self.steps.h, self.steps.first.beta
         # What blew up overflows, and is no small motion.
         with np.errstate(over="ignore"):
             q, A = (np.linalg.norm(root * x.real, axis=1) for x in (self.run.q, self.run.a))
-        largest, beta = np.maximum(A[1:], A[:-1]), self.steps.first.beta
         # As in `ConstraintRow.of`, for all steps at once.
-        maybe = np.flatnonzero(_EPS * q[:-1] > _QUIET_DERIVATIVES * beta * h**2 * largest) + 1
-        found = {
-            n: ConstraintRow.of(system, self.steps.of(n), self.before(n), self.after(n))
-            for n in maybe.tolist()
-        }
-        return {n: row for n, row in found.items() if row is not None}
+        allowed = _QUIET_DERIVATIVES * beta * h**2 * np.maximum(A[1:], A[:-1])
+        return np.append(False, _EPS * q[:-1] > allowed)
+
+    def row(self, system: MechanicalSystem, n: int) -> ConstraintRow | None:
+        """Return the row of the step to instant n; None where that is not small."""
+        return ConstraintRow.of(system, self.steps.of(n), self.before(n), self.after(n))
