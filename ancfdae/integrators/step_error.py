@@ -137,8 +137,9 @@ def derivative_sizes(scales: Scales, q_b: Array) -> Array:
 
     Infinite if they are not finite, and zero if they are round-off.
     """
-    relative = q_b / scales.q[:, None]
-    sizes = np.sqrt(np.max(np.mean(relative * relative, axis=1), axis=0, initial=0.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        relative = q_b / scales.q[:, None]
+        sizes = np.sqrt(np.max(np.mean(relative * relative, axis=1), axis=0, initial=0.0))
     sizes = np.where(np.isfinite(sizes), sizes, np.inf)
     return np.where(sizes * scales.b > _ROUND_OFF, sizes, 0.0)
 
