@@ -77,7 +77,8 @@ class EstimatedErrors:
         Of q, relative to the size of the coordinates.
     derivatives : tuple of float, or None
         Of q_b, one per design variable, relative to the largest size of that derivative in the
-        run; nan where the variable has no influence.
+        run; nan where the variable has no influence above round-off, inf where the run blew up.
+        None unless it was differentiated by `Direct` or `HHT(control_sensitivities=True)`.
     """
 
     motion: float
@@ -266,8 +267,8 @@ class Solution:
 
         Between the steps of HHT: coordinates by the cubic through q and v at both ends, velocities
         by that through v and a, accelerations and multipliers linearly. Between Gauss-Lobatto
-        instants: the polynomial of a panel. Derivatives are interpolated alike. Statistics and
-        outcome stay those of the run.
+        instants: the polynomial of a panel. Derivatives are interpolated alike. Statistics,
+        outcome and estimated errors stay those of the run.
 
         Parameters
         ----------
@@ -447,7 +448,7 @@ class Solution:
                 arrays = {name: file[name] for name in file.files}
             meta = json.loads(str(arrays["meta"]))
             if meta["format"] != _FORMAT:
-                raise KeyError(meta["format"])
+                raise ValueError(f"the format {meta['format']!r}")
             return _rebuild(arrays, meta)
         except FileNotFoundError:
             raise

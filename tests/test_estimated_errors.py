@@ -8,6 +8,8 @@ import pytest
 from ancfdae import (
     HHT,
     ComplexStep,
+    ComplexStepSystem,
+    EstimatedErrors,
     Explicit,
     Solution,
     assemble,
@@ -80,6 +82,38 @@ def test_motion_alone_has_no_error_of_derivatives():
     assert simulate(CartesianPendulum(), 1.0, Explicit(1e-4)).estimated_errors is None
     other = differentiate(CartesianPendulum(), (), 1.0, HHT(2.0**-5), ComplexStep())
     assert other.estimated_errors.motion == pytest.approx(run.estimated_errors.motion, rel=1e-9)
+
+
+class Runaway(ComplexStepSystem):
+    """A coordinate that grows exponentially, by 1e6 b1 b2 times itself."""
+
+    n_q, n_lam = 1, 0
+    design_names = ("b1", "b2")
+    constant_mass, velocity_forces = True, False
+
+    def with_values(self, b):
+        return Runaway(b)
+
+    def start(self):
+        return np.ones(1), np.zeros(1)
+
+    def mass_matrix(self, q):
+        return np.eye(1)
+
+    def force(self, q, v, t):
+        return 1e6 * self.b[0] * self.b[1] * q
+
+    def constraint(self, q, t):
+        return np.zeros(0)
+
+
+def test_what_blew_up_has_infinite_errors():
+    # Squares of the coordinates, 1e160 in the end, are no numbers; no error may pass for none.
+    system, step = Runaway((1.0, 1.0)), 2.0**-10
+    run = differentiate(system, (), 340 * step, HHT(step))
+    assert run.outcome.success
+    assert np.max(run.q) > 1e160
+    assert run.estimated_errors == EstimatedErrors(math.inf, (math.inf, math.inf))
 
 
 def test_files_keep_them(tmp_path):

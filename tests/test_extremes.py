@@ -8,6 +8,7 @@ from ancfdae import (
     HHT,
     Adjoint,
     ComplexStep,
+    ComplexStepSystem,
     Direct,
     Explicit,
     Integral,
@@ -17,8 +18,9 @@ from ancfdae import (
     gradient,
     simulate,
 )
+from ancfdae.errors import Verdict
 from ancfdae.integrators.hht_equations import Coefficients, Node
-from ancfdae.integrators.hht_small_steps import constraint_increment
+from ancfdae.integrators.hht_small_steps import ConstraintRow, constraint_increment
 from validation.extremes_rows import Case, measure
 from validation.extremes_scenes import Rod, Units
 
@@ -113,6 +115,50 @@ def test_derivatives_along_take_small_steps_into_account():
     for name in ("q_b", "v_b", "a_b", "lam_b"):
         ours, theirs = (getattr(x.sensitivities, name) for x in (run, batched))
         assert np.max(np.abs(ours - theirs)) < 1e-6 * np.max(np.abs(theirs)), name
+
+
+def test_an_interrupt_among_small_steps_keeps_the_derivatives_before(monkeypatch):
+    count, original = iter(range(100)), ConstraintRow.of
+
+    def interrupted(*arguments):
+        if next(count) == 5:
+            raise KeyboardInterrupt
+        return original(*arguments)
+
+    monkeypatch.setattr(ConstraintRow, "of", interrupted)
+    run = differentiate(CartesianPendulum(-1.0, 2.0), (), 20e-7, HHT(1e-7))
+    assert run.outcome.verdict is Verdict.INTERRUPTED
+    assert len(run.t) == len(run.sensitivities.q_b) == 6
+
+
+class Carriage(ComplexStepSystem):
+    """Two free coordinates, the second of which is driven: A sin(w t)."""
+
+    n_q, n_lam = 2, 1
+    design_names = ("A", "w")
+    constant_mass, velocity_forces = True, False
+
+    def with_values(self, b):
+        return Carriage(b)
+
+    def start(self):
+        return np.array([1.0, 0.0]), np.array([0.0, self.b[0] * self.b[1]])
+
+    def mass_matrix(self, q):
+        return np.eye(2)
+
+    def force(self, q, v, t):
+        return 0 * q
+
+    def constraint(self, q, t):
+        return np.array([q[1] - self.b[0] * np.sin(self.b[1] * t)])
+
+
+def test_a_step_from_an_instant_without_forces_is_not_taken_for_small():
+    # Inertia and reaction are zero at the start; increments of the drive would err by 4e-9.
+    run = differentiate(Carriage((1.0, 1.0)), (), 2.0, HHT(0.5))
+    exact = np.stack([np.sin(run.t), run.t * np.cos(run.t)], axis=1)
+    np.testing.assert_allclose(run.sensitivities.q_b[:, 1], exact, atol=1e-14, rtol=0)
 
 
 def test_constraints_do_not_drift_over_many_tiny_steps():

@@ -81,7 +81,7 @@ def test_sizes_of_derivatives():
     np.testing.assert_allclose(
         derivative_sizes(scales, q_b * 1e3), [np.sqrt(12.5e6), np.sqrt(12.5) * 1e-4], rtol=1e-14
     )
-    for undefined in (np.nan, np.inf):
+    for undefined in (np.nan, np.inf, 1e200):
         q_b[2, 0, 0] = undefined
         assert derivative_sizes(scales, q_b)[0] == np.inf
 

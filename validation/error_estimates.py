@@ -74,7 +74,7 @@ def estimates(report: Report, quick: bool) -> None:
     )
     near = np.mean((derivatives > 1 / _NEAR) & (derivatives < _NEAR))
     report.figure("estimate.derivatives.near", float(near))
-    least = min(_ratios(each.derivatives).min() for each in found)
+    least = min(_ratios(x).min() for each in found for x in (each.motion, each.derivatives))
     good = _within(motion, _NEAR) and _within(derivatives, _FAR) and least > 1 / _FAR
     report.claim(
         "What a run of HHT-I3 estimates of its errors is right within a factor of three for the "

@@ -118,6 +118,8 @@ def _first_steps(quick: bool) -> list[Case]:
     def error(run: Solution) -> float:
         t_end = float(run.t[-1])
         fine = simulate(scene, t_end, HHT(t_end / 256, hht_alpha=-0.05))
+        if not fine.outcome.success:
+            return np.inf
         apart = [run.position("pendulum", s) - fine.position("pendulum", s)[-1] for s in (0.5, 1)]
         return float(max(np.max(np.abs(x[-1])) for x in apart)) / 1.2
 

@@ -163,7 +163,7 @@ def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array
     return dq_p, v_p
 
 
-def predicted_increment(c: Coefficients, v: Array, v_p: Array) -> Array:
+def increment_from_velocities(c: Coefficients, v: Array, v_p: Array) -> Array:
     """q~ - q_n from v_n and v~, for derivatives too; its round-off is eps h |v|."""
     return np.asarray(c.h * (v_p + (c.gamma - 0.5 - c.beta) / (1 - c.gamma) * (v_p - v)))
 

@@ -35,10 +35,10 @@ from ancfdae.integrators.hht_equations import (
     Steps,
     acceleration,
     correct,
+    increment_from_velocities,
     iteration_matrices,
     newmark,
     predict,
-    predicted_increment,
 )
 from ancfdae.integrators.hht_small_steps import ConstraintRow, Nodes
 from ancfdae.integrators.seeds import Seeds
@@ -96,7 +96,7 @@ def _advance(
     right-hand sides then stand in memory as LAPACK wants them.
     """
     n_t, _, n_b, n_q = states.shape
-    run, all_steps, small = nodes.run, nodes.steps, nodes.rows(system)
+    run, all_steps, maybe_small = nodes.run, nodes.steps, nodes.maybe_small(system)
     c = all_steps.first
     q_p, v_p = predict(c, start.q_b, start.v_b, start.a_b)
     predicted = np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * start.A_b.T])
@@ -113,10 +113,11 @@ def _advance(
         for k, jacobian in enumerate(jacobians):
             n, right = steps.start + k, given[k]
             _subtract_predicted(right, system, stacked, local, constraints_q, k, q[k], z)
-            if n in small:
+            row = nodes.row(system, n) if maybe_small[n] else None
+            if row is not None:
                 before, one = states[n - 1], all_steps.of(n)
-                dq_b = predicted_increment(one, before[1], z[1]).T
-                right[:, n_q:] = _small(system, one, local.Phi_q[k], small[n], before[0].T, dq_b)
+                dq_b = increment_from_velocities(one, before[1], z[1]).T
+                right[:, n_q:] = _small(system, one, local.Phi_q[k], row, before[0].T, dq_b)
             x = jacobian.solve(right.T).T
             z[3], lam_b[n] = x[:, :n_q], x[:, n_q:]
             after = (step_matrices[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
@@ -151,7 +152,7 @@ def advance(
     stacked = Stack(system.pattern, system.constraint_pattern)
     _subtract_predicted(right, system, stacked, local, local.Phi_q / scale, 0, after.q, z)
     if row is not None:
-        dq_b = predicted_increment(c, before.v_b, v_p)
+        dq_b = increment_from_velocities(c, before.v_b, v_p)
         right[:, n_q:] = _small(system, c, local.Phi_q[0], row, before.q_b, dq_b)
     jacobian = matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
     x = jacobian.solve(right.T)
@@ -240,7 +241,7 @@ def pull_back(
     change : float
         What the defects of all steps change in the objective; zero without them.
     """
-    run, all_steps, small = nodes.run, nodes.steps, nodes.rows(system)
+    run, all_steps, maybe_small = nodes.run, nodes.steps, nodes.maybe_small(system)
     n_t, n_q, alpha = len(run.t), system.n_q, all_steps.alpha
     share = alpha / (1 + alpha)
     gradient, change = np.zeros(system.n_b), 0.0
@@ -264,9 +265,10 @@ def pull_back(
             q_bar = q_bar - system.pattern.dot_transposed(local.f_q[k], mu[k])
             constraint = system.constraint_pattern
             on_dq = on_q = q_bar - constraint.dot_transposed(local.Phi_q[k], zeta[k])
-            if n in small:
-                on_q = q_bar - constraint.dot_transposed(small[n].G, zeta[k])
-                gradient -= zeta[k] @ small[n].g
+            row = nodes.row(system, n) if maybe_small[n] else None
+            if row is not None:
+                on_q = q_bar - constraint.dot_transposed(row.G, zeta[k])
+                gradient -= zeta[k] @ row.g
                 zeta[k] = 0.0  # Phi_b has had its part.
             if local.f_v is not None:
                 v_bar = v_bar - system.pattern.dot_transposed(local.f_v[k], mu[k])

@@ -94,8 +94,8 @@ class StepSolver:
         jacobian = None if is_complex or far else self._jacobian
         self._h = c.h
         last, settled, motion = math.inf, 0, _JUMP * self._motion_before(before)
-        share = share_of_defect(system, c, before.q, self._motion_before(before))
-        defect = share * system.constraint(before.q, before.t) if share < 1 else None
+        chi = share_of_defect(system, c, before.q, self._motion_before(before))
+        defect = chi * system.constraint(before.q, before.t) if chi < 1 else None
         for _ in range(self._max_iterations):
             q, v = correct(c, q_p, v_p, a)
             A = acceleration(c, a, before.A)

@@ -110,19 +110,26 @@ def estimated_errors(scales: Scales, alpha: float, solution: Solution) -> Estima
 
     The accelerations at the instants serve as those of the recurrence.
     """
-    root, squared = scales.q, np.diff(solution.t) ** 2
-    constant = abs(constraint_error(Coefficients.of(1.0, alpha)))
-    # What blew up may have no finite error, and where it has none it is not a number.
+    sizes, own = scales.q, solution.sensitivities
+    constants = constraint_error(Coefficients.of(1.0, alpha)) * np.diff(solution.t) ** 2
+    # What blew up overflows, and its error is infinite.
     with np.errstate(over="ignore", invalid="ignore"):
-        increments = np.diff(solution.a.real, axis=0) / root
-        motion = constant * float(squared @ np.sqrt(np.mean(increments**2, axis=1)))
-        if solution.sensitivities is None:
+        motion = float(_added_up(constants[:, None] * np.diff(solution.a.real, axis=0) / sizes))
+        if own is None:
             return EstimatedErrors(motion)
-        increments = np.diff(solution.sensitivities.a_b, axis=0) / root[:, None]
-        sums = _FED * constant * (squared @ np.sqrt(np.mean(increments**2, axis=1)))
-        sizes = derivative_sizes(scales, solution.sensitivities.q_b)
-        relative = np.divide(sums, sizes, out=np.full_like(sums, np.nan), where=sizes > 0)
+        sums = _FED * _added_up(
+            constants[:, None, None] * np.diff(own.a_b, axis=0) / sizes[:, None]
+        )
+        sizes_b = derivative_sizes(scales, own.q_b)
+        relative = np.divide(sums, sizes_b, out=np.full_like(sums, np.nan), where=sizes_b > 0)
+    relative = np.where(np.isfinite(sizes_b), relative, np.inf)
     return EstimatedErrors(motion, tuple(float(x) for x in relative))
+
+
+def _added_up(errors: Array) -> Array:
+    """Add up, over steps, root mean squares over coordinates; infinite where that is no number."""
+    total = np.sum(np.sqrt(np.mean(errors * errors, axis=1)), axis=0)
+    return np.where(np.isfinite(total), total, np.inf)
 
 
 def derivative_sizes(scales: Scales, q_b: Array) -> Array:
@@ -130,8 +137,9 @@ def derivative_sizes(scales: Scales, q_b: Array) -> Array:
 
     Infinite if they are not finite, and zero if they are round-off.
     """
-    relative = q_b / scales.q[:, None]
-    sizes = np.sqrt(np.max(np.mean(relative * relative, axis=1), axis=0, initial=0.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        relative = q_b / scales.q[:, None]
+        sizes = np.sqrt(np.max(np.mean(relative * relative, axis=1), axis=0, initial=0.0))
     sizes = np.where(np.isfinite(sizes), sizes, np.inf)
     return np.where(sizes * scales.b > _ROUND_OFF, sizes, 0.0)
 
