@@ -12,8 +12,11 @@ from ancfdae import (
     EstimatedErrors,
     Explicit,
     Solution,
+    Terminal,
     assemble,
+    custom,
     differentiate,
+    error_bars,
     simulate,
 )
 from validation.external.slider_crank import SliderCrank
@@ -114,6 +117,8 @@ def test_what_blew_up_has_infinite_errors():
     assert run.outcome.success
     assert np.max(run.q) > 1e160
     assert run.estimated_errors == EstimatedErrors(math.inf, (math.inf, math.inf))
+    place = Terminal(custom(lambda t, q, v, lam, b: q[:, 0] / 1e160, "place"))
+    assert error_bars(system, place, (), 340 * step, HHT(step)).resolved is False
 
 
 def test_files_keep_them(tmp_path):

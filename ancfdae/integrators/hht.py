@@ -418,7 +418,6 @@ class HHT(AdjointIntegrator):
     def _count_steps(self, t_end: float) -> int:
         """Return the number of steps to allot memory for; check that the end is an instant."""
         require_positive("t_end", t_end)
-        _require_square("t_end", float(t_end))
         if self.times is not None:
             if not math.isclose(self.times[-1], t_end, rel_tol=_WHOLE):
                 raise InvalidInput(
@@ -426,6 +425,7 @@ class HHT(AdjointIntegrator):
                 )
             return len(self.times) - 1
         if self.step is None:
+            _require_square("t_end", float(t_end))
             return _ROWS
         steps = t_end / self.step
         count = round(steps) if math.isfinite(steps) else 0

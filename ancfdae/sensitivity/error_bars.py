@@ -13,6 +13,7 @@ tenth, the bar is the whole difference, and nothing is extrapolated.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -142,8 +143,10 @@ def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
     before, after = (None if x is None else x.derivatives for x in errors)
     if before is None or after is None:
         return None
-    # A variable without influence has no error: nan, which is not larger.
-    return not any(y > x / 2.0**_RESOLVED for x, y in zip(before, after, strict=True))
+    # A variable without influence has no error: nan, which is neither. Infinite ones do not fall.
+    return not any(
+        y > x / 2.0**_RESOLVED or math.inf in (x, y) for x, y in zip(before, after, strict=True)
+    )
 
 
 def _bars(differences: Array, order: int | None) -> tuple[Array, Array]:
