@@ -300,7 +300,7 @@ In words:
 - **Rigid (slider-crank).** HHT-I3 to 1e-3, Explicit for more: 18 steps give five digits.
 - **Paper's crank-slider.** Soft and undamped: HHT-I3 for a per cent, Explicit beyond.
 - **Any scene, and a gradient that has to keep a tolerance without a reference at hand.** HHT-I3
-  with `control_sensitivities=True` (two to twelve times the time of the best fixed step), or
+  with `control_sensitivities=True` (up to fifteen times the time of the best fixed step), or
   Explicit where it gets through.
 
 A coarse setting in the column 1e-01 may be right by chance: on undamped scenes errors do not fall

@@ -181,10 +181,10 @@ tried, because waves below the tolerance of the motion decide about them. `estim
 such a run says so (report `error-bars`).
 
 Under control of both everything keeps to a few tolerances, on every scene and at every hht_alpha.
-What it costs is in the column *ratio of both* above: two to twelve times the best fixed step, which
-nobody knows beforehand. Integrated gradients of undamped scenes then are hundreds of times better
-than asked, for the waves that the derivatives contain are resolved, and an integral averages them
-out. A setting that did not finish ran at hht_alpha = 0, which is unstable and warned about.
+What it costs is in the column *ratio of both* above: one to fifteen times the best fixed step,
+which nobody knows beforehand. Integrated gradients of undamped scenes then are hundreds of times
+better than asked, for the waves that the derivatives contain are resolved, and an integral averages
+them out. A setting that did not finish ran at hht_alpha = 0, which is unstable and warned about.
 """
 
 
