@@ -140,6 +140,16 @@ class CartesianPendulum(OneByOneSystem):
         return v_b * lam[0] + np.outer(v, lam_b[0])
 
 
+class NeverRight(CartesianPendulum):
+    """Its force is a number at the start only."""
+
+    def with_values(self, b):
+        return NeverRight(self.angle, self.spin, b)
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) * (np.nan if t > 0 else 1.0)
+
+
 class WrittenPendulum(ComplexStepSystem):
     """`CartesianPendulum` by its physics alone."""
 

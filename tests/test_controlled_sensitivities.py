@@ -30,7 +30,7 @@ from ancfdae.integrators.step_error import StepError
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 
-from mechanisms import CartesianPendulum
+from mechanisms import CartesianPendulum, NeverRight
 
 STATES = ("q_b", "v_b", "a_b", "lam_b")
 
@@ -217,16 +217,6 @@ def test_the_limit_of_steps_is_an_outcome():
     run = differentiate(soft(), (), 0.25, HHT(rtol=1e-3, control_sensitivities=True, max_steps=99))
     assert run.outcome.verdict is Verdict.STEP_LIMIT
     assert len(run.sensitivities.q_b) == len(run.t) <= 100
-
-
-class NeverRight(CartesianPendulum):
-    """Its force is a number at the start only."""
-
-    def force(self, q, v, t):
-        return super().force(q, v, t) * (np.nan if t > 0 else 1.0)
-
-    def with_values(self, b):
-        return NeverRight(self.angle, self.spin, b)
 
 
 def test_complex_steps_repeat_a_run_without_a_step_too():

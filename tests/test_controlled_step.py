@@ -32,7 +32,7 @@ from ancfdae.errors import Verdict
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import pendulum
 
-from mechanisms import CartesianPendulum
+from mechanisms import CartesianPendulum, NeverRight
 
 SCENES = {
     "Cartesian pendulum": (lambda: CartesianPendulum(), 2.0),
@@ -251,13 +251,6 @@ def test_trouble_on_the_way_is_an_outcome(kind):
     assert 0.2 < run.t[-1] <= 0.35
     assert run.outcome.time == run.t[-1]
     assert np.all(np.isfinite(run.q))
-
-
-class NeverRight(CartesianPendulum):
-    """Its force is a number at the start only."""
-
-    def force(self, q, v, t):
-        return super().force(q, v, t) * (np.nan if t > 0 else 1.0)
 
 
 @pytest.mark.parametrize("integrator", [HHT(0.01), HHT(rtol=1e-3)])

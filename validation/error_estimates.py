@@ -65,8 +65,8 @@ def estimates(report: Report, quick: bool) -> None:
             cells += [f"{np.min(pairs[0]):.1g} to {np.max(pairs[0]):.1g}"]
             cells += [f"{np.min(ratio):.2g} to {np.max(ratio):.2g}"]
         rows.append([each.case.name, each.motion.shape[1], *cells])
-    header = ["scene", "runs", "errors of motion", "estimated / true"]
-    report.table([*header, "errors of derivatives", "estimated / true "], rows)
+    header = ["scene", "runs", "errors of motion", "estimated / true, motion"]
+    report.table([*header, "errors of derivatives", "estimated / true, derivatives"], rows)
     _plot(report, found)
     motion, derivatives = (
         np.concatenate([_ratios(getattr(each, name)) for each in found if not each.case.damped])
