@@ -1,5 +1,22 @@
 """First-order design sensitivities of flexible multibody systems in ANCF."""
 
+from ancfdae.ancf import AncfSystem, assemble
+from ancfdae.api import (
+    AdjointError,
+    ErrorBars,
+    Setting,
+    TargetNotReached,
+    TaylorTest,
+    Tradeoff,
+    adjoint_error,
+    differentiate,
+    error_bars,
+    gradient,
+    gradients,
+    simulate,
+    taylor_test,
+    tradeoff,
+)
 from ancfdae.bodies import Beam, CurvedBeam, Point
 from ancfdae.design import DesignVariable, distribution
 from ancfdae.errors import (
@@ -50,38 +67,20 @@ from ancfdae.observables import (
     strain_energy,
     velocity,
 )
+from ancfdae.protocol import MechanicalSystem, OneByOneSystem
+from ancfdae.protocol.solution import EstimatedErrors, Sensitivities, Solution, Statistics
 from ancfdae.scene import NodeState, RigidMotion, Scene
 from ancfdae.sections import Material, Rectangle
 from ancfdae.sensitivity import (
     Adjoint,
-    AdjointError,
     ComplexStep,
     ContinuousAdjoint,
     Direct,
-    ErrorBars,
     FiniteDifference,
     Gradient,
-    TaylorTest,
     UnfinishedRun,
-    adjoint_error,
-    differentiate,
-    error_bars,
-    gradient,
-    gradients,
-    simulate,
-    taylor_test,
 )
-from ancfdae.solution import EstimatedErrors, Sensitivities, Solution, Statistics
-from ancfdae.system import (
-    AncfSystem,
-    ComplexStepSystem,
-    Conformance,
-    MechanicalSystem,
-    OneByOneSystem,
-    assemble,
-    check_system,
-)
-from ancfdae.trade import Setting, TargetNotReached, Tradeoff, tradeoff
+from ancfdae.user_systems import ComplexStepSystem, Conformance, check_system
 
 __version__ = "0.1.0"
 

@@ -37,7 +37,7 @@ from ancfdae import (
 )
 from ancfdae.elements import BeamElement, ElementParameter
 from ancfdae.errors import InvalidInput, SingularMatrix
-from ancfdae.integrators.initial import consistent_start, saddle_point, start_sensitivity
+from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
 from ancfdae.joints import Joint, Law
 from ancfdae.loads import Load
 from ancfdae.numerics import linear_solvers

@@ -32,7 +32,7 @@ from ancfdae import (
     differentiate,
     simulate,
 )
-from ancfdae.integrators import hht_newton
+from ancfdae.integrators.hht.newton import StepSolver
 
 NAN, INF = float("nan"), float("inf")
 SECTION = Rectangle(height=0.05, width=0.04)
@@ -92,7 +92,7 @@ def _nothing_is_integrated(monkeypatch):
     def refuse(*_):
         raise AssertionError("a step was integrated")
 
-    monkeypatch.setattr(hht_newton.StepSolver, "advance", refuse)
+    monkeypatch.setattr(StepSolver, "advance", refuse)
 
 
 def refused(action, where, rule="", got="", repair="", kind=InvalidInput):

@@ -25,8 +25,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.errors import Verdict
-from ancfdae.integrators import hht
-from ancfdae.integrators.step_error import StepError
+from ancfdae.integrators.hht import method as hht
+from ancfdae.integrators.hht.step_error import StepError
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 

@@ -19,8 +19,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.errors import Verdict
-from ancfdae.integrators.hht_equations import Coefficients, Node
-from ancfdae.integrators.hht_small_steps import ConstraintRow, constraint_increment
+from ancfdae.integrators.hht.equations import Coefficients, Node
+from ancfdae.integrators.hht.small_steps import ConstraintRow, constraint_increment
 from validation.extremes_rows import Case, measure
 from validation.extremes_scenes import Rod, Units
 

@@ -14,7 +14,7 @@ from ancfdae import (
     assemble,
 )
 from ancfdae.integrators.high_order import Problem
-from ancfdae.integrators.index_reduced import ColumnStorage
+from ancfdae.integrators.sundials.index_reduced import ColumnStorage
 
 from mechanisms import CartesianPendulum, chain
 

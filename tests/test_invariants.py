@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ancfdae.elements import BEAM_2D, BEAM_3D, ElementParameter, elastic, invariants
-from ancfdae.elements.contract import GEOMETRIC
+from ancfdae.elements.element import GEOMETRIC
 from ancfdae.elements.invariants import prepare
 from ancfdae.elements.packing import packed_gram_direction
 from ancfdae.errors import InvalidInput

@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 
-from ancfdae.integrators.hht_equations import Coefficients, Node, NodeSensitivity
-from ancfdae.integrators.hht_step import Instant
-from ancfdae.integrators.initial import (
-    InitialSensitivity,
-    InitialState,
-    consistent_start,
-    saddle_point,
-)
-from ancfdae.integrators.pace import first_step
-from ancfdae.integrators.scales import Scales
-from ancfdae.integrators.step_error import (
+from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
+from ancfdae.integrators.hht.step import Instant
+from ancfdae.integrators.hht.step_control import first_step
+from ancfdae.integrators.hht.step_error import (
     StepError,
     derivative_sizes,
     sizes_hold,
     smaller_sizes,
+)
+from ancfdae.integrators.start import (
+    InitialSensitivity,
+    InitialState,
+    consistent_start,
+    saddle_point,
 )
 
 from mechanisms import CartesianPendulum

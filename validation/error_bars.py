@@ -21,10 +21,10 @@ from ancfdae import (
     position,
     reaction,
 )
+from ancfdae.api import as_system
 from ancfdae.objectives import Objective
 from ancfdae.plotting import Panel, Series
-from ancfdae.sensitivity import as_system
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
 from validation.error_estimates import estimates
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.report import Report, Verdict

@@ -17,8 +17,8 @@ from ancfdae import (
     Solution,
     differentiate,
 )
+from ancfdae.ancf import AncfSystem
 from ancfdae.integrators import IndexReduction
-from ancfdae.system import AncfSystem
 from validation.scenes import deflection
 
 __all__ = [

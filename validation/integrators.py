@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ancfdae import HHT, IDA, IDAS, Explicit, Integrator, assemble
+from ancfdae.ancf import AncfSystem
 from ancfdae.integrators import IndexReduction
 from ancfdae.plotting import Panel, Series
-from ancfdae.system import AncfSystem
 from validation import integrators_crank_slider
 from validation.external.runs import Requirement
 from validation.integrator_runs import (

@@ -19,8 +19,8 @@ from ancfdae import (
     gradient,
     position,
 )
+from ancfdae.ancf import AncfSystem
 from ancfdae.plotting import Panel, Series
-from ancfdae.system import AncfSystem
 from validation.external.runs import Requirement
 from validation.integrator_runs import (
     MANY,

@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements.contract import BeamElement, ElementParameter
+from ancfdae.elements.element import BeamElement, ElementParameter
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
 from ancfdae.numerics.arrays import Array
 

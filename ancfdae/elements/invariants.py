@@ -25,7 +25,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements.contract import GEOMETRIC, BeamElement, ElementParameter
+from ancfdae.elements.element import GEOMETRIC, BeamElement, ElementParameter
 from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array

@@ -1,13 +1,12 @@
 """Integrators, and the consistent start that all of them share."""
 
-from ancfdae.integrators.bindings import MissingPackage
-from ancfdae.integrators.contract import AdjointIntegrator, Integrator
 from ancfdae.integrators.explicit import Explicit
-from ancfdae.integrators.hht import HHT
-from ancfdae.integrators.ida import IDA
-from ancfdae.integrators.idas import IDAS
-from ancfdae.integrators.index_reduced import IndexReduction
-from ancfdae.integrators.seeds import Seeds
+from ancfdae.integrators.hht.method import HHT
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
+from ancfdae.integrators.sundials.bindings import MissingPackage
+from ancfdae.integrators.sundials.ida import IDA
+from ancfdae.integrators.sundials.idas import IDAS
+from ancfdae.integrators.sundials.index_reduced import IndexReduction
 
 __all__ = [
     "HHT",

@@ -19,13 +19,11 @@ import numpy as np
 from scipy.integrate import DOP853, DenseOutput
 
 from ancfdae.errors import SingularMatrix, Verdict, require_count
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem
-from ancfdae.integrators.point import Point
-from ancfdae.integrators.progress import Progress
-from ancfdae.integrators.projection import project
-from ancfdae.integrators.tolerances import require_rtol
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.integrators.index_1 import State, project
+from ancfdae.integrators.integrator import require_rtol
 from ancfdae.numerics.arrays import Array, is_finite
-from ancfdae.solution import Solution
+from ancfdae.protocol.solution import Solution
 
 # SciPy raises smaller ones to 100 eps with a warning.
 _LEAST_RTOL = 3e-14
@@ -91,9 +89,9 @@ class _ExplicitMarch(March):
         own = np.concatenate([s.q, s.v])[:, None]
         self._size = np.concatenate([own, own / s.b[: self._m]], axis=1)
         first = problem.initial
-        start = Point(first.q, first.v)
+        start = State(first.q, first.v)
         if b is not None:
-            start = Point(first.q, first.v, b.q_b, b.v_b)
+            start = State(first.q, first.v, b.q_b, b.v_b)
         self._between: DenseOutput | None = None
         self._solver = DOP853(
             self._rate,
@@ -104,7 +102,7 @@ class _ExplicitMarch(March):
             atol=_SMALL * settings.rtol,
         )
 
-    def to(self, t: float) -> Point | Verdict:
+    def to(self, t: float) -> State | Verdict:
         """Step until t lies behind, then interpolate."""
         solver, s = self._solver, t / self._t_end
         while solver.t < s:
@@ -131,7 +129,7 @@ class _ExplicitMarch(March):
         """Return zero: an explicit step has no equations left over."""
         return 0.0
 
-    def _vector(self, point: Point) -> Array:
+    def _vector(self, point: State) -> Array:
         n_q = self._problem.system.n_q
         columns = np.empty(self._size.shape, dtype=np.result_type(point.q, point.v))
         columns[:n_q, 0], columns[n_q:, 0] = point.q, point.v
@@ -140,14 +138,14 @@ class _ExplicitMarch(March):
         vector: Array = (columns / self._size).ravel()
         return vector
 
-    def _point(self, y: Array) -> Point:
+    def _point(self, y: Array) -> State:
         n_q = self._problem.system.n_q
         x = y.reshape(self._size.shape) * self._size
         if self._m == 0:
-            return Point(x[:n_q, 0], x[n_q:, 0])
-        return Point(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
+            return State(x[:n_q, 0], x[n_q:, 0])
+        return State(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
 
-    def _projected(self, s: float, y: Array) -> Point:
+    def _projected(self, s: float, y: Array) -> State:
         if not is_finite(y):
             raise NotFinite
         problem, t = self._problem, s * self._t_end
@@ -169,10 +167,10 @@ class _ExplicitMarch(March):
             raise NotFinite
         t, x, accelerations = s * self._t_end, self._point(y), self._problem.accelerations
         a, lam = accelerations.solve(t, x.q, x.v)
-        rate = Point(x.v, a)
+        rate = State(x.v, a)
         if x.q_b is not None and x.v_b is not None:
             state = (x.q, x.v, a, lam)
-            rate = Point(x.v, a, x.v_b, accelerations.solve_b(t, state, x.q_b, x.v_b)[0])
+            rate = State(x.v, a, x.v_b, accelerations.solve_b(t, state, x.q_b, x.v_b)[0])
         vector = self._vector(rate) * self._t_end
         if not is_finite(vector):
             raise NotFinite

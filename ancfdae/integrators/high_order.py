@@ -15,22 +15,51 @@ import numpy as np
 from tqdm import tqdm
 
 from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_positive
-from ancfdae.integrators.accelerations import Accelerations
-from ancfdae.integrators.contract import Integrator
-from ancfdae.integrators.initial import (
+from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.index_1 import Accelerations, State
+from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.start import (
     InitialSensitivity,
     InitialState,
     consistent_start,
     saddle_point,
     start_sensitivity,
 )
-from ancfdae.integrators.point import Point
-from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.scales import Scales
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.solution import Solution
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+
+# Steps that together advance by less than this share of the end time. Single steps may be lost in
+# round-off: at tight tolerances Newton's method meets it, and SUNDIALS tries shorter steps until it
+# gets on (a pendulum of IDA at 3e-13: five in a row, and the end time is reached).
+_STEPS, _SHARE = 100, 1e-12
+
+
+@final
+class Progress:
+    """Watches the times that a solver reaches.
+
+    Parameters
+    ----------
+    t_end : float
+    """
+
+    def __init__(self, t_end: float) -> None:
+        self._mark, self._least, self._taken = 0.0, _SHARE * t_end, 0
+
+    def stalls(self, t: float) -> bool:
+        """Take note of a step to t; return whether the last hundred led nowhere.
+
+        So end a blow-up, a jump too large to integrate, and noise.
+        """
+        self._taken += 1
+        if self._taken < _STEPS:
+            return False
+        stalled = t - self._mark < self._least
+        self._mark, self._taken = t, 0
+        return stalled
 
 
 @final
@@ -97,7 +126,7 @@ class March(abc.ABC):
     residuals: int
 
     @abc.abstractmethod
-    def to(self, t: float) -> Point | Verdict:
+    def to(self, t: float) -> State | Verdict:
         """Go on to the time t; return the state there, or why it was not reached.
 
         Raises
@@ -190,7 +219,7 @@ def _record_start(problem: Problem, recorder: Recorder) -> None:
     recorder.record(0.0, s.q, s.v, s.a, s.lam, derivatives)
 
 
-def _record(problem: Problem, recorder: Recorder, t: float, point: Point) -> None:
+def _record(problem: Problem, recorder: Recorder, t: float, point: State) -> None:
     """Complete a state by accelerations and multipliers, and store it."""
     q, v = point.q, point.v
     a, lam = problem.accelerations.solve(t, q, v)

@@ -9,8 +9,8 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, Outcome
 from ancfdae.numerics.arrays import Array
-from ancfdae.solution import Sensitivities, Solution, Statistics
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Sensitivities, Solution, Statistics
 
 
 @final

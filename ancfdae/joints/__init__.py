@@ -1,9 +1,9 @@
 """Joints: holonomic constraints between points of beams, and to ground; one a file."""
 
 from ancfdae.joints.clamp import Clamp
-from ancfdae.joints.contract import Coefficients, Joint
 from ancfdae.joints.distance import Distance
 from ancfdae.joints.drive import Drive, Guide
+from ancfdae.joints.joint import Coefficients, Joint
 from ancfdae.joints.laws import Harmonic, Law, Uniform
 from ancfdae.joints.pin import Pin, Spherical
 from ancfdae.joints.point_on_line import PointOnLine

@@ -9,7 +9,7 @@ import numpy as np
 
 from ancfdae.bodies import Point, Quantity, name_at
 from ancfdae.errors import InvalidInput
-from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from ancfdae.bodies import Point, Quantity, name_at
 from ancfdae.errors import InvalidInput, require_kind, require_vector
-from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients
 from ancfdae.joints.frames import unit
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
 from ancfdae.joints.laws import Law
 from ancfdae.numerics.arrays import Array
 

@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity, name_at
 from ancfdae.design import replaced_component, vector_parameters
 from ancfdae.errors import InvalidInput, require_vector
-from ancfdae.joints.contract import Coefficients, Joint, empty_coefficients, place_coincidence
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 

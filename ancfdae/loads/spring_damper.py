@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity, name_at
 from ancfdae.design import replaced_component, vector_parameters
 from ancfdae.errors import InvalidInput, require_finite, require_vector
-from ancfdae.loads.contract import CentreLine, Load
+from ancfdae.loads.load import CentreLine, Load
 from ancfdae.numerics.arrays import Array
 
 

@@ -1,6 +1,6 @@
 """Objectives: functions of a whole run, built from observables, with exact partials."""
 
-from ancfdae.objectives.contract import NonFiniteObjective, Objective, ObjectivePartials
+from ancfdae.objectives.objective import NonFiniteObjective, Objective, ObjectivePartials
 from ancfdae.objectives.reductions import AtTimes, Integral, SmoothMaximum, Terminal
 
 __all__ = [

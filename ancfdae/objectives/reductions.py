@@ -17,9 +17,9 @@ import numpy as np
 from ancfdae.errors import InvalidInput, require_finite, require_positive
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.objectives.contract import NonFiniteObjective, Objective, ObjectivePartials
+from ancfdae.objectives.objective import NonFiniteObjective, Objective, ObjectivePartials
 from ancfdae.observables import Observable, States
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
 
 
 class Reduction(Objective):

@@ -1,8 +1,7 @@
 """Observables: what can be seen of a motion, with exact partial derivatives."""
 
-from ancfdae.observables.contract import Leaf, LeafGradient, Observable, ObservablePartials, Rows
+from ancfdae.observables.observable import Leaf, LeafGradient, Observable, ObservablePartials, Rows
 from ancfdae.observables.observe import observe, states_of
-from ancfdae.observables.own import apply, custom
 from ancfdae.observables.quantities import (
     design,
     kinetic_energy,
@@ -12,6 +11,7 @@ from ancfdae.observables.quantities import (
     time,
 )
 from ancfdae.observables.states import Named, States
+from ancfdae.observables.user_functions import apply, custom
 from ancfdae.observables.vectors import (
     axial_strain,
     deflection,

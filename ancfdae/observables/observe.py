@@ -6,10 +6,10 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
-from ancfdae.observables.contract import Observable
+from ancfdae.observables.observable import Observable
 from ancfdae.observables.states import States
-from ancfdae.solution import Solution
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
 
 
 def states_of(solution: Solution) -> States:

@@ -7,11 +7,12 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.ancf import AncfSystem
 from ancfdae.errors import InvalidInput, UnknownName
 from ancfdae.numerics.arrays import Array
-from ancfdae.observables.contract import Leaf, LeafGradient, Observable, Rows
+from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_naming, known_system, require_index
-from ancfdae.system import AncfSystem, MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
 
 
 def reaction(joint: str, axis: int) -> Observable:

@@ -8,10 +8,10 @@ from typing import Protocol, final
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.layout import Naming
+from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
 
 
 class Named(Protocol):

@@ -10,10 +10,10 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
-from ancfdae.observables.contract import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.functions import Function
+from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_naming, require_index
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
 
 
 def position(point: Point, axis: int) -> Observable:

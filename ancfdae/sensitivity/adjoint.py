@@ -10,8 +10,8 @@ from ancfdae.errors import InvalidInput
 from ancfdae.integrators import AdjointIntegrator, Integrator, Seeds
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
-from ancfdae.sensitivity.contract import Gradient, GradientMethod, finished, keeping
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.sensitivity.method import Gradient, GradientMethod, finished, keeping
 
 
 @final

@@ -13,9 +13,9 @@ from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
-from ancfdae.sensitivity.contract import Gradient, Method, finished, repeated, with_columns
-from ancfdae.solution import Solution
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.sensitivity.method import Gradient, Method, finished, repeated, with_columns
 
 # Relative imaginary perturbation: its square vanishes against one, and itself stays far from
 # the smallest normal number after division by beta h^2 or multiplication with small lengths.

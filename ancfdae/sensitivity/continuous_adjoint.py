@@ -34,9 +34,9 @@ from scipy.interpolate import BarycentricInterpolator
 
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT, Integrator
-from ancfdae.integrators.accelerations import Accelerations
-from ancfdae.integrators.hht_equations import acceleration, correct, predict
-from ancfdae.integrators.initial import (
+from ancfdae.integrators.hht.equations import acceleration, correct, predict
+from ancfdae.integrators.index_1 import Accelerations
+from ancfdae.integrators.start import (
     InitialSensitivity,
     consistent_start,
     saddle_point,
@@ -46,9 +46,9 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.objectives import Objective, ObjectivePartials
 from ancfdae.observables import states_of
-from ancfdae.sensitivity.contract import Gradient, GradientMethod, finished, keeping
-from ancfdae.solution import Solution
-from ancfdae.system import Linearisation, MechanicalSystem
+from ancfdae.protocol import Linearisation, MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.sensitivity.method import Gradient, GradientMethod, finished, keeping
 
 # Steps needed for the one-sided differences at the end.
 _LEAST_STEPS = 4

@@ -11,9 +11,9 @@ import numpy as np
 from ancfdae.integrators import Integrator
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
-from ancfdae.sensitivity.contract import Gradient, Method, finished
-from ancfdae.solution import Solution
-from ancfdae.system import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.sensitivity.method import Gradient, Method, finished
 
 
 @final

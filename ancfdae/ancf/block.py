@@ -1,0 +1,166 @@
+"""All elements of a scene as one block: their invariants, prepared once per distinct element."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.parameters import ParameterMap
+from ancfdae.elements import BeamElement, ElementParameter
+from ancfdae.elements.invariants import Invariants, prepare
+from ancfdae.numerics.arrays import Array
+from ancfdae.scene import Scene
+
+
+@final
+@dataclass(frozen=True)
+class ElementBlock:
+    """Invariants of all elements, and their design derivatives pair by pair.
+
+    Attributes
+    ----------
+    A, g_o : array, shape (n, ...) or (1, ...) when all elements are alike
+    m : array, shape (n, n_a, n_a)
+    tau : array, shape (n,), or None
+        Damping times; None when no element is damped and no design variable could change that.
+    stiffness_pairs, damping_pairs, mass_pairs : array of int
+        Pairs of the `ParameterMap` whose parameter enters A, tau and m.
+    A_b, g_ob, c_b : array, shape (n_stiffness_pairs, ...)
+    m_b : array, shape (n_mass_pairs, n_a, n_a)
+        Derivatives in the design variable of the pair (weight included).
+    """
+
+    A: Array
+    g_o: Array
+    m: Array
+    tau: Array | None
+    stiffness_pairs: Array
+    damping_pairs: Array
+    mass_pairs: Array
+    A_b: Array
+    g_ob: Array
+    c_b: Array
+    m_b: Array
+
+
+# Parameters that the mass does not depend on, and those that stiffness does not depend on.
+_WEIGHTLESS = (
+    ElementParameter.YOUNGS_MODULUS,
+    ElementParameter.POISSON_RATIO,
+    ElementParameter.DAMPING_TIME,
+)
+_LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
+
+
+def element_block(scene: Scene, mapping: ParameterMap, parameters: Array) -> ElementBlock:
+    """Prepare the invariants at the given element parameters, shape (n, 7)."""
+    element = scene.beams[0].element
+    Y_unit, straight = _unit_vectors(scene, element)
+    owners = np.concatenate(
+        [np.repeat(f"beam {beam.name!r}", beam.element_count) for beam in scene.beams]
+    )
+    key = np.concatenate(
+        [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), straight[:, None]],
+        axis=1,
+    )
+    _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    index = index.ravel()
+    damped = ElementParameter.DAMPING_TIME
+    wanted = tuple(which for which in mapping.driven() if which is not damped)
+    distinct = _prepare(
+        element, parameters[kept], Y_unit[kept], straight[kept], wanted, owners[kept]
+    )
+    chosen = np.zeros(1, dtype=np.int64) if len(kept) == 1 else index
+    stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
+    mass = np.flatnonzero(~np.isin(mapping.parameters, _WEIGHTLESS))
+    A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
+    c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=distinct.A.dtype)
+    g_ob = np.zeros_like(c_b)
+    m_b = np.zeros((len(mass), *distinct.m.shape[1:]), dtype=distinct.m.dtype)
+    for which, partial in distinct.partials.items():
+        at = mapping.parameters[stiffness] == which
+        source = index[mapping.elements[stiffness][at]]
+        weight = mapping.weights[stiffness][at]
+        A_b[at] = partial.A[source] * weight[:, None, None]
+        c_b[at] = partial.c[source] * weight[:, None]
+        g_ob[at] = partial.g_o[source] * weight[:, None]
+        at = mapping.parameters[mass] == which
+        source = index[mapping.elements[mass][at]]
+        m_b[at] = partial.m[source] * mapping.weights[mass][at][:, None, None]
+    tau = parameters[:, damped]
+    is_damped = bool(np.any(tau != 0)) or damped in mapping.driven()
+    return ElementBlock(
+        A=distinct.A[chosen],
+        g_o=distinct.g_o[chosen],
+        m=distinct.m[index],
+        tau=tau if is_damped else None,
+        stiffness_pairs=stiffness,
+        damping_pairs=mapping.pairs(damped),
+        mass_pairs=mass,
+        A_b=A_b,
+        g_ob=g_ob,
+        c_b=c_b,
+        m_b=m_b,
+    )
+
+
+def _prepare(
+    element: BeamElement,
+    parameters: Array,
+    Y_unit: Array,
+    straight: Array,
+    wanted: tuple[ElementParameter, ...],
+    owners: Array,
+) -> Invariants:
+    """Prepare straight and curved elements with their own quadrature rules."""
+    if np.all(straight) or not np.any(straight):
+        return prepare(element, parameters, Y_unit, bool(straight[0]), wanted, owners)
+    order = np.argsort(~straight, kind="stable")
+    count = int(np.sum(straight))
+    parts = [
+        prepare(element, parameters[k], Y_unit[k], bool(straight[k[0]]), wanted, owners[k])
+        for k in (order[:count], order[count:])
+    ]
+    back = np.argsort(order)
+
+    def joined(arrays: list[Array]) -> Array:
+        return np.concatenate(arrays)[back]
+
+    partials = {
+        which: type(parts[0].partials[which])(
+            A=joined([part.partials[which].A for part in parts]),
+            g_o=joined([part.partials[which].g_o for part in parts]),
+            c=joined([part.partials[which].c for part in parts]),
+            m=joined([part.partials[which].m for part in parts]),
+        )
+        for which in wanted
+    }
+    return Invariants(
+        A=joined([part.A for part in parts]),
+        g_o=joined([part.g_o for part in parts]),
+        m=joined([part.m for part in parts]),
+        partials=partials,
+    )
+
+
+def _unit_vectors(scene: Scene, element: BeamElement) -> tuple[Array, Array]:
+    """Return reference relative node vectors of all elements, the chord per unit length.
+
+    The material is isotropic, so a straight element of any orientation has the invariants of
+    one along the x axis; using those makes equal elements equal bit by bit.
+    """
+    canonical = np.zeros((element.n_y, element.d))
+    canonical[0, 0] = 1.0
+    canonical[1 : element.n_s] = canonical[element.n_s :] = np.eye(element.d)
+    vectors, straight = [], []
+    for beam in scene.beams:
+        shape, n = beam.reference(), beam.element_count
+        if shape.straight:
+            Y = np.repeat(canonical[None], n, axis=0)
+        else:
+            Y = np.concatenate([shape.chords[:, None], shape.slopes[:-1], shape.slopes[1:]], axis=1)
+        vectors.append(Y)
+        straight.append(np.full(n, shape.straight))
+    return np.concatenate(vectors), np.concatenate(straight)

@@ -1,0 +1,233 @@
+"""Elastic and internal damping forces of all elements of a scene, with design derivatives."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+from scipy import sparse
+
+from ancfdae.ancf.block import ElementBlock
+from ancfdae.ancf.numbering import Numbering
+from ancfdae.ancf.parameters import ParameterMap
+from ancfdae.elements import elastic
+from ancfdae.elements.packing import packed_gram_direction
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_map import LinearMap
+from ancfdae.numerics.patterns import Pattern
+
+
+@final
+class ElasticForces:
+    """Generalised elastic forces Q_s and their partials.
+
+    States are given as rows of an array (k, n_q), one per instant.
+
+    Parameters
+    ----------
+    block : ElementBlock
+    numbering : Numbering
+    mapping : ParameterMap
+    n_b : int
+        Number of design variables.
+    pattern : Pattern
+        Pattern of the system's matrices; must hold the entries of every element.
+    """
+
+    def __init__(
+        self,
+        block: ElementBlock,
+        numbering: Numbering,
+        mapping: ParameterMap,
+        n_b: int,
+        pattern: Pattern,
+    ) -> None:
+        self._block, self._numbering, self._n_b = block, numbering, n_b
+        self._shape = (len(numbering.vectors), numbering.element.n_y, numbering.element.d)
+        R = numbering.relative()
+        self._R = LinearMap(R)
+        self._tangent_map = _tangent_map(numbering, pattern)
+        pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
+        self._stiff = len(block.stiffness_pairs)
+        self._pair_element = mapping.elements[pairs]
+        self._pair_variable = mapping.variables[pairs]
+        self._pair_weight = mapping.weights[pairs]
+        self._pair_map = self._pair_scatter(R)
+
+    @property
+    def damped(self) -> bool:
+        """Whether forces depend on velocities."""
+        return self._block.tau is not None
+
+    def round_off(self, q: Array, weights: Array) -> float:
+        """Size of the round-off in Q_s near a configuration, one instant.
+
+        Relative node vectors carry eps |q| each, and forces the tangent times that; all terms
+        by their magnitude, in the norm sqrt(sum Q^2 / weights).
+        """
+        block = self._block
+        R = abs(self._numbering.relative())
+        Y = self._R(q.real).reshape(self._shape)
+        K = np.abs(elastic.tangent(block.A.real, block.g_o.real, Y))
+        F = np.matmul(K, (R @ np.abs(q.real)).reshape(len(K), -1, 1))
+        Q = np.finfo(float).eps * (R.T @ F.ravel())
+        return float(np.sqrt(np.sum(Q * Q / weights)))
+
+    def relative(self, q: Array) -> Array:
+        """Relative node vectors of all elements, shape (k, n, n_y, d)."""
+        # In one piece for each element: matrix products of small strided blocks are slow.
+        return np.ascontiguousarray(self._R.rows(q)).reshape(len(q), *self._shape)
+
+    def force(self, q: Array, v: Array) -> Array:
+        """Q_s for one instant, shape (n_q,)."""
+        block = self._block
+        Y = self._R(q).reshape(self._shape)
+        V = None if block.tau is None else self._R(v).reshape(self._shape)
+        return -self._R.transposed(elastic.force(block.A, block.g_o, Y, V, block.tau).ravel())
+
+    def force_q(self, q: Array, v: Array) -> Array:
+        """Values of (Q_s)_q on the pattern, shape (k, nnz)."""
+        block, Y = self._block, self.relative(q)
+        V = None if block.tau is None else self.relative(v)
+        K = elastic.tangent(block.A, block.g_o, Y, V, block.tau)
+        # Instants as whole rows in memory, as they are read afterwards.
+        return np.negative(self._tangent_map.rows(K.reshape(len(q), -1)), order="C")
+
+    def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
+        """Total design derivative of Q_s for one instant, shape (n_q, n_b)."""
+        block, tau, Y = self._block, self._block.tau, self._R(q).reshape(self._shape)
+        V = None if tau is None else self._R(v).reshape(self._shape)
+        shape = (len(Y), Y[0].size, self._n_b)
+        U = self._R.columns(q_b).reshape(shape)
+        VU = None if V is None else (V, self._R.columns(v_b).reshape(shape))
+        x = elastic.strain(block.g_o, Y, V, tau)
+        p_b = self._stresses_b(x, Y, V)
+        p = elastic.apply_invariant(block.A, x)
+        F_b = elastic.force_total(block.A, p, p_b, (Y, U), VU, tau)
+        return -self._R.transposed(F_b.reshape(Y.size, self._n_b))
+
+    def _stresses_b(self, x: Array, Y: Array, V: Array | None) -> Array:
+        """Design partial of A (dg + tau g') at fixed Y and V, shape (n, n_g, n_b)."""
+        block, element, variable = self._block, self._pair_element, self._pair_variable
+        p_b = np.zeros((len(Y), self._n_b, x.shape[1]), dtype=np.result_type(x, block.A_b))
+        stiff, damped = slice(self._stiff), slice(self._stiff, None)
+        change = elastic.apply_invariant(block.A_b, x[element[stiff]]) - block.c_b
+        np.add.at(p_b, (element[stiff], variable[stiff]), change)
+        if V is not None and len(block.damping_pairs):
+            at = element[damped]
+            rate = packed_gram_direction(Y[at], V[at]) * self._pair_weight[damped, None]
+            A = block.A if len(block.A) == 1 else block.A[at]
+            np.add.at(p_b, (at, variable[damped]), elastic.apply_invariant(A, rate))
+        return np.swapaxes(p_b, 1, 2)
+
+    def force_v(self, q: Array) -> Array:
+        """Values of (Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
+        assert self._block.tau is not None
+        K = elastic.damping_tangent(self._block.A, self.relative(q), self._block.tau)
+        return -self._tangent_map.rows(K.reshape(len(q), -1))
+
+    def force_b(self, q: Array, v: Array) -> Array:
+        """(Q_s)_b, shape (k, n_q, n_b)."""
+        F = self._pair_forces(q, v).reshape(len(q), -1)
+        return -self._pair_map.rows(F).reshape(len(q), self._numbering.n_q, self._n_b)
+
+    def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
+        """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
+        work = self._pair_forces(q, v) * self.relative(mu)[:, self._pair_element]
+        per_pair = -np.sum(work, axis=(0, 2, 3))
+        return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+
+    def force_rate(self, q: Array, v: Array, a: Array) -> Array:
+        """d(Q_s)/dt along the motion, shape (n_q,), for one instant."""
+        block = self._block
+        Y, V, Z = (self._R(x).reshape(self._shape) for x in (q, v, a))
+        F = elastic.force_rate(block.A, block.g_o, Y, V, Z, block.tau)
+        return -self._R.transposed(F.ravel())
+
+    def moved(self, variable: int, size: float) -> ElasticForces:
+        """Return these forces with one design variable moved by i times `size`.
+
+        The invariants move along their prepared derivatives, which is exact for an imaginary
+        step whose square vanishes.
+        """
+        block = self._block
+        n = self._shape[0]
+        A = np.repeat(block.A, n, axis=0) if len(block.A) == 1 else block.A
+        g_o = np.repeat(block.g_o, n, axis=0) if len(block.g_o) == 1 else block.g_o
+        A, g_o = A.astype(complex), g_o.astype(complex)
+        tau = None if block.tau is None else block.tau.astype(complex)
+        for pair in np.flatnonzero(self._pair_variable == variable):
+            element = self._pair_element[pair]
+            if pair < self._stiff:
+                g_o[element] += 1j * size * block.g_ob[pair]
+                A[element] += 1j * size * block.A_b[pair]
+            elif tau is not None:
+                tau[element] += 1j * size * self._pair_weight[pair]
+        other = copy.copy(self)
+        other._block = replace(block, A=A, g_o=g_o, tau=tau)
+        return other
+
+    # -- energies ------------------------------------------------------------------------------
+
+    def energies(self, q: Array) -> Array:
+        """Strain energy of every element, shape (k, n)."""
+        return elastic.energy(self._block.A, self._block.g_o, self.relative(q))
+
+    def energy_q(self, q: Array, chosen: Array) -> Array:
+        """Gradient of the energy of the chosen elements, shape (k, n_q)."""
+        F = elastic.force(self._block.A, self._block.g_o, self.relative(q))
+        F = F * chosen[:, None, None]
+        return self._R.rows_transposed(F.reshape(len(q), -1))
+
+    def energy_b(self, q: Array, chosen: Array) -> Array:
+        """Design partial of the energy of the chosen elements, shape (k, n_b)."""
+        block, pairs = self._block, self._pair_element[: self._stiff]
+        dg = elastic.strain(block.g_o, self.relative(q))[:, pairs]
+        # d(1/2 dg^T A dg) = 1/2 dg^T A_b dg - dg^T A g_ob
+        per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(block.A_b, dg) - block.c_b), axis=2)
+        result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
+        np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)
+        return result
+
+    def _pair_forces(self, q: Array, v: Array) -> Array:
+        """Partial of the element force for every pair, shape (k, n_pairs, n_y, d)."""
+        block, Y = self._block, self.relative(q)
+        V = None if block.tau is None else self.relative(v)
+        stiff = self._pair_element[: self._stiff]
+        x = elastic.strain(block.g_o, Y, V, block.tau)
+        F = elastic.force_partial(block.A_b, block.c_b, x[:, stiff], Y[:, stiff])
+        if V is None or len(block.damping_pairs) == 0:
+            return F
+        damped, weight = self._pair_element[self._stiff :], self._pair_weight[self._stiff :]
+        rate = packed_gram_direction(Y[:, damped], V[:, damped]) * weight[:, None]
+        A = block.A if len(block.A) == 1 else block.A[damped]
+        D = elastic.stressed(elastic.apply_invariant(A, rate), Y[:, damped])
+        return np.concatenate([F, D], axis=1)
+
+    def _pair_scatter(self, R: sparse.csr_array) -> LinearMap:
+        """Map from the forces of all pairs to columns of a row-major (n_q, n_b) array."""
+        size = self._shape[1] * self._shape[2]
+        rows = (self._pair_element[:, None] * size + np.arange(size)).ravel()
+        shape = (R.shape[1] * self._n_b, len(rows))
+        if len(rows) == 0:
+            return LinearMap(sparse.csr_array(shape))
+        picked = R[rows].tocoo()
+        variable = np.repeat(self._pair_variable, size)[picked.row]
+        return LinearMap.of(picked.col * self._n_b + variable, picked.row, picked.data, shape)
+
+
+def _tangent_map(numbering: Numbering, pattern: Pattern) -> LinearMap:
+    """Constant map from the element tangents in Y to values on the pattern."""
+    n, size = len(numbering.vectors), numbering.element.n_y * numbering.element.d
+    rows, columns, signs = numbering.relative_entries()
+    by_row = np.argsort(rows, kind="stable")
+    rows, columns, signs = rows[by_row], columns[by_row], signs[by_row]
+    per_element = len(rows) // n
+    i, j = (x.ravel() for x in np.indices((per_element, per_element)))
+    offset = np.arange(n)[:, None] * per_element
+    I, J = (offset + i).ravel(), (offset + j).ravel()
+    raw = (rows[I] // size * size + rows[I] % size) * size + rows[J] % size
+    index = pattern.index(columns[I], columns[J])
+    return LinearMap.of(index, raw, signs[I] * signs[J], (pattern.size, n * size * size))

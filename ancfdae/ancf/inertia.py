@@ -1,0 +1,113 @@
+"""Mass matrix of a scene, its design derivatives, and gravity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.block import ElementBlock
+from ancfdae.ancf.numbering import Numbering
+from ancfdae.ancf.parameters import ParameterMap
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_map import LinearMap
+from ancfdae.numerics.patterns import Pattern
+
+
+@final
+class Inertia:
+    """M, M_b and the force of gravity.
+
+    Parameters
+    ----------
+    block, numbering, mapping, n_b, pattern
+        As in `ElasticForces`.
+    gravity : sequence of float or None
+        Acceleration of gravity.
+
+    Attributes
+    ----------
+    values : array
+        M on the pattern.
+    weights : array, shape (n_q,)
+        Real diagonal of M.
+    gravity, gravity_b : array, shape (n_q,) and (n_q, n_b)
+        Q_e = M (field of unit translations times g): eq. (12) without an integral of its own.
+    """
+
+    def __init__(
+        self,
+        block: ElementBlock,
+        numbering: Numbering,
+        mapping: ParameterMap,
+        n_b: int,
+        pattern: Pattern,
+        gravity: Sequence[float] | None,
+    ) -> None:
+        self._n_b, self._numbering, self._block = n_b, numbering, block
+        self._pair_element = mapping.elements[block.mass_pairs]
+        self._pair_variable = mapping.variables[block.mass_pairs]
+        n_q, element = numbering.n_q, numbering.element
+        rows, columns, values = self._entries(block.m, numbering.vectors)
+        self.values = np.asarray(pattern.gather(rows, columns) @ values)
+        self._M = LinearMap(pattern.csr(self.values))
+        self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
+        rows, columns, values = self._entries(block.m_b, numbering.vectors[self._pair_element])
+        variable = np.repeat(self._pair_variable, element.d * element.n_a**2)
+        self._M_b = LinearMap.of(rows * n_b + variable, columns, values, (n_q * n_b, n_q))
+        self.gravity = np.zeros(n_q, dtype=self.values.dtype)
+        self.gravity_b = np.zeros((n_q, n_b), dtype=self.values.dtype)
+        if gravity is not None:
+            field = np.zeros((n_q // element.d, element.d))
+            field[:: element.n_s] = gravity
+            self.gravity = self._M(field.ravel())
+            self.gravity_b = self.times_b(field.reshape(1, -1))[0]
+
+    def times(self, x: Array) -> Array:
+        """M x for a vector or for columns."""
+        return self._M.columns(x)
+
+    def times_b(self, a: Array) -> Array:
+        """(M a)_b for rows of a, shape (k, n_q, n_b)."""
+        return self._M_b.rows(a).reshape(len(a), self._numbering.n_q, self._n_b)
+
+    def pull_back(self, a: Array, x: Array) -> Array:
+        """Sum over instants of ((M a)_b)^T x, shape (n_b,); a and x have shape (k, n_q)."""
+        per_pair = np.sum(self._pair_products(a, x), axis=0)
+        return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+
+    def quadratic_b(self, v: Array, chosen: Array) -> Array:
+        """Design partial of v^T M v over the chosen elements, shape (k, n_b)."""
+        per_pair = self._pair_products(v, v) * chosen[self._pair_element]
+        result = np.zeros((len(v), self._n_b), dtype=per_pair.dtype)
+        np.add.at(result.T, self._pair_variable, per_pair.T)
+        return result
+
+    def chosen_times(self, v: Array, chosen: Array) -> Array:
+        """M v with the masses of the chosen elements only, for rows of v, shape (k, n_q)."""
+        coordinates = self._numbering.coordinates(self._numbering.vectors)
+        products = np.einsum("n,nab,knbd->knad", chosen, self._block.m, v[:, coordinates])
+        result = np.zeros(v.shape, dtype=products.dtype)
+        np.add.at(result.T, coordinates.ravel(), products.reshape(len(v), -1).T)
+        return result
+
+    def _pair_products(self, a: Array, x: Array) -> Array:
+        """x^T M_b a pair by pair, shape (k, n_pairs)."""
+        coordinates = self._numbering.coordinates(self._numbering.vectors[self._pair_element])
+        products: Array = np.einsum(
+            "kpad,pab,kpbd->kp",
+            x[:, coordinates],
+            self._block.m_b,
+            a[:, coordinates],
+            optimize=True,
+        )
+        return products
+
+    def _entries(self, m: Array, vectors: Array) -> tuple[Array, Array, Array]:
+        """Rows, columns and values of m (x) I_d for every element."""
+        coordinates = self._numbering.coordinates(vectors)
+        rows, columns, values = np.broadcast_arrays(
+            coordinates[:, :, None, :], coordinates[:, None, :, :], m[..., None]
+        )
+        return rows.ravel(), columns.ravel(), values.ravel()

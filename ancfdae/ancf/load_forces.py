@@ -1,0 +1,174 @@
+"""Forces of all loads of a scene: Q = L^T F(U, V, p), with tangents and design partials.
+
+F comes from the loads, each a closed form of a few numbers. Its Jacobians are
+taken by complex step, all directions in one evaluation: exact to round-off,
+and a new load needs no derivative of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.vectors import Vectors
+from ancfdae.loads import Load
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_map import LinearMap
+from ancfdae.numerics.patterns import Pattern
+
+_STEP = 1e-40
+
+
+@final
+@dataclass(frozen=True)
+class LoadInput:
+    """One load with its vectors and parameter values.
+
+    Attributes
+    ----------
+    load : Load
+    vectors : Vectors
+    p : array, shape (n_p,); p_b : array, shape (n_p, n_b)
+    """
+
+    load: Load
+    vectors: Vectors
+    p: Array
+    p_b: Array
+
+    @property
+    def uses_velocity(self) -> bool:
+        """Whether the force depends on velocities at these design variables."""
+        names = self.load.parameters()
+        driven = [name for name, row in zip(names, self.p_b, strict=True) if np.any(row)]
+        return self.load.uses_velocity(driven)
+
+
+@final
+class LoadForces:
+    """Sum of all loads; states have instants as leading axis, (k, n_q).
+
+    Parameters
+    ----------
+    inputs : sequence of LoadInput
+    n_q, n_b, d : int
+    """
+
+    def __init__(self, inputs: Sequence[LoadInput], n_q: int, n_b: int, d: int) -> None:
+        self._inputs, self._n_q, self._n_b, self._d = inputs, n_q, n_b, d
+        self.uses_velocity = any(item.uses_velocity for item in inputs)
+        self._moving = [item for item in inputs if not item.load.constant]
+        self._steady = np.zeros(n_q)
+        zero = np.zeros((1, n_q))
+        for item in inputs:
+            if item.load.constant:
+                U = item.vectors.of(zero)
+                self._steady = self._steady + item.vectors.lift(item.load.force(U, U, item.p))[0]
+
+    def couplings(self) -> tuple[Array, Array]:
+        """Rows and columns of all entries that tangents may have."""
+        rows, columns = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+        for item in self._moving:
+            used = np.unique(item.vectors.matrix.tocoo().col)
+            rows.append(np.repeat(used, len(used)))
+            columns.append(np.tile(used, len(used)))
+        return np.concatenate(rows), np.concatenate(columns)
+
+    def place(self, pattern: Pattern) -> None:
+        """Prepare tangents on the system's pattern, which must hold the couplings."""
+        self._maps = []
+        for item in self._moving:
+            L = item.vectors.matrix.toarray()
+            size = len(L)
+            used = np.flatnonzero(np.any(L != 0, axis=0))
+            rows, columns = np.repeat(used, len(used)), np.tile(used, len(used))
+            # L^T F_U L, entry (r, c): sum over i, j of L_ir F_U,ij L_jc.
+            weights = np.einsum("ir,jc->rcij", L[:, used], L[:, used]).reshape(-1, size * size)
+            entry, raw = np.nonzero(weights)
+            index = pattern.index(rows, columns)[entry]
+            shape = (pattern.size, size * size)
+            self._maps.append(LinearMap.of(index, raw, weights[entry, raw], shape))
+
+    def force(self, q: Array, v: Array) -> Array:
+        """Q, shape (k, n_q)."""
+        Q = np.broadcast_to(self._steady, (len(q), self._n_q))
+        for item in self._moving:
+            F = item.load.force(item.vectors.of(q), item.vectors.of(v), item.p)
+            Q = Q + item.vectors.lift(F)
+        return Q
+
+    def force_rate(self, q: Array, v: Array, a: Array) -> Array:
+        """dQ/dt along the motion, shape (k, n_q)."""
+        rate = np.zeros((len(q), self._n_q), dtype=q.dtype)
+        for item in self._moving:
+            U, V, Z = (item.vectors.of(x) for x in (q, v, a))
+            rate = rate + item.vectors.lift(item.load.force_rate(U, V, Z, item.p))
+        return rate
+
+    def add_tangents(self, q: Array, v: Array, Q_q: Array, Q_v: Array | None) -> None:
+        """Add Q_q, and Q_v where asked for, to values on the pattern, shape (k, nnz)."""
+        for item, to_values in zip(self._moving, self._maps, strict=True):
+            U, V = item.vectors.of(q).real, item.vectors.of(v).real
+            Q_q += to_values.rows(_flat(_jacobian(item, U, V, True)))
+            if Q_v is not None and item.uses_velocity:
+                Q_v += to_values.rows(_flat(_jacobian(item, U, V, False)))
+
+    def force_b(self, q: Array, v: Array) -> Array:
+        """Q_b, shape (k, n_q, n_b)."""
+        result = np.zeros((len(q), self._n_q, self._n_b), dtype=q.dtype)
+        for item in self._inputs:
+            result += self._item_total(item, item.load.force, (q, v), None)
+        return result
+
+    def force_rate_total(self, states: tuple[Array, ...], states_b: tuple[Array, ...]) -> Array:
+        """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
+        result = np.zeros((1, self._n_q, self._n_b), dtype=states[0].dtype)
+        rows = tuple(x[None] for x in states)
+        for item in self._moving:
+            result += self._item_total(item, item.load.force_rate, rows, states_b)
+        total: Array = result[0]
+        return total
+
+    def _item_total(
+        self,
+        item: LoadInput,
+        function: Callable[..., Array],
+        states: tuple[Array, ...],
+        states_b: tuple[Array, ...] | None,
+    ) -> Array:
+        """Total derivative of L^T F along given derivatives of the states (None: zero)."""
+        U = [item.vectors.of(x) for x in states]
+        U_b = [item.vectors.of_b(x) for x in states]
+        F = function(*U, item.p)
+        result = item.vectors.lift_b(F)
+        for i in range(self._n_b):
+            along = [u_b[..., i] for u_b in U_b]
+            if states_b is not None:
+                moves = (item.vectors.of(x_b[None, :, i]) for x_b in states_b)
+                along = [x + y for x, y in zip(along, moves, strict=True)]
+            if not (np.any(item.p_b[:, i]) or any(np.any(x) for x in along)):
+                continue
+            p = item.p.real + 1j * _STEP * item.p_b[:, i]
+            moved = [u.real + 1j * _STEP * x for u, x in zip(U, along, strict=True)]
+            result[..., i] += item.vectors.lift(function(*moved, p).imag / _STEP)
+        return result
+
+
+def _flat(matrices: Array) -> Array:
+    return matrices.reshape(len(matrices), -1)
+
+
+def _jacobian(item: LoadInput, U: Array, V: Array, in_position: bool) -> Array:
+    """Return F_U or F_V, shape (k, n, n) with n = n_v d; all directions at once."""
+    k, n_v, d = U.shape
+    n = n_v * d
+    moves = 1j * _STEP * np.eye(n).reshape(1, n, n_v, d)
+    still = np.zeros((1, n, 1, 1))
+    U, V = U[:, None], V[:, None]
+    positions, velocities = (U + moves, V + still) if in_position else (U + still, V + moves)
+    F = item.load.force(positions, velocities, item.p.real)
+    jacobian: Array = np.swapaxes(F.imag.reshape(k, n, n) / _STEP, 1, 2)
+    return jacobian

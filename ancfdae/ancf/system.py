@@ -1,0 +1,426 @@
+"""The ANCF assembler: the only place where a scene becomes M, Q, Phi and their partials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.block import element_block
+from ancfdae.ancf.constraints import JointConstraints, JointInput
+from ancfdae.ancf.elastic_forces import ElasticForces
+from ancfdae.ancf.inertia import Inertia
+from ancfdae.ancf.load_forces import LoadForces, LoadInput
+from ancfdae.ancf.numbering import number
+from ancfdae.ancf.parameters import ParameterMap, parameter_map
+from ancfdae.ancf.reference import length_partials, start_state
+from ancfdae.ancf.vectors import Vectors
+from ancfdae.bodies import Point, Quantity
+from ancfdae.design import DesignVariable, as_design
+from ancfdae.elements import ElementParameter
+from ancfdae.errors import InvalidInput
+from ancfdae.loads import CentreLine
+from ancfdae.naming import Layout, Naming, PointVector
+from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.patterns import Pattern
+from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
+from ancfdae.scene import Scene
+
+# Imaginary step for total derivatives at the start; exact, its square vanishes.
+_STEP = 1e-40
+
+
+def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
+    """Turn a scene into a mechanical system with the given design variables.
+
+    Parameters
+    ----------
+    scene : Scene
+    design : sequence of str or DesignVariable
+        Design variables, in the order of the last axis of every sensitivity.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If a design variable does not fit the scene.
+    """
+    variables = as_design(design)
+    mapping = parameter_map(scene, variables)  # refuses unknown targets before values are read
+    values = np.array([scene.value(variable) for variable in variables], dtype=float)
+    return AncfSystem(scene, variables, mapping, values)
+
+
+@final
+class AncfSystem(MechanicalSystem):
+    """A scene at given values of its design variables; made by `assemble`.
+
+    Parameters
+    ----------
+    scene : Scene
+    design : tuple of DesignVariable
+    mapping : ParameterMap
+    b : array, shape (n_b,)
+        Values of the design variables, real or complex. Everything that depends on them is
+        computed in their dtype.
+
+    Attributes
+    ----------
+    naming : Naming
+        Where beams and joints stand in q and lam, and the element lengths.
+    """
+
+    naming: Naming
+
+    def __init__(
+        self,
+        scene: Scene,
+        design: tuple[DesignVariable, ...],
+        mapping: ParameterMap,
+        b: Array,
+    ) -> None:
+        self._scene, self._design, self._mapping, self.b = scene, design, mapping, np.asarray(b)
+        self.n_b = len(design)
+        self.design_names = tuple(variable.name for variable in design)
+        self.project_start = scene.project_start
+        parameters = mapping.values(self.b)
+        self._numbering = number(scene)
+        self.element, self.n_q = self._numbering.element, self._numbering.n_q
+        lengths = parameters[:, ElementParameter.LENGTH]
+        layout = Layout(self.element.d, self._numbering.beams, ())
+        self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
+        self._start = start_state(scene, lengths, self.naming.lengths_b)
+        self._constraints = self._joint_constraints()
+        self._loads = self._load_forces()
+        self.pattern = self._joint_pattern()
+        self._constraints.place_curvature(self.pattern)
+        self._loads.place(self.pattern)
+        block = element_block(scene, mapping, parameters)
+        common = (block, self._numbering, mapping, self.n_b, self.pattern)
+        self._elastic = ElasticForces(*common)
+        self._inertia = Inertia(*common, scene.gravity)
+        self._describe()
+
+    # -- preparation ---------------------------------------------------------------------------
+
+    def _joint_constraints(self) -> JointConstraints:
+        d, inputs, points = self.element.d, [], []
+        q_o, q_ob = self._start.q_reference, self._start.q_reference_b
+        for joint in self._scene.joints:
+            own = [self.naming.vector(*vector) for vector in joint.vectors(d)]
+            vectors = Vectors(own, d, self.n_q, self.n_b)
+            reference = vectors.of(q_o[None])[0]
+            reference_b = vectors.of_b(q_o[None])[0]
+            for i in range(self.n_b):
+                reference_b[..., i] += vectors.of(q_ob[None, :, i])[0].real
+            p, p_b = self._mapping.part(joint.name, self.b)
+            inputs.append(JointInput(joint, p, p_b, reference, reference_b))
+            points += own
+        vectors = Vectors(points, d, self.n_q, self.n_b)
+        return JointConstraints(inputs, vectors, self.n_q, self.n_b, d)
+
+    def _load_forces(self) -> LoadForces:
+        inputs = []
+        for load in self._scene.loads:
+            own = [self._load_vector(vector) for vector in load.vectors()]
+            p, p_b = self._mapping.part(load.name, self.b)
+            vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
+            inputs.append(LoadInput(load, vectors, p, p_b))
+        return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
+
+    def _load_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
+        if isinstance(vector, CentreLine):
+            return self.naming.centre_line(vector.beam)
+        return self.naming.vector(*vector)
+
+    def _joint_pattern(self) -> Pattern:
+        """Pattern of everything: elements, curvature of joints, tangents of loads."""
+        numbering = self._numbering
+        own = numbering.coordinates(numbering.vectors).reshape(len(numbering.vectors), -1)
+        rows, columns = np.broadcast_arrays(own[:, :, None], own[:, None, :])
+        joint_rows, joint_columns, _, _ = self._constraints.couplings()
+        load_rows, load_columns = self._loads.couplings()
+        return Pattern(
+            (self.n_q, self.n_q),
+            np.concatenate([rows.ravel(), joint_rows, load_rows]),
+            np.concatenate([columns.ravel(), joint_columns, load_columns]),
+        )
+
+    def _describe(self) -> None:
+        self.n_lam = self._constraints.n_lam
+        self.constraint_pattern = self._constraints.pattern
+        self.constant_mass = True
+        self.linear_constraints = self._constraints.linear
+        self.velocity_forces = self._elastic.damped or self._loads.uses_velocity
+        self.weights = self._inertia.weights
+        self.force_round_off = self._elastic.round_off(self._start.q, self.weights)
+        joints = self._constraints.joints
+        layout = Layout(self.element.d, self._numbering.beams, joints)
+        self.naming = Naming(layout, self.naming.lengths, self.naming.lengths_b)
+        self.constraint_names = tuple(joint.name for joint in joints for _ in range(joint.rows))
+
+    # -- the protocol --------------------------------------------------------------------------
+
+    def with_values(self, b: Array) -> AncfSystem:
+        """Return the same scene at other design values, real or complex.
+
+        Raises
+        ------
+        InvalidInput
+            If there are not n_b values, or one is not admissible.
+        """
+        b = np.asarray(b)
+        if b.shape != (self.n_b,):
+            raise InvalidInput(
+                "design values", f"must have shape ({self.n_b},)", b.shape, "One per variable."
+            )
+        for variable, old, new in zip(self._design, self.b.real, b.real, strict=True):
+            if new != old:
+                self._scene.check_value(variable, new)
+        return AncfSystem(self._scene, self._design, self._mapping, b)
+
+    def start(self) -> tuple[Array, Array]:
+        """Return the declared start."""
+        return self._start.q, self._start.v
+
+    def start_b(self) -> tuple[Array, Array]:
+        """Return the partials of the declared start."""
+        return self._start.q_b, self._start.v_b
+
+    def mass(self, q: Array) -> Array:
+        """M (eq. 10)."""
+        return self._inertia.values
+
+    def mass_times(self, q: Array, x: Array) -> Array:
+        """M x."""
+        return self._inertia.times(x)
+
+    def mass_b_times(self, q: Array, a: Array) -> Array:
+        """(M a)_b."""
+        return only(self._inertia.times_b(a[None]))
+
+    def inertia_q(self, q: Array, a: Array) -> Array:
+        """Zero: the mass is constant."""
+        return np.zeros(self.pattern.size)
+
+    def inertia_rate_total(
+        self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
+    ) -> Array:
+        """Zero: the mass is constant."""
+        return np.zeros((self.n_q, self.n_b))
+
+    def force(self, q: Array, v: Array, t: float) -> Array:
+        """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
+        Q = self._inertia.gravity + self._elastic.force(q, v)
+        if self._scene.loads:
+            Q = Q + self._loads.force(q[None], v[None])[0]
+        return Q
+
+    def force_q(self, q: Array, v: Array, t: float) -> Array:
+        """Q_q (eq. 19)."""
+        return only(self._tangents(q[None], v[None])[0])
+
+    def force_v(self, q: Array, v: Array, t: float) -> Array:
+        """Q_v."""
+        Q_v = self._tangents(q[None], v[None])[1]
+        return np.zeros(self.pattern.size) if Q_v is None else Q_v[0]
+
+    def force_b(self, q: Array, v: Array, t: float) -> Array:
+        """Q_b (eqs. 24, 25)."""
+        return only(self._forces_b(q[None], v[None]))
+
+    def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
+        """Total design derivative of Q."""
+        if self._scene.loads:
+            return super().force_total(q, v, t, q_b, v_b)
+        return self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
+
+    def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
+        """Q_q v + Q_v a."""
+        rate = self._elastic.force_rate(q, v, a)
+        if self._scene.loads:
+            rate = rate + self._loads.force_rate(q[None], v[None], a[None])[0]
+        return rate
+
+    def force_rate_total(
+        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
+    ) -> Array:
+        """Total design derivative of `force_rate`."""
+        total = self._loads.force_rate_total((q, v, a), (q_b, v_b, a_b))
+        for i in range(self.n_b):
+            moved = self._elastic.moved(i, _STEP)
+            states = (x + 1j * _STEP * y[:, i] for x, y in ((q, q_b), (v, v_b), (a, a_b)))
+            total[:, i] += moved.force_rate(*states).imag / _STEP
+        return total
+
+    def constraint(self, q: Array, t: float) -> Array:
+        """Phi."""
+        return self._constraints.constraint(q, t)
+
+    def constraint_q(self, q: Array, t: float) -> Array:
+        """Phi_q."""
+        return self._constraints.constraint_q(q, t)
+
+    def constraint_b(self, q: Array, t: float) -> Array:
+        """Phi_b."""
+        return only(self._constraints.constraints_b(q[None], np.array([t])))
+
+    def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
+        """Phi_q^T lam."""
+        return self._constraints.constraint_force(q, lam, t)
+
+    def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
+        """(Phi_q^T lam)_q."""
+        return only(self._constraints.constraint_force_q(lam[None]))
+
+    def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
+        """(Phi_q^T lam)_b."""
+        return only(self._constraints.constraint_forces_b(q[None], lam[None], np.array([t])))
+
+    def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
+        """Total design derivative of Phi_q x."""
+        return self._constraints.constraint_q_times_total(q, x, t, q_b)
+
+    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
+        """dPhi_q/dt."""
+        return self._constraints.constraint_q_rate(v, t)
+
+    def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
+        """d^2 Phi_q/dt^2."""
+        return self._constraints.constraint_q_second_rate(a, t)
+
+    def velocity_side(self, q: Array, t: float) -> Array:
+        """-Phi_t."""
+        return self._constraints.velocity_side(q, t)
+
+    def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
+        """Total design derivative of `velocity_side`."""
+        return self._constraints.velocity_side_total(q, t, q_b)
+
+    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
+        """Right side of Phi_q a."""
+        return self._constraints.acceleration_side(q, v, t)
+
+    def acceleration_side_total(
+        self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
+    ) -> Array:
+        """Total design derivative of `acceleration_side`."""
+        return self._constraints.acceleration_side_total(q, v, t, q_b, v_b)
+
+    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
+        """Right side of Phi_q q'''."""
+        return self._constraints.jerk_side(q, v, a, t)
+
+    def jerk_side_total(
+        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
+    ) -> Array:
+        """Total design derivative of `jerk_side`."""
+        return self._constraints.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
+
+    def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
+        """(dPhi_q^T/dt) lam."""
+        return self._constraints.constraint_force_rate(q, v, lam, t)
+
+    def constraint_force_rate_total(
+        self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
+    ) -> Array:
+        """Total design derivative of `constraint_force_rate`."""
+        return self._constraints.constraint_force_rate_total(q, v, lam, t, q_b, v_b, lam_b)
+
+    # -- many instants at once -----------------------------------------------------------------
+
+    def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
+        """M, f_q, f_v and Phi_q."""
+        Q_q, Q_v = self._tangents(q, v)
+        f_q = -Q_q
+        if not self.linear_constraints:
+            f_q = f_q + self._constraints.constraint_force_q(lam)
+        f_v = None if Q_v is None else -Q_v
+        M = self._inertia.values[None]
+        return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
+
+    def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
+        """Design partials of f and Phi."""
+        f_b = self._inertia.times_b(a) - self._forces_b(q, v)
+        f_b += self._constraints.constraint_forces_b(q, lam, t)
+        return DesignPartials(f_b, self._constraints.constraints_b(q, t))
+
+    def pull_back(
+        self,
+        t: Array,
+        states: tuple[Array, Array, Array, Array],
+        covectors: tuple[Array, Array],
+    ) -> Array:
+        """Contraction pair by pair, without arrays of the size n_q n_b for elements."""
+        (q, v, a, lam), (mu, zeta) = states, covectors
+        total = self._inertia.pull_back(a, mu) - self._elastic.pull_back(q, v, mu)
+        total = total - np.sum(mu, axis=0) @ self._inertia.gravity_b
+        if self._scene.loads:
+            total = total - np.einsum("knb,kn->b", self._loads.force_b(q, v), mu)
+        if self._scene.joints:
+            forces = self._constraints.constraint_forces_b(q, lam, t)
+            total = total + np.einsum("knb,kn->b", forces, mu)
+            Phi_b = self._constraints.constraints_b(q, t)
+            total = total + np.einsum("knb,kn->b", Phi_b, zeta)
+        return np.asarray(total)
+
+    # -- energies, instants as rows ------------------------------------------------------------
+
+    def strain_energy(self, q: Array) -> Array:
+        """Return the strain energy of every element at one instant, shape (n,)."""
+        return only(self._elastic.energies(q[None]))
+
+    def strain_energies(self, q: Array, beam: str | None = None) -> Array:
+        """Return the strain energy of the scene or of one beam, shape (k,)."""
+        energies: Array = self._elastic.energies(q) @ self._chosen(beam)
+        return energies
+
+    def strain_energies_q(self, q: Array, beam: str | None = None) -> Array:
+        """Return the gradient of `strain_energies`, shape (k, n_q)."""
+        return self._elastic.energy_q(q, self._chosen(beam))
+
+    def strain_energies_b(self, q: Array, beam: str | None = None) -> Array:
+        """Return the design partial of `strain_energies`, shape (k, n_b)."""
+        return self._elastic.energy_b(q, self._chosen(beam))
+
+    def kinetic_energies(self, v: Array, beam: str | None = None) -> Array:
+        """Return the kinetic energy (eq. 9), shape (k,)."""
+        energies: Array = 0.5 * np.sum(v * self.kinetic_energies_v(v, beam), axis=1)
+        return energies
+
+    def kinetic_energies_v(self, v: Array, beam: str | None = None) -> Array:
+        """Return the momenta M v, shape (k, n_q)."""
+        if beam is None:
+            return self._inertia.times(v.T).T
+        return self._inertia.chosen_times(v, self._chosen(beam))
+
+    def kinetic_energies_b(self, v: Array, beam: str | None = None) -> Array:
+        """Return the design partial of `kinetic_energies`, shape (k, n_b)."""
+        return 0.5 * self._inertia.quadratic_b(v, self._chosen(beam))
+
+    def gravity_potential(self, q: Array) -> Array:
+        """Return the potential of gravity at one instant, zero at q = 0."""
+        return -np.asarray(self._inertia.gravity @ q)
+
+    def _chosen(self, beam: str | None) -> Array:
+        """One for the elements of a beam, or for all, shape (n,)."""
+        chosen = np.ones(len(self.naming.lengths))
+        if beam is not None:
+            place = self.naming.layout.beam(beam)
+            chosen[: place.first_element] = 0.0
+            chosen[place.first_element + place.element_count :] = 0.0
+        return chosen
+
+    def _tangents(self, q: Array, v: Array) -> tuple[Array, Array | None]:
+        Q_q, Q_v = self._elastic.force_q(q, v), None
+        if self._elastic.damped:
+            Q_v = self._elastic.force_v(q)
+        elif self.velocity_forces:
+            Q_v = np.zeros_like(Q_q)
+        if self._scene.loads:
+            self._loads.add_tangents(q, v, Q_q, Q_v)
+        return Q_q, Q_v
+
+    def _forces_b(self, q: Array, v: Array) -> Array:
+        Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
+        return Q_b + self._loads.force_b(q, v) if self._scene.loads else Q_b

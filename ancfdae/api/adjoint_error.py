@@ -1,0 +1,98 @@
+"""Discretisation error of one objective from one run of HHT-I3 and one pass back.
+
+The smooth motion leaves defects in every step of the recurrence (`integrators.hht.defects`); the
+discrete adjoint tells what each of them changes in the objective. To that comes the error of the
+objective's own quadrature, from its value on every second instant: I - Q_h = -(Q_2h - Q_h)/3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.api.calls import as_system, require_objectives
+from ancfdae.design import DesignVariable
+from ancfdae.errors import InvalidInput
+from ancfdae.integrators import HHT, Seeds
+from ancfdae.objectives import Objective
+from ancfdae.observables import states_of
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.scene import Scene
+from ancfdae.sensitivity.method import finished, keeping
+
+_LEAST_STEPS = 4
+
+
+@final
+@dataclass(frozen=True)
+class AdjointError:
+    """An objective and the estimate of its discretisation error.
+
+    Attributes
+    ----------
+    value : float
+    error : float
+        Estimate of the exact value minus `value`; with its sign, and no bound.
+    solution : Solution
+    """
+
+    value: float
+    error: float
+    solution: Solution
+
+    @property
+    def extrapolated_value(self) -> float:
+        """The value with its estimated error taken out."""
+        return self.value + self.error
+
+
+def adjoint_error(
+    model: Scene | MechanicalSystem,
+    objective: Objective,
+    design: Sequence[str | DesignVariable],
+    t_end: float,
+    integrator: HHT,
+    *,
+    progress: bool = False,
+) -> AdjointError:
+    """Estimate the discretisation error of an objective from a single run.
+
+    Costs about 1.4 runs, where `error_bars` costs three; it says nothing about the gradient, and
+    little where the step does not resolve the motion.
+
+    Parameters
+    ----------
+    model, objective, design, t_end, progress
+        As in `gradient`.
+    integrator : HHT
+
+    Raises
+    ------
+    InvalidInput
+        If the integrator is another one, or the run has fewer than four steps.
+    UnfinishedRun, NonFiniteObjective
+        As `gradient`.
+    """
+    if not isinstance(integrator, HHT):
+        raise InvalidInput(
+            "adjoint_error", "runs with HHT", repr(integrator), "Use HHT, or error_bars."
+        )
+    system = as_system(model, design)
+    require_objectives(system, [objective], t_end)
+    solution = finished(integrator.integrate(system, t_end, progress=progress))
+    steps = len(solution.t) - 1
+    if steps < _LEAST_STEPS:
+        raise InvalidInput("adjoint_error", "needs four steps", steps, "Use a smaller step.")
+    states = states_of(solution)
+    partials = objective.partials(system, states)
+    seeds = Seeds(partials.q, partials.v, partials.lam, objective.over_time)
+    with keeping(solution):
+        error = integrator.discretisation_error(system, solution, seeds)
+    every_second = [*range(0, steps, 2), steps]
+    thinned = objective.value(system, states.rows(every_second))
+    quadrature = float(np.real(partials.value - thinned)) / 3
+    return AdjointError(partials.value, error + quadrature, solution)

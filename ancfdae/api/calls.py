@@ -1,0 +1,207 @@
+"""The calls that a user needs: simulate, differentiate, gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ancfdae.ancf import assemble
+from ancfdae.design import DesignVariable
+from ancfdae.errors import InvalidInput, require_kind, require_positive, require_sequence
+from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.objectives import Objective
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.scene import Scene
+from ancfdae.sensitivity.adjoint import Adjoint
+from ancfdae.sensitivity.direct import Direct
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Method
+
+_INTEGRATOR = "For example HHT(step=0.01)."
+
+
+def simulate(
+    model: Scene | MechanicalSystem, t_end: float, integrator: Integrator, *, progress: bool = False
+) -> Solution:
+    """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    t_end : float
+        End time; s.
+    integrator : Integrator
+        `HHT`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
+    progress : bool
+        Whether to show a progress bar.
+
+    Raises
+    ------
+    InvalidInput
+        If the input makes no sense; before anything is integrated.
+    """
+    require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
+    return integrator.integrate(as_system(model, ()), t_end, progress=progress)
+
+
+def differentiate(
+    model: Scene | MechanicalSystem,
+    design: Sequence[str | DesignVariable],
+    t_end: float,
+    integrator: Integrator,
+    method: Method | None = None,
+    *,
+    progress: bool = False,
+) -> Solution:
+    """Integrate and differentiate the whole trajectory in the design variables.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    design : sequence of str or DesignVariable
+        For a scene, targets such as ``"pendulum.youngs_modulus"``; empty for a mechanical
+        system, which brings its own design variables.
+    t_end : float
+        End time; s.
+    integrator : Integrator
+    method : Method
+        `Direct` (default), `FiniteDifference` or `ComplexStep`.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    Solution
+        With `sensitivities`.
+
+    Raises
+    ------
+    InvalidInput
+        If the input makes no sense; before anything is integrated.
+    """
+    method = Direct() if method is None else method
+    require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
+    require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
+    return method.differentiate(as_system(model, design), t_end, integrator, progress)
+
+
+def gradient(
+    model: Scene | MechanicalSystem,
+    objective: Objective,
+    design: Sequence[str | DesignVariable],
+    t_end: float,
+    integrator: Integrator,
+    method: GradientMethod | None = None,
+    *,
+    progress: bool = False,
+) -> Gradient:
+    """Return value and design gradient of an objective.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    objective : Objective
+        For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
+    design : sequence of str or DesignVariable
+        As in `differentiate`.
+    t_end : float
+        End time; s.
+    integrator : Integrator
+    method : GradientMethod, optional
+        `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
+        default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
+        without an adjoint (IDA, Explicit).
+    progress : bool
+        Whether to show a progress bar.
+
+    Raises
+    ------
+    InvalidInput
+        If the input makes no sense; before anything is integrated.
+    UnfinishedRun
+        If the run ends early; the error carries what was computed.
+    NonFiniteObjective
+        If the objective is not finite; the message names the time.
+    """
+    return gradients(model, [objective], design, t_end, integrator, method, progress=progress)[0]
+
+
+def gradients(
+    model: Scene | MechanicalSystem,
+    objectives: Sequence[Objective],
+    design: Sequence[str | DesignVariable],
+    t_end: float,
+    integrator: Integrator,
+    method: GradientMethod | None = None,
+    *,
+    progress: bool = False,
+) -> list[Gradient]:
+    """Return value and gradient of several objectives of one run; see `gradient`."""
+    require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
+    objectives = require_sequence("objectives", objectives)
+    system = as_system(model, design)
+    require_objectives(system, objectives, t_end)
+    chosen = _follow(integrator, system.n_b, len(objectives)) if method is None else method
+    require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
+    return chosen.gradients(system, objectives, t_end, integrator, progress)
+
+
+def require_objectives(
+    system: MechanicalSystem, objectives: Sequence[Objective], t_end: float
+) -> None:
+    """Refuse what is no objective of a run of this system.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require_positive("t_end", t_end)
+    for objective in objectives:
+        require_kind(
+            "objective",
+            objective,
+            (Objective,),
+            "Wrap an observable in Integral, Terminal, AtTimes or SmoothMaximum.",
+        )
+    for objective in objectives:
+        objective.check(system, t_end)
+
+
+def _follow(integrator: Integrator, variables: int, objectives: int) -> GradientMethod:
+    """Return the method that fits the integrator and costs less."""
+    if isinstance(integrator, AdjointIntegrator):
+        return cheapest(variables, objectives)
+    return Direct()
+
+
+def cheapest(variables: int, objectives: int) -> GradientMethod:
+    """Return direct differentiation or the discrete adjoint, whichever costs less.
+
+    Both factorise once per step; direct differentiation then solves for every variable, the
+    adjoint repeats its pass for every objective. Measured on the crank-slider, up to two
+    variables cost less directly than a pass back; from there to six the two are within a few
+    per cent of the dynamics (docs/theory.md, section 8).
+    """
+    return Direct() if variables <= 2 * objectives else Adjoint()
+
+
+def as_system(
+    model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable]
+) -> MechanicalSystem:
+    """Assemble a scene; a mechanical system is passed through.
+
+    Raises
+    ------
+    InvalidInput
+        If design variables are named for a mechanical system, or the model is neither.
+    """
+    if isinstance(model, Scene):
+        return assemble(model, design)
+    require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
+    if design:
+        raise InvalidInput(
+            "design",
+            "a mechanical system brings its own design variables",
+            repr(design),
+            "Pass an empty sequence.",
+        )
+    return model

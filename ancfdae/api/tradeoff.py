@@ -1,0 +1,176 @@
+"""The call: measure settings here or in the workers of an executor."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
+from typing import Any
+
+from tqdm import tqdm
+
+from ancfdae.api import as_system
+from ancfdae.api.tradeoff_result import Tradeoff, compared
+from ancfdae.api.tradeoff_run import Record, Task, measure
+from ancfdae.design import DesignVariable
+from ancfdae.errors import (
+    InvalidInput,
+    require_count,
+    require_kind,
+    require_positive,
+    require_sequence,
+)
+from ancfdae.integrators import Explicit, Integrator
+from ancfdae.objectives import Objective
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.scene import Scene
+from ancfdae.sensitivity import GradientMethod
+
+_NO_TIME = 0.0
+
+
+def tradeoff(
+    model: Scene | MechanicalSystem,
+    objective: Objective,
+    design: Sequence[str | DesignVariable],
+    t_end: float,
+    settings: Sequence[Integrator],
+    *,
+    reference: Integrator | None = None,
+    method: GradientMethod | None = None,
+    repeats: int = 1,
+    executor: Executor | None = None,
+    progress: bool = False,
+) -> Tradeoff:
+    """Measure what accuracy costs: every setting's processor time and errors on one scene.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    objective : Objective
+    design : sequence of str or DesignVariable
+        As in `differentiate`; at least one variable, here or of the system.
+    t_end : float
+        End time; s.
+    settings : sequence of Integrator
+        For example ``[HHT(step=h) for h in (0.01, 0.005)] + [HHT(rtol=1e-3), IDA(1e-6)]``.
+    reference : Integrator, optional
+        What errors are measured against, ``Explicit(1e-10)`` by default. For stiff scenes
+        something that needs fewer steps, such as ``HHT`` at a small one.
+    method : GradientMethod, optional
+        As in `gradient`.
+    repeats : int
+        Runs of each setting, of which the least processor time counts; what takes more than a
+        second is not repeated.
+    executor : concurrent.futures.Executor, optional
+        Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
+        client; by default in this process, one after the other. Model and objective must
+        pickle (no lambda in `custom` or `apply`). In threads processor times mix up.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    Tradeoff
+        A setting that fails is a row with its message.
+
+    Raises
+    ------
+    InvalidInput
+        If the input makes no sense, or the reference does not finish.
+    """
+    settings = require_sequence("settings", settings)
+    if not settings:
+        raise InvalidInput("settings", "must not be empty", "none", "For example [HHT(step=0.01)].")
+    for setting in settings:
+        require_kind("settings", setting, (Integrator,), "For example [HHT(step=0.01)].")
+    reference = Explicit(1e-10) if reference is None else reference
+    require_kind("reference", reference, (Integrator,), "For example Explicit(1e-10).")
+    require_kind("objective", objective, (Objective,), "For example Integral(observable).")
+    if method is not None:
+        require_kind("method", method, (GradientMethod,), "For example Direct().")
+    if executor is not None:
+        require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
+    require_positive("t_end", t_end)
+    require_count("repeats", repeats, "1 is enough for ratios of long runs.")
+    system = as_system(model, design)
+    if not system.n_b:
+        raise InvalidInput("design", "must name a variable", "none", "Name one or more.")
+    objective.check(system, t_end)
+    # The reference is no candidate: its time is not compared, so once is enough.
+    tasks = [Task(system, objective, t_end, reference, method, 1)]
+    tasks += [Task(system, objective, t_end, each, method, repeats) for each in settings]
+    with tqdm(total=len(tasks), disable=not progress, unit="run") as bar:
+        records = _in_turn(tasks, bar) if executor is None else _by_workers(tasks, executor, bar)
+    exact = records[0]
+    rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, records, strict=True)]
+    return Tradeoff(tuple(rows[1:]), rows[0])
+
+
+def _in_turn(tasks: Sequence[Task], bar: Any) -> list[Record]:
+    records = []
+    for task in tasks:
+        records.append(measure(task))
+        _require_reference(records[0])
+        bar.update()
+    return records
+
+
+def _by_workers(tasks: Sequence[Task], executor: Executor, bar: Any) -> list[Record]:
+    """Submit all; an exception that a worker could not put into words becomes a row as well."""
+    submitted: list[Future[Record] | BrokenExecutor] = []
+    for task in tasks:
+        try:
+            submitted.append(executor.submit(measure, task))
+        except BrokenExecutor as error:
+            submitted.append(error)
+    futures = [x for x in submitted if isinstance(x, Future)]
+    try:
+        for _ in as_completed(futures):
+            bar.update()
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        raise
+    records = [_answer(x) for x in submitted]
+    if not records[0].finished:
+        _require_pickles(tasks[0])
+    _require_reference(records[0])
+    return records
+
+
+def _answer(submitted: Future[Record] | BrokenExecutor) -> Record:
+    if isinstance(submitted, BrokenExecutor):
+        error: BaseException | None = submitted
+    else:
+        try:
+            error = submitted.exception()
+        except CancelledError as cancelled:
+            error = cancelled
+        if error is None:
+            return submitted.result()
+    return Record(_NO_TIME, f"{type(error).__name__} in a worker: {error}")
+
+
+def _require_reference(record: Record) -> None:
+    if not record.finished:
+        raise InvalidInput(
+            "reference",
+            "must finish and give a gradient",
+            record.outcome,
+            "Loosen it, or take another integrator.",
+        )
+
+
+def _require_pickles(task: Task) -> None:
+    """Name what cannot travel to a worker, if that is why the reference failed."""
+    for name, part in (("model", task.system), ("objective", task.objective)):
+        try:
+            pickle.dumps(part)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise InvalidInput(
+                f"{name}, executor",
+                "must pickle to travel to a worker",
+                str(error),
+                "Define functions at the top of a module, or leave the executor out.",
+            ) from error

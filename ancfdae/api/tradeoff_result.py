@@ -1,0 +1,355 @@
+"""Measured settings side by side: errors, Pareto front, recommendation, table and plot.
+
+Every error is the largest over the common times relative to the largest of the reference, in norms
+without units: coordinates in the weighted form sqrt(w_i) q_i, multipliers by the forces
+Phi_q^T lam that they stand for, gradients times the values of the design variables.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, final
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from ancfdae import plotting
+from ancfdae.api.tradeoff_run import Record, common_times
+from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
+from ancfdae.integrators import HHT, Integrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting import Panel, Series
+from ancfdae.protocol import MechanicalSystem
+
+Quantity = Literal["states", "multipliers", "objective", "gradient"]
+_QUANTITIES: Final[tuple[Quantity, ...]] = ("states", "multipliers", "objective", "gradient")
+# Settings of which one line of a plot has several.
+_ACCURACY: Final = ("step", "rtol", "atol", "times")
+_TECHNICAL: Final = ("newton_tolerance", "max_iterations", "max_steps", "intervals")
+
+
+@final
+@dataclass(frozen=True)
+class Setting:
+    """One measured setting.
+
+    Attributes
+    ----------
+    integrator : Integrator
+    seconds : float
+        Processor time of value and gradient, the least of the repeats; of what was tried if the
+        setting failed.
+    states, multipliers, objective, gradient : float or None
+        Relative errors against the reference; None if the setting failed.
+    drift : float or None
+        Largest distance from a constraint, relative to the size of the coordinates.
+    energy : float or None
+        Largest difference of the total energy (kinetic, strain and gravity's) from that of the
+        reference, relative to the largest kinetic energy; None for systems that are not scenes.
+    outcome : str
+        How the run ended, or why there is none.
+    """
+
+    integrator: Integrator
+    seconds: float
+    outcome: str
+    states: float | None = None
+    multipliers: float | None = None
+    objective: float | None = None
+    gradient: float | None = None
+    drift: float | None = None
+    energy: float | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the setting gave a gradient."""
+        return self.gradient is not None
+
+    @property
+    def family(self) -> str:
+        """The integrator without what decides about accuracy, such as ``"HHT fixed"``."""
+        kind = type(self.integrator).__name__
+        if isinstance(self.integrator, HHT):
+            kind += " controlled" if self.integrator.rtol is not None else " fixed"
+        return ", ".join([kind, *_chosen(self.integrator)])
+
+    @property
+    def label(self) -> str:
+        """What decides about accuracy, such as ``"step 0.01"`` or ``"rtol 1e-05"``."""
+        values = _fields(self.integrator)
+        given = [
+            f"{k} {values[k]:.4g}"
+            for k in ("step", "rtol", "atol")
+            if isinstance(values.get(k), float)
+        ]
+        return ", ".join(given) or "given"
+
+    def error(self, of: Quantity) -> float:
+        """Return one of the four errors; infinite if the setting failed.
+
+        Raises
+        ------
+        InvalidInput
+            If there is no such error.
+        """
+        if of not in _QUANTITIES:
+            known = ", ".join(_QUANTITIES)
+            raise InvalidInput("of", f"must be one of {known}", repr(of), "Choose one.")
+        value: float | None = getattr(self, of)
+        return np.inf if value is None else value
+
+
+@final
+class TargetNotReached(AncfdaeError):
+    """No measured setting is accurate enough; the message names the best one.
+
+    Attributes
+    ----------
+    best : Setting or None
+        The most accurate setting; None if all failed.
+    """
+
+    def __init__(self, target: float, of: str, best: Setting | None) -> None:
+        start = f"no measured setting reaches an error of {target:.3g} in the {of}"
+        if best is None:
+            super().__init__(f"{start}: all of them failed. Look at their outcomes in table().")
+        else:
+            super().__init__(
+                f"{start}; the best is {best.integrator} with {getattr(best, of):.3g} in "
+                f"{best.seconds:.3g} s. Measure smaller steps or tolerances."
+            )
+        self.best = best
+
+
+@final
+@dataclass(frozen=True)
+class Tradeoff:
+    """What accuracy costs on one scene; made by `tradeoff`.
+
+    Attributes
+    ----------
+    rows : tuple of Setting
+        In the order they were asked for.
+    reference : Setting
+        What errors are measured against; its own are zero by definition, so an error below that
+        of the reference itself says nothing.
+    """
+
+    rows: tuple[Setting, ...]
+    reference: Setting
+
+    def pareto(self, of: Quantity = "gradient") -> tuple[Setting, ...]:
+        """Return the settings that no other beats in both processor time and error.
+
+        Parameters
+        ----------
+        of : {"gradient", "objective", "states", "multipliers"}
+
+        Returns
+        -------
+        tuple of Setting
+            From cheap to accurate.
+        """
+        front: list[Setting] = []
+        least = np.inf
+        for row in sorted(self.rows, key=lambda row: (row.seconds, row.error(of))):
+            if row.error(of) < least:
+                front.append(row)
+                least = row.error(of)
+        return tuple(front)
+
+    def recommend(self, target_error: float, of: Quantity = "gradient") -> Setting:
+        """Return the cheapest measured setting whose error is at most the target.
+
+        It is a statement about this scene, this objective and this end time; nothing is
+        extrapolated.
+
+        Parameters
+        ----------
+        target_error : float
+            Relative.
+        of : {"gradient", "objective", "states", "multipliers"}
+
+        Raises
+        ------
+        TargetNotReached
+            If no setting is accurate enough.
+        InvalidInput
+            If the target is not positive.
+        """
+        require_positive("target_error", target_error)
+        good = [row for row in self.rows if row.error(of) <= target_error]
+        if not good:
+            finished = [row for row in self.rows if np.isfinite(row.error(of))]
+            best = min(finished, key=lambda row: row.error(of), default=None)
+            raise TargetNotReached(target_error, of, best)
+        return min(good, key=lambda row: row.seconds)
+
+    def table(self) -> str:
+        """Return all settings as a table in plain text, the reference last."""
+        header = ["integrator", "setting", "CPU [s]", *_QUANTITIES, "drift", "energy", "outcome"]
+        lines = [header, *(_cells(row) for row in (*self.rows, self.reference))]
+        lines[-1][0] += " (reference)"
+        widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
+        return "\n".join(
+            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+            for line in lines
+        )
+
+    def plot(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
+        """Draw errors of states and gradient over processor time.
+
+        Parameters
+        ----------
+        path : path-like
+            Without suffix.
+
+        Returns
+        -------
+        tuple of Path
+            The SVG and the PNG.
+
+        Raises
+        ------
+        InvalidInput
+            If no setting has an error that can be shown.
+        """
+        return plotting.save(plotting.draw(self.panels(), columns=2), Path(path))
+
+    def panels(self, title: str = "") -> list[Panel]:
+        """Return the panels of `plot`, for figures of your own.
+
+        Parameters
+        ----------
+        title : str
+            Put before the titles of the panels.
+        """
+        named = {"states": "error of the states", "gradient": "error of the gradient"}
+        return [
+            Panel(
+                f"{title}{name}" if title else name.capitalize(),
+                "processor time [s]",
+                "relative error [-]",
+                self._series(of),
+                x_scale="log",
+                y_scale="log",
+            )
+            for of, name in named.items()
+        ]
+
+    def _series(self, of: str) -> list[Series]:
+        lines: dict[str, list[tuple[float, float]]] = {}
+        for row in self.rows:
+            error = getattr(row, of)
+            if error is not None and np.isfinite(error) and error > 0 and row.seconds > 0:
+                lines.setdefault(row.family, []).append((row.seconds, error))
+        if not lines:
+            raise InvalidInput(
+                "Tradeoff.plot", "needs a setting with an error", "none", "Look at table()."
+            )
+        return [
+            Series(name, [x for x, _ in points], [y for _, y in points], marker=True)
+            for name, points in lines.items()
+        ]
+
+
+def compared(
+    system: MechanicalSystem, integrator: Integrator, record: Record, reference: Record
+) -> Setting:
+    """Measure a record against the reference."""
+    if not record.finished:
+        return Setting(integrator, record.seconds, record.outcome)
+    b = np.where(system.b == 0, 1.0, system.b)
+    root = np.sqrt(system.weights)
+    q, q_0, lam, lam_0 = (_given(x) for x in (record.q, reference.q, record.lam, reference.lam))
+    slope, slope_0 = _given(record.gradient), _given(reference.gradient)
+    t = common_times(float(_given(reference.t)[-1]))
+    forces = _forces(system, q_0, lam - lam_0, t), _forces(system, q_0, lam_0, t)
+    return Setting(
+        integrator,
+        record.seconds,
+        record.outcome,
+        states=_largest_ratio((q - q_0) * root, q_0 * root),
+        multipliers=_largest_ratio(forces[0] / root, forces[1] / root),
+        objective=_ratio(abs(record.value - reference.value), abs(reference.value)),
+        gradient=_largest_ratio(((slope - slope_0) * b)[None], (slope_0 * b)[None]),
+        drift=_drift(system, q_0, t, record),
+        energy=_energy_error(record, reference),
+    )
+
+
+def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
+    """Return Phi_q^T lam at every instant."""
+    return np.array(
+        [system.constraint_force(*state) for state in zip(q, lam, t, strict=True)]
+    ).reshape(len(t), -1)
+
+
+def _drift(system: MechanicalSystem, q: Array, t: Array, record: Record) -> float:
+    """Return the largest |Phi_i| over the length of its row of Phi_q and the size of q."""
+    if not system.n_lam:
+        return 0.0
+    inverse = 1 / system.weights[system.constraint_pattern.columns]
+    rows = system.constraint_pattern.rows
+    squares = [
+        np.bincount(rows, system.constraint_q(x, s) ** 2 * inverse, minlength=system.n_lam)
+        for x, s in zip(q, t, strict=True)
+    ]
+    length = np.sqrt(np.max(squares, axis=0))
+    size = float(np.max(np.linalg.norm(q * np.sqrt(system.weights), axis=1)))
+    away = np.max(np.abs(_given(record.drift)), axis=0)
+    return max(_ratio(float(x), float(y) * size) for x, y in zip(away, length, strict=True))
+
+
+def _energy_error(record: Record, reference: Record) -> float | None:
+    """Compare energies at the instants of the run; the reference's is interpolated."""
+    energy, energy_0 = _given(record.energy), _given(reference.energy)
+    if not len(energy):
+        return None
+    t_0, k = _given(reference.t), min(3, len(energy_0) - 1)
+    exact = make_interp_spline(t_0, energy_0, k=k)(np.minimum(_given(record.t), t_0[-1]))
+    return _ratio(float(np.max(np.abs(energy - exact))), reference.kinetic)
+
+
+def _largest_ratio(x: Array, reference: Array) -> float:
+    """Return the largest norm of a row over that of the reference."""
+    return _ratio(
+        float(np.max(np.linalg.norm(x, axis=1))), float(np.max(np.linalg.norm(reference, axis=1)))
+    )
+
+
+def _ratio(x: float, size: float) -> float:
+    return x / size if size else (np.inf if x else 0.0)
+
+
+def _given(x: Array | None) -> Array:
+    assert x is not None
+    return x
+
+
+def _cells(row: Setting) -> list[str]:
+    numbers = (row.states, row.multipliers, row.objective, row.gradient, row.drift, row.energy)
+    shown = ["-" if x is None else f"{x:.2g}" for x in numbers]
+    return [row.family, row.label, f"{row.seconds:.3g}", *shown, row.outcome]
+
+
+def _fields(integrator: Integrator) -> dict[str, Any]:
+    """Return the settings of an integrator that is a dataclass, as those of the package are."""
+    if not dataclasses.is_dataclass(integrator):
+        return {}
+    return {f.name: getattr(integrator, f.name) for f in dataclasses.fields(integrator)}
+
+
+def _chosen(integrator: Integrator) -> Sequence[str]:
+    """Return the settings that are neither defaults nor a matter of accuracy, in words."""
+    if not dataclasses.is_dataclass(integrator):
+        return []
+    return [
+        f"{f.name} = {getattr(integrator, f.name)}"
+        for f in dataclasses.fields(integrator)
+        if f.name not in (*_ACCURACY, *_TECHNICAL) and getattr(integrator, f.name) != f.default
+    ]

@@ -1,0 +1,146 @@
+"""One measured run: what a worker process computes and sends back."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf import AncfSystem
+from ancfdae.api import gradient
+from ancfdae.errors import AncfdaeError, Verdict
+from ancfdae.integrators import Integrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.objectives import Objective
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.sensitivity import Gradient, GradientMethod, UnfinishedRun
+
+# Times at which trajectories are compared, and instants at which drift and energy are looked at.
+_SAMPLES = 201
+_LOOKS = 1000
+# Longer runs are not repeated: the clock's grain and interruptions do not matter for them; s.
+_LONG = 1.0
+
+
+@final
+@dataclass(frozen=True)
+class Task:
+    """What is measured; everything in it pickles if system and objective do.
+
+    Attributes
+    ----------
+    system : MechanicalSystem
+    objective : Objective
+    t_end : float
+    integrator : Integrator
+    method : GradientMethod or None
+    repeats : int
+    """
+
+    system: MechanicalSystem
+    objective: Objective
+    t_end: float
+    integrator: Integrator
+    method: GradientMethod | None
+    repeats: int
+
+
+@final
+@dataclass(frozen=True)
+class Record:
+    """What one setting gave.
+
+    Attributes
+    ----------
+    seconds : float
+        Least processor time of the repeats.
+    outcome : str
+        A sentence.
+    finished : bool
+        Whether there is anything below.
+    value : float
+    gradient : array, shape (n_b,)
+    q, lam : array, shape (k, n)
+        At the common times.
+    drift : array, shape (j, n_lam)
+        Constraints at instants of the run.
+    t, energy : array, shape (j,)
+        Total energy at these instants; empty for a system that is not a scene.
+    kinetic : float
+        Largest kinetic energy at these instants.
+    """
+
+    seconds: float
+    outcome: str
+    finished: bool = False
+    value: float = 0.0
+    gradient: Array | None = None
+    q: Array | None = None
+    lam: Array | None = None
+    drift: Array | None = None
+    t: Array | None = None
+    energy: Array | None = None
+    kinetic: float = 0.0
+
+
+def common_times(t_end: float) -> Array:
+    """Return the times at which trajectories are compared."""
+    return np.linspace(0.0, t_end, _SAMPLES)
+
+
+def measure(task: Task) -> Record:
+    """Run one setting; trouble is a record without results."""
+    seconds, answer = np.inf, None
+    for _ in range(task.repeats):
+        clock = time.process_time()
+        try:
+            answer = _gradient(task)
+        except UnfinishedRun as error:
+            if error.solution.outcome.verdict is Verdict.INTERRUPTED:
+                raise KeyboardInterrupt from error
+            return Record(time.process_time() - clock, str(error.solution.outcome))
+        except (AncfdaeError, ArithmeticError, ValueError, RuntimeError, MemoryError) as error:
+            return Record(time.process_time() - clock, f"{type(error).__name__}: {error}")
+        seconds = min(seconds, time.process_time() - clock)
+        if seconds > _LONG:
+            break
+    assert answer is not None
+    return _record(task, answer, float(seconds))
+
+
+def _gradient(task: Task) -> Gradient:
+    return gradient(task.system, task.objective, (), task.t_end, task.integrator, task.method)
+
+
+def _record(task: Task, answer: Gradient, seconds: float) -> Record:
+    solution, system = answer.solution, task.system
+    # The end of a run with a fixed step may miss the end time by round-off.
+    common = solution.at(common_times(float(solution.t[-1])).tolist())
+    rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
+    t, q = solution.t[rows], solution.q[rows]
+    energy, kinetic = _energy(system, solution, rows)
+    return Record(
+        seconds=seconds,
+        outcome=str(solution.outcome),
+        finished=True,
+        value=answer.value,
+        gradient=answer.gradient,
+        q=common.q,
+        lam=common.lam,
+        drift=np.array([system.constraint(x, s) for x, s in zip(q, t, strict=True)]),
+        t=t,
+        energy=energy,
+        kinetic=kinetic,
+    )
+
+
+def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[Array, float]:
+    """Return the energy of a scene, kinetic, strain and gravity's, and the largest kinetic one."""
+    if not isinstance(system, AncfSystem):
+        return np.zeros(0), 0.0
+    q, kinetic = solution.q[rows], system.kinetic_energies(solution.v[rows])
+    gravity = np.array([float(system.gravity_potential(x)) for x in q])
+    return kinetic + system.strain_energies(q) + gravity, float(np.max(kinetic))

@@ -1,0 +1,139 @@
+"""A straight beam of equal elements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.bodies.body import BeamBody, ReferenceShape
+from ancfdae.errors import (
+    InvalidInput,
+    require_count,
+    require_positive,
+    require_vector,
+)
+from ancfdae.numerics.arrays import Array
+from ancfdae.sections import Material, Rectangle
+
+
+@final
+@dataclass(frozen=True)
+class Beam(BeamBody):
+    """A straight beam of equal elements.
+
+    Parameters
+    ----------
+    name : str
+    start, end : sequence of float
+        End points of the centre line, two components for a planar and three for a spatial
+        scene; m.
+    elements : int
+        Number of equal elements.
+    section : Rectangle or sequence of Rectangle
+    material : Material or sequence of Material
+    height_axis : sequence of float, optional
+        Spatial beams: direction of the section's height; its part along the beam is removed.
+        By default the direction that makes (beam, height, width) right-handed with the width
+        along global z, or along global y if the beam itself runs along z.
+
+    Raises
+    ------
+    InvalidInput
+        If the ends coincide, the number of elements is not a positive integer, or the height
+        axis is parallel to the beam.
+    """
+
+    name: str
+    start: Sequence[float]
+    end: Sequence[float]
+    elements: int
+    section: Rectangle | Sequence[Rectangle]
+    material: Material | Sequence[Material]
+    height_axis: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        where = f"beam {self.name!r}"
+        require_vector(f"{where}, start", self.start)
+        require_vector(f"{where}, end", self.end, (len(tuple(self.start)),))
+        require_count(f"{where}, elements", self.elements, "Use at least one element.")
+        if not np.any(np.subtract(self.end, self.start)):
+            raise InvalidInput(
+                where,
+                "start and end must differ",
+                tuple(self.start),
+                "A beam needs a length.",
+            )
+        self._check_parts()
+        self._frame()
+
+    @property
+    def element_count(self) -> int:
+        """Number of elements."""
+        return int(self.elements)
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of space."""
+        return len(tuple(self.start))
+
+    @property
+    def length(self) -> float:
+        """Length of the centre line."""
+        return float(np.linalg.norm(np.subtract(self.end, self.start)))
+
+    def reference(self) -> ReferenceShape:
+        """Return the straight reference configuration."""
+        n, frame = self.element_count, self._frame()
+        return ReferenceShape(
+            start=np.array(self.start, dtype=float),
+            lengths=np.full(n, self.length / n),
+            slopes=np.repeat(frame[None], n + 1, axis=0),
+            chords=np.repeat(frame[None, 0], n, axis=0),
+            straight=True,
+        )
+
+    def with_length(self, length: float) -> Beam:
+        """Return the same beam with its end moved along its axis."""
+        require_positive(f"{self.name}.length", length)
+        start = np.asarray(self.start, dtype=float)
+        return replace(self, end=tuple((start + length * self._frame()[0]).tolist()))
+
+    def with_parts(
+        self, section: Rectangle | Sequence[Rectangle], material: Material | Sequence[Material]
+    ) -> Beam:
+        """Return the same beam with another section and material."""
+        return replace(self, section=section, material=material)
+
+    def _frame(self) -> Array:
+        axis = np.subtract(self.end, self.start).astype(float)
+        axis = axis / np.linalg.norm(axis)
+        if self.dimension == 2:
+            if self.height_axis is not None:
+                raise InvalidInput(
+                    f"beam {self.name!r}, height_axis",
+                    "is a choice of spatial beams only",
+                    tuple(self.height_axis),
+                    "Leave it out: the height of a planar beam lies in the plane.",
+                )
+            return np.array([axis, [-axis[1], axis[0]]])
+        if self.height_axis is None:
+            along_z = abs(axis[2]) > 1.0 - 1e-8
+            across = np.cross((0.0, 1.0, 0.0) if along_z else (0.0, 0.0, 1.0), axis)
+        else:
+            require_vector(f"beam {self.name!r}, height_axis", self.height_axis, (3,))
+            given = np.asarray(self.height_axis, dtype=float)
+            across = given - (given @ axis) * axis
+            # 1e-8: below the square root of round-off the direction left over is noise.
+            if np.linalg.norm(across) <= 1e-8 * np.linalg.norm(given):
+                raise InvalidInput(
+                    f"beam {self.name!r}, height_axis",
+                    "must not be parallel to the beam",
+                    tuple(self.height_axis),
+                    "Give a direction across the beam.",
+                )
+        across = across / np.linalg.norm(across)
+        return np.array([axis, across, np.cross(axis, across)])

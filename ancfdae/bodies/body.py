@@ -1,0 +1,208 @@
+"""What the rest of the package needs to know about a beam: reference shape, sections, materials."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.bodies.point import Point
+from ancfdae.elements import BEAM_2D, BEAM_3D, BeamElement, ElementParameter
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+)
+from ancfdae.numerics.arrays import Array
+from ancfdae.sections import Material, Rectangle
+
+#: Parameter names of a beam as a user writes them, e.g. ``"rod.height"``.
+PARAMETER_NAMES = {
+    "youngs_modulus": ElementParameter.YOUNGS_MODULUS,
+    "poisson_ratio": ElementParameter.POISSON_RATIO,
+    "density": ElementParameter.DENSITY,
+    "height": ElementParameter.HEIGHT,
+    "width": ElementParameter.WIDTH,
+    "length": ElementParameter.LENGTH,
+    "damping_time": ElementParameter.DAMPING_TIME,
+}
+
+
+@final
+@dataclass(frozen=True)
+class ReferenceShape:
+    """Reference configuration of a beam of n elements.
+
+    Attributes
+    ----------
+    start : array, shape (d,)
+        Position of the first node.
+    lengths : array, shape (n,)
+        Element lengths.
+    slopes : array, shape (n + 1, d, d)
+        Node frames; row k is the slope along the section's k-th axis.
+    chords : array, shape (n, d)
+        (r_2 - r_1) / length of each element.
+    straight : bool
+        Whether dr_o/dx is the same at every point of the beam.
+    """
+
+    start: Array
+    lengths: Array
+    slopes: Array
+    chords: Array
+    straight: bool
+
+
+class BeamBody(abc.ABC):
+    """What the rest of the package needs to know about a beam.
+
+    Attributes
+    ----------
+    name : str
+    section : Rectangle or sequence of Rectangle
+        One for the beam or one per element.
+    material : Material or sequence of Material
+        One for the beam or one per element.
+    """
+
+    name: str
+    section: Rectangle | Sequence[Rectangle]
+    material: Material | Sequence[Material]
+
+    @property
+    @abc.abstractmethod
+    def element_count(self) -> int:
+        """Number of elements."""
+
+    @property
+    @abc.abstractmethod
+    def dimension(self) -> int:
+        """Dimension of space, 2 or 3."""
+
+    @abc.abstractmethod
+    def reference(self) -> ReferenceShape:
+        """Return the reference configuration."""
+
+    @abc.abstractmethod
+    def with_length(self, length: float) -> BeamBody:
+        """Return the same beam, stretched from its start to another total length."""
+
+    @abc.abstractmethod
+    def with_parts(
+        self, section: Rectangle | Sequence[Rectangle], material: Material | Sequence[Material]
+    ) -> BeamBody:
+        """Return the same beam with another section and material."""
+
+    @property
+    def element(self) -> BeamElement:
+        """The element that models this beam."""
+        return BEAM_2D if self.dimension == 2 else BEAM_3D
+
+    @property
+    def at_start(self) -> Point:
+        """The point at the start of the centre line."""
+        return Point(self.name, 0.0)
+
+    @property
+    def at_end(self) -> Point:
+        """The point at the end of the centre line."""
+        return Point(self.name, 1.0)
+
+    def at(self, fraction: float, y: float = 0.0, z: float = 0.0) -> Point:
+        """Return the point at an arc-length fraction, offset in the section by y and z."""
+        return Point(self.name, fraction, y, z)
+
+    def element_parameters(self) -> Array:
+        """Parameters of every element, shape (n, 7), columns as in `ElementParameter`."""
+        sections, materials = self._per_element()
+        rows = [
+            (m.youngs_modulus, m.poisson_ratio, m.density, s.height, s.width, l, m.damping_time)
+            for s, m, l in zip(sections, materials, self.reference().lengths, strict=True)
+        ]
+        return np.array(rows, dtype=float)
+
+    def with_value(self, parameter: str, element: int | None, value: float) -> BeamBody:
+        """Return the same beam with one parameter changed, everywhere or in one element.
+
+        Raises
+        ------
+        InvalidInput
+            If the value is not admissible for the parameter or the element does not exist.
+        UnknownName
+            If there is no such parameter.
+        """
+        self.check_target(parameter, element)
+        which = PARAMETER_NAMES[parameter]
+        if which is ElementParameter.LENGTH:
+            return self.with_length(value)
+        sections, materials = self._per_element()
+        chosen = range(self.element_count) if element is None else [element]
+        for k in chosen:
+            if which in (ElementParameter.HEIGHT, ElementParameter.WIDTH):
+                sections[k] = replace(sections[k], **{parameter: value})
+            else:
+                materials[k] = replace(materials[k], **{parameter: value})
+        return self.with_parts(tuple(sections), tuple(materials))
+
+    def check_target(self, parameter: str, element: int | None) -> None:
+        """Refuse a design target that this beam does not have.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+        """
+        if parameter not in PARAMETER_NAMES:
+            known = (f"{self.name}.{name}" for name in PARAMETER_NAMES)
+            raise UnknownName("design target", f"{self.name}.{parameter}", known)
+        if element is None:
+            return
+        where = f"design target {self.name}.{parameter}[{element}]"
+        if not 0 <= element < self.element_count:
+            raise InvalidInput(
+                where,
+                f"the beam has elements 0 to {self.element_count - 1}",
+                element,
+                "Name an element that exists.",
+            )
+        if PARAMETER_NAMES[parameter] is ElementParameter.LENGTH:
+            raise InvalidInput(
+                where,
+                "length is a property of the whole beam",
+                f"[{element}]",
+                f"Use {self.name}.length.",
+            )
+
+    def _per_element(self) -> tuple[list[Rectangle], list[Material]]:
+        n = self.element_count
+        sections = [self.section] * n if isinstance(self.section, Rectangle) else list(self.section)
+        materials = (
+            [self.material] * n if isinstance(self.material, Material) else list(self.material)
+        )
+        return sections, materials
+
+    def _check_parts(self) -> None:
+        name: object = self.name
+        if not isinstance(name, str) or not name or "." in name or "[" in name:
+            raise InvalidInput(
+                "Beam.name",
+                "must be a non-empty string without '.' and '['",
+                repr(name),
+                "Names appear in design targets such as 'rod.height[2]'.",
+            )
+        self._check_part(self.section, Rectangle)
+        self._check_part(self.material, Material)
+
+    def _check_part(self, part: object, kind: type) -> None:
+        if isinstance(part, kind):
+            return
+        listed = part if isinstance(part, Sequence) else ()
+        if len(listed) != self.element_count or not all(isinstance(x, kind) for x in listed):
+            raise InvalidInput(
+                f"beam {self.name!r}",
+                f"needs one {kind.__name__} or a sequence of {self.element_count}, one per element",
+                repr(part),
+                f"Give one {kind.__name__}, or as many as there are elements.",
+            )

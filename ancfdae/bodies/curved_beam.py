@@ -1,0 +1,159 @@
+"""A beam through given node frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.bodies.body import BeamBody, ReferenceShape
+from ancfdae.elements.hermite import end_weight_xi, slope_weights_xi
+from ancfdae.errors import (
+    InvalidInput,
+    require_array,
+    require_positive,
+    require_sequence,
+)
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.quadrature import box_rule
+from ancfdae.sections import Material, Rectangle
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CurvedBeam(BeamBody):
+    """A beam through given node frames (curved reference shape, eq. 16).
+
+    Parameters
+    ----------
+    name : str
+    positions : array, shape (n + 1, d)
+        Positions of the nodes; m.
+    frames : array, shape (n + 1, d, d)
+        Slope vectors of the nodes, row k along the section's k-th axis (tangent first);
+        right-handed.
+    section : Rectangle or sequence of Rectangle
+    material : Material or sequence of Material
+    element_lengths : sequence of float, optional
+        Range of the axial coordinate of each element. By default the arc length of the cubic
+        through its nodes, so that unit tangents stay unit tangents.
+
+    Raises
+    ------
+    InvalidInput
+        If shapes disagree, nodes coincide or a frame is not right-handed.
+    """
+
+    name: str
+    positions: Array
+    frames: Array
+    section: Rectangle | Sequence[Rectangle]
+    material: Material | Sequence[Material]
+    element_lengths: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        where = f"beam {self.name!r}"
+        positions = require_array(f"{where}, positions", self.positions)
+        if positions.ndim != 2 or positions.shape[0] < 2 or positions.shape[1] not in (2, 3):
+            raise InvalidInput(
+                f"{where}, positions",
+                "must have shape (n + 1, 2) or (n + 1, 3) with n >= 1",
+                positions.shape,
+                "Give one row per node.",
+            )
+        frame_shape = (*positions.shape, positions.shape[1])
+        frames = require_array(f"{where}, frames", self.frames, frame_shape)
+        if not np.all(np.any(np.diff(positions, axis=0) != 0.0, axis=1)):
+            raise InvalidInput(
+                f"{where}, positions",
+                "neighbouring nodes must differ",
+                "an element of length zero",
+                "Remove the repeated node.",
+            )
+        if not np.all(np.linalg.det(frames) > 0):
+            raise InvalidInput(
+                f"{where}, frames",
+                "must be right-handed",
+                f"smallest determinant {np.min(np.linalg.det(frames)):.3g}",
+                "Order the rows tangent, height axis(, width axis).",
+            )
+        if self.element_lengths is not None:
+            self._check_lengths(f"{where}, element_lengths", self.element_lengths)
+        self._check_parts()
+
+    @property
+    def element_count(self) -> int:
+        """Number of elements."""
+        return len(self.positions) - 1
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of space."""
+        return int(np.shape(self.positions)[1])
+
+    @property
+    def length(self) -> float:
+        """Length of the centre line."""
+        return float(np.sum(self.reference().lengths))
+
+    def reference(self) -> ReferenceShape:
+        """Return the curved reference configuration."""
+        positions, slopes = np.asarray(self.positions, float), np.asarray(self.frames, float)
+        steps = np.diff(positions, axis=0)
+        if self.element_lengths is None:
+            lengths = _arc_lengths(steps, slopes[:-1, 0], slopes[1:, 0])
+        else:
+            lengths = np.asarray(self.element_lengths, float)
+        return ReferenceShape(positions[0], lengths, slopes, steps / lengths[:, None], False)
+
+    def with_length(self, length: float) -> CurvedBeam:
+        """Return the beam with its centre line scaled about its start."""
+        require_positive(f"{self.name}.length", length)
+        shape, positions = self.reference(), np.asarray(self.positions, float)
+        factor = length / self.length
+        return replace(
+            self,
+            positions=positions[0] + factor * (positions - positions[0]),
+            element_lengths=tuple((factor * shape.lengths).tolist()),
+        )
+
+    def with_parts(
+        self, section: Rectangle | Sequence[Rectangle], material: Material | Sequence[Material]
+    ) -> CurvedBeam:
+        """Return the same beam with another section and material."""
+        return replace(self, section=section, material=material)
+
+    def _check_lengths(self, where: str, given: object) -> None:
+        rule, repair = f"must have {self.element_count} entries", "Give one length per element."
+        lengths = require_sequence(where, given, rule, repair)
+        if len(lengths) != self.element_count:
+            raise InvalidInput(where, rule, len(lengths), repair)
+        for length in lengths:
+            require_positive(where, length)
+
+
+def _arc_lengths(steps: Array, tangents_1: Array, tangents_2: Array) -> Array:
+    """Lengths l that equal the arc length of the cubic they define, by fixed-point iteration.
+
+    r,x = s5'(xi)/l (r_2 - r_1) + s2' r_x1 + s6' r_x2 and l = int |r,x| l dxi. The map contracts
+    by about the squared turning angle of the element over 30, so a few sweeps reach round-off.
+    """
+    points, weights = box_rule((12,))
+    xi = points[:, 0]
+    p2, p6 = slope_weights_xi(xi)
+    lengths: Array = np.linalg.norm(steps, axis=1)
+    for _ in range(60):
+        speed = (
+            (end_weight_xi(xi) / lengths[:, None])[..., None] * steps[:, None]
+            + p2[:, None] * tangents_1[:, None]
+            + p6[:, None] * tangents_2[:, None]
+        )
+        new = lengths * (np.linalg.norm(speed, axis=2) @ weights)
+        done = np.all(np.abs(new - lengths) <= 4 * np.finfo(float).eps * new)
+        lengths = new
+        if done:
+            break
+    return lengths

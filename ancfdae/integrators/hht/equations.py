@@ -1,0 +1,281 @@
+"""The discrete equations of HHT-I3, written once (eqs. 2-6).
+
+Forward run, direct differentiation and complex step all read them from here.
+With f = Phi_q^T lam - Q, unknowns (a, lam) at t_{n+1}, and
+
+    q = q~ + beta h^2 a,   q~ = q_n + h v_n + h^2 (1/2 - beta) a_n      (2)
+    v = v~ + gamma h a,    v~ = v_n + h (1 - gamma) a_n                 (3)
+    A = (a + alpha A_n)/(1 + alpha)
+
+the residual is
+
+    R_1 = M(q) A + f                                                    (4)
+    R_2 = Phi / (beta h^2)                                              (5)
+
+and its Jacobian
+
+    J = [ M/(1 + alpha) + beta h^2 (f_q + (M A)_q) - gamma h Q_v    Phi_q^T ]   (6)
+        [ Phi_q                                                     0       ].
+
+With small steps Phi is formed from its increment (`small_steps`).
+
+A is the acceleration at t_{n+1}; the algorithm's a stands for t_{n+1} + alpha h. For a constant
+mass f_n = -M A_n turns R_1 into the paper's (4), M a/(1+alpha) + f - alpha/(1+alpha) f_n. Where
+the mass depends on q, the paper's form would multiply M at one instant with an acceleration at
+another and drop to first order; this one stays second order.
+
+Start-up (docs/theory.md, section 5). a_n stands for q'' at t_n + alpha h, so
+
+    a_0 = q''(0) + alpha h q'''(0).
+
+A smooth error of (2) in the constraints, C h^3 Phi_q q''' per step with
+C = -(1 + 3 alpha^2)/12, forces Phi_q v_n to carry C h^2 Phi_q q''' for ever.
+A start with Phi_q v_0 = 0 would reach that value through a transient of first
+order in the multipliers; starting with it leaves them second order:
+
+    v_0 = v(0) + dv,   M dv + Phi_q^T eta = 0,   Phi_q dv = C h^2 S,  S = Phi_q q'''.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.integrators.start import InitialSensitivity, InitialState
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.protocol import Linearisation, MechanicalSystem
+from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
+
+
+@final
+@dataclass(frozen=True)
+class Coefficients:
+    """Step size and Newmark coefficients (below eq. 6).
+
+    Attributes
+    ----------
+    h : float or array
+        An array for many steps at once.
+    alpha, beta, gamma : float
+    """
+
+    h: Any
+    alpha: float
+    beta: float
+    gamma: float
+
+    @staticmethod
+    def of(step: float, hht_alpha: float) -> Coefficients:
+        """Return the coefficients of a step."""
+        return Coefficients(step, *newmark(hht_alpha))
+
+
+@final
+@dataclass(frozen=True)
+class Steps:
+    """Step sizes of a run.
+
+    Attributes
+    ----------
+    h : array, shape (n,)
+    alpha : float
+    """
+
+    h: Array
+    alpha: float
+
+    @property
+    def first(self) -> Coefficients:
+        """Coefficients of the first step."""
+        return self.of(1)
+
+    def of(self, n: int) -> Coefficients:
+        """Coefficients of the step that ends at instant n."""
+        return Coefficients.of(float(self.h[n - 1]), self.alpha)
+
+    def ratio(self, n: int) -> float:
+        """Size of the step from instant n relative to the one that ends there."""
+        return float(self.h[n] / self.h[n - 1])
+
+    def columns(self, steps: slice) -> Coefficients:
+        """Coefficients of the steps that end at some instants; h has shape (k, 1)."""
+        h = self.h[steps.start - 1 : steps.stop - 1]
+        return Coefficients(h[:, None], *newmark(self.alpha))
+
+
+@final
+@dataclass(frozen=True)
+class Node:
+    """State of the recurrence after a step.
+
+    Attributes
+    ----------
+    t : float
+    q, v : array, shape (n_q,)
+    a : array, shape (n_q,)
+        The algorithm's acceleration, q'' at t + alpha h.
+    lam : array, shape (n_lam,)
+    A : array, shape (n_q,)
+        The acceleration q'' at t.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+    A: Array
+
+
+@final
+@dataclass(frozen=True)
+class NodeSensitivity:
+    """Design derivatives of a `Node`; every array has a trailing axis n_b."""
+
+    q_b: Array
+    v_b: Array
+    a_b: Array
+    lam_b: Array
+    A_b: Array
+
+
+def newmark(alpha: float) -> tuple[float, float, float]:
+    """Return alpha, beta = (1 - alpha)^2/4 and gamma = (1 - 2 alpha)/2 (below eq. 6)."""
+    return alpha, (1 - alpha) ** 2 / 4, (1 - 2 * alpha) / 2
+
+
+def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """q~ and v~ of eqs. (2) and (3); arrays of derivatives go through unchanged."""
+    dq_p, v_p = predict_increment(c, v, a)
+    dq_p += q
+    return dq_p, v_p
+
+
+def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array]:
+    """q~ - q_n, without the round-off of q_n, and v~."""
+    v_p = v + (c.h * (1 - c.gamma)) * a
+    # h v + h^2 (1/2 - beta) a = h v~ + h^2 (gamma - 1/2 - beta) a
+    dq_p = (c.h**2 * (c.gamma - 0.5 - c.beta)) * a
+    dq_p += c.h * v_p
+    return dq_p, v_p
+
+
+def increment_from_velocities(c: Coefficients, v: Array, v_p: Array) -> Array:
+    """q~ - q_n from v_n and v~, for derivatives too; its round-off is eps h |v|."""
+    return np.asarray(c.h * (v_p + (c.gamma - 0.5 - c.beta) / (1 - c.gamma) * (v_p - v)))
+
+
+def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
+    """Q and v of eqs. (2) and (3) from their predictors and a_{n+1}."""
+    return q_p + (c.beta * c.h**2) * a, v_p + (c.gamma * c.h) * a
+
+
+def rescaled(node: Node, ratio: float) -> Node:
+    """Return the node for a step whose size is `ratio` times that of the step before.
+
+    a stands for q'' at t + alpha h, and changes with h along the straight line through it and A
+    at t, which keeps second order.
+    """
+    return node if ratio == 1.0 else replace(node, a=node.A + ratio * (node.a - node.A))
+
+
+def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity:
+    """Differentiate `rescaled`."""
+    if ratio == 1.0:
+        return node
+    return replace(node, a_b=node.A_b + ratio * (node.a_b - node.A_b))
+
+
+def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
+    """Return A at t_{n+1} from the algorithm's a and the A before, also for derivatives."""
+    return (a + c.alpha * A_n) / (1 + c.alpha)
+
+
+def residual(
+    system: MechanicalSystem, c: Coefficients, q: Array, A: Array, f: Array, Phi: Array
+) -> Array:
+    """Eqs. (4) and (5), shape (n_q + n_lam,)."""
+    return np.concatenate([system.mass_times(q, A) + f, Phi / (c.beta * c.h**2)])
+
+
+def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
+    """Upper left block of eq. (6) for k instants, shape (k, nnz)."""
+    K = local.M / (1 + c.alpha) + (c.beta * c.h**2) * local.f_q
+    if local.f_v is not None:
+        K = K + (c.gamma * c.h) * local.f_v
+    return np.asarray(K)
+
+
+def factor_jacobian(
+    system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, node: Node
+) -> Factorization:
+    """Factorise eq. (6) at a state.
+
+    Raises
+    ------
+    SingularMatrix
+    """
+    states = (x[None] for x in (node.q, node.v, node.A, node.lam))
+    local = system.linearise(np.array([node.t]), *states)
+    return matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
+
+
+def start_node(
+    system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, initial: InitialState
+) -> Node:
+    """Second-order start of the recurrence (module description)."""
+    t, q = initial.t, initial.q
+    S = system.jerk_side(q, initial.v, initial.a, t)
+    v = initial.v + _velocity_shift(system, matrices, c, t, q, S)[0]
+    a = initial.a + (c.alpha * c.h) * initial.jerk
+    return Node(t, q, v, a, initial.lam, initial.a)
+
+
+def start_node_sensitivity(
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    c: Coefficients,
+    initial: InitialState,
+    derivative: InitialSensitivity,
+) -> NodeSensitivity:
+    """Differentiate `start_node`."""
+    t, q, v, a = initial.t, initial.q, initial.v, initial.a
+    q_b, v_b, a_b = derivative.q_b, derivative.v_b, derivative.a_b
+    S = system.jerk_side(q, v, a, t)
+    dv, eta, factors = _velocity_shift(system, matrices, c, t, q, S)
+    # M dv_b + Phi_q^T eta_b = -(M dv)_total - (Phi_q^T eta)_total
+    # Phi_q dv_b = C h^2 S_total - (Phi_q dv)_total
+    right = -inertia_total(system, q, dv, q_b) - constraint_force_total(system, q, eta, t, q_b)
+    side = constraint_error(c) * system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
+    side = side - system.constraint_q_times_total(q, dv, t, q_b)
+    dv_b = factors.solve(np.concatenate([right, side]))[: system.n_q]
+    return NodeSensitivity(
+        q_b=q_b,
+        v_b=v_b + dv_b,
+        a_b=a_b + (c.alpha * c.h) * derivative.jerk_b,
+        lam_b=derivative.lam_b,
+        A_b=a_b,
+    )
+
+
+def constraint_error(c: Coefficients) -> float:
+    """Return C h^2 of the module description."""
+    return -(1 + 3 * c.alpha**2) / 12 * float(c.h) ** 2
+
+
+def _velocity_shift(
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    c: Coefficients,
+    t: float,
+    q: Array,
+    S: Array,
+) -> tuple[Array, Array, Factorization]:
+    """Dv, its multiplier eta, and the factorised saddle point of M and Phi_q."""
+    factors = matrices.factor(system.mass(q), system.constraint_q(q, t))
+    zero = np.zeros(system.n_q, dtype=q.dtype)
+    x = factors.solve(np.concatenate([zero, constraint_error(c) * S]))
+    return x[: system.n_q], x[system.n_q :], factors

@@ -1,0 +1,153 @@
+"""Constraints of HHT-I3 at small steps, from their increments (docs/theory.md, section 5).
+
+R_2 = Phi/(beta h^2) of eq. (5) has the round-off eps |q|/(beta h^2). Where that disturbs the motion
+the equations and their derivatives take
+
+    R_2 = (chi Phi_n + I)/(beta h^2),    I = Phi_{n+1} - Phi_n = integral of Phi_q dq - h nu
+
+over s from 0 to 1 at q_n + s dq, t_n + s h, with the round-off eps h |v|, and a part chi of what
+round-off has left in Phi_n. The derivative in the design, dq_b along with dq, is
+
+    Phi_q,{n+1} dq_b + G q_b,n + g,
+    G = chi Phi_q,n + integral of (Phi_q dq)_q - h nu_q,
+    g = chi Phi_b,n + integral of (Phi_q dq)_b - h nu_b.
+
+In exact arithmetic G = Phi_q,{n+1} and g = Phi_b,{n+1} at chi = 1, and Phi_n and its derivative are
+zero: the equations are those of eqs. (5) and (23).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.integrators.hht.equations import Coefficients, Node, Steps, predict_increment, rescaled
+from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+
+# Gauss points on (0, 1), exact for polynomials of degree 5 in s.
+_PLACES = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))
+_WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
+# Part of the motion that round-off of the constraints may disturb, and of its derivatives.
+_QUIET, _QUIET_DERIVATIVES = 1e-9, 1e-8
+_EPS = float(np.finfo(float).eps)
+
+
+def motion_size(system: MechanicalSystem, a: Array, reaction: Array, Q: Array) -> float:
+    """Size of inertia, reactions and forces in one norm, a force per square root of a mass."""
+    inverse = 1 / system.weights
+    size = real_norm(a, system.weights)
+    return size + real_norm(reaction, inverse) + real_norm(Q, inverse)
+
+
+def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion: float) -> float:
+    """Return chi: 1, or less where Phi_n is all round-off and a step of size h would feel it."""
+    noise = _EPS * real_norm(q, system.weights)
+    allowed = _QUIET * motion * c.beta * c.h**2
+    return 1.0 if noise <= allowed else allowed / noise
+
+
+@final
+@dataclass(frozen=True)
+class ConstraintRow:
+    """Derivative of the constraints over a small step.
+
+    Attributes
+    ----------
+    G : array
+        Values on `constraint_pattern`.
+    g : array, shape (n_lam, n_b)
+    """
+
+    G: Array
+    g: Array
+
+    @staticmethod
+    def of(
+        system: MechanicalSystem, c: Coefficients, before: Node, after: Node
+    ) -> ConstraintRow | None:
+        """Return the row; None where the step is not small and eq. (23) serves."""
+        floor = _EPS * real_norm(before.q, system.weights)
+        unit = _QUIET_DERIVATIVES * c.beta * c.h**2
+        # The inertia alone mostly decides; that of both ends, since it may pass through zero.
+        if floor <= unit * max(real_norm(x.A, system.weights) for x in (before, after)):
+            return None
+        q, t = before.q, before.t
+        reaction = system.constraint_force(q, before.lam, t)
+        motion = motion_size(system, before.A, reaction, system.force(q, before.v, t))
+        if floor <= unit * motion:
+            return None
+        chi = share_of_defect(system, c, q, motion)
+        dq = predict_increment(c, before.v, before.a)[0] + (c.beta * c.h**2) * after.a
+        G, g = chi * system.constraint_q(q, t), chi * system.constraint_b(q, t)
+        fixed = np.zeros((system.n_q, system.n_b))
+        for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
+            q, t = before.q + place * dq, before.t + place * c.h
+            G = G + (weight * c.h) * system.constraint_q_rate(q, dq / c.h, t)
+            side = c.h * system.velocity_side_total(q, t, fixed)
+            g = g + weight * (system.constraint_q_times_total(q, dq, t, fixed) - side)
+        return ConstraintRow(G, g)
+
+
+def constraint_increment(
+    system: MechanicalSystem, c: Coefficients, before: Node, dq: Array
+) -> Array:
+    """Return I, free of the round-off of Phi itself; exact for joints, which are quadratic in q.
+
+    A drive A sin(w t) leaves A (w h)^7 / 2e6.
+    """
+    total = np.zeros(system.n_lam)
+    for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
+        q, t = before.q + place * dq, before.t + place * c.h
+        rate = system.constraint_pattern.dot(system.constraint_q(q, t), dq)
+        total = total + weight * (rate - c.h * system.velocity_side(q, t))
+    return total
+
+
+@final
+@dataclass(frozen=True)
+class Nodes:
+    """What the recurrence knew at the instants of a finished run.
+
+    Attributes
+    ----------
+    run : Solution
+        Its accelerations are A; a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n.
+    steps : Steps
+    first : Node
+        The start of the recurrence.
+    """
+
+    run: Solution
+    steps: Steps
+    first: Node
+
+    def before(self, n: int) -> Node:
+        """Return the node that the step to instant n starts from, for its size."""
+        if n == 1:
+            return self.first
+        return rescaled(self.after(n - 1), self.steps.ratio(n - 1))
+
+    def after(self, n: int) -> Node:
+        """Return the node that the step to instant n arrives at."""
+        run, alpha = self.run, self.steps.alpha
+        a = (1 + alpha) * run.a[n] - alpha * run.a[n - 1]
+        return Node(float(run.t[n]), run.q[n], run.v[n], a, run.lam[n], run.a[n])
+
+    def maybe_small(self, system: MechanicalSystem) -> Array:
+        """Return for every instant whether the step that ends there may be small, shape (n_t,)."""
+        root, h, beta = np.sqrt(system.weights), self.steps.h, self.steps.first.beta
+        # What blew up overflows, and is no small motion.
+        with np.errstate(over="ignore"):
+            q, A = (np.linalg.norm(root * x.real, axis=1) for x in (self.run.q, self.run.a))
+        # As in `ConstraintRow.of`, for all steps at once.
+        allowed = _QUIET_DERIVATIVES * beta * h**2 * np.maximum(A[1:], A[:-1])
+        return np.append(False, _EPS * q[:-1] > allowed)
+
+    def row(self, system: MechanicalSystem, n: int) -> ConstraintRow | None:
+        """Return the row of the step to instant n; None where that is not small."""
+        return ConstraintRow.of(system, self.steps.of(n), self.before(n), self.after(n))

@@ -1,0 +1,136 @@
+"""What every integrator offers: same call, same solution, same statistics."""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+
+
+class Integrator(abc.ABC):
+    """Frozen settings of an integration method.
+
+    Attributes
+    ----------
+    real_only : bool
+        Whether it refuses systems at complex design values, as the complex step needs them.
+    order : int or None
+        Power of the step with which errors fall; None where a tolerance rules them.
+    """
+
+    real_only: ClassVar[bool] = False
+    order: ClassVar[int | None] = None
+
+    def frozen(self, solution: Solution) -> Integrator:
+        """Return the integrator that repeats the steps of a run at another design.
+
+        Where steps follow from an error estimate they jump with the design, and differences of
+        runs show the jumps. `HHT` can repeat them; other integrators return themselves.
+        """
+        return self
+
+    @abc.abstractmethod
+    def refined(self, solution: Solution) -> Integrator:
+        """Return the integrator of a more accurate run: half the step, or a tenth of the tolerance.
+
+        Parameters
+        ----------
+        solution : Solution
+            The run to be refined.
+
+        Raises
+        ------
+        InvalidInput
+            If there is no better setting.
+        """
+
+    @abc.abstractmethod
+    def integrate(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        *,
+        sensitivities: bool = False,
+        progress: bool = False,
+    ) -> Solution:
+        """Integrate from t = 0 to `t_end`.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+        t_end : float
+            End time; s.
+        sensitivities : bool
+            Whether the design derivatives of the trajectory are integrated along
+            (direct differentiation).
+        progress : bool
+            Whether to show a progress bar.
+
+        Returns
+        -------
+        Solution
+            Trouble on the way is told by its outcome, and what was computed is kept.
+
+        Raises
+        ------
+        InvalidInput
+            If settings, end time or start make no sense; before anything is integrated.
+        """
+
+
+@final
+@dataclass(frozen=True)
+class Seeds:
+    """Partials of an objective in the states of every instant, rows; None for none.
+
+    Attributes
+    ----------
+    q, v : array, shape (n_t, n_q), or None
+    lam : array, shape (n_t, n_lam), or None
+    over_time : bool
+        Whether the rows are weights of a quadrature times smooth functions of time.
+    """
+
+    q: Array | None
+    v: Array | None
+    lam: Array | None
+    over_time: bool = False
+
+
+class AdjointIntegrator(Integrator):
+    """An integrator that can also run backward through a finished run."""
+
+    @abc.abstractmethod
+    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+        """Return the gradient of an objective from its partials in the states (adjoint).
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+        solution : Solution
+            A finished run of this integrator on this system.
+        seeds : Seeds
+            dPsi/dq, dPsi/dv, dPsi/dlam at every instant.
+
+        Returns
+        -------
+        array, shape (n_b,)
+            Without the explicit partial of the objective in b.
+        """
+
+
+def require_rtol(where: str, rtol: float, least: float) -> None:
+    """Refuse a relative tolerance that round-off or sense forbids.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require_positive(where, rtol)
+    if not least <= rtol <= 1e-2:
+        raise InvalidInput(where, f"must lie in [{least:.0e}, 1e-2]", rtol, "Try 1e-8.")

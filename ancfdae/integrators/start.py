@@ -1,0 +1,306 @@
+"""Consistent initial conditions and their design derivatives.
+
+1. Positions: the nearest configuration on the constraints in the norm of M,
+       M (q - q_start) + Phi_q^T nu = 0,   Phi(q) = 0,   M at q_start.
+2. Velocities likewise: M (v - v_start) + Phi_q^T kappa = 0, Phi_q v = nu(q).
+3. Accelerations and multipliers: M a + Phi_q^T lam = Q, Phi_q a = gamma(q, v).
+4. Their rates, which a second-order start of HHT-I3 needs:
+       M q''' + Phi_q^T lam' = dQ/dt - (dPhi_q^T/dt) lam - (dM/dt) a,   Phi_q q''' = S.
+
+A start that is declared consistent (`project_start` false) is refused if it
+violates a constraint by more than round-off can explain; 1 and 2 then only
+remove that round-off. The design derivatives differentiate 1 to 4 as they
+stand, so they are exact for projected starts too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from ancfdae.errors import InconsistentStart, InvalidInput, RedundantConstraints, SingularMatrix
+from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.total_derivatives import (
+    acceleration_totals,
+    constraint_force_total,
+    inertia_total,
+)
+
+# Relative violation of a constraint up to which a declared start counts as consistent: far
+# above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
+_CONSISTENT = 1e-8
+# Singular-value ratio under which scaled constraint rows count as dependent; round-off leaves
+# dependent rows at 1e-16 times their number.
+_DEPENDENT = 1e-11
+_PROJECTION_ITERATIONS = 50
+
+
+@final
+@dataclass(frozen=True)
+class InitialState:
+    """Consistent start at one instant.
+
+    Attributes
+    ----------
+    t : float
+    q, v, a : array, shape (n_q,)
+    lam : array, shape (n_lam,)
+    jerk : array, shape (n_q,)
+        q''' on the constraints.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+    jerk: Array
+
+
+@final
+@dataclass(frozen=True)
+class InitialSensitivity:
+    """Design derivatives of an `InitialState`; shapes (n_q, n_b) and (n_lam, n_b)."""
+
+    q_b: Array
+    v_b: Array
+    a_b: Array
+    lam_b: Array
+    jerk_b: Array
+
+
+def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
+    """Check the constraints at the start and return the system's saddle-point matrices.
+
+    Raises
+    ------
+    RedundantConstraints
+        If constraint rows are linearly dependent.
+    """
+    q, _ = system.start()
+    values = system.constraint_q(q, t)
+    _refuse_redundant(system, values)
+    return SaddlePoint(system.pattern, system.constraint_pattern, system.weights, values)
+
+
+def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) -> InitialState:
+    """Solve steps 1 to 4 of the module description.
+
+    Raises
+    ------
+    InconsistentStart
+        If the declared start violates a constraint and `project_start` is false, or if the
+        projection does not converge.
+    InvalidInput
+        If the start or the forces at it are not finite.
+    """
+    q, v = system.start()
+    if not (is_finite(q) and is_finite(v)):
+        raise InvalidInput("start", "must be finite", "NaN or infinity", "Check the start.")
+    if not system.project_start:
+        _refuse_inconsistent(system, q, v, t)
+    # Forces that are not finite at the start are refused below, not warned about.
+    with np.errstate(all="ignore"):
+        return _solve_start(system, matrices, q, v, t)
+
+
+def _solve_start(
+    system: MechanicalSystem, matrices: SaddlePoint, q: Array, v: Array, t: float
+) -> InitialState:
+    q, _ = _project_position(system, matrices, q, t)
+    if not system.linear_constraints:
+        _refuse_redundant(system, system.constraint_q(q, t))
+    factors = _factor_mass(system, matrices, q, t)
+    zero = np.zeros(system.n_lam)
+    v = _solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
+    Q = system.force(q, v, t)
+    if not is_finite(Q):
+        raise InvalidInput(
+            "forces at the start", "must be finite", "NaN or infinity", "Check forces and start."
+        )
+    a, lam = _solve(factors, Q, zero + system.acceleration_side(q, v, t))
+    rate = _force_rates(system, t, q, v, a, lam)
+    jerk, _ = _solve(factors, rate, zero + system.jerk_side(q, v, a, t))
+    return InitialState(t, q, v, a, lam, jerk)
+
+
+def start_sensitivity(
+    system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
+) -> InitialSensitivity:
+    """Differentiate `consistent_start` in the design variables."""
+    t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
+    q_start, v_start = system.start()
+    q_sb, v_sb = system.start_b()
+    nu = _project_position(system, matrices, q_start, t)[1]
+
+    # 1. (M + (Phi_q^T nu)_q) q_b + Phi_q^T nu_b = M q_sb - M_total (q - q_start) - (Phi_q^T nu)_b
+    K, B = system.mass(q_start), system.constraint_q(q, t)
+    if not system.linear_constraints:
+        K = K + system.constraint_force_q(q, nu, t)
+    right = system.mass_times(q_start, q_sb)
+    right = right - inertia_total(system, q_start, q - q_start, q_sb)
+    right = right - system.constraint_force_b(q, nu, t)
+    q_b, _ = _solve(matrices.factor(K, B), right, -system.constraint_b(q, t))
+
+    # 2. M v_b + Phi_q^T kappa_b = M v_sb - M_total (v - v_start) - (Phi_q^T kappa)_total
+    factors = _factor_mass(system, matrices, q, t)
+    kappa = _solve(factors, system.mass_times(q, v_start - v), np.zeros(system.n_lam))[1]
+    right = system.mass_times(q, v_sb) - inertia_total(system, q, v - v_start, q_b)
+    right = right - constraint_force_total(system, q, kappa, t, q_b)
+    side = system.velocity_side_total(q, t, q_b) - system.constraint_q_times_total(q, v, t, q_b)
+    v_b, _ = _solve(factors, right, side)
+
+    # 3. The same for the accelerations.
+    a_b, lam_b = _solve(factors, *acceleration_totals(system, t, (q, v, a, lam), q_b, v_b))
+
+    # 4. And for the rates.
+    jerk = state.jerk
+    rate = _force_rates(system, t, q, v, a, lam)
+    lam_rate = _solve(factors, rate, system.jerk_side(q, v, a, t))[1]
+    right = system.force_rate_total(q, v, a, t, q_b, v_b, a_b)
+    right = right - system.constraint_force_rate_total(q, v, lam, t, q_b, v_b, lam_b)
+    if not system.constant_mass:
+        right = right - system.inertia_rate_total(q, v, a, q_b, v_b, a_b)
+    right = right - inertia_total(system, q, jerk, q_b)
+    right = right - constraint_force_total(system, q, lam_rate, t, q_b)
+    side = system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
+    jerk_b, _ = _solve(factors, right, side - system.constraint_q_times_total(q, jerk, t, q_b))
+    return InitialSensitivity(q_b, v_b, a_b, lam_b, jerk_b)
+
+
+def _force_rates(
+    system: MechanicalSystem, t: float, q: Array, v: Array, a: Array, lam: Array
+) -> Array:
+    """Right side of the first line of 4; (dM/dt) a = (M a)_q v."""
+    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, lam, t)
+    if system.constant_mass:
+        return rate
+    return rate - system.pattern.dot(system.inertia_q(q, a), v)
+
+
+def _solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
+    x = factors.solve(np.concatenate([force, side]))
+    return x[: len(force)], x[len(force) :]
+
+
+def _factor_mass(
+    system: MechanicalSystem, matrices: SaddlePoint, q: Array, t: float
+) -> Factorization:
+    try:
+        return matrices.factor(system.mass(q), system.constraint_q(q, t))
+    except SingularMatrix as error:
+        raise InvalidInput(
+            "mass matrix",
+            "with the constraints it must determine accelerations and multipliers at the start",
+            str(error),
+            "Give every coordinate inertia, or remove redundant constraints.",
+        ) from error
+
+
+def _project_position(
+    system: MechanicalSystem, matrices: SaddlePoint, q_start: Array, t: float
+) -> tuple[Array, Array]:
+    """Newton's method for step 1; returns q and nu.
+
+    The last correction is applied, so the error left is the square of the tolerance.
+    """
+    q, nu = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
+    scale, settled = real_norm(q_start, system.weights), 0
+    for _ in range(_PROJECTION_ITERATIONS):
+        K = system.mass(q_start)
+        if not system.linear_constraints:
+            K = K + system.constraint_force_q(q, nu, t)
+        force = system.mass_times(q_start, q_start - q) - system.constraint_force(q, nu, t)
+        try:
+            factors = matrices.factor(K, system.constraint_q(q, t))
+        except SingularMatrix:
+            _refuse_redundant(system, system.constraint_q(q, t))
+            break
+        dq, dnu = _solve(factors, force, -system.constraint(q, t))
+        q, nu = q + dq, nu + dnu
+        if not is_finite(q):
+            break
+        if real_norm(dq, system.weights) <= 1e-12 * scale:
+            # A complex perturbation lags the real part by one sweep.
+            settled += 1
+            if q.dtype.kind != "c" or settled == 3:
+                return q, nu
+    raise InconsistentStart(
+        "start",
+        "must be close enough to the constraints to be projected",
+        f"no convergence in {_PROJECTION_ITERATIONS} iterations",
+        "Declare positions nearer to an assembled configuration.",
+    )
+
+
+def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> None:
+    """Compare every constraint with the motion, both in the norm of the weights.
+
+    |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and
+    likewise |Phi_q v - nu| / |Phi_qk| against |v|. Both ratios are free of units.
+    """
+    pattern, values = system.constraint_pattern, system.constraint_q(q, t)
+    squared = values.real**2 / system.weights[pattern.columns]
+    rows = np.sqrt(np.bincount(pattern.rows, squared, minlength=system.n_lam))
+    defect = pattern.dot(values, v) - system.velocity_side(q, t)
+    # The size of a body is as good a measure of its coordinates as their distance from the
+    # origin; |q| in the norm of M contains both.
+    for what, phi, size in (
+        ("positions", system.constraint(q, t), real_norm(q, system.weights)),
+        ("velocities", defect, real_norm(v, system.weights)),
+    ):
+        ratio = np.abs(phi.real) / np.where(rows > 0, rows, 1.0)
+        if system.n_lam and np.any(ratio > _CONSISTENT * size):
+            worst = int(np.argmax(ratio))
+            raise InconsistentStart(
+                f"start, joint {system.constraint_names[worst]!r}",
+                f"the {what} must satisfy the joint",
+                f"a violation of {float(np.abs(phi[worst])):.3g}",
+                "Correct the start, or set project_start=True to move it onto the joints.",
+            )
+
+
+def _refuse_redundant(system: MechanicalSystem, values: Array) -> None:
+    """Find dependent rows of the scaled Phi_q, component by component of its graph."""
+    if system.n_lam == 0:
+        return
+    pattern = system.constraint_pattern
+    matrix = pattern.csr(values.real / np.sqrt(system.weights[pattern.columns])).tocsr()
+    length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
+    empty = np.flatnonzero(length == 0)
+    if len(empty):
+        raise RedundantConstraints(
+            f"joint {system.constraint_names[int(empty[0])]!r}",
+            "every constraint must depend on a coordinate",
+            "a row of zeros in Phi_q",
+            "Remove the joint.",
+        )
+    connected = abs(matrix) @ abs(matrix).T
+    count, labels = connected_components(connected, directed=False)
+    dependent: list[str] = []
+    redundant = 0
+    for component in range(count):
+        rows = np.flatnonzero(labels == component)
+        if len(rows) == 1:
+            continue
+        part = matrix[rows]
+        part = part[:, np.unique(part.indices)].toarray() / length[rows, None]
+        U, s, _ = np.linalg.svd(part, full_matrices=True)
+        rank = int(np.sum(s > _DEPENDENT * s[0]))
+        if rank == len(rows):
+            continue
+        involved = np.any(np.abs(U[:, rank:]) > 1e-6, axis=1)
+        dependent += [system.constraint_names[int(row)] for row in rows[involved]]
+        redundant += len(rows) - rank
+    if redundant:
+        raise RedundantConstraints(
+            "joints " + ", ".join(repr(name) for name in sorted(set(dependent))),
+            "constraints must be independent",
+            f"{redundant} redundant of {system.n_lam}",
+            "Remove a joint, or replace it by one that holds fewer directions.",
+        )

@@ -1,0 +1,231 @@
+"""IDA of SUNDIALS (scikit-sundae) on index-reduced equations.
+
+Sensitivities are appended to the system and error-controlled with it. The iteration matrix is
+exact for the states; the blocks that couple the sensitivities to them are one-sided differences
+of that matrix along the sensitivities, which affects the convergence of Newton's method only.
+
+What the wrapper does not guard against is guarded here (shared/ida-notes.md): steps are taken one
+by one and counted, a solver that has not factorised is never freed, views are copied, residuals
+that are not finite end the run.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, final
+
+import numpy as np
+import sksundae
+from scipy import sparse
+
+from ancfdae.errors import Verdict, require_count, require_kind
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.integrators.index_1 import State
+from ancfdae.integrators.integrator import require_rtol
+from ancfdae.integrators.sundials.index_reduced import ColumnStorage, IndexReduction
+from ancfdae.integrators.sundials.messages import without_messages
+from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.protocol.solution import Solution
+
+# Below round-off of a double, with what an integrator of order five needs on top.
+_LEAST_RTOL = 1e-13
+# Relative change of the design for the coupling blocks of the iteration matrix.
+_CHANGE = 1e-6
+# Unknowns up to which the matrix is dense: a factorisation of SuperLU_MT starts a thread, which
+# takes a millisecond however small the matrix.
+_MOST_DENSE = 100
+# Corrector iterations per step: the sensitivities are linear in themselves, so they need one more
+# than the states.
+_ITERATIONS = 6
+# Return codes of IDA, see its manual.
+_FAILURES = {
+    -1: Verdict.STEP_LIMIT,
+    -2: Verdict.TOO_ACCURATE,
+    -3: Verdict.ERROR_TEST,
+    -4: Verdict.NO_CONVERGENCE,
+    -6: Verdict.SINGULAR,
+    -7: Verdict.SINGULAR,
+}
+
+
+@final
+@dataclass(frozen=True)
+class IDA(HighOrder):
+    """Variable-order BDF of SUNDIALS with error control.
+
+    Parameters
+    ----------
+    rtol : float
+        Relative tolerance per step; the error of a run is 10 to 200 times larger. 1e-8 is good
+        for a cross-check, 1e-10 for a reference.
+    form : IndexReduction
+    intervals : int
+        As in `HighOrder`.
+    max_steps : int
+        Steps of the whole run before it ends with an outcome; a small system takes 10,000 in a
+        second.
+
+    Raises
+    ------
+    InvalidInput
+        If a setting is out of range.
+    """
+
+    real_only: ClassVar[bool] = True
+
+    rtol: float = 1e-8
+    form: IndexReduction = IndexReduction.STABILISED_INDEX_2
+    intervals: int = 64
+    max_steps: int = 100_000
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_rtol("IDA.rtol", self.rtol, _LEAST_RTOL)
+        require_kind("IDA.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
+        require_count("IDA.intervals", self.intervals, "64 is a good number.")
+        require_count("IDA.max_steps", self.max_steps, "100000 is plenty.")
+
+    def refined(self, solution: Solution) -> IDA:
+        """Return the integrator with a tenth of the tolerance."""
+        return replace(self, rtol=self.rtol / 10)
+
+    def start(self, problem: Problem, t_end: float) -> March:
+        """Set up IDA."""
+        return _IdaMarch(self, problem, t_end)
+
+
+@final
+class _IdaMarch(March):
+    """One run of IDA; the vector y holds the states and then one block per design variable."""
+
+    def __init__(self, settings: IDA, problem: Problem, t_end: float) -> None:
+        self._settings, self._t_end, self._progress = settings, t_end, Progress(t_end)
+        self._form = settings.form.form(problem.system, problem.scales)
+        system, b = problem.system, problem.derivative
+        self._m = 0 if b is None else system.n_b
+        self.steps = self.iterations = self.factorisations = self.residuals = 0
+        scale = problem.scales.b
+        self._moved = [
+            system.with_values(system.b + _CHANGE * scale * unit)
+            for unit in np.eye(system.n_b)[: self._m]
+        ]
+        self._storage = ColumnStorage(self._form, self._m)
+        Y, Yp = self._form.start(problem.initial)
+        if b is not None:
+            blocks, rates = self._form.start_b(b)
+            Y, Yp = _join(Y, blocks), _join(Yp, rates)
+        self._t, self._y, self._yp, self._last = 0.0, Y, Yp, 0.0
+        self._solver = self._set_up(settings)
+        _keep(self._solver)
+        self._solver.init_step(0.0, Y, Yp)
+
+    def to(self, t: float) -> State | Verdict:
+        """Step until t lies behind, then interpolate."""
+        with without_messages():
+            return self._to(t)
+
+    def _to(self, t: float) -> State | Verdict:
+        while self._t < t:
+            if self.steps == self._settings.max_steps:
+                return Verdict.STEP_LIMIT
+            result = self._solver.step(self._t_end, "onestep", self._t_end)
+            if not result.success:
+                return _FAILURES.get(result.status, Verdict.NO_CONVERGENCE)
+            if self.steps == 0:
+                _release(self._solver)
+            # After an interpolation IDA returns its last step once more before it goes on.
+            self.steps += int(result.t > self._t)
+            self._t, self._y, self._yp = result.t, result.y.copy(), result.yp.copy()
+            if self._progress.stalls(self._t):
+                return Verdict.ERROR_TEST
+        y = self._y if self._t == t else self._solver.step(t, "normal", self._t_end).y.copy()
+        if not is_finite(y):
+            raise NotFinite
+        states, blocks = self._split(y)
+        q, v = self._form.coordinates(states)
+        if self._m == 0:
+            return State(q, v)
+        return State(q, v, *self._form.coordinates_b(blocks))
+
+    def residual(self) -> float:
+        """Largest scaled residual of the states."""
+        return self._last
+
+    def _set_up(self, settings: IDA) -> Any:
+        tolerances = np.tile(self._form.tolerances(settings.rtol), self._m + 1)
+        size = len(self._y)
+        rows, columns = self._storage.sparsity()
+        options: dict[str, Any] = {"linsolver": "dense"}
+        if size > _MOST_DENSE:
+            pattern = sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
+            options = {"linsolver": "sparse", "sparsity": pattern}
+        with warnings.catch_warnings():
+            # It says that the pattern will not be used for difference quotients.
+            warnings.filterwarnings("ignore", message="Custom sparse Jacobian")
+            return sksundae.ida.IDA(
+                self._fill_residual,
+                jacfn=self._fill_jacobian,
+                **options,
+                rtol=settings.rtol,
+                atol=tolerances,
+                max_nonlin_iters=_ITERATIONS,
+            )
+
+    def _split(self, y: Array) -> tuple[Array, Array]:
+        n = self._form.n
+        return y[:n], y[n:].reshape(self._m, n).T
+
+    def _fill_residual(self, t: float, y: Array, yp: Array, R: Array) -> None:
+        self.residuals += 1
+        self.iterations += 1  # One residual each; the wrapper has no other count.
+        (x, Y), (xp, Yp) = self._split(y), self._split(yp)
+        n = self._form.n
+        R[:n] = self._form.residual(t, x, xp)
+        if self._m:
+            R[n:] = self._form.residual_b(t, x, xp, Y, Yp).T.ravel()
+        if not is_finite(R):
+            raise NotFinite
+        self._last = float(np.max(np.abs(R[:n])))
+
+    def _fill_jacobian(self, t: float, y: Array, yp: Array, R: Array, c_j: float, J: Array) -> None:
+        self.factorisations += 1
+        (x, Y), (xp, Yp) = self._split(y), self._split(yp)
+        own = self._form.jacobian(t, x, xp, c_j)
+        below = [
+            (
+                self._form.jacobian(
+                    t, x + _CHANGE * Y[:, i], xp + _CHANGE * Yp[:, i], c_j, self._moved[i]
+                )
+                - own
+            )
+            / _CHANGE
+            for i in range(self._m)
+        ]
+        values = self._storage.values(own, below)
+        if not is_finite(values):
+            raise NotFinite
+        if J.ndim == 1:
+            J[:] = values
+        else:
+            J[self._storage.sparsity()] = values  # The other entries stay zero.
+
+
+def _keep(solver: Any) -> None:
+    """Add a reference that nobody holds: the solver is not freed, not even at exit.
+
+    Freed before its first factorisation, it ends the process (its linear solver then frees
+    memory that it never got). A solver whose first step fails is therefore left in memory.
+    """
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(solver))
+
+
+def _release(solver: Any) -> None:
+    """Take that reference back, after a step that succeeded."""
+    ctypes.pythonapi.Py_DecRef(ctypes.py_object(solver))
+
+
+def _join(first: Array, blocks: Array) -> Array:
+    """Stack a vector and the columns of an array."""
+    return np.concatenate([first, blocks.T.ravel()])

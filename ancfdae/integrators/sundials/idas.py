@@ -1,0 +1,179 @@
+"""IDAS of SUNDIALS (sundials4py): staggered forward sensitivities, and the adjoint.
+
+Forward: the stabilised index-2 or the index-1 form with `IDASensInit` in the staggered mode and
+the sensitivities in the error test, so that every design variable costs one more solve with the
+matrix of the states. Backward: see `idas_adjoint`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from ancfdae.errors import Verdict, require_count, require_kind
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.integrators.index_1 import State
+from ancfdae.integrators.integrator import AdjointIntegrator, Seeds, require_rtol
+from ancfdae.integrators.sundials.bindings import Bindings
+from ancfdae.integrators.sundials.idas_adjoint import pull_back
+from ancfdae.integrators.sundials.idas_equations import IdasEquations
+from ancfdae.integrators.sundials.index_reduced import IndexReduction
+from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+
+_LEAST_RTOL = 1e-13
+
+
+@final
+@dataclass(frozen=True)
+class IDAS(HighOrder, AdjointIntegrator):
+    """Variable-order BDF of SUNDIALS with its own sensitivity analysis.
+
+    Needs the package sundials4py (Python 3.12 or newer) when it runs.
+
+    Parameters
+    ----------
+    rtol : float
+        Relative tolerance per step of states, sensitivities and adjoint.
+    form : IndexReduction
+    intervals : int
+        As in `HighOrder`.
+    max_steps : int
+        Steps of the whole run before it ends with an outcome; a small system takes 10,000 in a
+        second.
+
+    Raises
+    ------
+    InvalidInput
+        If a setting is out of range.
+    MissingPackage
+        On integration, if sundials4py is not installed.
+    """
+
+    real_only: ClassVar[bool] = True
+
+    rtol: float = 1e-8
+    form: IndexReduction = IndexReduction.STABILISED_INDEX_2
+    intervals: int = 64
+    max_steps: int = 100_000
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_rtol("IDAS.rtol", self.rtol, _LEAST_RTOL)
+        require_kind("IDAS.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
+        require_count("IDAS.intervals", self.intervals, "64 is a good number.")
+        require_count("IDAS.max_steps", self.max_steps, "100000 is plenty.")
+
+    def refined(self, solution: Solution) -> IDAS:
+        """Return the integrator with a tenth of the tolerance."""
+        return replace(self, rtol=self.rtol / 10)
+
+    def start(self, problem: Problem, t_end: float) -> March:
+        """Set up IDAS."""
+        return _IdasMarch(Bindings.load(), self, problem, t_end)
+
+    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+        """Return the gradient of an objective by the adjoint with checkpoints."""
+        t_end = float(solution.t[-1])
+        problem = Problem.of(system, t_end, sensitivities=True)
+        return pull_back(
+            Bindings.load(),
+            problem,
+            self.form.form(problem.system, problem.scales),
+            self.rtol,
+            self.max_steps,
+            solution,
+            seeds,
+        )
+
+
+@final
+class _IdasMarch(March):
+    """One forward run."""
+
+    def __init__(self, bindings: Bindings, settings: IDAS, problem: Problem, t_end: float) -> None:
+        idas, check = bindings.idas, bindings.check
+        self._bindings, self._settings, self._t_end = bindings, settings, t_end
+        self._progress = Progress(t_end)
+        self._form = settings.form.form(problem.system, problem.scales)
+        equations = IdasEquations(
+            bindings, self._form, settings.rtol, self._form.start(problem.initial)
+        )
+        self._equations, self._memory = equations, equations.memory
+        self._t, self._out = 0.0, bindings.vector(equations.context, np.zeros(self._form.n))
+        self._m = 0 if problem.derivative is None else problem.system.n_b
+        if problem.derivative is not None and self._m:
+            self._add_sensitivities(*self._form.start_b(problem.derivative))
+        check(idas.IDASetStopTime(self._memory, t_end))
+        self.steps = self.iterations = self.factorisations = self.residuals = 0
+
+    def to(self, t: float) -> State | Verdict:
+        """Step until t lies behind, then interpolate."""
+        idas, e = self._bindings.idas, self._equations
+        while self._t < t:
+            if self.steps == self._settings.max_steps:
+                return Verdict.STEP_LIMIT
+            flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
+            self._count()
+            not_finite = e.guard.raise_kept()
+            if flag < 0:
+                return Verdict.NOT_FINITE if not_finite else self._bindings.verdict(flag)
+            self._t = reached
+            if self._progress.stalls(reached):
+                return Verdict.ERROR_TEST
+        array, out = self._bindings.array, self._out
+        self._bindings.check(idas.IDAGetDky(self._memory, t, 0, out))
+        if not is_finite(array(out)):
+            raise NotFinite
+        q, v = self._form.coordinates(array(out))
+        if self._m == 0:
+            return State(q, v)
+        columns = []
+        for i in range(self._m):
+            self._bindings.check(idas.IDAGetSensDky1(self._memory, t, 0, i, out))
+            columns.append(array(out).copy())
+        return State(q, v, *self._form.coordinates_b(np.stack(columns, axis=1)))
+
+    def residual(self) -> float:
+        """Largest scaled residual of the states."""
+        return self._equations.last
+
+    def _add_sensitivities(self, Y: Array, Yp: Array) -> None:
+        bindings, idas, context = self._bindings, self._bindings.idas, self._equations.context
+        tolerances = self._form.tolerances(self._settings.rtol)
+        # IDAS keeps references to the vectors, not the vectors.
+        self._Y = [bindings.vector(context, column) for column in Y.T]
+        self._Yp = [bindings.vector(context, column) for column in Yp.T]
+        self._atol = [bindings.vector(context, tolerances) for _ in range(self._m)]
+        check, staggered = bindings.check, idas.IDA_STAGGERED
+        check(
+            idas.IDASensInit(self._memory, self._m, staggered, self._residual_b, self._Y, self._Yp)
+        )
+        check(idas.IDASensSVtolerances(self._memory, self._settings.rtol, self._atol))
+        check(idas.IDASetSensErrCon(self._memory, 1))
+
+    def _residual_b(
+        self, m: int, t: float, y: Any, yp: Any, R: Any, Y: Any, Yp: Any, RY: Any, *_: Any
+    ) -> int:
+        array = self._bindings.array
+
+        def evaluate() -> None:
+            columns = np.stack([array(x) for x in Y], axis=1)
+            rates = np.stack([array(x) for x in Yp], axis=1)
+            values = self._form.residual_b(t, array(y), array(yp), columns, rates)
+            if not is_finite(values):
+                raise NotFinite
+            for i, vector in enumerate(RY):
+                array(vector)[:] = values[:, i]
+
+        return self._equations.guard.run(evaluate)
+
+    def _count(self) -> None:
+        idas, memory = self._bindings.idas, self._memory
+        self.steps = idas.IDAGetNumSteps(memory)[1]
+        self.residuals = idas.IDAGetNumResEvals(memory)[1]
+        self.iterations = idas.IDAGetNumNonlinSolvIters(memory)[1]
+        self.factorisations = idas.IDAGetNumLinSolvSetups(memory)[1]

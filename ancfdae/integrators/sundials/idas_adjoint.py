@@ -1,0 +1,267 @@
+"""The adjoint of a run of IDAS (IDAA): forward with checkpoints, then backward.
+
+The backward problem is the adjoint of the index-1 form (`adjoint_equations`), scaled so that its
+tolerances are pure numbers: with P the sum of the sizes of the objective's partials,
+
+    y = [p_q S_q, p_v S_v] / P,        quadrature  on_b b / P.
+
+An integral over time gives H_q, H_v, H_lam as polynomials through the instants; values at single
+instants make y jump, and the backward run is started again there.
+"""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.errors import PassFailed, Verdict
+from ancfdae.integrators.high_order import NotFinite, Problem, Progress
+from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.sundials.adjoint_equations import AdjointEquations, PulledBack
+from ancfdae.integrators.sundials.bindings import Bindings
+from ancfdae.integrators.sundials.idas_equations import IdasEquations
+from ancfdae.integrators.sundials.index_reduced import IndexReduced
+from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.protocol.solution import Solution
+
+# Steps between two checkpoints; the states between them are kept in memory.
+_CHECKPOINT = 250
+_SMALL = 1e-2
+
+
+@final
+class AdjointSeeds:
+    """What the objective contributes at a time: densities, or values at instants.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+    seeds : Seeds
+    """
+
+    def __init__(self, problem: Problem, solution: Solution, seeds: Seeds) -> None:
+        system, s = problem.system, problem.scales
+        self._grid = TimeGrid(solution.t, solution.degree)
+        sizes = (system.n_q, system.n_q, system.n_lam)
+        given = (seeds.q, seeds.v, seeds.lam)
+        rows = [
+            np.zeros((len(solution.t), n)) if x is None else x
+            for x, n in zip(given, sizes, strict=True)
+        ]
+        scaled = zip(rows, (s.q, s.v, s.lam), strict=True)
+        self.size = sum(float(np.sum(np.linalg.norm(x * scale, axis=1))) for x, scale in scaled)
+        weights = self._grid.weights()[:, None]
+        self._over_time, self._rows = seeds.over_time, rows
+        self._density = [x / weights for x in rows] if seeds.over_time else rows
+        used = np.any(np.concatenate(rows, axis=1) != 0, axis=1)
+        self.instants = [] if seeds.over_time else [int(i) for i in np.flatnonzero(used)]
+
+    def density(self, t: float) -> list[Array]:
+        """H_q, H_v and H_lam; zero for values at instants."""
+        if not self._over_time:
+            return [np.zeros(x.shape[1]) for x in self._rows]
+        instants, share = self._grid.interpolation(min(max(t, 0.0), float(self._grid.t[-1])))
+        return [share @ x[instants] for x in self._density]
+
+    def values(self, instant: int) -> list[Array]:
+        """Return the partials of a value at an instant."""
+        return [x[instant] for x in self._rows]
+
+    def time(self, instant: int) -> float:
+        """Time of an instant."""
+        return float(self._grid.t[instant])
+
+
+def pull_back(
+    bindings: Bindings,
+    problem: Problem,
+    form: IndexReduced,
+    rtol: float,
+    max_steps: int,
+    solution: Solution,
+    seeds: Seeds,
+) -> Array:
+    """Return the gradient of an objective, without its explicit partial.
+
+    Raises
+    ------
+    PassFailed
+        If a step forward or backward fails.
+    """
+    adjoint_seeds = AdjointSeeds(problem, solution, seeds)
+    if adjoint_seeds.size == 0.0 or problem.system.n_b == 0:
+        return np.zeros(problem.system.n_b)
+    return _Backward(bindings, problem, form, rtol, max_steps, solution, adjoint_seeds).gradient()
+
+
+@final
+class _Backward:
+    """One objective's backward run."""
+
+    def __init__(
+        self,
+        bindings: Bindings,
+        problem: Problem,
+        form: IndexReduced,
+        rtol: float,
+        max_steps: int,
+        solution: Solution,
+        seeds: AdjointSeeds,
+    ) -> None:
+        self._bindings, self._problem, self._form = bindings, problem, form
+        self._rtol, self._max_steps, self._seeds = rtol, max_steps, seeds
+        self._solution, self._t_end = solution, float(solution.t[-1])
+        self._progress, self._calls = Progress(self._t_end), 0
+        s = problem.scales
+        self._scale = np.concatenate([s.q, s.v]) / seeds.size
+        self._b_scale = s.b / seeds.size
+        self._n = len(self._scale)
+        self._which: int | None = None
+        self._y: Any = None
+        self._yp: Any = None
+        self._quadrature: Any = None
+        self._forward()
+
+    def gradient(self) -> Array:
+        """Go back from the end to the start, jump by jump."""
+        p, on_b = np.zeros(self._n), np.zeros(self._problem.system.n_b)
+        stops = [self._seeds.time(i) for i in self._seeds.instants]
+        t = self._t_end
+        for instant, time in reversed(list(zip(self._seeds.instants, stops, strict=True))):
+            p, share = self._back(t, time, p)
+            jump = self._jump(instant)
+            p = p + np.concatenate([jump.q, jump.v])
+            on_b, t = on_b + share + jump.b, time
+        p, share = self._back(t, 0.0, p)
+        derivative, n_q = self._problem.derivative, self._problem.system.n_q
+        assert derivative is not None
+        gradient: Array = on_b + share
+        return gradient + p[:n_q] @ derivative.q_b + p[n_q:] @ derivative.v_b
+
+    # -- forward -------------------------------------------------------------------------------
+
+    def _forward(self) -> None:
+        bindings, idas = self._bindings, self._bindings.idas
+        start = self._form.start(self._problem.initial)
+        self._equations = e = IdasEquations(bindings, self._form, self._rtol, start)
+        self._memory = e.memory
+        bindings.check(idas.IDAAdjInit(self._memory, _CHECKPOINT, idas.IDA_HERMITE))
+        bindings.check(idas.IDASetStopTime(self._memory, self._t_end))
+        bindings.check(idas.IDASetMaxNumSteps(self._memory, self._max_steps))
+        flag, _, _ = idas.IDASolveF(self._memory, self._t_end, e.y, e.yp, idas.IDA_NORMAL)
+        e.guard.raise_kept()
+        if flag < 0:
+            raise PassFailed(bindings.verdict(flag))
+
+    # -- backward ------------------------------------------------------------------------------
+
+    def _back(self, t: float, stop: float, p: Array) -> tuple[Array, Array]:
+        """Integrate from t back to `stop`; return p there and the quadrature."""
+        if t - stop <= 1e-12 * self._t_end:
+            return p, np.zeros(self._problem.system.n_b)
+        bindings, idas, check = self._bindings, self._bindings.idas, self._bindings.check
+        y = p * self._scale
+        yp = self._rates(t, *self._states_at_instant(t), p)[0] * self._scale
+        self._set_up(t, y, yp)
+        flag = idas.IDASolveB(self._memory, stop, idas.IDA_NORMAL)
+        self._equations.guard.raise_kept()
+        if flag < 0:
+            raise PassFailed(bindings.verdict(flag))
+        check(idas.IDAGetB(self._memory, self._which, self._y, self._yp)[0])
+        check(idas.IDAGetQuadB(self._memory, self._which, self._quadrature)[0])
+        p = bindings.array(self._y) / self._scale
+        return p, bindings.array(self._quadrature) / self._b_scale
+
+    def _set_up(self, t: float, y: Array, yp: Array) -> None:
+        bindings, idas, check = self._bindings, self._bindings.idas, self._bindings.check
+        core, context = bindings.core, self._equations.context
+        if self._which is not None:
+            for vector, values in ((self._y, y), (self._yp, yp), (self._quadrature, 0.0)):
+                bindings.array(vector)[:] = values
+            check(idas.IDAReInitB(self._memory, self._which, t, self._y, self._yp))
+            check(idas.IDAQuadReInitB(self._memory, self._which, self._quadrature))
+            return
+        flag, which = idas.IDACreateB(self._memory)
+        check(flag)
+        self._which = which
+        self._y, self._yp = bindings.vector(context, y), bindings.vector(context, yp)
+        self._quadrature = bindings.vector(context, np.zeros(self._problem.system.n_b))
+        check(idas.IDAInitB(self._memory, which, self._residual, t, self._y, self._yp))
+        atol = _SMALL * self._rtol
+        check(idas.IDASStolerancesB(self._memory, which, self._rtol, atol))
+        check(idas.IDASetMaxNumStepsB(self._memory, which, self._max_steps))
+        self._matrix = core.SUNDenseMatrix(self._n, self._n, context)
+        self._solver = core.SUNLinSol_Dense(self._y, self._matrix, context)
+        check(idas.IDASetLinearSolverB(self._memory, which, self._solver, self._matrix))
+        check(idas.IDASetJacFnB(self._memory, which, self._jacobian))
+        check(idas.IDAQuadInitB(self._memory, which, self._integrand, self._quadrature))
+        check(idas.IDAQuadSStolerancesB(self._memory, which, self._rtol, atol))
+        check(idas.IDASetQuadErrConB(self._memory, which, 1))
+
+    def _states_at_instant(self, t: float) -> tuple[Array, Array]:
+        k = int(np.argmin(np.abs(self._solution.t - t)))
+        return self._solution.q[k], self._solution.v[k]
+
+    def _at(self, t: float, q: Array, v: Array) -> AdjointEquations:
+        return AdjointEquations(self._problem.system, self._problem.accelerations, t, q, v)
+
+    def _rates(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, Array]:
+        """Rates of p, and on_b."""
+        H_q, H_v, H_lam = self._seeds.density(t)
+        n_q = self._problem.system.n_q
+        on = self._at(t, q, v).pull_back(p[n_q:], H_lam)
+        return np.concatenate([-on.q - H_q, -p[:n_q] - on.v - H_v]), on.b
+
+    def _jump(self, instant: int) -> PulledBack:
+        t = self._seeds.time(instant)
+        on_q, on_v, on_lam = self._seeds.values(instant)
+        equations = self._at(t, *self._states_at_instant(t))
+        through = equations.pull_back(np.zeros_like(on_q), on_lam)
+        return PulledBack(on_q + through.q, on_v + through.v, through.b)
+
+    def _residual(self, t: float, y: Any, yp: Any, z: Any, zp: Any, R: Any, _: Any) -> int:
+        array = self._bindings.array
+
+        def evaluate() -> None:
+            q, v = self._form.coordinates(array(y))
+            rates, _ = self._rates(t, q, v, array(z) / self._scale)
+            value = array(zp) - rates * self._scale
+            if not is_finite(value):
+                raise NotFinite
+            array(R)[:] = value
+
+        return self._equations.guard.run(evaluate)
+
+    def _integrand(self, t: float, y: Any, yp: Any, z: Any, zp: Any, out: Any, _: Any) -> int:
+        array = self._bindings.array
+
+        def evaluate() -> None:
+            # This is called once or twice a step; IDAS itself counts from checkpoint to checkpoint.
+            self._calls += 1
+            stalls, limit = self._progress.stalls(self._t_end - t), 2 * self._max_steps
+            if stalls or self._calls > limit:
+                raise PassFailed(Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT)
+            q, v = self._form.coordinates(array(y))
+            # Backward in time the integral counts negative.
+            array(out)[:] = -self._rates(t, q, v, array(z) / self._scale)[1] * self._b_scale
+
+        return self._equations.guard.run(evaluate)
+
+    def _jacobian(
+        self, t: float, c_j: float, y: Any, yp: Any, z: Any, zp: Any, R: Any, J: Any, *_: Any
+    ) -> int:
+        array, n_q = self._bindings.array, self._problem.system.n_q
+
+        def evaluate() -> None:
+            q, v = self._form.coordinates(array(y))
+            on_q, on_v = self._at(t, q, v).matrices()
+            zero, one = np.zeros((n_q, n_q)), np.eye(n_q)
+            rates = -np.block([[zero, on_q], [one, on_v]])
+            scaled = rates * self._scale[:, None] / self._scale
+            dense = self._bindings.core.SUNDenseMatrix_Data(J)
+            dense[:] = c_j * np.eye(2 * n_q) - scaled
+
+        return self._equations.guard.run(evaluate)

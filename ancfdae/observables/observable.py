@@ -1,0 +1,221 @@
+"""What an observable is: a number at every instant, with partials in the states and the design."""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import cast, final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.numerics.arrays import Array
+from ancfdae.observables.expression import (
+    Expression,
+    Operation,
+    evaluated,
+    leaf_weights,
+    leaves,
+    operands_of,
+)
+from ancfdae.observables.functions import require_derivative
+from ancfdae.observables.states import Named, States
+from ancfdae.protocol import MechanicalSystem
+
+
+@final
+@dataclass(frozen=True)
+class Rows:
+    """Partials of one number per instant that vanish outside a few columns.
+
+    Attributes
+    ----------
+    columns : array of int, shape (m,), or slice
+        Columns, none twice.
+    values : array, shape (k, m) or (1, m)
+        One row if all instants share it.
+    """
+
+    columns: Array | slice
+    values: Array
+
+    def add_to(self, total: Array | None, weight: Array, n: int) -> Array:
+        """Add the rows times a weight per instant to an array (k, n), or to a new one."""
+        total = np.zeros((len(weight), n)) if total is None else total
+        total[:, self.columns] += weight[:, None] * self.values
+        return total
+
+
+@final
+@dataclass(frozen=True)
+class LeafGradient:
+    """Partials of a leaf; None where it does not depend on the argument.
+
+    Attributes
+    ----------
+    q, v, lam : Rows or None
+    b : array, shape (k, n_b), or None
+        Partials in the design variables with the states held.
+    """
+
+    q: Rows | None = None
+    v: Rows | None = None
+    lam: Rows | None = None
+    b: Array | None = None
+
+
+@final
+@dataclass(frozen=True)
+class ObservablePartials:
+    """Value and partials of an observable at every instant.
+
+    Attributes
+    ----------
+    value : array, shape (k,)
+    q, v, lam : array, shape (k, n), or None
+        None where the observable does not depend on the argument.
+    b : array, shape (k, n_b)
+        Partials in the design variables with the states held.
+    """
+
+    value: Array
+    q: Array | None
+    v: Array | None
+    lam: Array | None
+    b: Array
+
+
+class Observable(Expression["Observable"]):
+    """A number at every instant, H(t, q, v, lam, b) of eq. (20).
+
+    Observables combine by + - * / ** and elementary NumPy functions with each other and with
+    numbers into observables.
+    """
+
+    def of(self, operation: Operation) -> Observable:
+        """Return an operation on observables as an observable."""
+        return Composite(operation)
+
+    def accepts(self, other: object) -> bool:
+        """Whether the other expression is an observable."""
+        return isinstance(other, Observable)
+
+    def check(self, system: Named) -> None:
+        """Refuse an observable that the system does not have.
+
+        Raises
+        ------
+        UnknownName
+            If a beam, joint or design variable does not exist.
+        InvalidInput
+            If an axis does not exist, or the system lacks what the observable needs.
+        """
+        for leaf in self.leaves():
+            leaf.check_leaf(system)
+
+    def leaves(self) -> list[Leaf]:
+        """Return the distinct leaves."""
+        return cast("list[Leaf]", leaves(self.tree))
+
+    def value(self, system: Named, states: States) -> Array:
+        """Return the values, shape (k,); complex if a state or a design variable is."""
+        return list(self.node_values(system, states).values())[-1]
+
+    def node_values(self, system: Named, states: States) -> dict[object, Array]:
+        """Return the values of all nodes of the tree, the observable last."""
+        return evaluated(self.tree, lambda leaf: leaf.leaf_value(system, states))
+
+    def partials(self, system: MechanicalSystem, states: States) -> ObservablePartials:
+        """Return values and partials at real states."""
+        values = self.node_values(system, states)
+        return self.weighted_partials(system, states, values, np.ones(len(states.t)))
+
+    def weighted_partials(
+        self, system: MechanicalSystem, states: States, values: dict[object, Array], weight: Array
+    ) -> ObservablePartials:
+        """Return the partials times a weight per instant.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+        states : States
+            Real.
+        values : dict
+            The values of all nodes at these states, from `node_values`.
+        weight : array, shape (k,)
+
+        Raises
+        ------
+        InvalidInput
+            If the states are complex, or a user's function turns out not to be differentiable.
+        """
+        if any(np.iscomplexobj(x) for x in values.values()):
+            raise InvalidInput(
+                "partials", "need real states and design values", "complex", "Use `value`."
+            )
+        _require_derivatives(values)
+        parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam", "b"))
+        with np.errstate(all="ignore"):  # not finite: the caller looks
+            for leaf, factor in leaf_weights(values, weight).items():
+                gradient = cast(Leaf, leaf).leaf_gradient(system, states)
+                for name, states_of in (("q", states.q), ("v", states.v), ("lam", states.lam)):
+                    rows: Rows | None = getattr(gradient, name)
+                    if rows is not None:
+                        parts[name] = rows.add_to(parts[name], factor, states_of.shape[1])
+                if gradient.b is not None:
+                    shift = factor[:, None] * gradient.b
+                    parts["b"] = shift if parts["b"] is None else parts["b"] + shift
+        b = parts["b"]
+        if b is None:
+            b = np.zeros((len(weight), system.n_b))
+        value = list(values.values())[-1]
+        return ObservablePartials(value, parts["q"], parts["v"], parts["lam"], b)
+
+
+class Leaf(Observable):
+    """An observable that is not made of others; immutable and compared by value."""
+
+    @property
+    def tree(self) -> object:
+        """The leaf itself."""
+        return self
+
+    @abc.abstractmethod
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a leaf that the system does not have; see `Observable.check`."""
+
+    @abc.abstractmethod
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return the values at real or complex states, shape (k,)."""
+
+    @abc.abstractmethod
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Return the partials at real states."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Composite(Observable):
+    """A function of observables."""
+
+    operation: Operation
+
+    @property
+    def tree(self) -> object:
+        """The operation."""
+        return self.operation
+
+
+def _require_derivatives(values: dict[object, Array]) -> None:
+    """Try the user's functions at the first, middle and last instant."""
+    for node in values:
+        if isinstance(node, Operation) and node.function.own:
+            x = [a[[0, len(a) // 2, -1]] for a in operands_of(node, values)]
+            dx = [np.where(a == 0, 1.0, a) for a in x]
+            call = node.function.call
+            require_derivative(
+                node.function.name,
+                lambda s, call=call, x=x, dx=dx: call(  # type: ignore[misc]  # bound per pass
+                    *(a + s * da for a, da in zip(x, dx, strict=True))
+                ),
+            )

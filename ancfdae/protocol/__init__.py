@@ -1,0 +1,22 @@
+"""The protocol between a mechanical system and everything that integrates it."""
+
+from ancfdae.naming import Naming
+from ancfdae.protocol.solution import EstimatedErrors, Sensitivities, Solution, Statistics
+from ancfdae.protocol.system import (
+    DesignPartials,
+    Linearisation,
+    MechanicalSystem,
+    OneByOneSystem,
+)
+
+__all__ = [
+    "DesignPartials",
+    "EstimatedErrors",
+    "Linearisation",
+    "MechanicalSystem",
+    "Naming",
+    "OneByOneSystem",
+    "Sensitivities",
+    "Solution",
+    "Statistics",
+]

@@ -1,0 +1,216 @@
+"""What complex arithmetic needs of a system: analytic functions, and how far they are smooth."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self, final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.numerics.contour import circle_size
+from ancfdae.protocol.motion import Motion
+from ancfdae.protocol.system import MechanicalSystem
+
+# Radii tried: powers of this factor around the size of the start, and around a unit of time.
+_FACTOR = 4.0
+_SIZES, _TIMES = range(4, -9, -1), range(15, -21, -1)
+# Radii in use are this part of the best ones, for arguments move by several numbers at once.
+_PART = 0.5
+# Reach in a design variable, relative to its value.
+_DESIGN = 0.125
+_STEP = 1e-40
+# Relative disagreement of complex step and finite difference that convicts.
+_DISAGREE = 1e-3
+
+
+@final
+@dataclass(frozen=True)
+class Reach:
+    """How far M, Q and Phi may be followed into the complex plane.
+
+    Attributes
+    ----------
+    q, v : float
+        In the norm of the weights; v is infinite for what does not depend on velocities.
+    t : float
+    weights : array, shape (n_q,)
+    """
+
+    q: float
+    v: float
+    t: float
+    weights: Array
+
+    @classmethod
+    def of(cls, system: MechanicalSystem) -> Self:
+        """Find it by trial at the start."""
+        w = system.weights
+        q, v = system.start()
+        direction = np.cos(0.7 + 1.3 * np.arange(system.n_q)) / np.sqrt(w * system.n_q)
+        sizes = [real_norm(x, w) or float(np.sqrt(np.max(w))) for x in (q, v)]
+
+        def along_q(s: complex) -> Array:
+            x = q + s * direction
+            return np.concatenate(
+                [
+                    system.force(x, v, 0.0),
+                    system.constraint(x, 0.0),
+                    system.mass_times(x, direction),
+                ]
+            )
+
+        def along_v(s: complex) -> Array:
+            return system.force(q, v + s * direction, 0.0)
+
+        def along_t(s: complex) -> Array:
+            return np.concatenate([system.force(q, v, s), system.constraint(q, s)])  # type: ignore[arg-type]
+
+        return cls(
+            _PART * _best(along_q, sizes[0], _SIZES),
+            _PART * _best(along_v, sizes[1], _SIZES),
+            _PART * _best(along_t, 1.0, _TIMES),
+            w,
+        )
+
+    @property
+    def coordinates(self) -> Array:
+        """Reach in every coordinate, shape (n_q,)."""
+        reach: Array = self.q / np.sqrt(self.weights)
+        return reach
+
+    def time(self, m: Motion) -> float:
+        """Time for which the motion stays within reach."""
+        v, a = real_norm(m.v, self.weights), real_norm(m.a, self.weights)
+        limits = [self.t, _ratio(self.q, v), _ratio(self.v, a), np.sqrt(_ratio(2 * self.q, a))]
+        return float(min(limits))
+
+    def along(self, change: Motion, b: Array, db: Array, s: float) -> float:
+        """Multiple of a change of state and design that stays within reach during a time s."""
+        moved = db != 0
+        size = np.where(b == 0, 1.0, np.abs(b))[moved]
+        limits = [
+            _ratio(self.q, real_norm(change.q, self.weights)),
+            _ratio(self.v, real_norm(change.v, self.weights)),
+            _ratio(self.q, s * real_norm(change.v, self.weights)),
+            _ratio(self.t, abs(change.t)),
+            *(_DESIGN * size / np.abs(db[moved])),
+        ]
+        least = float(min(limits))
+        # Nothing but a and lam changes, in which everything is linear.
+        linear = max(float(np.max(np.abs(x), initial=0.0)) for x in (change.a, change.lam))
+        least = least if least < np.inf else 1 / (linear or 1.0)
+        # Rounded, so that the same values of b come again.
+        return float(_FACTOR ** np.floor(np.log(least) / np.log(_FACTOR)))
+
+
+def require_analytic(system: MechanicalSystem) -> None:
+    """Try M, Q, Phi and the start beside the start on complex numbers.
+
+    Raises
+    ------
+    InvalidInput
+        If one of them fails on complex numbers, drops an imaginary part or has another shape.
+    """
+    for name, along, shape in _probes(system):
+        where = f"{type(system).__name__}.{name}"
+        try:
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("error", np.exceptions.ComplexWarning)
+                value, moved = np.asarray(along(0.0)), np.asarray(along(1j * _STEP))
+        except (TypeError, np.exceptions.ComplexWarning) as error:
+            raise _unsafe(where, f"{type(error).__name__}: {error}") from error
+        if value.shape != shape:
+            raise InvalidInput(where, f"must have shape {shape}", value.shape, "Return an array.")
+        with np.errstate(all="ignore"):
+            if not _agrees(along, value, moved.imag / _STEP):
+                raise _unsafe(where, "a complex step that differs from the finite difference")
+
+
+def _agrees(along: Callable[[complex], Array], value: Array, slope: Array) -> bool:
+    """Whether the slope is a central difference of one of several sizes, entry by entry."""
+    agreed = ~np.isfinite(slope)
+    for s in 10.0 ** np.arange(-3, -13, -1):
+        if np.all(agreed):
+            break
+        # Complex numbers throughout, so that differences try the same code.
+        difference = np.real(np.asarray(along(complex(s))) - np.asarray(along(complex(-s))))
+        difference = difference / (2 * s)
+        allowed = _DISAGREE * np.abs(slope) + 1e-15 * np.max(np.abs(value), initial=0.0) / s
+        agreed |= (np.abs(difference - slope) <= allowed) | ~np.isfinite(difference)
+    return bool(np.all(agreed))
+
+
+def _probes(
+    system: MechanicalSystem,
+) -> list[tuple[str, Callable[[complex], Array], tuple[int, ...]]]:
+    """Names, functions of a number that moves all arguments at once, and shapes."""
+    n_q, n_lam, n_b = system.n_q, system.n_lam, system.n_b
+    q, v = (np.asarray(x, dtype=complex) for x in _start(system))
+    # Beside the start, because there velocities may be zero; no two directions alike.
+    dq, dv = np.cos(np.arange(1.0, n_q + 1)), np.sin(np.arange(2.0, n_q + 2))
+    dq, dv = dq * (np.max(np.abs(q)) or 1.0), dv * (np.max(np.abs(v)) or 1.0)
+    b, db = system.b.astype(complex), np.where(system.b == 0, 1.0, system.b)
+    db = db * np.cos(0.5 + np.arange(n_b))
+    q, v = q + 1e-2 * dq, v + 1e-2 * dv
+
+    def at(s: complex) -> MechanicalSystem:
+        return system.with_values(b + s * db)
+
+    def mass(s: complex) -> Array:
+        return at(s).mass(q + s * dq)
+
+    def force(s: complex) -> Array:
+        return at(s).force(q + s * dq, v + s * dv, 0.01 + s)  # type: ignore[arg-type]
+
+    def constraint(s: complex) -> Array:
+        return at(s).constraint(q + s * dq, 0.01 + s)  # type: ignore[arg-type]
+
+    def start(s: complex) -> Array:
+        return np.concatenate(at(s).start())
+
+    return [
+        ("start", start, (2 * n_q,)),
+        ("mass_matrix", mass, (n_q * n_q,)),
+        ("force", force, (n_q,)),
+        ("constraint", constraint, (n_lam,)),
+    ]
+
+
+def _start(system: MechanicalSystem) -> tuple[Array, Array]:
+    q, v = (np.asarray(x) for x in system.start())
+    if not q.shape == v.shape == (system.n_q,):
+        rule = f"must return q and v of shape ({system.n_q},)"
+        raise InvalidInput(
+            f"{type(system).__name__}.start", rule, f"{q.shape} and {v.shape}", "Return arrays."
+        )
+    return q, v
+
+
+def _best(f: Callable[[complex], Array], base: float, powers: range) -> float:
+    """Radius with the least round-off of a third derivative among those that are resolved."""
+    best, least = base * _FACTOR ** powers[-1], np.inf
+    for power in powers:
+        radius = base * _FACTOR**power
+        size = circle_size(f, radius)
+        if size is not None and size / radius**3 < 0.5 * least:
+            best, least = radius, size / radius**3
+        elif least < np.inf:
+            break
+    return best
+
+
+def _ratio(reach: float, speed: float) -> float:
+    return reach / speed if speed > 0 else np.inf
+
+
+def _unsafe(where: str, got: str) -> InvalidInput:
+    return InvalidInput(
+        where,
+        "must be analytic and accept complex numbers",
+        got,
+        "Avoid abs, comparisons and arrays of floats that are filled in.",
+    )

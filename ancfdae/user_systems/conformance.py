@@ -1,0 +1,174 @@
+"""Whether an implementation of the protocol is one: every member against every other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_count, require_kind
+from ancfdae.protocol.system import MechanicalSystem
+from ancfdae.user_systems.conformance_bulk import BULK_CHECKS
+from ancfdae.user_systems.conformance_checks import CHECKS
+from ancfdae.user_systems.conformance_shapes import shapes
+from ancfdae.user_systems.probe import Probe
+
+# Design values that vanish are varied by parts of one, the largest of which is half of this.
+_AWAY = 0.1
+
+
+@final
+@dataclass(frozen=True)
+class Finding:
+    """One line of a report.
+
+    Attributes
+    ----------
+    name : str
+        The member, and what it was compared with.
+    error : float
+        Largest relative difference met; free of units.
+    tolerance : float
+        What round-off and the differences explain.
+    """
+
+    name: str
+    error: float
+    tolerance: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is explained."""
+        return self.error <= self.tolerance
+
+    def __str__(self) -> str:
+        """Return name, error, tolerance and verdict."""
+        verdict = "ok" if self.passed else "WRONG"
+        return f"{self.name:<58} {self.error:9.1e} {self.tolerance:9.1e}  {verdict}"
+
+
+@final
+@dataclass(frozen=True)
+class Conformance:
+    """What `check_system` found; print it.
+
+    Attributes
+    ----------
+    name : str
+        Class of the system.
+    findings : tuple of Finding
+    """
+
+    name: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every finding is explained by round-off."""
+        return not self.wrong
+
+    @property
+    def wrong(self) -> tuple[Finding, ...]:
+        """The findings that are not."""
+        return tuple(finding for finding in self.findings if not finding.passed)
+
+    def raise_if_wrong(self) -> None:
+        """Refuse a system that does not conform.
+
+        Raises
+        ------
+        InvalidInput
+            Naming what is wrong.
+        """
+        if self.wrong:
+            listed = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
+            raise InvalidInput(
+                self.name,
+                "must agree with its own values and their differences",
+                f"{len(self.wrong)} of {len(self.findings)} that do not: {listed}",
+                "Correct these methods; print the report for all of them.",
+            )
+
+    def __str__(self) -> str:
+        """Return a table."""
+        head = f"{self.name:<58} {'error':>9} {'tolerance':>9}"
+        lines = [head, "-" * len(head), *(str(finding) for finding in self.findings)]
+        wrong = f"{len(self.wrong)} wrong" if self.wrong else "all ok"
+        return "\n".join([*lines, f"{len(self.findings)} checks, {wrong}."])
+
+
+def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -> Conformance:
+    """Compare every member of a mechanical system with what it must be.
+
+    Shapes and declarations are checked, products against the matrices they stand for, and every
+    partial and total against differences of real values, extrapolated to about 1e-10; a sign, a
+    factor or a forgotten term shows as an error of order one. Where the system accepts complex
+    numbers, the complex steps of its values are compared as well. States are random, beside the
+    start; they need not lie on the constraints.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    samples : int
+        Number of random states; the largest error of all is reported.
+    seed : int
+        Of the random states.
+
+    Returns
+    -------
+    Conformance
+        ``print`` it, ask whether it ``passed``, or call ``raise_if_wrong()``.
+
+    Raises
+    ------
+    InvalidInput
+        If `system` is no MechanicalSystem or its design values are complex.
+    """
+    require_kind("system", system, (MechanicalSystem,), "Assemble a scene first.")
+    require_count("samples", samples, "2 is plenty.")
+    if np.asarray(system.b).dtype.kind != "f":
+        raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
+    rng = np.random.default_rng(seed)
+    rows, system = _Rows(), _inside(system)
+    # Values of the wrong shape would make nonsense of everything that follows.
+    shapes(rows.add, system)
+    if rows.passed:
+        for _ in range(samples):
+            probe = Probe(system, rng)
+            with np.errstate(all="ignore"):
+                for check in (*CHECKS, *BULK_CHECKS):
+                    check(rows.add, probe)
+    return Conformance(type(system).__name__, rows.findings())
+
+
+def _inside(system: MechanicalSystem) -> MechanicalSystem:
+    """Move design values that are zero and must not be negative away from there."""
+    b = system.b.copy()
+    for i in np.flatnonzero(b == 0):
+        less = system.b.copy()
+        less[i] = -_AWAY
+        try:
+            system.with_values(less)
+        except InvalidInput:
+            b[i] = _AWAY
+    return system if np.array_equal(b, system.b) else system.with_values(b)
+
+
+@final
+class _Rows:
+    """Largest error of every check, in the order of their first results."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, tuple[float, float]] = {}
+
+    def add(self, name: str, error: float, tolerance: float) -> None:
+        before = self._rows.get(name, (0.0, tolerance))
+        self._rows[name] = max(before[0], float(error)), tolerance
+
+    @property
+    def passed(self) -> bool:
+        return all(error <= tolerance for error, tolerance in self._rows.values())
+
+    def findings(self) -> tuple[Finding, ...]:
+        return tuple(Finding(name, *row) for name, row in self._rows.items())
