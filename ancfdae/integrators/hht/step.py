@@ -12,11 +12,10 @@ from ancfdae.integrators.hht.equations import (
     NodeSensitivity,
     rescaled,
     rescaled_sensitivity,
-    start_node,
-    start_node_sensitivity,
 )
 from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.integrators.hht.small_steps import ConstraintRow
+from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
@@ -99,10 +98,9 @@ class Stepper:
 
     def start(self, c: Coefficients) -> Instant:
         """Return the start of a run whose first step has the given coefficients."""
-        system, matrices, initial, node_b = self.system, self.matrices, self.initial, None
-        if self.derivative is not None:
-            node_b = start_node_sensitivity(system, matrices, c, initial, self.derivative)
-        return Instant(start_node(system, matrices, c, initial), node_b)
+        start = RecurrenceStart.of(self.system, self.matrices, c, self.initial)
+        node_b = None if self.derivative is None else start.sensitivity(self.derivative)
+        return Instant(start.node, node_b)
 
     def advance(self, c: Coefficients, before: Instant, t: float) -> Instant | None:
         """Solve the equations at t; None if Newton's method fails.
