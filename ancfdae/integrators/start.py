@@ -192,6 +192,16 @@ class Covectors:
     lam: Array
     b: Array
 
+    def plus(self, other: Covectors) -> Covectors:
+        """Add."""
+        return Covectors(
+            self.q + other.q,
+            self.v + other.v,
+            self.a + other.a,
+            self.lam + other.lam,
+            self.b + other.b,
+        )
+
 
 def pull_back_start(
     system: MechanicalSystem, matrices: SaddlePoint, state: InitialState, on: Covectors
