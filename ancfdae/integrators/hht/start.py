@@ -193,7 +193,7 @@ class RecurrenceStart:
             through, on_same = self._pull_back_jerk(jerk, on_jerk)
             total, on_a = total.plus(through), on_a + on_same
             on_jerk = self.s * on_a  # The acceleration of the second is a + s j of the first.
-        own = Covectors(back.q_b, back.v_b, on_a + back.A_b, back.lam_b, 0 * total.b)
+        own = Covectors(back.q_b, back.v_b, on_a + back.A_b, 0 * total.lam, 0 * total.b)
         return total.plus(own)
 
     def _pull_back_shift(self, on_dv: Array) -> tuple[Covectors, Array]:
