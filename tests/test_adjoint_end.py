@@ -109,18 +109,19 @@ def defects(system, step, t_end):
 
 @pytest.mark.parametrize(("system", "t_end"), [(FourBar(), 0.3), (GuidedDoublePendulum(0.5), 0.3)])
 def test_the_end_of_the_continuous_adjoint_satisfies_its_conditions(system, t_end):
-    coarse, fine = (defects(system, t_end / n, t_end) for n in (64, 128))
+    coarse, fine = (defects(system, t_end / n, t_end) for n in (24, 48))
     for name, defect in fine.items():
         # What needs no rate holds to round-off. Rates are differences of second order, whose error
-        # falls by four; a wrong sign or factor leaves a part of one.
+        # falls by three at least at these steps and by four in the limit; where a sign or factor is
+        # wrong it stays.
         exact = name in ("(37)", "(39)") or (name == "(38)" and system.constant_mass)
-        assert defect < 1e-12 if exact else coarse[name] > 2**1.8 * defect, name
+        assert defect < 1e-12 if exact else coarse[name] > 3 * defect, name
 
 
 def test_the_corrected_term_matters_on_the_closed_loop():
     # Else the test above could not tell its sign.
     for system in (FourBar(), GuidedDoublePendulum(0.5)):
-        (t, q, v, _, _), (mu, mu_t, *_) = end_of(system, 0.3 / 64, 0.3)
+        (t, q, v, _, _), (mu, mu_t, *_) = end_of(system, 0.3 / 24, 0.3)
         B = system.constraint_pattern
         turning = B.dot(system.constraint_q_rate(q, v, t), mu)
         assert np.linalg.norm(turning) > 0.1 * np.linalg.norm(
@@ -130,11 +131,10 @@ def test_the_corrected_term_matters_on_the_closed_loop():
 
 def test_the_gradient_on_a_closed_loop_is_that_of_the_discrete_adjoint_with_order_two():
     errors = []
-    for n in (32, 64, 128):
+    for n in (12, 24):
         ours, exact = (
-            gradient(FourBar(), Integral(custom(density, "H")), (), 0.3, HHT(0.3 / n), method)
+            gradient(FourBar(), Integral(custom(density, "H")), (), 0.15, HHT(0.15 / n), method)
             for method in (ContinuousAdjoint(), Adjoint())
         )
         errors.append(np.linalg.norm(ours.gradient - exact.gradient))
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    assert np.all(orders > 1.8), orders
+    assert errors[0] > 2**1.8 * errors[1], errors
