@@ -67,7 +67,7 @@ from ancfdae.observables import (
     strain_energy,
     velocity,
 )
-from ancfdae.protocol import MechanicalSystem, OneByOneSystem
+from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import EstimatedErrors, Sensitivities, Solution, Statistics
 from ancfdae.scene import NodeState, RigidMotion, Scene
 from ancfdae.sections import Material, Rectangle
@@ -123,7 +123,6 @@ __all__ = [
     "MissingPackage",
     "NodeState",
     "NonFiniteObjective",
-    "OneByOneSystem",
     "Outcome",
     "Pin",
     "Point",

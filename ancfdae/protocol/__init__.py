@@ -6,7 +6,6 @@ from ancfdae.protocol.system import (
     DesignPartials,
     Linearisation,
     MechanicalSystem,
-    OneByOneSystem,
 )
 
 __all__ = [
@@ -15,7 +14,6 @@ __all__ = [
     "Linearisation",
     "MechanicalSystem",
     "Naming",
-    "OneByOneSystem",
     "Sensitivities",
     "Solution",
     "Statistics",
