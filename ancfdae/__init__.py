@@ -67,8 +67,14 @@ from ancfdae.observables import (
     strain_energy,
     velocity,
 )
-from ancfdae.protocol import MechanicalSystem, OneByOneSystem
-from ancfdae.protocol.solution import EstimatedErrors, Sensitivities, Solution, Statistics
+from ancfdae.protocol import (
+    EstimatedErrors,
+    MechanicalSystem,
+    OneByOneSystem,
+    Sensitivities,
+    Solution,
+    Statistics,
+)
 from ancfdae.scene import NodeState, RigidMotion, Scene
 from ancfdae.sections import Material, Rectangle
 from ancfdae.sensitivity import (

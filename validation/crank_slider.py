@@ -16,6 +16,7 @@ from ancfdae import (
     Direct,
     FiniteDifference,
     Integral,
+    Point,
     Solution,
     assemble,
     differentiate,
@@ -64,7 +65,7 @@ def run(report: Report, quick: bool) -> None:
     extent = _QUICK if quick else _FULL
     report.heading("Method")
     report.text(_METHOD)
-    solution = differentiate(crank_slider(), _DESIGN, extent.t_end, HHT(_STEP))
+    solution = differentiate(crank_slider(), extent.t_end, HHT(_STEP), design=_DESIGN)
     _position_sensitivities(report, solution, extent)
     _objective_over_time(report, solution, extent)
     _open_question(report, extent)
@@ -82,7 +83,7 @@ def _objective() -> Integral:
 
 
 def _slider(solution: Solution) -> npt.NDArray[np.number]:
-    return solution.position("rod", 1.0)[:, 0]
+    return solution.position(Point("rod", 1.0))[:, 0]
 
 
 def _scaled(solution: Solution) -> Array:
@@ -99,7 +100,9 @@ def _relative(x: Array, reference: Array) -> float:
 
 def _position_sensitivities(report: Report, solution: Solution, extent: _Extent) -> None:
     report.heading("Slider position and its sensitivities (paper, Fig. 8)")
-    check = differentiate(crank_slider(), _DESIGN, extent.t_end, HHT(_STEP), FiniteDifference(0.01))
+    check = differentiate(
+        crank_slider(), extent.t_end, HHT(_STEP), design=_DESIGN, method=FiniteDifference(0.01)
+    )
     report.plot(
         "slider",
         [
@@ -226,7 +229,7 @@ def _gradient(t_end: float, integrator: HHT, method: GradientMethod) -> Array:
     """Return b dPsi/db, shape (6,)."""
     system = assemble(crank_slider(), _DESIGN)
     scaled: Array = (
-        gradient(system, _objective(), (), t_end, integrator, method).gradient * system.b
+        gradient(system, _objective(), t_end, integrator, method=method).gradient * system.b
     )
     return scaled
 
@@ -315,7 +318,7 @@ def _solver_tolerance(report: Report, extent: _Extent) -> None:
 def _square_section(report: Report, extent: _Extent) -> None:
     """Tell what a change of both sides of the square section would give."""
     system = assemble(crank_slider(), ["crank.height", "crank.width", "rod.height", "rod.width"])
-    found = gradient(system, _objective(), (), extent.t_end, HHT(_STEP), Adjoint())
+    found = gradient(system, _objective(), extent.t_end, HHT(_STEP), method=Adjoint())
     h_1, w_1, h_2, w_2 = (found.gradient * system.b).tolist()
     report.figure("square.w_1", w_1)
     report.figure("square.w_2", w_2)
@@ -336,7 +339,7 @@ def _exactness(report: Report, solution: Solution, extent: _Extent) -> None:
     rows = []
     for key, (name, objective) in zip(("psi", "reaction"), kinds.items(), strict=True):
         adjoint, direct, check = (
-            gradient(system, objective, (), extent.t_end, integrator, method).gradient * system.b
+            gradient(system, objective, extent.t_end, integrator, method=method).gradient * system.b
             for method in (Adjoint(), Direct(), ComplexStep())
         )
         first = report.figure(f"exact.{key}.adjoint_direct", _relative(adjoint, direct))
@@ -421,7 +424,7 @@ def _cost(report: Report, extent: _Extent) -> None:
     integrator, objective, t_end = HHT(_STEP), _objective(), extent.t_end
 
     def by(method: GradientMethod) -> Callable[[], object]:
-        return lambda: gradient(full, objective, (), t_end, integrator, method)
+        return lambda: gradient(full, objective, t_end, integrator, method=method)
 
     tasks: dict[str, Callable[[], object]] = {
         "dynamics alone": lambda: simulate(plain, t_end, integrator),

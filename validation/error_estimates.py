@@ -131,10 +131,10 @@ def _cases(quick: bool) -> list[_Case]:
 
 
 def _measured(case: _Case) -> _Pairs:
-    exact = differentiate(case.system, (), case.t_end, case.reference)
+    exact = differentiate(case.system, case.t_end, case.reference)
     motion, derivatives = [], []
     for integrator in _settings(case):
-        run = differentiate(case.system, (), case.t_end, integrator)
+        run = differentiate(case.system, case.t_end, integrator)
         if not run.outcome.success:
             continue
         assert run.estimated_errors is not None

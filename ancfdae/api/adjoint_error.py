@@ -53,10 +53,10 @@ class AdjointError:
 def adjoint_error(
     model: Scene | MechanicalSystem,
     objective: Objective,
-    design: Sequence[str | DesignVariable],
     t_end: float,
     integrator: HHT,
     *,
+    design: Sequence[str | DesignVariable] | None = None,
     progress: bool = False,
 ) -> AdjointError:
     """Estimate the discretisation error of an objective from a single run.
@@ -66,9 +66,11 @@ def adjoint_error(
 
     Parameters
     ----------
-    model, objective, design, t_end, progress
+    model, objective, t_end, progress
         As in `gradient`.
     integrator : HHT
+    design : sequence of str or DesignVariable, optional
+        Needed only where the objective contains `design_value`.
 
     Raises
     ------

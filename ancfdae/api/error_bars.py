@@ -85,11 +85,11 @@ class ErrorBars:
 def error_bars(
     model: Scene | MechanicalSystem,
     objective: Objective,
-    design: Sequence[str | DesignVariable],
     t_end: float,
     integrator: Integrator,
-    method: GradientMethod | None = None,
     *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
     levels: int = 2,
     progress: bool = False,
 ) -> ErrorBars:
@@ -97,7 +97,7 @@ def error_bars(
 
     Parameters
     ----------
-    model, objective, design, t_end, integrator, progress
+    model, objective, t_end, integrator, design, progress
         As in `gradient`; the integrator is that of the coarsest run.
     method : GradientMethod
         As in `gradient`, but `Direct` by default.
@@ -119,7 +119,11 @@ def error_bars(
     for _ in range(levels):
         if runs:
             settings = settings.refined(runs[-1].solution)
-        runs.append(gradient(model, objective, design, t_end, settings, chosen, progress=progress))
+        runs.append(
+            gradient(
+                model, objective, t_end, settings, design=design, method=chosen, progress=progress
+            )
+        )
     x = np.array([[run.value, *run.gradient] for run in runs])
     bars, orders = _bars(np.diff(x, axis=0), integrator.order)
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)

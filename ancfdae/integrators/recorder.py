@@ -10,7 +10,8 @@ import numpy as np
 from ancfdae.errors import InvalidInput, Outcome
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Sensitivities, Solution, Statistics
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import Sensitivities, Statistics
 
 
 @final

@@ -30,14 +30,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import product
-from typing import TypeAlias
 
 import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
-
-Function: TypeAlias = Callable[..., Array]
 
 # Points on a circle.
 _POINTS = 24
@@ -51,7 +48,7 @@ _SHRINKS, _SHRINK = 14, 0.25
 
 
 def derivative(
-    f: Function,
+    f: Callable[..., Array],
     radii: tuple[float, ...],
     order: int = 1,
     scale: Callable[[], Array] = lambda: np.zeros(1),
@@ -92,14 +89,14 @@ def derivative(
     )
 
 
-def circle_size(f: Function, radius: float) -> float | None:
+def circle_size(f: Callable[..., Array], radius: float) -> float | None:
     """Largest value on a circle that resolves f to round-off; None of one that does not."""
     value, resolved, size = _on_circle(f, (radius,), 1, 0.0)
     return size if resolved and np.all(np.isfinite(value)) else None
 
 
 def _on_circle(
-    f: Function, radii: tuple[float, ...], order: int, terms: float
+    f: Callable[..., Array], radii: tuple[float, ...], order: int, terms: float
 ) -> tuple[Array, bool, float]:
     """Return the derivative, whether aliasing is round-off, and the largest value."""
     degree = order + len(radii) - 1

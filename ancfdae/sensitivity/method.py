@@ -15,7 +15,8 @@ from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Sensitivities, Solution
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import Sensitivities
 
 
 @final

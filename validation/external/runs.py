@@ -169,7 +169,7 @@ def run(
 
     def call() -> Attempt:
         if sensitivities:
-            solution = differentiate(system, (), t_end, integrator)
+            solution = differentiate(system, t_end, integrator)
         else:
             solution = simulate(system, t_end, integrator)
         note = FINISHED if solution.outcome.success else solution.outcome.verdict.value
@@ -182,7 +182,9 @@ def differentiated(problem: Problem, integrator: Integrator, method: GradientMet
     """Return the objective and its gradient."""
 
     def call() -> Attempt:
-        answer = gradient(problem.system, problem.objective, (), problem.t_end, integrator, method)
+        answer = gradient(
+            problem.system, problem.objective, problem.t_end, integrator, method=method
+        )
         return Attempt(FINISHED, 0.0, answer.solution, np.array([answer.value, *answer.gradient]))
 
     return _timed(call)
