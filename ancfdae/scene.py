@@ -23,6 +23,7 @@ from ancfdae.errors import (
 from ancfdae.joints import Joint
 from ancfdae.loads import CentreLine, Load
 from ancfdae.numerics.arrays import Array
+from ancfdae.text import listed
 
 # Two targets hold the same value up to this relative difference: a length is summed from its n
 # elements, which moves it by n eps; this admits 4500 elements.
@@ -129,6 +130,16 @@ class Scene:
     def dimension(self) -> int:
         """Dimension of space."""
         return self.beams[0].dimension
+
+    def __repr__(self) -> str:
+        """Return the names of all parts."""
+        beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
+        joints, loads = (listed(part.name for part in x) for x in (self.joints, self.loads))
+        where = "plane" if self.dimension == 2 else "space"
+        return (
+            f"Scene in the {where}\nbeams: {beams}\njoints: {joints}\nloads: {loads}\n"
+            f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
+        )
 
     def beam(self, name: str) -> BeamBody:
         """Return the beam of this name.

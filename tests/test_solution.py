@@ -321,7 +321,7 @@ def test_a_scene_without_any_force_is_integrated(dimension):
 # ---------------------------------------------------------------- derivatives of observables
 
 
-OBSERVABLES = {
+FUNCTIONS = {
     "position between nodes": lambda s: s.position(Point("rod", 0.45, y=0.01)),
     "position at the tip": lambda s: s.position(Point("rod", 1.0)),
     "velocity between nodes": lambda s: s.velocity(Point("rod", 0.8)),
@@ -334,12 +334,12 @@ OBSERVABLES = {
 }
 
 
-@pytest.mark.parametrize("name", OBSERVABLES)
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_derivative_is_the_complex_step_of_the_whole_run(solution, name, complex_runs):
-    observable = OBSERVABLES[name]
-    derivative = solution.derivative(observable)
+    function = FUNCTIONS[name]
+    derivative = solution.derivative(function)
     expected = np.stack(
-        [observable(run).imag / size for run, size in complex_runs[dimension_of(solution)]],
+        [function(run).imag / size for run, size in complex_runs[dimension_of(solution)]],
         axis=-1,
     )
     assert derivative.shape == expected.shape
@@ -371,7 +371,7 @@ def test_length_moves_a_point_between_nodes_beyond_what_its_nodes_do(solution):
     )
     other = dataclasses.replace(solution, naming=frozen)
     i = solution.design_index("rod.length")
-    at = OBSERVABLES["position between nodes"]
+    at = FUNCTIONS["position between nodes"]
     change = solution.derivative(at)[..., i] - other.derivative(at)[..., i]
     assert np.max(np.abs(change)) > 1e-3
 
@@ -386,13 +386,13 @@ def test_derivatives_of_the_coordinates_are_the_sensitivities(solution):
 def test_derivative_by_complex_step_is_that_by_direct_differentiation(solution):
     scene = mechanism(dimension_of(solution))
     other = differentiate(scene, T_END, HHT(STEP), design=DESIGN, method=ComplexStep())
-    at = OBSERVABLES["position between nodes"]
+    at = FUNCTIONS["position between nodes"]
     for i in range(len(DESIGN)):
         assert_close(other.derivative(at)[..., i], solution.derivative(at)[..., i], 1e-9)  # above
 
 
 @pytest.mark.parametrize(
-    "observable",
+    "function",
     [
         lambda s: np.abs(s.position(Point("rod", 1.0))),
         lambda s: np.linalg.norm(s.position(Point("rod", 1.0)), axis=1),
@@ -401,9 +401,9 @@ def test_derivative_by_complex_step_is_that_by_direct_differentiation(solution):
     ],
     ids=["abs", "norm", "real", "constant"],
 )
-def test_observable_that_drops_the_imaginary_part_is_refused(solution, observable):
-    with pytest.raises(InvalidInput, match=r"observable: must keep the imaginary part"):
-        solution.derivative(observable)
+def test_function_that_drops_the_imaginary_part_is_refused(solution, function):
+    with pytest.raises(InvalidInput, match=r"function of a solution: must keep the imaginary part"):
+        solution.derivative(function)
 
 
 def test_derivative_without_sensitivities_is_refused(solution):
@@ -472,9 +472,9 @@ def test_every_field_survives_the_round_trip(solution, drop, tmp_path):
 
 def test_loaded_solution_answers_as_the_original(solution, tmp_path):
     loaded = Solution.load(solution.save(tmp_path / "run.npz"))
-    for observable in OBSERVABLES.values():
-        assert np.array_equal(observable(loaded), observable(solution))
-        assert np.array_equal(loaded.derivative(observable), solution.derivative(observable))
+    for function in FUNCTIONS.values():
+        assert np.array_equal(function(loaded), function(solution))
+        assert np.array_equal(loaded.derivative(function), solution.derivative(function))
 
 
 @pytest.mark.parametrize("verdict", Verdict)

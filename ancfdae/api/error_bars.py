@@ -30,6 +30,7 @@ from ancfdae.protocol import MechanicalSystem
 from ancfdae.scene import Scene
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod
+from ancfdae.text import columns
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
@@ -80,6 +81,25 @@ class ErrorBars:
     orders: Array
     runs: tuple[Gradient, ...]
     resolved: bool | None
+
+    def __repr__(self) -> str:
+        """Return value and derivatives with their bars, and how the finest run ended."""
+        numbers = zip(
+            ("objective", *self.names),
+            (self.value, *self.gradient),
+            (self.value_bar, *self.gradient_bar),
+            (self.extrapolated_value, *self.extrapolated_gradient),
+            self.orders,
+            strict=True,
+        )
+        rows = [("", "value", "bar", "extrapolated", "order")]
+        for name, x, bar, better, order in numbers:
+            seen = "-" if np.isnan(order) else f"{order:.2g}"
+            rows.append((name, f"{x:.9g}", f"{bar:.2g}", f"{better:.9g}", seen))
+        known = {True: "yes", False: "no, do not trust the bars", None: "not known"}
+        finest = self.runs[-1].solution.outcome
+        end = f"waves resolved: {known[self.resolved]}\nfinest run: {finest}"
+        return f"{columns(rows)}\n{end}"
 
 
 def error_bars(

@@ -60,7 +60,7 @@ class TaylorTest:
         rows += [(f"{s:.3g}", f"{change:.3g}", f"{rest:.3g}") for s, change, rest in numbers]
         return (
             f"Taylor test of {self.gradient.value:.9g} by {self.gradient.method}: order "
-            f"{self.order:.3g}, 2 if the gradient is right\n{columns(rows)}"
+            f"{self.order:.3g}, a right gradient has 2\n{columns(rows)}"
         )
 
 

@@ -24,6 +24,7 @@ from ancfdae.integrators import HHT, Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.text import columns
 
 ErrorKind = Literal["states", "multipliers", "objective", "gradient"]
 _KINDS: Final[tuple[ErrorKind, ...]] = ("states", "multipliers", "objective", "gradient")
@@ -191,14 +192,18 @@ class Tradeoff:
 
     def table(self) -> str:
         """Return all settings as a table in plain text, the reference last."""
+        return columns(self._lines(), shorten=False)
+
+    def __repr__(self) -> str:
+        """Return the reference and the first settings as a table."""
+        header, *lines, reference = self._lines()
+        return columns([header, reference, *lines])
+
+    def _lines(self) -> list[list[str]]:
         header = ["integrator", "setting", "CPU [s]", *_KINDS, "drift", "energy", "outcome"]
         lines = [header, *(_cells(row) for row in (*self.rows, self.reference))]
         lines[-1][0] += " (reference)"
-        widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
-        return "\n".join(
-            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-            for line in lines
-        )
+        return lines
 
     def plot(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
         """Draw errors of states and gradient over processor time.

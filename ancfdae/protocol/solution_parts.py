@@ -70,7 +70,11 @@ class EstimatedErrors:
 
     def __repr__(self) -> str:
         """Return the errors on one line."""
-        own = "not computed" if self.derivatives is None else listed(_short(self.derivatives))
+        own = (
+            "not computed"
+            if self.derivatives is None
+            else listed(f"{x:.3g}" for x in self.derivatives)
+        )
         return f"estimated errors: motion {self.motion:.3g}; derivatives {own}"
 
 

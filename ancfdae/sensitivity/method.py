@@ -17,6 +17,7 @@ from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities
+from ancfdae.text import columns
 
 
 @final
@@ -62,6 +63,13 @@ class Gradient:
     def pair(self) -> tuple[float, Array]:
         """Value and gradient, as ``scipy.optimize.minimize(jac=True)`` wants them."""
         return self.value, self.gradient
+
+    def __repr__(self) -> str:
+        """Return value, method, derivatives by name and outcome."""
+        slopes = [f"{slope:.6g}" for slope in self.gradient]
+        rows = [("design variable", "derivative"), *zip(self.names, slopes, strict=True)]
+        head = f"objective {self.value:.9g}, gradient by {self.method}"
+        return f"{head}\n{columns(rows)}\n{self.solution.outcome}"
 
 
 class GradientMethod(abc.ABC):

@@ -9,6 +9,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_count, require_kind
 from ancfdae.protocol.system import MechanicalSystem
+from ancfdae.text import listed
 from ancfdae.user_systems.conformance_bulk import BULK_CHECKS
 from ancfdae.user_systems.conformance_checks import CHECKS
 from ancfdae.user_systems.conformance_shapes import shapes
@@ -82,13 +83,18 @@ class Conformance:
             Naming what is wrong.
         """
         if self.wrong:
-            listed = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
+            names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
             raise InvalidInput(
                 self.name,
                 "must agree with its own values and their differences",
-                f"{len(self.wrong)} of {len(self.findings)} that do not: {listed}",
+                f"{len(self.wrong)} of {len(self.findings)} that do not: {names}",
                 "Correct these methods; print the report for all of them.",
             )
+
+    def __repr__(self) -> str:
+        """Return how many checks failed, and which."""
+        wrong = f"wrong: {listed(x.name for x in self.wrong)}" if self.wrong else "all ok"
+        return f"{self.name}: {len(self.findings)} checks, {wrong}"
 
     def __str__(self) -> str:
         """Return a table."""
