@@ -35,7 +35,7 @@ _SAME = 1e-12
 class RigidMotion:
     """Initial velocity of a beam: a rigid-body motion.
 
-    v = velocity + angular_velocity x (r - about); slopes turn along.
+    v = velocity + angular_velocity x (r - about); slopes turn with it.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class NodeState:
 class Scene:
     """Beams, joints, loads and gravity, and how they start.
 
-    Nothing but what is declared is prepared or integrated: a planar scene has no spatial
+    Only what is declared is prepared and integrated: a planar scene has no spatial
     coordinate, a scene without damping no velocity Jacobian.
 
     Parameters
@@ -218,7 +218,7 @@ class Scene:
     def check_value(self, variable: DesignVariable, value: float) -> None:
         """Refuse a value that a design variable cannot take, such as a negative height.
 
-        Each target is looked at by itself; whether all parts still fit together is not.
+        Each target is checked alone; whether all parts still fit together is not checked.
 
         Raises
         ------

@@ -282,7 +282,7 @@ def _open_question(report: Report, extent: _Extent) -> None:
 
 
 def _attribute(report: Report, exact: Array, one_percent: Array, table: Array) -> None:
-    """Say what of the disagreement is finite differences and what is time discretisation."""
+    """Separate the parts of finite differences and of time discretisation in the disagreement."""
     spread = np.abs(table[-2] - table[-1])
     rows = []
     for i, symbol in enumerate(_SYMBOLS):
@@ -293,14 +293,14 @@ def _attribute(report: Report, exact: Array, one_percent: Array, table: Array) -
     report.text(
         "Second, the parts of a disagreement. *Finite differences*: the 1 % difference against "
         "the exact derivative of the same run. *Step*: that derivative at 2⁻⁸ s against the one "
-        "at the smallest step. *Last halving* tells how far the smallest step itself is settled. "
-        "All in m² s, times b."
+        "at the smallest step. *Last halving* shows how far the smallest step itself has "
+        "converged. All in m² s, times b."
     )
     report.table(["variable", "exact at 2⁻⁸ s", "finite differences", "step", "last halving"], rows)
 
 
 def _solver_tolerance(report: Report, extent: _Extent) -> None:
-    """Tell what a finite difference sees of a solver that stops early."""
+    """Show how a solver that stops early changes finite differences."""
     rows = []
     for tolerance in (1e-14, 1e-8, 1e-4):
         integrator = HHT(_STEP, newton_tolerance=tolerance)
@@ -316,7 +316,7 @@ def _solver_tolerance(report: Report, extent: _Extent) -> None:
 
 
 def _square_section(report: Report, extent: _Extent) -> None:
-    """Tell what a change of both sides of the square section would give."""
+    """Show what a change of both sides of the square section would give."""
     system = assemble(crank_slider(), ["crank.height", "crank.width", "rod.height", "rod.width"])
     found = gradient(system, _objective(), extent.t_end, HHT(_STEP), method=Adjoint())
     h_1, w_1, h_2, w_2 = (found.gradient * system.b).tolist()
@@ -491,8 +491,8 @@ What this settles, for the mechanism as read here.
   miss it by 0.2 % in Ψ and a few per cent in x, and the step of 2⁻⁸ s by 0.4 %. Neither finite
   differences nor time discretisation, nor a solver that stops early, explains a visible gap.
   Varying both sides of the section would (13 %), but it would double the derivative in h_1 too,
-  which the paper does not report. What is left is something in the paper that its text does not
-  tell: another geometry, or an error in one of its two derivatives in h_2.
+  which the paper does not report. What remains is something that the paper's text does not mention:
+  another geometry, or an error in one of its two derivatives in h_2.
 - Everything else agrees to a per cent at this step.
 """
 

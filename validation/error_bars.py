@@ -272,7 +272,7 @@ the norm of the gradient.
 
 _LIMITS = """
 - A bar is an estimate, not a proof: where a step does not resolve the waves that decide about
-  derivatives, differences of runs say little. `resolved` tells.
+  derivatives, differences of runs are not reliable; `resolved` is False there.
 - Errors of the model (elements, constitutive law) are not in the bars.
 - `adjoint_error`, an estimate of the value's error from one run, is compared with it in
   `tests/test_error_bars.py` (within 15 %), not here.

@@ -320,7 +320,7 @@ _NATURAL = (
 
 _STIFF = (
     "From 1e11 Pa on the round-off of the elastic forces leaves less than seven digits of the "
-    "motion, and such steps are counted; at 1e16 Pa Newton's method ends in it."
+    "motion, and such steps are counted; at 1e16 Pa Newton's method ends at it."
 )
 
 GROUPS: tuple[Group, ...] = (

@@ -247,7 +247,7 @@ def environment() -> dict[str, object]:
 
 
 def _processor() -> str:
-    """Name the processor; Linux tells its model only in /proc/cpuinfo."""
+    """Name the processor; Linux gives its model only in /proc/cpuinfo."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
         for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():

@@ -150,7 +150,7 @@ def gradients(
 def require_objectives(
     system: MechanicalSystem, objectives: Sequence[Objective], t_end: float
 ) -> None:
-    """Refuse what is no objective of a run of this system.
+    """Refuse objectives that a run of this system cannot have.
 
     Raises
     ------

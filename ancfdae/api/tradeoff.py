@@ -60,12 +60,12 @@ def tradeoff(
     method : GradientMethod, optional
         As in `gradient`.
     repeats : int
-        Runs of each setting, of which the least processor time counts; what takes more than a
-        second is not repeated.
+        Runs of each setting, of which the least processor time counts; runs of more than a
+        second are not repeated.
     executor : concurrent.futures.Executor, optional
         Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
         client; by default in this process, one after the other. Model and objective must
-        pickle (no lambda in `custom` or `apply`). In threads processor times mix up.
+        pickle (no lambda in `custom` or `apply`). Threads would count each other's processor time.
     progress : bool
         Whether to show a progress bar.
 
@@ -95,7 +95,7 @@ def tradeoff(
     require_count("repeats", repeats, "1 is enough for ratios of long runs.")
     system = differentiable(model, design)
     objective.check(system, t_end)
-    # The reference is no candidate: its time is not compared, so once is enough.
+    # The reference runs once, because its time is not compared.
     tasks = [Task(system, objective, t_end, reference, method, 1)]
     tasks += [Task(system, objective, t_end, each, method, repeats) for each in settings]
     with tqdm(total=len(tasks), disable=not progress, unit="run") as bar:
@@ -115,7 +115,7 @@ def _in_turn(tasks: Sequence[Task], bar: Any) -> list[Measurement]:
 
 
 def _by_workers(tasks: Sequence[Task], executor: Executor, bar: Any) -> list[Measurement]:
-    """Submit all; an exception that a worker could not put into words becomes a row as well."""
+    """Submit all tasks; an exception in a worker becomes a row with its message."""
     submitted: list[Future[Measurement] | BrokenExecutor] = []
     for task in tasks:
         try:
@@ -161,14 +161,14 @@ def _require_reference(measurement: Measurement) -> None:
 
 
 def _require_pickles(task: Task) -> None:
-    """Name what cannot travel to a worker, if that is why the reference failed."""
+    """Name the part that does not pickle, if that is why the reference failed."""
     for name, part in (("model", task.system), ("objective", task.objective)):
         try:
             pickle.dumps(part)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise InvalidInput(
                 f"{name}, executor",
-                "must pickle to travel to a worker",
+                "must pickle to be sent to a worker",
                 str(error),
                 "Define functions at the top of a module, or leave the executor out.",
             ) from error

@@ -28,7 +28,7 @@ from ancfdae.text import columns
 
 ErrorKind = Literal["states", "multipliers", "objective", "gradient"]
 _KINDS: Final[tuple[ErrorKind, ...]] = ("states", "multipliers", "objective", "gradient")
-# Settings of which one line of a plot has several.
+# Settings that vary along one line of a plot.
 _ACCURACY: Final = ("step", "rtol", "atol", "times")
 _TECHNICAL: Final = ("newton_tolerance", "max_iterations", "max_steps", "intervals")
 
@@ -136,8 +136,8 @@ class Tradeoff:
     rows : tuple of Setting
         In the order they were asked for.
     reference : Setting
-        What errors are measured against; its own are zero by definition, so an error below that
-        of the reference itself says nothing.
+        The run that errors are measured against. Its own error is not known, and
+        errors below that mean nothing.
     """
 
     rows: tuple[Setting, ...]
@@ -166,7 +166,7 @@ class Tradeoff:
     def recommend(self, target_error: float, of: ErrorKind = "gradient") -> Setting:
         """Return the cheapest measured setting whose error is at most the target.
 
-        It is a statement about this scene, this objective and this end time; nothing is
+        It holds for this scene, this objective and this end time; nothing is
         extrapolated.
 
         Parameters

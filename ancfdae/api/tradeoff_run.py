@@ -18,10 +18,10 @@ from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.sensitivity import Gradient, GradientMethod, UnfinishedRun
 
-# Times at which trajectories are compared, and instants at which drift and energy are looked at.
+# Times at which trajectories are compared, and instants at which drift and energy are computed.
 _SAMPLES = 201
 _LOOKS = 1000
-# Longer runs are not repeated: the clock's grain and interruptions do not matter for them; s.
+# Longer runs are timed once: the clock's resolution and interruptions hardly matter; s.
 _LONG = 1.0
 
 
@@ -92,7 +92,7 @@ def common_times(t_end: float) -> Array:
 
 
 def measure(task: Task) -> Measurement:
-    """Run one setting; trouble is a measurement without results."""
+    """Run one setting; a failure is a measurement without results."""
     seconds, answer = np.inf, None
     for _ in range(task.repeats):
         clock = time.process_time()

@@ -22,7 +22,7 @@ class Recorder:
     ----------
     system : MechanicalSystem
     rows : int
-        Number of instants, the start included; more are taken in when they come.
+        Number of instants, the start included; the arrays grow if there are more.
     degree : int
         Degree of the polynomials between the instants, see `Solution`.
     sensitivities : bool

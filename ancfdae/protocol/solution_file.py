@@ -22,12 +22,12 @@ from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Stat
 _FORMAT = "ancfdae solution 3"
 _STATES = ("t", "q", "v", "a", "lam")
 _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
-# What reading a file that is no archive, or a damaged one, ends in.
+# Exceptions raised on reading a file that is damaged or not an archive.
 _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 
 
 def write(path: Path, fields: Mapping[str, Any]) -> Path:
-    """Write the fields of a solution; beside the final name first, then moved there."""
+    """Write the fields of a solution to a temporary file, and move it to `path` when complete."""
     arrays, meta = _packed(fields)
     # Settings may be numbers of NumPy, which JSON does not know.
     arrays["meta"] = np.array(json.dumps(meta, default=np.generic.item))
@@ -52,7 +52,7 @@ def read(path: Path) -> dict[str, Any]:
         If the file is not one written by `write`.
     """
     try:
-        # Opened here, because np.load leaves a file open that is no whole archive.
+        # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         meta = json.loads(str(arrays["meta"]))

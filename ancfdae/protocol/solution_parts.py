@@ -48,11 +48,11 @@ class Statistics:
 @final
 @dataclass(frozen=True)
 class EstimatedErrors:
-    """Discretisation errors as a run of HHT-I3 itself tells them (docs/theory.md, section 5).
+    """Discretisation errors that a run of HHT-I3 estimates itself (docs/theory.md, section 5).
 
-    The errors of all steps, added up. Against the true ones they are right within a factor of
-    three (motion) and ten (derivatives) on undamped scenes, waves that the steps do not resolve
-    included; strong damping, which removes errors again, makes them too large
+    The errors of all steps are added up. On undamped scenes the sums are within a factor of
+    three (motion) and ten (derivatives) of the true errors, also where steps do not resolve the
+    waves; strong damping, which removes errors again, makes them too large
     (docs/reports/error-bars). For an objective and its gradient see `error_bars`.
 
     Attributes
@@ -61,8 +61,9 @@ class EstimatedErrors:
         Of q, relative to the size of the coordinates.
     derivatives : tuple of float, or None
         Of q_b, one per design variable, relative to the largest size of that derivative in the
-        run; nan where the variable has no influence above round-off, inf where the run blew up.
-        None unless it was differentiated by `Direct` or `HHT(control_sensitivities=True)`.
+        run; nan where the variable has no influence above round-off, inf where the motion grew
+        without bound. None unless it was differentiated by `Direct` or
+        `HHT(control_sensitivities=True)`.
     """
 
     motion: float

@@ -110,7 +110,7 @@ class Method(GradientMethod):
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Turn what breaks off a pass back into an error that keeps the run and says why.
+    """Raise an error with the run and the reason where a pass back breaks off.
 
     Raises
     ------

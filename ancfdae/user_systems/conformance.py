@@ -1,4 +1,4 @@
-"""Whether an implementation of the protocol is one: every member against every other."""
+"""Check of an implementation of the protocol: every member against every other."""
 
 from __future__ import annotations
 
@@ -105,12 +105,12 @@ class Conformance:
 
 
 def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -> Conformance:
-    """Compare every member of a mechanical system with what it must be.
+    """Check every member of a mechanical system against the others.
 
     Shapes and declarations are checked, products against the matrices they stand for, and every
     partial and total against differences of real values, extrapolated to about 1e-10; a sign, a
     factor or a forgotten term shows as an error of order one. Where the system accepts complex
-    numbers, the complex steps of its values are compared as well. States are random, beside the
+    numbers, the complex steps of its values are compared as well. States are random, near the
     start; they need not lie on the constraints.
 
     Parameters
@@ -137,7 +137,7 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
         raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
     rng = np.random.default_rng(seed)
     rows, system = _Rows(), _inside(system)
-    # Values of the wrong shape would make nonsense of everything that follows.
+    # With wrong shapes the other checks would mean nothing.
     shapes(rows.add, system)
     if rows.passed:
         for _ in range(samples):
@@ -149,7 +149,7 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:
-    """Move design values that are zero and must not be negative away from there."""
+    """Move design values away from zero where they must not become negative."""
     b = system.b.copy()
     for i in np.flatnonzero(b == 0):
         less = system.b.copy()

@@ -1,4 +1,4 @@
-"""Runs of external problems that tell what came, at what cost, or why nothing came."""
+"""Runs of external problems: the result and its cost, or why there is none."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -74,7 +74,7 @@ class Attempt:
     solution : Solution or None
         What was computed, also if the run ended early.
     value : array or None
-        Objective and its gradient, where one was asked for and came.
+        Objective and its gradient, where one was asked for and computed.
     """
 
     note: str
