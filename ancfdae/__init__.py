@@ -44,19 +44,30 @@ from ancfdae.joints import (
     Drive,
     Guide,
     Harmonic,
+    Joint,
     Pin,
     PointOnLine,
     Revolute,
     Spherical,
     Uniform,
 )
-from ancfdae.loads import DistributedForce, FollowerForce, PointForce, SpringDamper
-from ancfdae.objectives import AtTimes, Integral, NonFiniteObjective, SmoothMaximum, Terminal
+from ancfdae.loads import DistributedForce, FollowerForce, Load, PointForce, SpringDamper
+from ancfdae.numerics.patterns import Pattern
+from ancfdae.objectives import (
+    AtTimes,
+    Integral,
+    NonFiniteObjective,
+    Objective,
+    SmoothMaximum,
+    Terminal,
+)
 from ancfdae.observables import (
+    Observable,
     apply,
     axial_strain,
     custom,
     deflection,
+    design_value,
     kinetic_energy,
     multiplier,
     observe,
@@ -65,10 +76,16 @@ from ancfdae.observables import (
     slope,
     slope_angle,
     strain_energy,
+    time,
     velocity,
 )
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import EstimatedErrors, Sensitivities, Solution, Statistics
+from ancfdae.protocol import (
+    EstimatedErrors,
+    MechanicalSystem,
+    Sensitivities,
+    Solution,
+    Statistics,
+)
 from ancfdae.scene import NodeState, RigidMotion, Scene
 from ancfdae.sections import Material, Rectangle
 from ancfdae.sensitivity import (
@@ -118,12 +135,17 @@ __all__ = [
     "Integral",
     "Integrator",
     "InvalidInput",
+    "Joint",
+    "Load",
     "Material",
     "MechanicalSystem",
     "MissingPackage",
     "NodeState",
     "NonFiniteObjective",
+    "Objective",
+    "Observable",
     "Outcome",
+    "Pattern",
     "Pin",
     "Point",
     "PointForce",
@@ -157,6 +179,7 @@ __all__ = [
     "check_system",
     "custom",
     "deflection",
+    "design_value",
     "differentiate",
     "distribution",
     "error_bars",
@@ -172,6 +195,7 @@ __all__ = [
     "slope_angle",
     "strain_energy",
     "taylor_test",
+    "time",
     "tradeoff",
     "velocity",
 ]

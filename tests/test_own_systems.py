@@ -199,7 +199,7 @@ def test_sides_of_a_prescribed_motion_of_any_frequency(w):
 
 def test_pendulum_moves_and_differentiates_like_the_one_written_by_hand():
     ours, exact = (
-        differentiate(kind(-1.0, 2.0), (), 1.0, HHT(2.0**-6))
+        differentiate(kind(-1.0, 2.0), 1.0, HHT(2.0**-6))
         for kind in (WrittenPendulum, CartesianPendulum)
     )
     for name in ("q", "v", "a", "lam"):
@@ -247,8 +247,8 @@ def test_motion_keeps_the_balance_of_energy():
 @pytest.mark.parametrize("spin", [0.0, 1.0])
 def test_direct_differentiation_is_the_complex_step_of_the_run(spin):
     system, integrator = GuidedDoublePendulum(spin), HHT(2.0**-5)
-    direct = differentiate(system, (), 0.25, integrator).sensitivities
-    check = differentiate(system, (), 0.25, integrator, ComplexStep()).sensitivities
+    direct = differentiate(system, 0.25, integrator).sensitivities
+    check = differentiate(system, 0.25, integrator, method=ComplexStep()).sensitivities
     for name in ("q_b", "v_b", "a_b", "lam_b"):
         for i in range(system.n_b):
             # The claim: 1e-9.
@@ -267,11 +267,13 @@ def test_discrete_adjoint_is_direct_differentiation_and_the_continuous_one_appro
     for exponent in (5, 6, 7):
         integrator = HHT(2.0**-exponent)
         adjoint, continuous = (
-            gradient(system, OBJECTIVES[kind], (), 0.5, integrator, method).gradient * system.b
+            gradient(system, OBJECTIVES[kind], 0.5, integrator, method=method).gradient * system.b
             for method in (Adjoint(), ContinuousAdjoint())
         )
         errors.append(np.linalg.norm(continuous - adjoint) / np.linalg.norm(adjoint))
-    direct = gradient(system, OBJECTIVES[kind], (), 0.5, integrator, Direct()).gradient * system.b
+    direct = (
+        gradient(system, OBJECTIVES[kind], 0.5, integrator, method=Direct()).gradient * system.b
+    )
     # The claims: 1e-10, and order 1.8.
     assert_near(adjoint, direct, 1e-10)
     orders = np.log2(np.divide(errors[:-1], errors[1:]))

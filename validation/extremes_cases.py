@@ -14,6 +14,7 @@ from ancfdae import (
     Distance,
     Material,
     Pin,
+    Point,
     PointOnLine,
     Rectangle,
     Revolute,
@@ -120,7 +121,10 @@ def _first_steps(quick: bool) -> list[Case]:
         fine = simulate(scene, t_end, HHT(t_end / 256, hht_alpha=-0.05))
         if not fine.outcome.success:
             return np.inf
-        apart = [run.position("pendulum", s) - fine.position("pendulum", s)[-1] for s in (0.5, 1)]
+        apart = [
+            run.position(Point("pendulum", s)) - fine.position(Point("pendulum", s))[-1]
+            for s in (0.5, 1)
+        ]
         return float(max(np.max(np.abs(x[-1])) for x in apart)) / 1.2
 
     chosen = [(7, 1, -0.1), (8, 1, -0.3), (9, 1, -0.3)]
@@ -316,7 +320,7 @@ _NATURAL = (
 
 _STIFF = (
     "From 1e11 Pa on the round-off of the elastic forces leaves less than seven digits of the "
-    "motion, and such steps are counted; at 1e16 Pa Newton's method ends in it."
+    "motion, and such steps are counted; at 1e16 Pa Newton's method ends at it."
 )
 
 GROUPS: tuple[Group, ...] = (

@@ -26,6 +26,7 @@ from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.scene import Scene
+from ancfdae.text import listed
 
 # Imaginary step for total derivatives at the start; exact, its square vanishes.
 _STEP = 1e-40
@@ -100,6 +101,12 @@ class AncfSystem(MechanicalSystem):
         self._elastic = ElasticForces(*common)
         self._inertia = Inertia(*common, scene.gravity)
         self._describe()
+
+    def __repr__(self) -> str:
+        """Return sizes, scene and values of the design variables."""
+        own = listed(f"{name} = {b:.6g}" for name, b in zip(self.design_names, self.b, strict=True))
+        sizes = f"{self.n_q} coordinates, {self.n_lam} multipliers"
+        return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {own}"
 
     # -- preparation ---------------------------------------------------------------------------
 

@@ -1,7 +1,8 @@
 """The protocol between a mechanical system and everything that integrates it."""
 
 from ancfdae.naming import Naming
-from ancfdae.protocol.solution import EstimatedErrors, Sensitivities, Solution, Statistics
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 from ancfdae.protocol.system import (
     DesignPartials,
     Linearisation,

@@ -1,4 +1,4 @@
-"""Mechanical systems of which only the physics is written; the partials come by complex numbers.
+"""Mechanical systems given by their physics alone; the partials are taken by complex numbers.
 
 Every partial of the protocol is a derivative, at zero, of M x, Q or Phi in at most three numbers:
 
@@ -14,7 +14,7 @@ and a `_total` is d/de of one of these with the state moved by e (q_b, v_b, ...)
 all others on circles: it derives their errors, some 1e-14 to 1e-12 of the largest value.
 
 **Within a complex-step run** q or b carry an imaginary part of 1e-40. On a circle it would be
-lost beside imaginary parts of order one. So a derivative F of complex arguments x + i y is
+lost next to imaginary parts of order one. So a derivative F of complex arguments x + i y is
 
     F(x) + i F_x y,
 
@@ -28,7 +28,7 @@ in q, v and t is found by trial once per system: of radii that round-off resolve
 the least max|f| / r^3. Lengths of q and v are taken in the norm of the weights, so units do not
 matter; a path is followed as long as it stays within all three lengths. Errors are relative to
 the terms at that distance: a prescribed motion that is a million times slower than the rest has
-an acceleration that is lost beside theirs.
+an acceleration that is lost next to theirs.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class ComplexStepSystem(MechanicalSystem):
     Subclasses set `n_q`, `n_lam` and `design_names`, implement `mass_matrix`, `force`,
     `constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end of their
     own constructor. All of it must be analytic in q, v, t and ``self.b`` and accept complex
-    numbers: no ``abs``, no comparison, no array of floats that is filled in. Any partial may be
+    numbers: no ``abs``, no comparison, no writing into an array of floats. Any partial may be
     overridden by a formula of one's own; `check_system` compares.
 
     Parameters

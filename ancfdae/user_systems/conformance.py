@@ -1,4 +1,4 @@
-"""Whether an implementation of the protocol is one: every member against every other."""
+"""Check of an implementation of the protocol: every member against every other."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_count, require_kind
 from ancfdae.protocol.system import MechanicalSystem
+from ancfdae.text import listed
 from ancfdae.user_systems.conformance_bulk import BULK_CHECKS
 from ancfdae.user_systems.conformance_checks import CHECKS
 from ancfdae.user_systems.conformance_shapes import complex_numbers, shapes
@@ -82,13 +83,18 @@ class Conformance:
             Naming what is wrong.
         """
         if self.wrong:
-            listed = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
+            names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
             raise InvalidInput(
                 self.name,
                 "must agree with its own values and their differences",
-                f"{len(self.wrong)} of {len(self.findings)} that do not: {listed}",
+                f"{len(self.wrong)} of {len(self.findings)} that do not: {names}",
                 "Correct these methods; print the report for all of them.",
             )
+
+    def __repr__(self) -> str:
+        """Return how many checks failed, and which."""
+        wrong = f"wrong: {listed(x.name for x in self.wrong)}" if self.wrong else "all ok"
+        return f"{self.name}: {len(self.findings)} checks, {wrong}"
 
     def __str__(self) -> str:
         """Return a table."""
@@ -99,7 +105,7 @@ class Conformance:
 
 
 def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -> Conformance:
-    """Compare every member of a mechanical system with what it must be.
+    """Check every member of a mechanical system against the others.
 
     Shapes and declarations are checked, products against the matrices they stand for, and every
     partial and total against differences of real values, extrapolated to about 1e-10; a sign, a
@@ -146,7 +152,7 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:
-    """Move design values that are zero and must not be negative away from there."""
+    """Move design values away from zero where they must not become negative."""
     b = system.b.copy()
     for i in np.flatnonzero(b == 0):
         less = system.b.copy()

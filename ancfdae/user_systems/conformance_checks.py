@@ -53,7 +53,7 @@ def start(add: Add, p: Probe) -> None:
 
 
 def values(add: Add, p: Probe) -> None:
-    """Check that other design values come and go, and leave the system itself alone."""
+    """Check that `with_values` takes other design values and leaves the system unchanged."""
 
     def all_of(x: MechanicalSystem) -> Array:
         m = p.m

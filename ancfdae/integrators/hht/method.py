@@ -51,7 +51,8 @@ from ancfdae.integrators.start import (
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Sensitivities, Solution
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import Sensitivities
 
 # Steps may miss the end time by this many parts of their number (accumulated round-off).
 _WHOLE = 1e-9

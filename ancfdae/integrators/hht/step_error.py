@@ -37,7 +37,8 @@ from ancfdae.integrators.hht.equations import Coefficients, constraint_error
 from ancfdae.integrators.hht.step import Instant
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol.solution import EstimatedErrors, Solution
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import EstimatedErrors
 
 # Errors of the motion feed into those of the derivatives as much again (docs/theory.md, 5).
 _FED = 2.0
