@@ -78,7 +78,7 @@ class EstimatedErrors:
     derivatives : tuple of float, or None
         Of q_b, one per design variable, relative to the largest size of that derivative in the
         run; nan where the variable has no influence above round-off, inf where the run blew up.
-        None unless it was differentiated by `Direct` or `HHT(control_sensitivities=True)`.
+        None unless it was differentiated by `Direct` or `ControlledSteps(sensitivities=True)`.
     """
 
     motion: float
