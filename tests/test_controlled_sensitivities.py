@@ -165,9 +165,7 @@ def test_of_sizes_assumed_and_found_the_smaller_count(monkeypatch):
         used.append(list(sizes_b))
         return Tolerance(rtol, atol, t_end, sizes, sizes_b)
 
-    monkeypatch.setattr(
-        derivative_sizes, "derivative_sizes", lambda scales, q_b: np.array(next(found))
-    )
+    monkeypatch.setattr(sizing, "derivative_sizes", lambda scales, q_b: np.array(next(found)))
     monkeypatch.setattr(controlled, "Tolerance", seen)
     differentiate(CartesianPendulum(), (), 0.1, HHT(both(1e-2)))
     assert used == [[], [8.0, 1.0], [1.0, 1.0]]  # The first is the rough run.
@@ -178,7 +176,7 @@ def test_sizes_at_the_threshold_of_round_off_do_not_alternate(monkeypatch, sizes
     # Coarse steps find a size just above it, fine ones none: each would ask for the other's run.
     found = iter(sizes)
     monkeypatch.setattr(
-        derivative_sizes, "derivative_sizes", lambda scales, q_b: np.array([1.0, next(found)])
+        sizing, "derivative_sizes", lambda scales, q_b: np.array([1.0, next(found)])
     )
     integrator = HHT(both(1e-2))
     assert differentiate(CartesianPendulum(), (), 0.5, integrator).outcome.success
