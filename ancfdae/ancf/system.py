@@ -364,6 +364,52 @@ class AncfSystem(MechanicalSystem):
             total = total + np.einsum("knb,kn->b", Phi_b, zeta)
         return np.asarray(total)
 
+    # -- rates for the transpose of the start --------------------------------------------------
+
+    def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
+        """d^3 Phi_q/dt^3."""
+        return self._constraints.constraint_q_third_rate(jerk, t)
+
+    def constraint_rate_b(
+        self, t: float, q: Array, v: Array, a: Array | None = None, jerk: Array | None = None
+    ) -> Array:
+        """Return partials of constraint rates, of the variables that constraints depend on."""
+        return self._constraints.rate_b(t, q, tuple(x for x in (v, a, jerk) if x is not None))
+
+    def linearise_rate(
+        self, t: float, state: tuple[Array, Array, Array, Array], rates: tuple[Array, Array]
+    ) -> Linearisation:
+        """Rates of forces and of Phi_q; M is constant, and so is (Phi_q^T lam)_q in q."""
+        q, v, _, _ = state
+        Q_q, Q_v = self._elastic.tangent_rates(q, v, rates)
+        if self.velocity_forces and Q_v is None:
+            Q_v = np.zeros_like(Q_q)
+        if self._scene.loads:
+            self._loads.add_tangent_rates((q, v, rates[1]), Q_q, Q_v)
+        Phi_q = self._constraints.constraint_q_rate(rates[0], t)
+        f_v = None if Q_v is None else -Q_v
+        return Linearisation(np.zeros((1, self.pattern.size)), -Q_q, f_v, Phi_q[None])
+
+    def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
+        """Contract masses pair by pair, joints for the variables they depend on."""
+        reaction = self._constraints.constraint_force_pull_back(q, lam, t, mu)
+        return self._inertia.pull_back(a[None], mu[None]) + reaction
+
+    def pull_back_rate(
+        self,
+        t: float,
+        state: tuple[Array, Array, Array, Array],
+        rates: tuple[Array, Array],
+        mu: Array,
+    ) -> Array:
+        """Contract forces pair by pair, the rest for the variables it depends on."""
+        q, v, _, lam = state
+        total = self._constraints.constraint_force_rate_pull_back(rates[0], lam, t, mu)
+        total = total - self._elastic.pull_back_rate(q, v, rates, mu)
+        if self._scene.loads:
+            total = total - self._loads.pull_back_rate((q, v, rates[1]), mu)
+        return total
+
     # -- energies, instants as rows ------------------------------------------------------------
 
     def strain_energy(self, q: Array) -> Array:

@@ -26,6 +26,9 @@ from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
+# Imaginary step of derivatives along a motion: its square vanishes against one.
+_STEP = 1e-40
+
 
 @final
 @dataclass(frozen=True)
@@ -273,6 +276,83 @@ class MechanicalSystem(abc.ABC):
         self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
     ) -> Array:
         """Return the total design derivative of `constraint_force_rate`, shape (n_q, n_b)."""
+
+    # -- rates for the transpose of the start ----------------------------------------------------
+
+    def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
+        """Return `start_b` contracted with covectors on q and v, shape (n_b,)."""
+        q_b, v_b = self.start_b()
+        total: Array = on_q @ q_b + on_v @ v_b
+        return total
+
+    def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
+        """Return the values of d^3 Phi_q/dt^3 on `constraint_pattern`."""
+        step = 1j * _STEP
+        moved = (q + step * v, v + step * a, a + step * jerk)
+        later = self.constraint_q_second_rate(*moved, t + step)  # type: ignore[arg-type]
+        return np.asarray(later.imag / _STEP)
+
+    def constraint_rate_b(
+        self, t: float, q: Array, v: Array, a: Array | None = None, jerk: Array | None = None
+    ) -> Array:
+        """Return the design partial of dPhi/dt, d^2 Phi/dt^2 or d^3 Phi/dt^3, (n_lam, n_b).
+
+        The order is the number of rates given; they are held.
+        """
+        still = np.zeros((self.n_q, self.n_b))
+        if a is None:
+            side = self.velocity_side_total(q, t, still)
+            return self.constraint_q_times_total(q, v, t, still) - side
+        if jerk is None:
+            side = self.acceleration_side_total(q, v, t, still, still)
+            return self.constraint_q_times_total(q, a, t, still) - side
+        side = self.jerk_side_total(q, v, a, t, still, still, still)
+        return self.constraint_q_times_total(q, jerk, t, still) - side
+
+    def linearise_rate(
+        self, t: float, state: tuple[Array, Array, Array, Array], rates: tuple[Array, Array]
+    ) -> Linearisation:
+        """Return the time derivative of `linearise` at one instant, a and lam held.
+
+        Parameters
+        ----------
+        t : float
+        state : (q, v, a, lam)
+        rates : (array, array), shape (n_q,)
+            Rates of q and v.
+        """
+        (q, v, a, lam), step = state, 1j * _STEP
+        moved = (q + step * rates[0], v + step * rates[1], a, lam)
+        local = self.linearise(np.array([t + step]), *(x[None] for x in moved))
+        f_v = None if local.f_v is None else local.f_v.imag / _STEP
+        M, f_q, Phi_q = (x.imag / _STEP for x in (local.M, local.f_q, local.Phi_q))
+        return Linearisation(M, f_q, f_v, Phi_q)
+
+    def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
+        """Return mu^T (M a + Phi_q^T lam)_b with q, a and lam held, shape (n_b,)."""
+        total: Array = mu @ (self.mass_b_times(q, a) + self.constraint_force_b(q, lam, t))
+        return total
+
+    def pull_back_rate(
+        self,
+        t: float,
+        state: tuple[Array, Array, Array, Array],
+        rates: tuple[Array, Array],
+        mu: Array,
+    ) -> Array:
+        """Return mu^T of the time derivative of f_b along the rates of q and v, shape (n_b,).
+
+        f_b is the design partial of M a + Phi_q^T lam - Q with everything else held; a and lam are
+        held in time too.
+        """
+        (q, v, a, lam), (v_now, a_now) = state, rates
+        still, none = np.zeros((self.n_q, self.n_b)), np.zeros((self.n_lam, self.n_b))
+        rate_b = self.constraint_force_rate_total(q, v_now, lam, t, still, still, none)
+        rate_b = rate_b - self.force_rate_total(q, v, a_now, t, still, still, still)
+        if not self.constant_mass:
+            rate_b = rate_b + self.inertia_rate_total(q, v_now, a, still, still, still)
+        total: Array = mu @ rate_b
+        return total
 
     # -- many instants at once -----------------------------------------------------------------
 

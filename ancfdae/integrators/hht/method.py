@@ -24,16 +24,17 @@ from ancfdae.integrators.hht.equations import (
     Coefficients,
     Steps,
     constraint_error,
-    start_node,
-    start_node_sensitivity,
 )
 from ancfdae.integrators.hht.small_steps import Nodes
+from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import (
+    Covectors,
     InitialState,
     consistent_start,
+    pull_back_start,
     saddle_point,
     start_sensitivity,
 )
@@ -247,9 +248,8 @@ class HHT(AdjointIntegrator):
         # A run that ended in its first step has the derivatives of its start.
         arrays, verdict = [x[None] for x in start], Verdict.FINISHED
         if len(steps.h):
-            node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
-            node = start_node(system, matrices, steps.first, initial)
-            nodes = Nodes(solution, steps, node)
+            first = RecurrenceStart.of(system, matrices, steps.first, initial)
+            nodes, node_b = Nodes(solution, steps, first.node), first.sensitivity(derivative)
             arrays, verdict = linear_passes.differentiate(system, matrices, nodes, node_b)
             arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
         own = Sensitivities(system.design_names, system.b, *arrays)
@@ -261,26 +261,17 @@ class HHT(AdjointIntegrator):
         """Return the gradient of an objective by the discrete adjoint."""
         steps, matrices = self.steps_of(solution), saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        derivative = start_sensitivity(system, matrices, initial)
-        node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
-        nodes = Nodes(solution, steps, start_node(system, matrices, steps.first, initial))
+        first = RecurrenceStart.of(system, matrices, steps.first, initial)
+        nodes = Nodes(solution, steps, first.node)
         gradient, back, _ = linear_passes.pull_back(system, matrices, nodes, seeds)
-        for covector, start_b in (
-            (back.q_b, node_b.q_b),
-            (back.v_b, node_b.v_b),
-            (back.a_b, node_b.a_b),
-            (back.A_b, node_b.A_b),
-        ):
-            gradient = gradient + covector @ start_b
+        on = first.pull_back(back)
         # What an objective reads at t = 0 is the consistent start, not the shifted one.
-        for seed, start_b in (
-            (seeds.q, derivative.q_b),
-            (seeds.v, derivative.v_b),
-            (seeds.lam, derivative.lam_b),
-        ):
-            if seed is not None:
-                gradient = gradient + seed[0] @ start_b
-        return gradient
+        q, v, lam = (
+            x if seed is None else x + seed[0]
+            for x, seed in ((on.q, seeds.q), (on.v, seeds.v), (on.lam, seeds.lam))
+        )
+        on = Covectors(q, v, on.a, lam, on.b + gradient)
+        return pull_back_start(system, matrices, initial, on)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
@@ -294,7 +285,7 @@ class HHT(AdjointIntegrator):
         """
         steps, matrices = self.steps_of(solution), saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        node = start_node(system, matrices, steps.first, initial)
+        node = RecurrenceStart.of(system, matrices, steps.first, initial).node
         defects = Defects.of(solution.t, solution.a, steps)
         nodes = Nodes(solution, steps, node)
         _, back, change = linear_passes.pull_back(system, matrices, nodes, seeds, defects)

@@ -25,11 +25,10 @@ from ancfdae.integrators.hht.equations import (
     constraint_error,
     rescaled,
     rescaled_sensitivity,
-    start_node,
-    start_node_sensitivity,
 )
 from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.integrators.hht.small_steps import ConstraintRow
+from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.integrators.step_control.one_step_method import OneStepMethod, Record
@@ -88,11 +87,9 @@ class Stepper(OneStepMethod[State]):
 
     def start(self, h: float) -> State:
         """Return the start of a run whose first step has the size h."""
-        system, matrices, initial, node_b = self._system, self._matrices, self._initial, None
         c = Coefficients.of(h, self._alpha)
-        if self._derivative is not None:
-            node_b = start_node_sensitivity(system, matrices, c, initial, self._derivative)
-        return start_node(system, matrices, c, initial), node_b
+        start = RecurrenceStart.of(self._system, self._matrices, c, self._initial)
+        return start.node, self._derivative and start.sensitivity(self._derivative)
 
     def resized(self, state: State, ratio: float) -> State:
         """Return a state for a step whose size is `ratio` times that of the step before."""
