@@ -37,6 +37,16 @@ INJECTIONS = [
         "Only ancfdae.integrators.sundials.ida imports sksundae",
     ),
     ("integrators/start.py", "from ancfdae.integrators import hht", "Layers of the integrators"),
+    (
+        "integrators/step_control/march.py",
+        "from ancfdae.integrators.hht.equations import Coefficients",
+        "Layers of the integrators",
+    ),
+    (
+        "integrators/step_control/tolerance.py",
+        "from ancfdae.integrators.step_control.settings import Controller",
+        "Layers of step control, which knows no method",
+    ),
     ("ancf/vectors.py", "from ancfdae.ancf import system", "Layers of the assembler"),
 ]
 
