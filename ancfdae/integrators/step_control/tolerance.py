@@ -28,7 +28,7 @@ import numpy as np
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol.solution import EstimatedErrors, Sensitivities
+from ancfdae.protocol import EstimatedErrors, Sensitivities
 
 # Errors of the motion feed into those of the derivatives as much again (docs/theory.md, 5).
 _FED = 2.0
