@@ -22,7 +22,7 @@ from ancfdae import (
     Guide,
     Harmonic,
     Material,
-    OneByOneSystem,
+    MechanicalSystem,
     Pin,
     PointForce,
     PointOnLine,
@@ -181,6 +181,14 @@ def spatial_machine():
     return Scene([crank, coil], joints, (0.3, -9.81, 1.0), start, loads, project_start=True)
 
 
+def damped_pair():
+    """A damped and an undamped beam without loads: the forces have a path of their own."""
+    crank = Beam("crank", (0.0, 0.0), (0.6, 0.8), 2, FLAT, GUM)
+    rod = Beam("rod", (0.6, 0.8), (1.8, 0.1), 1, THICK, STEEL)
+    joints = [Pin(crank.at_start, name="ground"), Pin(crank.at_end, rod.at_start, name="elbow")]
+    return Scene([crank, rod], joints, gravity=(1.0, -9.81))
+
+
 SCENES = {
     scene.__name__: scene
     for scene in (
@@ -190,12 +198,13 @@ SCENES = {
         one_spatial_beam,
         spatial_pair,
         spatial_mixed,
+        damped_pair,
         planar_machine,
         spatial_machine,
     )
 }
-#: Scenes with bilinear or driven joints, with loads that follow the motion and with damping.
-MACHINES = ("planar_machine", "spatial_machine")
+#: Scenes with bilinear or driven joints, with loads that follow the motion or with damping.
+MACHINES = ("damped_pair", "planar_machine", "spatial_machine")
 MATERIAL = ("youngs_modulus", "poisson_ratio", "density")
 ALL = (*MATERIAL, "width", "height", "length", "damping_time")
 
@@ -247,6 +256,14 @@ CASES = {
     "spatial, shared": (
         "spatial_mixed",
         [DesignVariable("nothing but coil", ["coil.height[1]", "coil.height[0]"])],
+    ),
+    "damped pair": (
+        "damped_pair",
+        [
+            *of("crank", *ALL),
+            *distribution("rod.height", 1),
+            DesignVariable("E", ["rod.youngs_modulus"]),
+        ],
     ),
     "planar machine, elements": (
         "planar_machine",
@@ -625,7 +642,7 @@ def instants(s, k=3):
 def test_linearise_is_the_loop_over_instants(plain):
     s, system = plain, plain.system
     t, states = instants(s)
-    ours, loop = system.linearise(t, *states), OneByOneSystem.linearise(system, t, *states)
+    ours, loop = system.linearise(t, *states), MechanicalSystem.linearise(system, t, *states)
     assert_close(ours.M, loop.M, VALUE)
     assert_close(ours.f_q, loop.f_q, VALUE)
     assert_close(ours.Phi_q, loop.Phi_q, VALUE)
@@ -638,7 +655,7 @@ def test_design_partials_are_the_loop_over_instants(setting):
     s, system = setting, setting.system
     t, states = instants(s)
     ours = system.design_partials(t, *states)
-    loop = OneByOneSystem.design_partials(system, t, *states)
+    loop = MechanicalSystem.design_partials(system, t, *states)
     for name in ("f_b", "Phi_b"):
         value, expected = getattr(ours, name), getattr(loop, name)
         assert value.shape == expected.shape

@@ -675,8 +675,8 @@ def test_end_time_must_be_a_whole_number_of_steps(t_end):
 
 def test_round_off_of_the_end_time_is_accepted():
     # 0.1 + 0.2 is 0.30000000000000004: 3 steps to 1e-16.
-    assert HHT(0.1)._count_steps(0.1 + 0.2) == 3
-    assert HHT(1e-3)._count_steps(sum([1e-3] * 1000)) == 1000
+    assert HHT(0.1).steps.count(0.1 + 0.2) == 3
+    assert HHT(1e-3).steps.count(sum([1e-3] * 1000)) == 1000
 
 
 # ---------------------------------------------------------------- calls

@@ -8,6 +8,7 @@ from ancfdae import (
     Adjoint,
     Beam,
     ComplexStep,
+    ControlledSteps,
     Direct,
     Explicit,
     InvalidInput,
@@ -25,14 +26,19 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.errors import Verdict
-from ancfdae.integrators.hht import method as hht
-from ancfdae.integrators.hht.step_error import StepError
+from ancfdae.integrators.step_control import controlled
+from ancfdae.integrators.step_control import derivative_sizes as sizing
+from ancfdae.integrators.step_control.tolerance import Tolerance
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum, NeverRight
 
 STATES = ("q_b", "v_b", "a_b", "lam_b")
+
+
+def both(rtol, **settings):
+    return ControlledSteps(rtol, sensitivities=True, **settings)
 
 
 def soft():
@@ -61,7 +67,7 @@ def test_derivatives_keep_to_ten_times_the_tolerance(build, t_end):
     system = build()
     exact = differentiate(system, t_end, Explicit(1e-7))
     for rtol in (1e-2, 2e-3):
-        run = differentiate(system, t_end, HHT(rtol=rtol, control_sensitivities=True))
+        run = differentiate(system, t_end, HHT(both(rtol)))
         assert run.outcome.success
         error = error_of_derivatives(system, run, exact)
         assert error < 10 * rtol, rtol
@@ -73,14 +79,14 @@ def test_what_the_tolerance_of_the_motion_does_not_bound():
     exact = gradient(system, tip, 0.25, Explicit(1e-6)).gradient * system.b
     errors = []
     for along in (False, True):
-        found = gradient(system, tip, 0.25, HHT(rtol=rtol, control_sensitivities=along))
+        found = gradient(system, tip, 0.25, HHT(ControlledSteps(rtol, sensitivities=along)))
         errors.append(np.linalg.norm(found.gradient * system.b - exact) / np.linalg.norm(exact))
     assert errors[0] > 20 * rtol
     assert errors[1] < rtol
 
 
 def test_derivatives_along_are_those_of_the_frozen_steps():
-    integrator = HHT(rtol=1e-2, control_sensitivities=True, newton_tolerance=1e-14)
+    integrator = HHT(both(1e-2), newton_tolerance=1e-14)
     system = soft()
     run = differentiate(system, 0.1, integrator)
     batched = integrator.differentiate(system, run)
@@ -95,7 +101,7 @@ def test_derivatives_along_are_those_of_the_frozen_steps():
 
 
 def test_a_solution_starts_with_the_derivatives_of_the_consistent_start():
-    integrator, system = HHT(rtol=1e-2, control_sensitivities=True), CartesianPendulum(0.3, 1.0)
+    integrator, system = HHT(both(1e-2)), CartesianPendulum(0.3, 1.0)
     run = differentiate(system, 0.1, integrator)
     batched = integrator.differentiate(system, run)
     for name in STATES:
@@ -106,13 +112,13 @@ def test_a_solution_starts_with_the_derivatives_of_the_consistent_start():
 
 def test_factorisations_of_the_derivatives_are_counted():
     # One for the derivatives of each step, and about one for its motion.
-    run = differentiate(CartesianPendulum(), 1.0, HHT(rtol=1e-2, control_sensitivities=True))
+    run = differentiate(CartesianPendulum(), 1.0, HHT(both(1e-2)))
     tried = run.statistics.steps + run.statistics.rejected
     assert run.statistics.factorisations >= 2 * tried
 
 
 def test_adjoint_and_direct_agree_on_the_same_steps():
-    integrator, tip = HHT(rtol=1e-2, control_sensitivities=True), position(Point("rod", 0.5), 1)
+    integrator, tip = HHT(both(1e-2)), position(Point("rod", 0.5), 1)
     direct, adjoint = (
         gradient(crank(), Terminal(tip), 0.02, integrator, method=method)
         for method in (Direct(), Adjoint())
@@ -123,15 +129,15 @@ def test_adjoint_and_direct_agree_on_the_same_steps():
 
 
 def test_sizes_that_were_too_large_are_replaced(monkeypatch):
-    integrator = HHT(rtol=1e-3, control_sensitivities=True)
+    integrator = HHT(both(1e-3))
     expected = differentiate(CartesianPendulum(), 1.0, integrator)
-    true_sizes, calls = hht.derivative_sizes, []
+    true_sizes, calls = sizing.derivative_sizes, []
 
     def exaggerated(scales, q_b):
         calls.append(len(q_b))
         return true_sizes(scales, q_b) * (1e3 if len(calls) == 1 else 1.0)
 
-    monkeypatch.setattr(hht, "derivative_sizes", exaggerated)
+    monkeypatch.setattr(sizing, "derivative_sizes", exaggerated)
     run = differentiate(CartesianPendulum(), 1.0, integrator)
     # A rough run, one with the wrong sizes, which has too few steps, and one with its own sizes.
     assert len(calls) == 3
@@ -140,14 +146,14 @@ def test_sizes_that_were_too_large_are_replaced(monkeypatch):
 
 
 def test_sizes_come_from_a_rough_run(monkeypatch):
-    true_sizes, calls = hht.derivative_sizes, []
+    true_sizes, calls = sizing.derivative_sizes, []
 
     def seen(scales, q_b):
         calls.append(len(q_b))
         return true_sizes(scales, q_b)
 
-    monkeypatch.setattr(hht, "derivative_sizes", seen)
-    differentiate(CartesianPendulum(), 0.3, HHT(rtol=1e-5, control_sensitivities=True))
+    monkeypatch.setattr(sizing, "derivative_sizes", seen)
+    differentiate(CartesianPendulum(), 0.3, HHT(both(1e-5)))
     assert len(calls) == 2
     assert 5 * calls[0] < calls[1]
 
@@ -157,11 +163,11 @@ def test_of_sizes_assumed_and_found_the_smaller_count(monkeypatch):
 
     def seen(rtol, atol, t_end, sizes, sizes_b):
         used.append(list(sizes_b))
-        return StepError(rtol, atol, t_end, sizes, sizes_b)
+        return Tolerance(rtol, atol, t_end, sizes, sizes_b)
 
-    monkeypatch.setattr(hht, "derivative_sizes", lambda scales, q_b: np.array(next(found)))
-    monkeypatch.setattr(hht, "StepError", seen)
-    differentiate(CartesianPendulum(), 0.1, HHT(rtol=1e-2, control_sensitivities=True))
+    monkeypatch.setattr(sizing, "derivative_sizes", lambda scales, q_b: np.array(next(found)))
+    monkeypatch.setattr(controlled, "Tolerance", seen)
+    differentiate(CartesianPendulum(), 0.1, HHT(both(1e-2)))
     assert used == [[], [8.0, 1.0], [1.0, 1.0]]  # The first is the rough run.
 
 
@@ -169,8 +175,10 @@ def test_of_sizes_assumed_and_found_the_smaller_count(monkeypatch):
 def test_sizes_at_the_threshold_of_round_off_do_not_alternate(monkeypatch, sizes):
     # Coarse steps find a size just above it, fine ones none: each would ask for the other's run.
     found = iter(sizes)
-    monkeypatch.setattr(hht, "derivative_sizes", lambda scales, q_b: np.array([1.0, next(found)]))
-    integrator = HHT(rtol=1e-2, control_sensitivities=True)
+    monkeypatch.setattr(
+        sizing, "derivative_sizes", lambda scales, q_b: np.array([1.0, next(found)])
+    )
+    integrator = HHT(both(1e-2))
     assert differentiate(CartesianPendulum(), 0.5, integrator).outcome.success
     assert len(list(found)) >= 5
 
@@ -178,16 +186,18 @@ def test_sizes_at_the_threshold_of_round_off_do_not_alternate(monkeypatch, sizes
 def test_a_variable_without_influence_bounds_nothing():
     # In this plane the width of the section cancels: forces and masses are proportional to it.
     system = assemble(pendulum(), ("pendulum.width", "pendulum.height"))
-    both = HHT(rtol=1e-2, control_sensitivities=True)
-    run = differentiate(system, 0.05, both)
+    integrator = HHT(both(1e-2))
+    run = differentiate(system, 0.05, integrator)
     assert run.outcome.success
-    alone = differentiate(assemble(pendulum(), ("pendulum.height",)), 0.05, both)
+    alone = differentiate(assemble(pendulum(), ("pendulum.height",)), 0.05, integrator)
     assert run.statistics.steps < 1.5 * alone.statistics.steps
 
 
 def test_without_design_variables_the_motion_rules():
     system = assemble(pendulum(), ())
-    runs = [simulate(system, 0.1, HHT(rtol=1e-2, control_sensitivities=x)) for x in (False, True)]
+    runs = [
+        simulate(system, 0.1, HHT(ControlledSteps(1e-2, sensitivities=x))) for x in (False, True)
+    ]
     np.testing.assert_array_equal(runs[0].t, runs[1].t)
 
 
@@ -197,8 +207,7 @@ def test_same_steps_for_other_units_of_the_design():
         differentiate(
             pendulum_with(modulus),
             0.25 * time,
-            HHT(rtol=1e-2, control_sensitivities=True),
-            design=("beam.youngs_modulus", "beam.height"),
+            HHT(both(1e-2)),
         )
         for modulus, time in ((1e7, 1.0), (1e1, 1e3))
     ]
@@ -214,13 +223,13 @@ def pendulum_with(modulus):
 
 
 def test_the_limit_of_steps_is_an_outcome():
-    run = differentiate(soft(), 0.25, HHT(rtol=1e-3, control_sensitivities=True, max_steps=99))
+    run = differentiate(soft(), 0.25, HHT(both(1e-3, max_steps=99)))
     assert run.outcome.verdict is Verdict.STEP_LIMIT
     assert len(run.sensitivities.q_b) == len(run.t) <= 100
 
 
 def test_complex_steps_repeat_a_run_without_a_step_too():
-    integrator = HHT(rtol=1e-3, control_sensitivities=True)
+    integrator = HHT(both(1e-3))
     run = differentiate(NeverRight(), 1.0, integrator, method=ComplexStep())
     assert run.outcome.verdict is Verdict.NOT_FINITE
     assert len(run.sensitivities.q_b) == len(run.t) == 1
@@ -229,7 +238,7 @@ def test_complex_steps_repeat_a_run_without_a_step_too():
 def test_complex_systems_are_refused():
     system = CartesianPendulum(b=(1.0 + 1e-40j, 9.81))
     with pytest.raises(InvalidInput, match="a complex system"):
-        simulate(system, 1.0, HHT(rtol=1e-3, control_sensitivities=True))
+        simulate(system, 1.0, HHT(both(1e-3)))
 
 
 @pytest.mark.parametrize("after", [10, 200])
@@ -243,7 +252,7 @@ def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
         return true_force(self, q, v, t)
 
     monkeypatch.setattr(CartesianPendulum, "force", interrupted)
-    integrator = HHT(rtol=1e-3, control_sensitivities=True)
+    integrator = HHT(both(1e-3))
     run = differentiate(CartesianPendulum(), 2.0, integrator)
     assert run.outcome.verdict is Verdict.INTERRUPTED
     assert len(run.sensitivities.q_b) == len(run.t) >= 1
@@ -258,29 +267,21 @@ def test_derivatives_that_are_no_numbers_are_an_outcome(monkeypatch, start):
         return true_force_b(self, q, v, t) * (np.nan if t > start else 1.0)
 
     monkeypatch.setattr(CartesianPendulum, "force_b", undefined)
-    integrator = HHT(rtol=1e-2, control_sensitivities=True)
+    integrator = HHT(both(1e-2))
     run = differentiate(CartesianPendulum(), 1.0, integrator)
     assert run.outcome.verdict is Verdict.ERROR_TEST
     assert run.t[-1] == pytest.approx(max(start, 0.0))
     assert np.all(np.isfinite(run.sensitivities.q_b[1:]))
 
 
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        ({"step": 0.1, "control_sensitivities": True}, "belongs to error control"),
-        ({"times": (0.0, 0.1), "control_sensitivities": True}, "belongs to error control"),
-        ({"rtol": 1e-3, "control_sensitivities": "yes"}, "HHT.control_sensitivities"),
-    ],
-)
-def test_settings_out_of_range_are_refused_by_name(settings, match):
-    with pytest.raises(InvalidInput, match=match):
-        HHT(**settings)
+def test_a_setting_that_is_no_truth_value_is_refused_by_name():
+    with pytest.raises(InvalidInput, match=r"ControlledSteps\.sensitivities"):
+        ControlledSteps(1e-3, sensitivities="yes")
 
 
 def test_what_a_setting_is_warned_about_is_said_once():
     with pytest.warns(StabilityWarning):
-        integrator = HHT(rtol=1e-2, hht_alpha=0.0, control_sensitivities=True)
+        integrator = HHT(both(1e-2), hht_alpha=0.0)
     # From here on a warning is an error.
     run = differentiate(CartesianPendulum(), 0.5, integrator, method=ComplexStep())
     assert run.outcome.success
@@ -288,9 +289,9 @@ def test_what_a_setting_is_warned_about_is_said_once():
 
 
 def test_a_rough_run_that_breaks_off_tells_no_sizes(monkeypatch):
-    integrator = HHT(rtol=1e-3, control_sensitivities=True)
+    integrator = HHT(both(1e-3))
     expected = differentiate(CartesianPendulum(), 1.0, integrator)
-    monkeypatch.setattr(HHT, "_rough", lambda self: HHT(rtol=1e-3, max_steps=3))
+    monkeypatch.setattr(HHT, "_rough", lambda self: HHT(ControlledSteps(1e-3, max_steps=3)))
     run = differentiate(CartesianPendulum(), 1.0, integrator)
     assert run.outcome.success
     assert abs(run.statistics.steps - expected.statistics.steps) <= 2

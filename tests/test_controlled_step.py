@@ -1,5 +1,7 @@
 """HHT-I3 with error control: tolerance, frozen steps, both adjoints, outcomes, other units."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -10,9 +12,12 @@ from ancfdae import (
     Beam,
     ComplexStep,
     ContinuousAdjoint,
+    ControlledSteps,
     Direct,
     Explicit,
     FiniteDifference,
+    FixedSteps,
+    GivenSteps,
     Integral,
     InvalidInput,
     Material,
@@ -147,7 +152,7 @@ def test_frozen_steps_repeat_the_run():
 def test_uniform_instants_are_a_fixed_step():
     fixed = differentiate(CartesianPendulum(), 1.0, HHT(2.0**-6))
     times = tuple(np.arange(65) / 64)
-    given = differentiate(CartesianPendulum(), 1.0, HHT(times=times))
+    given = differentiate(CartesianPendulum(), 1.0, HHT(GivenSteps(times)))
     for name in ("t", "q", "v", "a", "lam"):
         np.testing.assert_array_equal(getattr(given, name), getattr(fixed, name))
     np.testing.assert_array_equal(given.sensitivities.lam_b, fixed.sensitivities.lam_b)
@@ -205,24 +210,74 @@ def test_files_keep_controlled_runs(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("settings", "match"),
+    ("make", "match"),
     [
-        ({}, "exactly one of step, rtol and times"),
-        ({"step": 0.1, "rtol": 1e-3}, "exactly one"),
-        ({"rtol": 0.0}, "HHT.rtol"),
-        ({"rtol": 0.5}, "HHT.rtol"),
-        ({"rtol": float("nan")}, "HHT.rtol"),
-        ({"rtol": 1e-3, "atol": -1.0}, "HHT.atol"),
-        ({"step": 0.1, "atol": 1e-3}, "HHT.atol"),
-        ({"times": (0.0,)}, "HHT.times"),
-        ({"times": (0.0, 0.2, 0.1)}, "HHT.times"),
-        ({"times": (0.1, 0.2)}, "HHT.times"),
-        ({"rtol": 1e-3, "max_steps": 0}, "HHT.max_steps"),
+        (lambda: HHT(), "exactly one of steps, step and rtol; got 0"),
+        (lambda: HHT(0.1, rtol=1e-3), "exactly one"),
+        (lambda: HHT(step=0.1, steps=FixedSteps(0.1)), "exactly one"),
+        (lambda: HHT(rtol=0.0), r"HHT\.rtol"),
+        (lambda: HHT(rtol=0.5), r"HHT\.rtol"),
+        (lambda: HHT(rtol=float("nan")), r"HHT\.rtol"),
+        (lambda: HHT([0.0, 0.1]), r"HHT\.step"),
+        (lambda: FixedSteps(-0.1), r"FixedSteps\.step: must be positive"),
+        (lambda: ControlledSteps(0.5), r"ControlledSteps\.rtol"),
+        (lambda: ControlledSteps(1e-3, atol=-1.0), r"ControlledSteps\.atol"),
+        (lambda: ControlledSteps(1e-3, max_steps=0), r"ControlledSteps\.max_steps"),
+        (lambda: GivenSteps((0.0,)), r"GivenSteps\.times: must be two or more.*got 1 instant"),
+        (lambda: GivenSteps(((0.0, 0.1),)), r"got an array of shape \(1, 2\)"),
+        (lambda: GivenSteps(0.1), r"got an array of shape \(\)"),
+        (
+            lambda: GivenSteps((0.0, 0.2, 0.1)),
+            r"times\[2\] = 0.1 after times\[1\] = 0.2\. Sort",
+        ),
+        (lambda: GivenSteps((0.0, 0.1, 0.1)), "must increase"),
+        (lambda: GivenSteps((0.1, 0.2)), "must begin at 0, as every run does; got 0.1"),
+        (lambda: GivenSteps((0.0, float("nan"))), "finite numbers; got NaN"),
+        (lambda: GivenSteps((0.0, "1")), r"GivenSteps\.times: must be an array of finite numbers"),
     ],
 )
-def test_settings_out_of_range_are_refused_by_name(settings, match):
+def test_settings_out_of_range_are_refused_by_name(make, match):
     with pytest.raises(InvalidInput, match=match):
-        HHT(**settings)
+        make()
+
+
+def test_an_end_that_is_no_given_instant_is_refused_with_both():
+    match = (
+        r"end, GivenSteps\.times\[-1\] = 1; got 2\.0\. Run to t_end = 1, or give instants up to 2"
+    )
+    with pytest.raises(InvalidInput, match=match):
+        simulate(CartesianPendulum(), 2.0, HHT(GivenSteps((0.0, 0.5, 1.0))))
+
+
+SPELLINGS = [
+    (HHT(0.01), HHT(step=0.01)),
+    (HHT(0.01), HHT(FixedSteps(np.float64(0.01)))),
+    (HHT(rtol=1e-5), HHT(steps=ControlledSteps(1e-5))),
+    (
+        HHT(ControlledSteps(1e-5, 1e-3, 10, True), -0.1),
+        HHT(
+            steps=ControlledSteps(1e-5, atol=1e-3, max_steps=10, sensitivities=True), hht_alpha=-0.1
+        ),
+    ),
+    (HHT(GivenSteps([0, 1, 2])), HHT(steps=GivenSteps(times=(0.0, 1.0, 2.0)))),
+]
+
+
+@pytest.mark.parametrize(("short", "full"), SPELLINGS)
+def test_short_and_full_form_are_the_same(short, full):
+    assert short == full
+    assert hash(short) == hash(full)
+    # What is printed can be typed back.
+    names = {x.__name__: x for x in (HHT, FixedSteps, ControlledSteps, GivenSteps)}
+    for same in (eval(repr(short), names), pickle.loads(pickle.dumps(short))):
+        assert same == short
+        assert same.newton_tolerance == short.newton_tolerance
+    assert len({HHT(0.01), HHT(0.02), *(x for x, _ in SPELLINGS)}) == 5
+
+
+def test_many_instants_print_in_short():
+    shown = repr(GivenSteps(np.arange(1000.0)))
+    assert shown == "GivenSteps(times=(0.0, 1.0, 2.0, ..., 999.0))"
 
 
 class Exploding(CartesianPendulum):
@@ -245,7 +300,7 @@ class Kicked(CartesianPendulum):
 
 @pytest.mark.parametrize("kind", [Exploding, Kicked])
 def test_trouble_on_the_way_is_an_outcome(kind):
-    run = simulate(kind(), 1.0, HHT(rtol=1e-3, max_steps=2000))
+    run = simulate(kind(), 1.0, HHT(ControlledSteps(1e-3, max_steps=2000)))
     assert not run.outcome.success
     assert 0.2 < run.t[-1] <= 0.35
     assert run.outcome.time == run.t[-1]
@@ -264,6 +319,6 @@ def test_a_run_that_ends_in_its_first_step_has_the_derivatives_of_its_start(inte
 
 
 def test_the_limit_of_steps_is_an_outcome():
-    run = simulate(CartesianPendulum(), 2.0, HHT(rtol=1e-6, max_steps=50))
+    run = simulate(CartesianPendulum(), 2.0, HHT(ControlledSteps(1e-6, max_steps=50)))
     assert run.outcome.verdict is Verdict.STEP_LIMIT
     assert len(run.t) <= 51

@@ -9,8 +9,10 @@ from ancfdae import (
     Adjoint,
     ComplexStep,
     ComplexStepSystem,
+    ControlledSteps,
     Direct,
     Explicit,
+    GivenSteps,
     Integral,
     InvalidInput,
     custom,
@@ -65,7 +67,7 @@ def test_constraints_that_move_hold_at_tiny_steps(system):
 def tiny(h, alpha, count):
     """Steps whose sizes jump by up to a factor of three."""
     times = np.cumsum([0.0, *(h * (1 + 0.5 * np.sin(np.arange(count))))])
-    return HHT(times=tuple(times), hht_alpha=alpha)
+    return HHT(GivenSteps(tuple(times)), alpha)
 
 
 @pytest.mark.parametrize("alpha", [-0.05, -0.3])
@@ -83,7 +85,7 @@ def test_derivatives_at_tiny_steps_are_those_of_the_complex_step(build, h, count
     # by their own size at 1e-7 s.
     system, integrator = build(), tiny(h, alpha, count)
     direct, check = (
-        differentiate(system, integrator.times[-1], integrator, method=method)
+        differentiate(system, integrator.steps.times[-1], integrator, method=method)
         for method in (Direct(), ComplexStep())
     )
     for name, bound in (("q_b", 1e-12), ("v_b", 1e-10), ("a_b", 2e-6), ("lam_b", 2e-6)):
@@ -91,7 +93,7 @@ def test_derivatives_at_tiny_steps_are_those_of_the_complex_step(build, h, count
         assert np.max(np.abs(ours - theirs)) < bound * np.max(np.abs(theirs)), name
     objective = Integral(custom(lambda t, q, v, lam, b: lam[:, 0] ** 2, "reaction"))
     back, forth = (
-        gradient(system, objective, integrator.times[-1], integrator, method=method).gradient
+        gradient(system, objective, integrator.steps.times[-1], integrator, method=method).gradient
         for method in (Adjoint(), Direct())
     )
     assert np.linalg.norm(back - forth) < 1e-7 * np.linalg.norm(forth)
@@ -108,7 +110,7 @@ def test_derivatives_of_the_rigid_pendulum_stay_usable_at_tiny_steps():
 
 def test_derivatives_along_take_small_steps_into_account():
     system, h = CartesianPendulum(-1.0, 2.0), 1e-6
-    integrator = HHT(rtol=1e-9, control_sensitivities=True, max_steps=400)
+    integrator = HHT(ControlledSteps(1e-9, max_steps=400, sensitivities=True))
     run = differentiate(system, 1e-4, integrator)
     assert np.median(np.diff(run.t)) < 10 * h
     batched = integrator.differentiate(system, run)

@@ -63,10 +63,10 @@ def test_python_in_the_documents_runs(
     run_block(block)
 
 
-def test_files_that_the_documents_name_exist() -> None:
+def test_modules_that_documents_name_exist() -> None:
     for path in DOCUMENTS:
-        for name in re.findall(r"`([\w/]+/\w+\.py)`", path.read_text(encoding="utf-8")):
-            assert (ROOT / name).exists() or (ROOT / "ancfdae" / name).exists(), (path, name)
+        for name in re.findall(r"`([\w/]+\.py)`", path.read_text(encoding="utf-8")):
+            assert (ROOT / name).exists() or (ROOT / "ancfdae" / name).exists(), (path.name, name)
 
 
 def test_every_python_fence_in_the_documents_is_found() -> None:

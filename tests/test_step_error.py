@@ -4,29 +4,36 @@ import numpy as np
 import pytest
 
 from ancfdae.integrators.characteristic_sizes import Scales
-from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
-from ancfdae.integrators.hht.step import Instant
-from ancfdae.integrators.hht.step_control import first_step
-from ancfdae.integrators.hht.step_error import (
-    StepError,
-    derivative_sizes,
-    sizes_hold,
-    smaller_sizes,
-)
+from ancfdae.integrators.hht.equations import Node, NodeSensitivity
+from ancfdae.integrators.hht.step import Stepper
+from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import (
     InitialSensitivity,
     InitialState,
     consistent_start,
     saddle_point,
 )
+from ancfdae.integrators.step_control import ControlledSteps
+from ancfdae.integrators.step_control.derivative_sizes import (
+    derivative_sizes,
+    sizes_hold,
+    smaller_sizes,
+)
 
 from mechanisms import CartesianPendulum
 
 H, RTOL, ATOL, T_END = 0.1, 1e-2, 1e-3, 5.0
 SIZES, SIZES_B = np.array([2.0, 4.0]), np.array([3.0, 0.0, 10.0])
-STEP_ERROR = StepError(RTOL, ATOL, T_END, SIZES, SIZES_B)
+STEPS = ControlledSteps(RTOL, ATOL)
 INCREMENTS = np.array([[0.3, 9.0, -0.1], [-0.2, 9.0, 0.7]])
 VALUES = np.array([[0.0, 1.0, -4.0], [0.5, 1.0, 3.0]])
+
+
+def stepper(initial=None, derivative=None, alpha=-0.3):
+    system = CartesianPendulum()
+    tolerance, matrices = STEPS.tolerance(T_END, SIZES, SIZES_B), saddle_point(system, 0.0)
+    recorder = Recorder(system, 1)
+    return Stepper(system, matrices, initial, derivative, alpha, (1.0, 1), tolerance, recorder)
 
 
 def expected_error(j, alpha):
@@ -45,14 +52,14 @@ def test_error_of_a_step_is_the_formula_of_its_module(alone):
     before = NodeSensitivity(9 * VALUES, none, none, none, none)
     increments = np.where(chosen | (SIZES_B == 0), INCREMENTS, 0.0)
     after = NodeSensitivity(VALUES, none, increments, none, 7 * INCREMENTS)
-    c = Coefficients.of(H, alpha)
-    error = STEP_ERROR.of_step(c, Instant(node, before), Instant(node, after))
-    assert error == pytest.approx(expected_error(alone, alpha), rel=1e-14)
-    # At the start the third derivative tells the increment.
     initial = InitialState(0.0, zero, zero, zero, np.zeros(1), zero)
     derivative = InitialSensitivity(VALUES, none, none, none, increments / H)
-    assert STEP_ERROR.of_start(c, initial, derivative) == pytest.approx(error, rel=1e-14)
-    tried = first_step(STEP_ERROR, alpha, initial, derivative)
+    method = stepper(initial, derivative, alpha)
+    error = method.error(H, (node, before), (node, after))
+    assert error == pytest.approx(expected_error(alone, alpha), rel=1e-14)
+    # At the start the third derivative tells the increment; e goes with the square of the step.
+    assert method.start_error() * H**2 == pytest.approx(error, rel=1e-14)
+    tried, _ = STEPS.controller(T_END, method).plan(0, 0.0)
     assert tried == pytest.approx(H * np.sqrt(0.25 / error), rel=1e-14)
 
 
@@ -60,13 +67,13 @@ def test_the_larger_error_counts_whether_of_motion_or_derivatives():
     zero, none = np.zeros(2), np.zeros((2, 3))
     start = Node(0.0, zero, zero, zero, np.zeros(1), zero)
     moved = Node(H, zero, zero, np.ones(2), np.zeros(1), zero)
-    c, before = Coefficients.of(H, -0.3), NodeSensitivity(none, none, none, none, none)
-    motion = STEP_ERROR.of_step(c, Instant(start), Instant(moved))
+    method, before = stepper(), NodeSensitivity(none, none, none, none, none)
+    motion = method.error(H, (start, None), (moved, None))
     assert motion > 0
     for factor in (1e-9, 1e9):
         after = NodeSensitivity(none, none, factor * np.ones((2, 3)), none, none)
-        derivatives = STEP_ERROR.of_step(c, Instant(start, before), Instant(start, after))
-        both = STEP_ERROR.of_step(c, Instant(start, before), Instant(moved, after))
+        derivatives = method.error(H, (start, before), (start, after))
+        both = method.error(H, (start, before), (moved, after))
         assert both == max(motion, derivatives)
 
 

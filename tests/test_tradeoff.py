@@ -11,8 +11,10 @@ from ancfdae import (
     HHT,
     IDA,
     Adjoint,
+    ControlledSteps,
     Direct,
     Explicit,
+    GivenSteps,
     Integral,
     InvalidInput,
     Setting,
@@ -36,7 +38,7 @@ SCENE = pendulum(elements=1, youngs_modulus=1e6)
 DESIGN = ("pendulum.height", "pendulum.youngs_modulus")
 T_END = 0.125
 SETTINGS = [HHT(2.0**-8), HHT(2.0**-10), HHT(rtol=1e-2), HHT(rtol=1e-4), IDA(1e-7), Explicit(1e-6)]
-FAILING = HHT(rtol=1e-7, max_steps=5)
+FAILING = HHT(ControlledSteps(1e-7, max_steps=5))
 
 
 def square(t, q, v, lam, b):
@@ -167,6 +169,12 @@ def test_table_names_settings_errors_and_outcomes(measured):
     assert "(reference)" in lines[-1]
     row = Setting(HHT(0.1, hht_alpha=-0.05), 1.0, "")
     assert (row.family, row.label) == ("HHT fixed, hht_alpha = -0.05", "step 0.1")
+    row = Setting(HHT(ControlledSteps(1e-3, 1e-5, 9, True)), 1.0, "")
+    assert (row.family, row.label) == (
+        "HHT controlled, sensitivities = True",
+        "rtol 0.001, atol 1e-05",
+    )
+    assert Setting(HHT(GivenSteps((0.0, 0.1))), 1.0, "").label == "given"
 
 
 def test_plot_is_a_picture(measured, tmp_path):

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from ancfdae import (
     HHT,
     IDA,
+    ControlledSteps,
     Direct,
     ErrorBars,
     Explicit,
@@ -152,7 +153,8 @@ def _row(
     exact = np.append(value, slope)
     kind = type(integrator).__name__
     if isinstance(integrator, HHT):
-        kind = "HHT, fixed" if integrator.step is not None else "HHT, controlled"
+        controlled = isinstance(integrator.steps, ControlledSteps)
+        kind = "HHT, controlled" if controlled else "HHT, fixed"
     return _Found(
         case.name,
         f"{kind}, {levels} levels",

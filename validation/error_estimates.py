@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import HHT, Explicit, Integrator, MechanicalSystem, Solution, assemble, differentiate
+from ancfdae import (
+    HHT,
+    ControlledSteps,
+    Explicit,
+    Integrator,
+    MechanicalSystem,
+    Solution,
+    assemble,
+    differentiate,
+)
 from ancfdae.plotting import Panel, Series
 from validation.external.slider_crank import SliderCrank
 from validation.report import Agreement, Report
@@ -154,9 +163,7 @@ def _settings(case: _Case) -> list[Integrator]:
     for alpha in _ALPHAS:
         settings += [HHT(case.t_end / 2**k, hht_alpha=alpha) for k in case.steps]
         settings += [HHT(rtol=rtol, hht_alpha=alpha) for rtol in case.rtols]
-        settings += [
-            HHT(rtol=rtol, hht_alpha=alpha, control_sensitivities=True) for rtol in case.both
-        ]
+        settings += [HHT(ControlledSteps(rtol, sensitivities=True), alpha) for rtol in case.both]
     return settings
 
 

@@ -12,6 +12,7 @@ from ancfdae import (
     IDA,
     IDAS,
     Explicit,
+    FixedSteps,
     Integrator,
     MissingPackage,
     Solution,
@@ -110,8 +111,8 @@ def label(integrator: Integrator) -> str:
 
 def step_of(integrator: HHT) -> float:
     """Return the step of a run with a fixed one."""
-    assert integrator.step is not None
-    return integrator.step
+    assert isinstance(integrator.steps, FixedSteps)
+    return integrator.steps.step
 
 
 def common_rows(solution: Solution, spacing: float) -> npt.NDArray[np.int64]:

@@ -263,7 +263,7 @@ multiplication by the design values. Processor time is that of motion and gradie
 two runs where one takes less than a second; on a shared machine read ratios, to a third.
 
 *HHT fixed* and *HHT controlled* are HHT-I3 with `step` or with `rtol`, each at four values of
-hht_alpha; *both* stands for `control_sensitivities=True`, where the tolerance bounds the errors
+hht_alpha; *both* stands for `sensitivities=True`, where the tolerance bounds the errors
 of the derivatives as well as those of the motion. *IDA*, *IDAS* (needs Python 3.12; a row says so
 where it is missing) and *Explicit* are of high order. End times are short where the beam is
 stiff: at E = 2e11 N/m² the fastest wave has 6e5 rad/s, so high order takes half a million steps
@@ -301,7 +301,7 @@ In words:
 - **Rigid (slider-crank).** HHT-I3 to 1e-3, Explicit for more: 18 steps give five digits.
 - **Paper's crank-slider.** Soft and undamped: HHT-I3 for a per cent, Explicit beyond.
 - **Any scene, and a gradient that has to keep a tolerance without a reference at hand.** HHT-I3
-  with `control_sensitivities=True` (up to fifteen times the time of the best fixed step), or
+  with `sensitivities=True` (up to fifteen times the time of the best fixed step), or
   Explicit where it finishes.
 
 A coarse setting in the column 1e-01 may be right by chance: on undamped scenes errors do not fall

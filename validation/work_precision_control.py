@@ -8,6 +8,7 @@ from validation.work_precision_findings import (
     Choice,
     Gain,
     best_gain,
+    control,
     controlled,
     controlled_both,
     largest_ratio,
@@ -131,8 +132,10 @@ def newton(report: Report, quick: bool) -> None:
 
 
 def _place(row: Setting) -> str:
+    steps = control(row)
     assert isinstance(row.integrator, HHT)
-    return f"rtol {row.integrator.rtol:.0e}, alpha {row.integrator.hht_alpha:g}"
+    assert steps is not None
+    return f"rtol {steps.rtol:.0e}, alpha {row.integrator.hht_alpha:g}"
 
 
 _GAIN_TEXT = f"""
@@ -153,7 +156,7 @@ errors of the coordinates arise, and nothing else:
 
 
 _TRUST_BOTH = """
-The same with `control_sensitivities=True`: the tolerance bounds the errors of the derivatives too.
+The same with `sensitivities=True`: the tolerance bounds the errors of the derivatives too.
 """
 
 

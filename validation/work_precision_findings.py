@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from ancfdae import HHT, Setting, TargetNotReached, Tradeoff
+from ancfdae import HHT, ControlledSteps, Setting, TargetNotReached, Tradeoff
 
 __all__ = [
     "Gain",
@@ -26,28 +26,31 @@ Choice = Callable[[Setting], bool]
 
 def fixed(row: Setting) -> bool:
     """Whether a setting is HHT-I3 at a fixed step."""
-    return isinstance(row.integrator, HHT) and row.integrator.rtol is None
+    return isinstance(row.integrator, HHT) and control(row) is None
 
 
 def controlled(row: Setting) -> bool:
     """Whether a setting is HHT-I3 with error control of the motion alone."""
-    return _has_tolerance(row) and not controlled_both(row)
+    return control(row) is not None and not controlled_both(row)
 
 
 def controlled_both(row: Setting) -> bool:
     """Whether a setting is HHT-I3 with error control of motion and derivatives."""
-    return isinstance(row.integrator, HHT) and row.integrator.control_sensitivities
+    steps = control(row)
+    return steps is not None and steps.sensitivities
 
 
-def _has_tolerance(row: Setting) -> bool:
-    return isinstance(row.integrator, HHT) and row.integrator.rtol is not None
+def control(row: Setting) -> ControlledSteps | None:
+    """Return the error control of HHT-I3; None for other integrators and fixed steps."""
+    steps = row.integrator.steps if isinstance(row.integrator, HHT) else None
+    return steps if isinstance(steps, ControlledSteps) else None
 
 
 def short_name(row: Setting) -> str:
     """Return family and setting in a few characters."""
     integrator = row.integrator
     if isinstance(integrator, HHT):
-        both = " of both" if integrator.control_sensitivities else ""
+        both = " of both" if controlled_both(row) else ""
         return f"HHT {row.label}{both}, alpha {integrator.hht_alpha:g}"
     return f"{type(integrator).__name__} {row.label}"
 
@@ -159,8 +162,8 @@ def largest_ratio(
         for row in table.rows:
             error = getattr(row, of)
             if choice(row) and error is not None:
-                assert isinstance(row.integrator, HHT)
-                assert row.integrator.rtol is not None
-                if error / row.integrator.rtol > worst:
-                    worst, where = error / row.integrator.rtol, row
+                steps = control(row)
+                assert steps is not None
+                if error / steps.rtol > worst:
+                    worst, where = error / steps.rtol, row
     return worst, where

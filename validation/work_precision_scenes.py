@@ -8,6 +8,7 @@ from ancfdae import (
     HHT,
     IDA,
     IDAS,
+    ControlledSteps,
     Explicit,
     Integral,
     Integrator,
@@ -126,11 +127,11 @@ def _second_order(case: Case, alphas: Sequence[float]) -> list[Integrator]:
         warnings.simplefilter("ignore", StabilityWarning)
         for alpha in alphas:
             settings += [HHT(case.t_end / 2**k, hht_alpha=alpha) for k in case.steps]
-            settings += [HHT(rtol=rtol, hht_alpha=alpha, max_steps=_FEW) for rtol in case.rtols]
-            settings += [
-                HHT(rtol=rtol, hht_alpha=alpha, max_steps=_FEW_BOTH, control_sensitivities=True)
-                for rtol in case.both
+            controls = [ControlledSteps(rtol, max_steps=_FEW) for rtol in case.rtols]
+            controls += [
+                ControlledSteps(rtol, max_steps=_FEW_BOTH, sensitivities=True) for rtol in case.both
             ]
+            settings += [HHT(steps, alpha) for steps in controls]
     return settings
 
 

@@ -354,6 +354,35 @@ class JointConstraints:
         """Values of d^2 Phi_q/dt^2."""
         return self._rate_values(a, t, 2)
 
+    def constraint_q_third_rate(self, jerk: Array, t: float) -> Array:
+        """Values of d^3 Phi_q/dt^3."""
+        return self._rate_values(jerk, t, 3)
+
+    def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
+        """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
+
+        def rate(series: Sequence[_Values], U: Array, *V: Array) -> Array:
+            side = (self._velocity_side, self._acceleration_side, self._jerk_side)[len(V) - 1]
+            moving: Array = self._jacobian_times(series, U, V[-1]) - side(series, U, *V[:-1])
+            return moving
+
+        return self._held(rate, t, len(rates) + 1, (q, *rates))
+
+    def constraint_force_pull_back(self, q: Array, lam: Array, t: float, mu: Array) -> Array:
+        """Design partial of mu . Phi_q^T lam with everything else held, shape (n_b,)."""
+        total: Array = lam @ self._held(self._jacobian_times, t, 1, (q, mu))
+        return total
+
+    def constraint_force_rate_pull_back(self, v: Array, lam: Array, t: float, mu: Array) -> Array:
+        """Design partial of mu . (dPhi_q^T/dt) lam with everything else held, shape (n_b,)."""
+
+        def turning(series: Sequence[_Values], V: Array, X: Array) -> Array:
+            rate = _Values(series[1].a, series[0].s, series[1].offset)
+            return self._jacobian_times([rate], V, X)
+
+        total: Array = lam @ self._held(turning, t, 2, (v, mu))
+        return total
+
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
         if self._simple:
@@ -471,6 +500,21 @@ class JointConstraints:
         moving = moving + self._linear(series[2], V)
         side: Array = series[3].offset - 3 * moving - self._linear(series[3], U)
         return side
+
+    def _held(
+        self, function: Callable[..., Array], t: float, orders: int, states: tuple[Array, ...]
+    ) -> Array:
+        """Design partial of a polynomial with the states held, shape (n_lam, n_b)."""
+        result = np.zeros((self.n_lam, self._n_b))
+        if not self._active:
+            return result
+        U, U_b = self._vectors.of(np.stack(states)), self._vectors.of_b(np.stack(states))
+        series = [(self._at(t, n), self._partials(t, n)) for n in range(orders)]
+        for i in self._active:
+            moved = [c.moved(partials.of(i), 1j * _STEP) for c, partials in series]
+            arguments = (x + 1j * _STEP * x_b[..., i] for x, x_b in zip(U, U_b, strict=True))
+            result[:, i] = function(moved, *arguments).imag / _STEP
+        return result
 
     def _total(
         self,

@@ -18,6 +18,9 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
+# Imaginary step along a motion; exact, its square vanishes.
+_STEP = 1e-40
+
 
 @final
 class ElasticForces:
@@ -132,6 +135,22 @@ class ElasticForces:
         """(Q_s)_b, shape (k, n_q, n_b)."""
         F = self._pair_forces(q, v).reshape(len(q), -1)
         return -self._pair_map.rows(F).reshape(len(q), self._numbering.n_q, self._n_b)
+
+    def tangent_rates(
+        self, q: Array, v: Array, rates: tuple[Array, Array]
+    ) -> tuple[Array, Array | None]:
+        """Time derivatives of `force_q` and `force_v` of one instant along rates of q and v."""
+        moved = [(x + 1j * _STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
+        rate_q = self.force_q(moved[0], moved[1]).imag / _STEP
+        return rate_q, self.force_v(moved[0]).imag / _STEP if self.damped else None
+
+    def pull_back_rate(self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array) -> Array:
+        """Time derivative of `pull_back` of one instant along rates of q and v, mu held."""
+        moved = [(x + 1j * _STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
+        rate = self._pair_forces(moved[0], moved[1]).imag / _STEP
+        work = rate * self.relative(mu[None])[:, self._pair_element]
+        per_pair = -np.sum(work, axis=(0, 2, 3))
+        return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
 
     def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
         """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q)."""

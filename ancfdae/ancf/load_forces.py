@@ -46,6 +46,10 @@ class LoadInput:
         driven = [name for name, row in zip(names, self.p_b, strict=True) if np.any(row)]
         return self.load.uses_velocity(driven)
 
+    def force(self, U: Array, V: Array) -> Array:
+        """Return the forces on the vectors at the real parameters."""
+        return self.load.force(U, V, self.p.real)
+
 
 @final
 class LoadForces:
@@ -112,15 +116,40 @@ class LoadForces:
         """Add Q_q, and Q_v where asked for, to values on the pattern, shape (k, nnz)."""
         for item, to_values in zip(self._moving, self._maps, strict=True):
             U, V = item.vectors.of(q).real, item.vectors.of(v).real
-            Q_q += to_values.rows(_flat(_jacobian(item, U, V, True)))
+            Q_q += to_values.rows(_flat(_jacobian(item.force, U, V, True)))
             if Q_v is not None and item.uses_velocity:
-                Q_v += to_values.rows(_flat(_jacobian(item, U, V, False)))
+                Q_v += to_values.rows(_flat(_jacobian(item.force, U, V, False)))
+
+    def add_tangent_rates(
+        self, states: tuple[Array, Array, Array], Q_q: Array, Q_v: Array | None
+    ) -> None:
+        """Add the time derivatives of Q_q and Q_v along (q, v, a) of one instant, shape (1, nnz).
+
+        With F' = F_U V + F_V Z of a load, F'_U = (F_U)' and F'_V = F_U + (F_V)'.
+        """
+        for item, to_values in zip(self._moving, self._maps, strict=True):
+            U, V, Z = (item.vectors.of(x[None]).real for x in states)
+
+            def rate(U: Array, V: Array, Z: Array = Z, item: LoadInput = item) -> Array:
+                return item.load.force_rate(U, V, Z[:, None] + 0 * V, item.p.real)
+
+            Q_q += to_values.rows(_flat(_jacobian(rate, U, V, True)))
+            if Q_v is not None and item.uses_velocity:
+                own = _jacobian(item.force, U, V, True)
+                Q_v += to_values.rows(_flat(_jacobian(rate, U, V, False) - own))
 
     def force_b(self, q: Array, v: Array) -> Array:
         """Q_b, shape (k, n_q, n_b)."""
         result = np.zeros((len(q), self._n_q, self._n_b), dtype=q.dtype)
         for item in self._inputs:
             result += self._item_total(item, item.load.force, (q, v), None)
+        return result
+
+    def pull_back_rate(self, states: tuple[Array, Array, Array], mu: Array) -> Array:
+        """Design partial of mu . dQ/dt with the states held, shape (n_b,)."""
+        result, rows = np.zeros(self._n_b), tuple(x[None] for x in states)
+        for item in self._moving:
+            result += mu @ self._item_total(item, item.load.force_rate, rows, None)[0]
         return result
 
     def force_rate_total(self, states: tuple[Array, ...], states_b: tuple[Array, ...]) -> Array:
@@ -161,7 +190,9 @@ def _flat(matrices: Array) -> Array:
     return matrices.reshape(len(matrices), -1)
 
 
-def _jacobian(item: LoadInput, U: Array, V: Array, in_position: bool) -> Array:
+def _jacobian(
+    force: Callable[[Array, Array], Array], U: Array, V: Array, in_position: bool
+) -> Array:
     """Return F_U or F_V, shape (k, n, n) with n = n_v d; all directions at once."""
     k, n_v, d = U.shape
     n = n_v * d
@@ -169,6 +200,6 @@ def _jacobian(item: LoadInput, U: Array, V: Array, in_position: bool) -> Array:
     still = np.zeros((1, n, 1, 1))
     U, V = U[:, None], V[:, None]
     positions, velocities = (U + moves, V + still) if in_position else (U + still, V + moves)
-    F = item.load.force(positions, velocities, item.p.real)
+    F = force(positions, velocities)
     jacobian: Array = np.swapaxes(F.imag.reshape(k, n, n) / _STEP, 1, 2)
     return jacobian

@@ -371,6 +371,43 @@ class AncfSystem(MechanicalSystem):
             total = total + np.einsum("knb,kn->b", Phi_b, zeta)
         return np.asarray(total)
 
+    # -- rates for the transpose of the start --------------------------------------------------
+
+    def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
+        """d^3 Phi_q/dt^3."""
+        return self._constraints.constraint_q_third_rate(jerk, t)
+
+    def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
+        """Return partials of constraint rates, of the variables that constraints depend on."""
+        return self._constraints.rate_b(t, q, rates)
+
+    def force_rate_partials(
+        self, t: float, states: tuple[Array, ...], later: Array
+    ) -> tuple[Array, Array, Array]:
+        """f'_q = -(Q_q)', f'_v = f_q - (Q_v)': M is constant, and so is (Phi_q^T lam)_q in q."""
+        q, v, a, lam = states
+        Q_q, Q_v = self._elastic.tangent_rates(q, v, (v, later))
+        if Q_v is None:
+            Q_v = np.zeros_like(Q_q)
+        if self._scene.loads:
+            self._loads.add_tangent_rates((q, v, later), Q_q, Q_v)
+        f_q = self.linearise(np.array([t]), q[None], v[None], a[None], lam[None]).f_q
+        return -Q_q[0], only(f_q - Q_v), np.zeros(self.pattern.size)
+
+    def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
+        """Contract masses pair by pair, joints for the variables they depend on."""
+        reaction = self._constraints.constraint_force_pull_back(q, lam, t, mu)
+        return self._inertia.pull_back(a[None], mu[None]) + reaction
+
+    def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
+        """Contract forces pair by pair, the rest for the variables it depends on."""
+        q, v, _, lam = states
+        total = self._constraints.constraint_force_rate_pull_back(v, lam, t, mu)
+        total = total - self._elastic.pull_back_rate(q, v, (v, later), mu)
+        if self._scene.loads:
+            total = total - self._loads.pull_back_rate((q, v, later), mu)
+        return total
+
     # -- energies, instants as rows ------------------------------------------------------------
 
     def strain_energy(self, q: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, final
@@ -20,7 +20,7 @@ from scipy.interpolate import make_interp_spline
 from ancfdae import plotting
 from ancfdae.api.tradeoff_run import Measurement, common_times
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
-from ancfdae.integrators import HHT, Integrator
+from ancfdae.integrators import HHT, ControlledSteps, Integrator, StepControl
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.protocol import MechanicalSystem
@@ -75,17 +75,17 @@ class Setting:
         """The integrator without what decides about accuracy, such as ``"HHT fixed"``."""
         kind = type(self.integrator).__name__
         if isinstance(self.integrator, HHT):
-            kind += " controlled" if self.integrator.rtol is not None else " fixed"
+            controlled = isinstance(self.integrator.steps, ControlledSteps)
+            kind += " controlled" if controlled else " fixed"
         return ", ".join([kind, *_chosen(self.integrator)])
 
     @property
     def label(self) -> str:
         """What decides about accuracy, such as ``"step 0.01"`` or ``"rtol 1e-05"``."""
-        values = _fields(self.integrator)
         given = [
-            f"{k} {values[k]:.4g}"
-            for k in ("step", "rtol", "atol")
-            if isinstance(values.get(k), float)
+            f"{name} {value:.4g}"
+            for name, value, _ in _settings(self.integrator)
+            if name in _ACCURACY and isinstance(value, float)
         ]
         return ", ".join(given) or "given"
 
@@ -342,19 +342,20 @@ def _cells(row: Setting) -> list[str]:
     return [row.family, row.label, f"{row.seconds:.3g}", *shown, row.outcome]
 
 
-def _fields(integrator: Integrator) -> dict[str, Any]:
-    """Return the settings of an integrator that is a dataclass, as those of the package are."""
-    if not dataclasses.is_dataclass(integrator):
-        return {}
-    return {f.name: getattr(integrator, f.name) for f in dataclasses.fields(integrator)}
+def _settings(owner: object) -> Iterator[tuple[str, Any, Any]]:
+    """Yield name, value and default of the settings of a dataclass, those of its steps included."""
+    for f in dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ():
+        value = getattr(owner, f.name)
+        if isinstance(value, StepControl):
+            yield from _settings(value)
+        else:
+            yield f.name, value, f.default
 
 
 def _chosen(integrator: Integrator) -> Sequence[str]:
     """Return the settings that are neither defaults nor a matter of accuracy, in words."""
-    if not dataclasses.is_dataclass(integrator):
-        return []
     return [
-        f"{f.name} = {getattr(integrator, f.name)}"
-        for f in dataclasses.fields(integrator)
-        if f.name not in (*_ACCURACY, *_TECHNICAL) and getattr(integrator, f.name) != f.default
+        f"{name} = {value}"
+        for name, value, default in _settings(integrator)
+        if name not in (*_ACCURACY, *_TECHNICAL) and value != default
     ]

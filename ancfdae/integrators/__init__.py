@@ -3,6 +3,7 @@
 from ancfdae.integrators.explicit import Explicit
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
+from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
 from ancfdae.integrators.sundials.bindings import MissingPackage
 from ancfdae.integrators.sundials.ida import IDA
 from ancfdae.integrators.sundials.idas import IDAS
@@ -13,9 +14,13 @@ __all__ = [
     "IDA",
     "IDAS",
     "AdjointIntegrator",
+    "ControlledSteps",
     "Explicit",
+    "FixedSteps",
+    "GivenSteps",
     "IndexReduction",
     "Integrator",
     "MissingPackage",
     "Seeds",
+    "StepControl",
 ]

@@ -117,15 +117,16 @@ def _solve_start(
         _refuse_redundant(system, system.constraint_q(q, t))
     factors = _factor_mass(system, matrices, q, t)
     zero = np.zeros(system.n_lam)
-    v = _solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
+    v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
     Q = system.force(q, v, t)
     if not is_finite(Q):
         raise InvalidInput(
             "forces at the start", "must be finite", "NaN or infinity", "Check forces and start."
         )
-    a, lam = _solve(factors, Q, zero + system.acceleration_side(q, v, t))
-    rate = _force_rates(system, t, q, v, a, lam)
-    jerk, _ = _solve(factors, rate, zero + system.jerk_side(q, v, a, t))
+    a, lam = solve(factors, Q, zero + system.acceleration_side(q, v, t))
+    state = InitialState(t, q, v, a, lam, a)
+    rate = force_rates(system, state, a)
+    jerk, _ = solve(factors, rate, zero + system.jerk_side(q, v, a, t))
     return InitialState(t, q, v, a, lam, jerk)
 
 
@@ -145,23 +146,23 @@ def start_sensitivity(
     right = system.mass_times(q_start, q_sb)
     right = right - inertia_total(system, q_start, q - q_start, q_sb)
     right = right - system.constraint_force_b(q, nu, t)
-    q_b, _ = _solve(matrices.factor(K, B), right, -system.constraint_b(q, t))
+    q_b, _ = solve(matrices.factor(K, B), right, -system.constraint_b(q, t))
 
     # 2. M v_b + Phi_q^T kappa_b = M v_sb - M_total (v - v_start) - (Phi_q^T kappa)_total
     factors = _factor_mass(system, matrices, q, t)
-    kappa = _solve(factors, system.mass_times(q, v_start - v), np.zeros(system.n_lam))[1]
+    kappa = solve(factors, system.mass_times(q, v_start - v), np.zeros(system.n_lam))[1]
     right = system.mass_times(q, v_sb) - inertia_total(system, q, v - v_start, q_b)
     right = right - constraint_force_total(system, q, kappa, t, q_b)
     side = system.velocity_side_total(q, t, q_b) - system.constraint_q_times_total(q, v, t, q_b)
-    v_b, _ = _solve(factors, right, side)
+    v_b, _ = solve(factors, right, side)
 
     # 3. The same for the accelerations.
-    a_b, lam_b = _solve(factors, *acceleration_totals(system, t, (q, v, a, lam), q_b, v_b))
+    a_b, lam_b = solve(factors, *acceleration_totals(system, t, (q, v, a, lam), q_b, v_b))
 
     # 4. And for the rates.
     jerk = state.jerk
-    rate = _force_rates(system, t, q, v, a, lam)
-    lam_rate = _solve(factors, rate, system.jerk_side(q, v, a, t))[1]
+    rate = force_rates(system, state, a)
+    lam_rate = solve(factors, rate, system.jerk_side(q, v, a, t))[1]
     right = system.force_rate_total(q, v, a, t, q_b, v_b, a_b)
     right = right - system.constraint_force_rate_total(q, v, lam, t, q_b, v_b, lam_b)
     if not system.constant_mass:
@@ -169,22 +170,119 @@ def start_sensitivity(
     right = right - inertia_total(system, q, jerk, q_b)
     right = right - constraint_force_total(system, q, lam_rate, t, q_b)
     side = system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
-    jerk_b, _ = _solve(factors, right, side - system.constraint_q_times_total(q, jerk, t, q_b))
+    jerk_b, _ = solve(factors, right, side - system.constraint_q_times_total(q, jerk, t, q_b))
     return InitialSensitivity(q_b, v_b, a_b, lam_b, jerk_b)
 
 
-def _force_rates(
-    system: MechanicalSystem, t: float, q: Array, v: Array, a: Array, lam: Array
+@final
+@dataclass(frozen=True)
+class Covectors:
+    """Derivatives of a number in the consistent start, and what goes past it to the design.
+
+    Attributes
+    ----------
+    q, v, a : array, shape (n_q,)
+    lam : array, shape (n_lam,)
+    b : array, shape (n_b,)
+    """
+
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+    b: Array
+
+    def plus(self, other: Covectors) -> Covectors:
+        """Add."""
+        return Covectors(
+            self.q + other.q,
+            self.v + other.v,
+            self.a + other.a,
+            self.lam + other.lam,
+            self.b + other.b,
+        )
+
+
+def pull_back_start(
+    system: MechanicalSystem, matrices: SaddlePoint, state: InitialState, on: Covectors
 ) -> Array:
-    """Right side of the first line of 4; (dM/dt) a = (M a)_q v."""
-    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, lam, t)
+    """Return the design derivative of a number through the start, shape (n_b,).
+
+    The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
+    and 1, whatever the number of design variables. With Phi'' = Phi_q a - gamma and
+    Phi' = Phi_q v - nu the rules are (Phi'')_q = Phi_q'', (Phi'')_v = 2 Phi_q', (Phi')_q = Phi_q'.
+    """
+    t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
+    q_start, v_start = system.start()
+    K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
+    at, factors, none = np.array([t]), _factor_mass(system, matrices, q, t), np.zeros_like(lam)
+    local = system.linearise(at, q[None], v[None], a[None], lam[None])
+    rate = system.constraint_q_rate(q, v, t)
+
+    m, z = solve_transposed(factors, on.a, on.lam)
+    on_q = on.q - K(local.f_q[0], m) - B(system.constraint_q_second_rate(q, v, a, t), z)
+    on_v = on.v - 2 * B(rate, z)
+    if local.f_v is not None:
+        on_v = on_v - K(local.f_v[0], m)
+    states = (q[None], v[None], a[None], lam[None])
+    on_b = on.b - z @ system.constraint_rate_b(t, q, v, a)
+    on_b = on_b - system.pull_back(at, states, (m[None], none[None]))
+
+    m, z = solve_transposed(factors, on_v, none)
+    kappa = solve(factors, system.mass_times(q, v_start - v), none)[1]
+    on_q = on_q - curvature(system, t, q, v - v_start, kappa, m) - B(rate, z)
+    on_b = on_b - z @ system.constraint_rate_b(t, q, v)
+    on_b = on_b - system.pull_back_inertia(t, q, v - v_start, kappa, m)
+    on_v_start = system.mass_times(q, m)
+
+    nu = _project_position(system, matrices, q_start, t)[1]
+    K_nu = system.mass(q_start)
+    if not system.linear_constraints:
+        K_nu = K_nu + system.constraint_force_q(q, nu, t)
+    m, z = solve_transposed(matrices.factor(K_nu, system.constraint_q(q, t)), on_q, none)
+    moved = q - q_start
+    on_q_start = system.mass_times(q_start, m)
+    on_q_start = on_q_start - curvature(system, t, q_start, moved, none, m)
+    on_b = on_b - z @ system.constraint_b(q, t)
+    on_b = on_b - system.pull_back_inertia(t, q_start, moved, none, m)
+    on_b = on_b - system.pull_back_inertia(t, q, np.zeros_like(q), nu, m)
+    gradient: Array = on_b + system.start_pull_back(on_q_start, on_v_start)
+    return gradient
+
+
+def curvature(
+    system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array, m: Array
+) -> Array:
+    """Return m^T (M a + Phi_q^T lam)_q with a and lam held, shape (n_q,)."""
+    total = np.zeros_like(q)
+    if not system.linear_constraints:
+        total = total + system.pattern.dot_transposed(system.constraint_force_q(q, lam, t), m)
+    if not system.constant_mass:
+        total = total + system.pattern.dot_transposed(system.inertia_q(q, a), m)
+    return total
+
+
+def force_rates(system: MechanicalSystem, state: InitialState, a: Array) -> Array:
+    """Return the right side of the first line of 4, with Q_v times the given acceleration.
+
+    (dM/dt) a = (M a)_q v takes that of the state.
+    """
+    t, q, v = state.t, state.q, state.v
+    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, state.lam, t)
     if system.constant_mass:
         return rate
-    return rate - system.pattern.dot(system.inertia_q(q, a), v)
+    return rate - system.pattern.dot(system.inertia_q(q, state.a), v)
 
 
-def _solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
+def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
+    """Solve a saddle-point system; returns the two parts of the solution."""
     x = factors.solve(np.concatenate([force, side]))
+    return x[: len(force)], x[len(force) :]
+
+
+def solve_transposed(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
+    """Solve with the transposed saddle-point matrix; returns the two parts of the solution."""
+    x = factors.solve_transposed(np.concatenate([force, side]))
     return x[: len(force)], x[len(force) :]
 
 
@@ -221,7 +319,7 @@ def _project_position(
         except SingularMatrix:
             _refuse_redundant(system, system.constraint_q(q, t))
             break
-        dq, dnu = _solve(factors, force, -system.constraint(q, t))
+        dq, dnu = solve(factors, force, -system.constraint(q, t))
         q, nu = q + dq, nu + dnu
         if not is_finite(q):
             break

@@ -28,8 +28,8 @@ from ancfdae.errors import SingularMatrix
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
-# Measured on chains of spatial elements (docs/theory.md, section 9): below this size dense LU is
-# as fast as the band.
+# Measured on chains of spatial elements (docs/measurements.md, section 9): below this size dense
+# LU is as fast as the band.
 _DENSE_SIZE = 60
 # Band LU costs N k^2; at k = 25 it is 3.6 times faster than SuperLU, so they meet near here.
 _BAND_HALF_WIDTH = 64

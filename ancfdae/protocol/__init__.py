@@ -7,7 +7,6 @@ from ancfdae.protocol.system import (
     DesignPartials,
     Linearisation,
     MechanicalSystem,
-    OneByOneSystem,
 )
 
 __all__ = [
@@ -16,7 +15,6 @@ __all__ = [
     "Linearisation",
     "MechanicalSystem",
     "Naming",
-    "OneByOneSystem",
     "Sensitivities",
     "Solution",
     "Statistics",

@@ -63,7 +63,7 @@ class EstimatedErrors:
         Of q_b, one per design variable, relative to the largest size of that derivative in the
         run; nan where the variable has no influence above round-off, inf where the motion grew
         without bound. None unless it was differentiated by `Direct` or
-        `HHT(control_sensitivities=True)`.
+        `ControlledSteps(sensitivities=True)`.
     """
 
     motion: float

@@ -37,10 +37,10 @@ from ancfdae.integrators import HHT, Integrator
 from ancfdae.integrators.hht.equations import acceleration, correct, predict
 from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.start import (
-    InitialSensitivity,
+    Covectors,
     consistent_start,
+    pull_back_start,
     saddle_point,
-    start_sensitivity,
 )
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
@@ -267,15 +267,15 @@ class _BackwardRun:
         """mu^T M v_b - (H_v + (M mu)' - f_v^T mu) q_b at t_1, with mu' = -mu_tau."""
         system = self._system
         initial = consistent_start(system, self._matrices, 0.0)
-        b: InitialSensitivity = start_sensitivity(system, self._matrices, initial)
         dot = system.pattern.dot_transposed
         on_q = self._H_v[0] - dot(self._mass(0), first.mu_tau)
         if self._M_t is not None:
             on_q = on_q + dot(self._M_t[0], first.mu)
         if self._local.f_v is not None:
             on_q = on_q - dot(self._local.f_v[0], first.mu)
-        terms: Array = dot(self._mass(0), first.mu) @ b.v_b - on_q @ b.q_b
-        return terms
+        on_v, none = dot(self._mass(0), first.mu), np.zeros(system.n_q)
+        on = Covectors(-on_q, on_v, none, np.zeros(system.n_lam), np.zeros(system.n_b))
+        return pull_back_start(system, self._matrices, initial, on)
 
 
 def _end_rates(t: Array) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from ancfdae.protocol.system import MechanicalSystem
 from ancfdae.text import listed
 from ancfdae.user_systems.conformance_bulk import BULK_CHECKS
 from ancfdae.user_systems.conformance_checks import CHECKS
-from ancfdae.user_systems.conformance_shapes import shapes
+from ancfdae.user_systems.conformance_shapes import complex_numbers, shapes
 from ancfdae.user_systems.probe import Probe
 
 # Design values that vanish are varied by parts of one, the largest of which is half of this.
@@ -109,9 +109,10 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
 
     Shapes and declarations are checked, products against the matrices they stand for, and every
     partial and total against differences of real values, extrapolated to about 1e-10; a sign, a
-    factor or a forgotten term shows as an error of order one. Where the system accepts complex
-    numbers, the complex steps of its values are compared as well. States are random, near the
-    start; they need not lie on the constraints.
+    factor or a forgotten term shows as an error of order one. A value that refuses complex numbers
+    is named if other members are complex steps of it. Where complex numbers are accepted, the
+    complex steps of values are compared as well. States are random, beside the start; they need
+    not lie on the constraints.
 
     Parameters
     ----------
@@ -137,8 +138,10 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
         raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
     rng = np.random.default_rng(seed)
     rows, system = _Rows(), _inside(system)
-    # With wrong shapes the other checks would mean nothing.
-    shapes(rows.add, system)
+    # Values that fail or have the wrong shape would make nonsense of everything that follows.
+    for first in (complex_numbers, shapes):
+        if rows.passed:
+            first(rows.add, system)
     if rows.passed:
         for _ in range(samples):
             probe = Probe(system, rng)

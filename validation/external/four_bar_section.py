@@ -24,6 +24,7 @@ from validation.external.runs import (
     setting,
 )
 from validation.external.scleronomic import Array
+from validation.integrator_runs import step_of
 from validation.report import Agreement, Report
 
 __all__ = ["four_bar"]
@@ -217,7 +218,9 @@ def _verdict(
     report: Report, runs: Sequence[_Run], step: float, slopes: Mapping[Integrator, float]
 ) -> list[Requirement]:
     chosen = next(
-        each for each in runs if isinstance(each.integrator, HHT) and each.integrator.step == step
+        each
+        for each in runs
+        if isinstance(each.integrator, HHT) and step_of(each.integrator) == step
     )
     error = float(np.max(chosen.errors)) if chosen.attempt.finished else float("inf")
     slope = slopes.get(chosen.integrator, float("inf"))

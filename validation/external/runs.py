@@ -31,7 +31,7 @@ from ancfdae.objectives import Objective
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import GradientMethod
 from validation.external.scleronomic import Array
-from validation.integrator_runs import MANY
+from validation.integrator_runs import MANY, step_of
 from validation.report import Report
 
 __all__ = [
@@ -149,7 +149,7 @@ def controlled(
 def setting(integrator: Integrator) -> str:
     """Return the step or the tolerance in words."""
     if isinstance(integrator, HHT):
-        return f"h = {integrator.step:g}"
+        return f"h = {step_of(integrator):g}"
     assert isinstance(integrator, IDA | IDAS | Explicit)
     return f"rtol = {integrator.rtol:.0e}"
 

@@ -24,16 +24,7 @@ mass f_n = -M A_n turns R_1 into the paper's (4), M a/(1+alpha) + f - alpha/(1+a
 the mass depends on q, the paper's form would multiply M at one instant with an acceleration at
 another and drop to first order; this one stays second order.
 
-Start-up (docs/theory.md, section 5). a_n stands for q'' at t_n + alpha h, so
-
-    a_0 = q''(0) + alpha h q'''(0).
-
-A smooth error of (2) in the constraints, C h^3 Phi_q q''' per step with
-C = -(1 + 3 alpha^2)/12, forces Phi_q v_n to carry C h^2 Phi_q q''' for ever.
-A start with Phi_q v_0 = 0 would reach that value through a transient of first
-order in the multipliers; starting with it leaves them second order:
-
-    v_0 = v(0) + dv,   M dv + Phi_q^T eta = 0,   Phi_q dv = C h^2 S,  S = Phi_q q'''.
+The start of the recurrence has a module of its own (`start`).
 """
 
 from __future__ import annotations
@@ -43,11 +34,9 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import Linearisation, MechanicalSystem
-from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
 
 
 @final
@@ -223,59 +212,6 @@ def factor_jacobian(
     return matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
 
 
-def start_node(
-    system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, initial: InitialState
-) -> Node:
-    """Second-order start of the recurrence (module description)."""
-    t, q = initial.t, initial.q
-    S = system.jerk_side(q, initial.v, initial.a, t)
-    v = initial.v + _velocity_shift(system, matrices, c, t, q, S)[0]
-    a = initial.a + (c.alpha * c.h) * initial.jerk
-    return Node(t, q, v, a, initial.lam, initial.a)
-
-
-def start_node_sensitivity(
-    system: MechanicalSystem,
-    matrices: SaddlePoint,
-    c: Coefficients,
-    initial: InitialState,
-    derivative: InitialSensitivity,
-) -> NodeSensitivity:
-    """Differentiate `start_node`."""
-    t, q, v, a = initial.t, initial.q, initial.v, initial.a
-    q_b, v_b, a_b = derivative.q_b, derivative.v_b, derivative.a_b
-    S = system.jerk_side(q, v, a, t)
-    dv, eta, factors = _velocity_shift(system, matrices, c, t, q, S)
-    # M dv_b + Phi_q^T eta_b = -(M dv)_total - (Phi_q^T eta)_total
-    # Phi_q dv_b = C h^2 S_total - (Phi_q dv)_total
-    right = -inertia_total(system, q, dv, q_b) - constraint_force_total(system, q, eta, t, q_b)
-    side = constraint_error(c) * system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
-    side = side - system.constraint_q_times_total(q, dv, t, q_b)
-    dv_b = factors.solve(np.concatenate([right, side]))[: system.n_q]
-    return NodeSensitivity(
-        q_b=q_b,
-        v_b=v_b + dv_b,
-        a_b=a_b + (c.alpha * c.h) * derivative.jerk_b,
-        lam_b=derivative.lam_b,
-        A_b=a_b,
-    )
-
-
 def constraint_error(c: Coefficients) -> float:
     """Return C h^2 of the module description."""
     return -(1 + 3 * c.alpha**2) / 12 * float(c.h) ** 2
-
-
-def _velocity_shift(
-    system: MechanicalSystem,
-    matrices: SaddlePoint,
-    c: Coefficients,
-    t: float,
-    q: Array,
-    S: Array,
-) -> tuple[Array, Array, Factorization]:
-    """Dv, its multiplier eta, and the factorised saddle point of M and Phi_q."""
-    factors = matrices.factor(system.mass(q), system.constraint_q(q, t))
-    zero = np.zeros(system.n_q, dtype=q.dtype)
-    x = factors.solve(np.concatenate([zero, constraint_error(c) * S]))
-    return x[: system.n_q], x[system.n_q :], factors

@@ -9,8 +9,8 @@ states. With c the coefficients, one step of the derivative recurrence is
                         (Phi_q q~_b + Phi_b)/(beta h^2) ]                         (22), (23)
     q_b = q~_b + beta h^2 a_b,  v_b = v~_b + gamma h a_b,  A_b = A~_b + a_b/(1+alpha)
 
-where f = M A + Phi_q^T lam - Q with A and lam held. The pass back is the transpose of exactly
-these lines, in reverse order.
+where f = M A + Phi_q^T lam - Q with A and lam held. The pass back reads the same matrices of
+coefficients, transposed, and the transpose of the solution, in reverse order.
 
 At small steps the second row takes Phi_q,{n+1} dq~_b + G q_b,n + g for Phi_q q~_b + Phi_b
 (`small_steps`).
@@ -22,7 +22,8 @@ factorisation and the recurrence run step by step.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
@@ -33,7 +34,6 @@ from ancfdae.integrators.hht.equations import (
     Node,
     NodeSensitivity,
     Steps,
-    acceleration,
     correct,
     increment_from_velocities,
     iteration_matrices,
@@ -50,6 +50,100 @@ from ancfdae.protocol import DesignPartials, Linearisation, MechanicalSystem
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).
 _CHUNK_NUMBERS = 350_000
+
+
+@final
+@dataclass(frozen=True)
+class LinearSteps:
+    """A chunk of steps linearised at their converged states, and the matrices that link steps.
+
+    One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
+    (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The pass back takes the transposes
+    of both: `solve_transposed`, which stands beside `solve`, and the same matrix transposed.
+
+    Attributes
+    ----------
+    system : MechanicalSystem
+    c : Coefficients
+        h of shape (k, 1).
+    q : array, shape (k, n_q)
+    local : Linearisation
+    constraints_q : array
+        Phi_q / (beta h^2).
+    """
+
+    system: MechanicalSystem
+    c: Coefficients
+    q: Array
+    local: Linearisation
+    constraints_q: Array
+
+    @staticmethod
+    def of(
+        system: MechanicalSystem, c: Coefficients, t: Array, states: tuple[Array, ...]
+    ) -> LinearSteps:
+        """Linearise at states (q, v, A, lam), instants as rows."""
+        q, v, A, lam = states
+        local = system.linearise(t, q, v, A, lam)
+        return LinearSteps(system, c, q, local, local.Phi_q / (c.beta * c.h**2))
+
+    def factorised(self, matrices: SaddlePoint, order: range) -> Iterator[Factorization]:
+        """Factorise eq. (6) step by step, forward or backward."""
+        forward = slice(None) if order.step > 0 else slice(None, None, -1)
+        K = iteration_matrices(self.c, self.local)[forward]
+        return matrices.factor_each(K, self.local.Phi_q[forward])
+
+    def given(self, partials: DesignPartials) -> Array:
+        """Return the part of the right sides that is known before the pass, (k, n_b, n)."""
+        k, n_q, n_b = partials.f_b.shape
+        given = np.empty((k, n_b, n_q + partials.Phi_b.shape[1]))  # each step in one piece
+        np.negative(partials.f_b.transpose(0, 2, 1), out=given[:, :, :n_q])
+        scale = -self.c.beta * self.c.h[:, None] ** 2
+        np.divide(partials.Phi_b.transpose(0, 2, 1), scale, out=given[:, :, n_q:])
+        return given
+
+    def solve(
+        self,
+        k: int,
+        jacobian: Factorization,
+        right: Array,
+        z: Array,
+        stacked: Stack,
+        side: Array | None,
+    ) -> tuple[Array, Array]:
+        """Return a_b and lam_b of step k, design variables as rows; `right` is overwritten.
+
+        The side is that of the constraints over a small step.
+        """
+        system, n_q = self.system, self.system.n_q
+        right -= stacked.dot_rows(self.local.f_q[k], self.constraints_q[k], z[0])
+        right[:, :n_q] -= system.mass_times(self.q[k], z[2].T).T
+        if self.local.f_v is not None:
+            right[:, :n_q] -= system.pattern.dot(self.local.f_v[k], z[1].T).T
+        if side is not None:
+            right[:, n_q:] = side
+        x = jacobian.solve(right.T).T
+        return x[:, :n_q], x[:, n_q:]
+
+    def solve_transposed(
+        self, k: int, jacobian: Factorization, on: Array, on_lam: Array, small: bool
+    ) -> tuple[Array, Array, Array]:
+        """Transpose of `solve`: from covectors on (q~, v~, A~, a) and lam to those on (q~, v~, A~).
+
+        Returns them with mu and zeta, which `MechanicalSystem.pull_back` takes to the design. What
+        the constraints add to q~ is left out where the step is small: they then have their side.
+        """
+        system, local, n_q = self.system, self.local, self.system.n_q
+        solved = jacobian.solve_transposed(np.concatenate([on[3], on_lam]))
+        mu, zeta = solved[:n_q], solved[n_q:]
+        through = on[:3].copy()
+        through[0] -= system.pattern.dot_transposed(local.f_q[k], mu)
+        if not small:
+            through[0] -= system.constraint_pattern.dot_transposed(self.constraints_q[k], zeta)
+        if local.f_v is not None:
+            through[1] -= system.pattern.dot_transposed(local.f_v[k], mu)
+        through[2] -= system.mass_times(self.q[k], mu)
+        return through, mu, zeta / float(self.c.beta * self.c.h[k, 0] ** 2)
 
 
 def differentiate(
@@ -97,30 +191,22 @@ def _advance(
     """
     n_t, _, n_b, n_q = states.shape
     run, all_steps, maybe_small = nodes.run, nodes.steps, nodes.maybe_small(system)
-    c = all_steps.first
-    q_p, v_p = predict(c, start.q_b, start.v_b, start.a_b)
-    predicted = np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * start.A_b.T])
-    z = np.concatenate([predicted, np.zeros((1, n_b, n_q))])  # q~_b, v~_b, A~_b, a_b of a step
-    step_matrices = _step_matrices(all_steps)
-    # f_q and Phi_q / (beta h^2) above each other: one product with the predictors.
-    stacked = Stack(system.pattern, system.constraint_pattern)
+    z = np.zeros((4, n_b, n_q))  # q~_b, v~_b, A~_b, a_b of a step
+    z[:3] = _predicted(all_steps.first, start)
+    matrix, stacked = step_matrices(all_steps), Stack(system.pattern, system.constraint_pattern)
     for steps in _chunks(system, n_t, 2 * n_b * (n_q + system.n_lam)):
-        t, q, v, A, lam = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
-        c, local = all_steps.columns(steps), system.linearise(t, q, v, A, lam)
-        given = _given(c, system.design_partials(t, q, v, A, lam))
-        constraints_q = local.Phi_q / (c.beta * c.h**2)
-        jacobians = _factorised(matrices, c, local, range(len(t)))
-        for k, jacobian in enumerate(jacobians):
-            n, right = steps.start + k, given[k]
-            _subtract_predicted(right, system, stacked, local, constraints_q, k, q[k], z)
+        t, *rows = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
+        linear = LinearSteps.of(system, all_steps.columns(steps), t, tuple(rows))
+        given = linear.given(system.design_partials(t, *rows))
+        for k, jacobian in enumerate(linear.factorised(matrices, range(len(t)))):
+            n = steps.start + k
             row = nodes.row(system, n) if maybe_small[n] else None
+            side = None
             if row is not None:
-                before, one = states[n - 1], all_steps.of(n)
-                dq_b = increment_from_velocities(one, before[1], z[1]).T
-                right[:, n_q:] = _small(system, one, local.Phi_q[k], row, before[0].T, dq_b)
-            x = jacobian.solve(right.T).T
-            z[3], lam_b[n] = x[:, :n_q], x[:, n_q:]
-            after = (step_matrices[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
+                Phi_q, before = linear.local.Phi_q[k], states[n - 1]
+                side = _small_side(system, all_steps.of(n), Phi_q, row, before, z[1])
+            z[3], lam_b[n] = linear.solve(k, jacobian, given[k], z, stacked, side)
+            after = (matrix[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
             states[n], z[:3] = after[:3], after[3:]
             yield
 
@@ -141,85 +227,20 @@ def advance(
     ------
     SingularMatrix
     """
-    n_q, scale = system.n_q, c.beta * c.h**2
-    q_p, v_p = predict(c, before.q_b, before.v_b, before.a_b)
-    z = np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * before.A_b.T])
-    t, q = np.array([after.t]), after.q[None]
-    states = (q, after.v[None], after.A[None], after.lam[None])
-    local = system.linearise(t, *states)
+    t, states = np.array([after.t]), tuple(x[None] for x in (after.q, after.v, after.A, after.lam))
     columns = Coefficients(np.array([[c.h]]), c.alpha, c.beta, c.gamma)
-    (right,) = _given(columns, system.design_partials(t, *states))
-    stacked = Stack(system.pattern, system.constraint_pattern)
-    _subtract_predicted(right, system, stacked, local, local.Phi_q / scale, 0, after.q, z)
+    linear, z = LinearSteps.of(system, columns, t, states), _predicted(c, before)
+    (right,) = linear.given(system.design_partials(t, *states))
+    side = None
     if row is not None:
-        dq_b = increment_from_velocities(c, before.v_b, v_p)
-        right[:, n_q:] = _small(system, c, local.Phi_q[0], row, before.q_b, dq_b)
-    jacobian = matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
-    x = jacobian.solve(right.T)
-    a_b = x[:n_q]
-    q_b, v_b = correct(c, q_p, v_p, a_b)
-    A_b = acceleration(c, a_b, before.A_b)
-    return NodeSensitivity(q_b, v_b, a_b, x[n_q:], A_b)
-
-
-def _subtract_predicted(
-    right: Array,
-    system: MechanicalSystem,
-    stacked: Stack,
-    local: Linearisation,
-    constraints_q: Array,
-    k: int,
-    q: Array,
-    z: Array,
-) -> None:
-    """Subtract what the predictors z = (q~_b, v~_b, A~_b, ...) add to step k of a chunk."""
-    n_q = system.n_q
-    right -= stacked.dot_rows(local.f_q[k], constraints_q[k], z[0])
-    right[:, :n_q] -= system.mass_times(q, z[2].T).T
-    if local.f_v is not None:
-        right[:, :n_q] -= system.pattern.dot(local.f_v[k], z[1].T).T
-
-
-def _small(
-    system: MechanicalSystem,
-    c: Coefficients,
-    Phi_q: Array,
-    row: ConstraintRow,
-    q_b: Array,
-    dq_b: Array,
-) -> Array:
-    """Return the known part of the constraints over a small step, shape (n_b, n_lam)."""
-    pattern = system.constraint_pattern
-    lower = pattern.dot(Phi_q, dq_b) + pattern.dot(row.G, q_b) + row.g
-    return np.asarray(-lower.T / (c.beta * c.h**2))
-
-
-def _step_matrices(steps: Steps) -> Array:
-    """Return the maps from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~), (n, 6, 4).
-
-    All of a step but its solution in one small product; the coefficients come from all steps at
-    once with unit vectors. After the last step the same size is taken once more.
-    """
-    h = steps.h[:, None]
-    following = np.append(steps.h[1:], steps.h[-1])[:, None]
-    alpha = steps.alpha
-    c, ahead = (Coefficients(x, *newmark(alpha)) for x in (h, following))
-    q_p, v_p, A_p, a = np.eye(4)
-    q, v = correct(c, q_p, v_p, a)
-    A = A_p + a / (1 + alpha)
-    q_next, v_next = predict(ahead, q, v, A + following / h * (a - A))
-    rows = [np.broadcast_to(x, q.shape) for x in (q, v, A, q_next, v_next)]
-    return np.stack([*rows, np.broadcast_to(alpha / (1 + alpha) * A, q.shape)], axis=1)
-
-
-def _given(c: Coefficients, partials: DesignPartials) -> Array:
-    """Return the known part of the right sides, shape (k, n_b, n_q + n_lam)."""
-    k, n_q, n_b = partials.f_b.shape
-    given = np.empty((k, n_b, n_q + partials.Phi_b.shape[1]))  # each step in one piece
-    np.negative(partials.f_b.transpose(0, 2, 1), out=given[:, :, :n_q])
-    scale = -c.beta * c.h[:, None] ** 2
-    np.divide(partials.Phi_b.transpose(0, 2, 1), scale, out=given[:, :, n_q:])
-    return given
+        known = np.array([before.q_b.T, before.v_b.T])
+        side = _small_side(system, c, linear.local.Phi_q[0], row, known, z[1])
+    (jacobian,) = linear.factorised(matrices, range(1))
+    stacked = Stack(system.pattern, system.constraint_pattern)
+    a_b, lam_b = linear.solve(0, jacobian, right, z, stacked, side)
+    one = step_matrices(Steps(np.array([c.h]), c.alpha))[0, :3]
+    q_b, v_b, A_b = np.tensordot(one, np.array([*z, a_b]), axes=1)
+    return NodeSensitivity(q_b.T, v_b.T, a_b.T, lam_b.T, A_b.T)
 
 
 def pull_back(
@@ -242,57 +263,88 @@ def pull_back(
         What the defects of all steps change in the objective; zero without them.
     """
     run, all_steps, maybe_small = nodes.run, nodes.steps, nodes.maybe_small(system)
-    n_t, n_q, alpha = len(run.t), system.n_q, all_steps.alpha
-    share = alpha / (1 + alpha)
+    n_t, n_q, matrix = len(run.t), system.n_q, step_matrices(nodes.steps)
     gradient, change = np.zeros(system.n_b), 0.0
-    back = NodeSensitivity(*(np.zeros(n) for n in (n_q, n_q, n_q, system.n_lam, n_q)))
+    # Covectors on (q_b, v_b, A_b) of an instant and on (q~_b, v~_b, A~_b) of the step from it.
+    on = np.zeros((6, n_q))
     for steps in reversed(_chunks(system, n_t, 0)):
-        t, q, v, A, lam = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
-        local = system.linearise(t, q, v, A, lam)
-        mu, zeta = np.zeros_like(q), np.zeros_like(lam)
+        t, *rows = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
+        linear = LinearSteps.of(system, all_steps.columns(steps), t, tuple(rows))
+        mu, zeta = np.zeros_like(rows[0]), np.zeros_like(rows[3])
         order = range(len(t) - 1, -1, -1)
-        jacobians = _factorised(matrices, all_steps.columns(steps), local, order)
-        for k, jacobian in zip(order, jacobians, strict=True):
+        for k, jacobian in zip(order, linear.factorised(matrices, order), strict=True):
             n = steps.start + k
-            c = all_steps.of(n)
-            q_bar = _seeded(back.q_b, seeds.q, n)
-            v_bar = _seeded(back.v_b, seeds.v, n)
-            a_bar = back.a_b + back.A_b / (1 + c.alpha)
-            a_bar += (c.gamma * c.h) * v_bar + (c.beta * c.h**2) * q_bar
-            right = np.concatenate([a_bar, _seeded(back.lam_b, seeds.lam, n)])
-            solved = jacobian.solve_transposed(right)
-            mu[k], zeta[k] = solved[:n_q], solved[n_q:] / (c.beta * c.h**2)
-            q_bar = q_bar - system.pattern.dot_transposed(local.f_q[k], mu[k])
-            constraint = system.constraint_pattern
-            on_dq = on_q = q_bar - constraint.dot_transposed(local.Phi_q[k], zeta[k])
+            on[0], on[1] = _seeded(on[0], seeds.q, n), _seeded(on[1], seeds.v, n)
+            on_lam = _seeded(np.zeros(system.n_lam), seeds.lam, n)
             row = nodes.row(system, n) if maybe_small[n] else None
-            if row is not None:
-                on_q = q_bar - constraint.dot_transposed(row.G, zeta[k])
-                gradient -= zeta[k] @ row.g
-                zeta[k] = 0.0  # Phi_b has had its part.
-            if local.f_v is not None:
-                v_bar = v_bar - system.pattern.dot_transposed(local.f_v[k], mu[k])
-            if defects is not None:
-                on_A = back.A_b - system.mass_times(q[k], mu[k])
-                change += on_dq @ defects.q[n] + v_bar @ defects.v[n] + on_A @ defects.A[n]
-            back = NodeSensitivity(
-                q_b=on_q,
-                v_b=v_bar + c.h * on_dq,
-                a_b=(c.h**2 * (0.5 - c.beta)) * on_dq + (c.h * (1 - c.gamma)) * v_bar,
-                lam_b=np.zeros(system.n_lam),
-                A_b=share * (back.A_b - system.mass_times(q[k], mu[k])),
+            on_step, before = matrix[n - 1].T @ on, np.zeros((6, n_q))
+            before[3:], mu[k], zeta[k] = linear.solve_transposed(
+                k, jacobian, on_step, on_lam, row is not None
             )
-            if n > 1:
-                back = _rescaled_transposed(back, all_steps.ratio(n - 1))
-        gradient -= system.pull_back(t, (q, v, A, lam), (mu, zeta))
-    return gradient, back, float(change)
+            on_dq = np.zeros(n_q)
+            if row is not None:
+                pattern, w = system.constraint_pattern, zeta[k].copy()
+                on_dq -= pattern.dot_transposed(linear.local.Phi_q[k], w)
+                before[0] = -pattern.dot_transposed(row.G, w)
+                gradient -= w @ row.g
+                zeta[k] = 0.0  # Phi_b has had its part.
+            if defects is not None:
+                change += (before[3] + on_dq) @ defects.q[n]
+                change += before[4] @ defects.v[n] + before[5] @ defects.A[n]
+            # dq_b as a combination of v_b before the step and v~_b: `increment_from_velocities`.
+            by_v, by_predicted = increment_from_velocities(all_steps.of(n), *np.eye(2))
+            before[1], before[4] = by_v * on_dq, before[4] + by_predicted * on_dq
+            on = before
+        gradient -= system.pull_back(t, (rows[0], rows[1], rows[2], rows[3]), (mu, zeta))
+    return gradient, _start_covectors(all_steps.first, on), float(change)
 
 
-def _rescaled_transposed(back: NodeSensitivity, ratio: float) -> NodeSensitivity:
-    """Transpose of `rescaled`: from covectors on (a, A) after it to those before."""
-    if ratio == 1.0:
-        return back
-    return replace(back, a_b=ratio * back.a_b, A_b=back.A_b + (1 - ratio) * back.a_b)
+def _predicted(c: Coefficients, start: NodeSensitivity) -> Array:
+    """Return q~_b, v~_b, A~_b of the step after a node, shape (3, n_b, n_q)."""
+    q_p, v_p = predict(c, start.q_b, start.v_b, start.a_b)
+    return np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * start.A_b.T])
+
+
+def _start_covectors(c: Coefficients, on: Array) -> NodeSensitivity:
+    """Transpose of `_predicted`, added to covectors on q_b and v_b themselves."""
+    units = NodeSensitivity(*(x[None].T for x in np.eye(4)[[0, 1, 2, 2, 3]]))
+    q, v, a, A = _predicted(c, units)[:, 0].T @ on[3:]
+    return NodeSensitivity(on[0] + q, on[1] + v, a, np.zeros(0), A)
+
+
+def _small_side(
+    system: MechanicalSystem,
+    c: Coefficients,
+    Phi_q: Array,
+    row: ConstraintRow,
+    before: Array,
+    v_p: Array,
+) -> Array:
+    """Return the known part of the constraints over a small step, shape (n_b, n_lam).
+
+    `before` holds q_b and v_b before the step, `v_p` is v~_b; design variables are rows.
+    """
+    pattern, dq_b = system.constraint_pattern, increment_from_velocities(c, before[1], v_p)
+    lower = pattern.dot(Phi_q, dq_b.T) + pattern.dot(row.G, before[0].T) + row.g
+    return np.asarray(-lower.T / (c.beta * c.h**2))
+
+
+def step_matrices(steps: Steps) -> Array:
+    """Return the maps from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~), (n, 6, 4).
+
+    All of a step but its solution in one small product; the coefficients come from all steps at
+    once with unit vectors. After the last step the same size is taken once more.
+    """
+    h = steps.h[:, None]
+    following = np.append(steps.h[1:], steps.h[-1])[:, None]
+    alpha = steps.alpha
+    c, ahead = (Coefficients(x, *newmark(alpha)) for x in (h, following))
+    q_p, v_p, A_p, a = np.eye(4)
+    q, v = correct(c, q_p, v_p, a)
+    A = A_p + a / (1 + alpha)
+    q_next, v_next = predict(ahead, q, v, A + following / h * (a - A))
+    rows = [np.broadcast_to(x, q.shape) for x in (q, v, A, q_next, v_next)]
+    return np.stack([*rows, np.broadcast_to(alpha / (1 + alpha) * A, q.shape)], axis=1)
 
 
 def _seeded(back: Array, seeds: Array | None, n: int) -> Array:
@@ -304,14 +356,3 @@ def _chunks(system: MechanicalSystem, n_t: int, extra: int) -> Sequence[slice]:
     per_step = 4 * system.pattern.size + 8 * system.n_q + extra
     size = max(1, min(64, _CHUNK_NUMBERS // per_step))
     return [slice(k, min(k + size, n_t)) for k in range(1, n_t, size)]
-
-
-def _factorised(
-    matrices: SaddlePoint,
-    c: Coefficients,
-    local: Linearisation,
-    order: range,
-) -> Iterator[Factorization]:
-    """Factorise eq. (6) step by step, forward or backward."""
-    forward = slice(None) if order.step > 0 else slice(None, None, -1)
-    return matrices.factor_each(iteration_matrices(c, local)[forward], local.Phi_q[forward])

@@ -1,9 +1,7 @@
-"""HHT-I3 (eqs. 2-6, Fig. 1) with a fixed step or with error control."""
+"""HHT-I3 (eqs. 2-6, Fig. 1), with any control of its steps."""
 
 from __future__ import annotations
 
-import math
-import sys
 import time
 import warnings
 from dataclasses import dataclass, replace
@@ -17,46 +15,39 @@ from ancfdae.errors import (
     Verdict,
     require_count,
     require_finite,
-    require_kind,
     require_positive,
 )
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import (
+    Coefficients,
     Steps,
-    start_node,
-    start_node_sensitivity,
+    constraint_error,
 )
-from ancfdae.integrators.hht.march import march
 from ancfdae.integrators.hht.small_steps import Nodes
+from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
-from ancfdae.integrators.hht.step_control import Controlled, Given, Pace, Uniform, first_step
-from ancfdae.integrators.hht.step_error import (
-    StepError,
-    derivative_sizes,
-    estimated_errors,
-    sizes_hold,
-    smaller_sizes,
-)
-from ancfdae.integrators.integrator import AdjointIntegrator, Seeds, require_rtol
+from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import (
+    Covectors,
     InitialState,
     consistent_start,
+    pull_back_start,
     saddle_point,
     start_sensitivity,
 )
+from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, StepControl
+from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
+from ancfdae.integrators.step_control.march import march
+from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities
 
-# Steps may miss the end time by this many parts of their number (accumulated round-off).
-_WHOLE = 1e-9
-# Second order asks for a tolerance of the same size where coordinates pass through zero.
-_LEAST_RTOL = 1e-12
 # Newton's method stops well below the error of a step.
 _SHARE = 1e-3
 # What is left of the forces disturbs stiff damped beams far more than its size says (measured at
@@ -64,23 +55,19 @@ _SHARE = 1e-3
 # more time).
 _LOOSEST = 1e-9
 _EXACT = 1e-14
-# Sizes of derivatives need no better tolerance.
-_ROUGH = 1e-3
-# Instants to allot memory for where their number is not known.
-_ROWS = 1000
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class HHT(AdjointIntegrator):
     """HHT-I3 (Negrut, Rampalli, Ottarsson & Sajdak 2007) at a fixed step, or with error control.
 
-    Exactly one of `step`, `rtol` and `times` is given.
+    Exactly one of `steps`, `step` and `rtol` is given.
 
     Parameters
     ----------
-    step : float, optional
-        Step size h; s.
+    steps : StepControl or float
+        `FixedSteps`, `ControlledSteps` or `GivenSteps`; a number is the step of `FixedSteps`.
     hht_alpha : float
         Numerical damping, in [-1/3, 0]. Second order throughout; -1/3 damps frequencies above
         1/h most. At 0 the multipliers oscillate and do not converge, which is warned about.
@@ -89,22 +76,10 @@ class HHT(AdjointIntegrator):
         motion; free of units. By default 1e-14, with error control rtol/1000 but at most 1e-9.
     max_iterations : int
         Newton iterations per step before the run ends with an outcome.
+    step : float, optional
+        Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
-        What the errors of all steps may add up to, relative to every coordinate; the step follows
-        from it. The run errs by up to 10 times as much (docs/theory.md, section 5).
-    atol : float, optional
-        The same relative to the size of the coordinates at the start (`Scales`), for coordinates
-        that pass through zero; by default rtol. With `control_sensitivities` also relative to the
-        size of each derivative: the smaller, the shorter the first steps, where they are zero.
-    times : tuple of float, optional
-        Instants of the run, from 0 on; see `frozen`.
-    max_steps : int
-        Steps, repeated ones included, before a run with error control ends with an outcome.
-    control_sensitivities : bool
-        Whether the tolerance also bounds the errors of the design derivatives q_b, each relative
-        to its largest size in the run. They then go along with the motion, whatever is asked for,
-        after a run that tells their sizes. Without it gradients of undamped waves can be wrong
-        by any factor of the tolerance (docs/reports/work-precision).
+        Short for ``steps=ControlledSteps(rtol)``.
 
     Raises
     ------
@@ -114,83 +89,47 @@ class HHT(AdjointIntegrator):
 
     order: ClassVar[int | None] = 2
 
-    step: float | None = None
+    steps: StepControl
+    newton_tolerance: float
     hht_alpha: float = -0.3
-    newton_tolerance: float | None = None
     max_iterations: int = 60
-    rtol: float | None = None
-    atol: float | None = None
-    times: tuple[float, ...] | None = None
-    max_steps: int = 1_000_000
-    control_sensitivities: bool = False
 
-    def __post_init__(self) -> None:
-        """Validate."""
-        given = [name for name in ("step", "rtol", "times") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise InvalidInput(
-                "HHT",
-                "needs exactly one of step, rtol and times",
-                ", ".join(given) or "none",
-                "For example HHT(step=0.01), or HHT(rtol=1e-5) for error control.",
-            )
-        self._check_pace()
-        require_finite("HHT.hht_alpha", self.hht_alpha)
-        if not -1 / 3 <= self.hht_alpha <= 0:
+    def __init__(
+        self,
+        steps: StepControl | float | None = None,
+        hht_alpha: float = -0.3,
+        newton_tolerance: float | None = None,
+        max_iterations: int = 60,
+        *,
+        step: float | None = None,
+        rtol: float | None = None,
+    ) -> None:
+        control = _control(steps, step, rtol)
+        require_finite("HHT.hht_alpha", hht_alpha)
+        if not -1 / 3 <= hht_alpha <= 0:
             raise InvalidInput(
                 "HHT.hht_alpha",
                 "must lie in [-1/3, 0]",
-                self.hht_alpha,
+                hht_alpha,
                 "-0.3 damps fast motion strongly, -0.05 hardly.",
             )
-        if self.newton_tolerance is None:
-            own = _EXACT if self.rtol is None else max(_EXACT, min(_SHARE * self.rtol, _LOOSEST))
-            object.__setattr__(self, "newton_tolerance", own)
-        require_positive("HHT.newton_tolerance", self._newton[0])
-        require_count("HHT.max_iterations", self.max_iterations, "60 is plenty.")
-        require_count("HHT.max_steps", self.max_steps, "1000000 is plenty.")
+        if newton_tolerance is None:
+            asked = _SHARE * control.rtol if isinstance(control, ControlledSteps) else _EXACT
+            newton_tolerance = max(_EXACT, min(asked, _LOOSEST))
+        require_positive("HHT.newton_tolerance", newton_tolerance)
+        require_count("HHT.max_iterations", max_iterations, "60 is plenty.")
         # A NumPy number of single precision would spread its precision.
-        for name in ("step", "hht_alpha", "newton_tolerance", "rtol", "atol"):
-            value = getattr(self, name)
-            object.__setattr__(self, name, None if value is None else float(value))
-        if self.hht_alpha == 0:
+        object.__setattr__(self, "steps", control)
+        object.__setattr__(self, "hht_alpha", float(hht_alpha))
+        object.__setattr__(self, "newton_tolerance", float(newton_tolerance))
+        object.__setattr__(self, "max_iterations", max_iterations)
+        if hht_alpha == 0:
             warnings.warn(
                 "HHT.hht_alpha = 0 leaves errors of the multipliers undamped: they oscillate and "
                 "grow with the number of steps. Use a negative value, such as -0.05.",
                 StabilityWarning,
-                stacklevel=3,
+                stacklevel=2,
             )
-
-    def _check_pace(self) -> None:
-        require_kind(
-            "HHT.control_sensitivities", self.control_sensitivities, (bool,), "True or False."
-        )
-        if self.control_sensitivities and self.rtol is None:
-            raise InvalidInput(
-                "HHT.control_sensitivities", "belongs to error control", True, "Give rtol too."
-            )
-        if self.step is not None:
-            require_positive("HHT.step", self.step)
-            _require_square("HHT.step", float(self.step))
-        if self.rtol is not None:
-            require_rtol("HHT.rtol", self.rtol, _LEAST_RTOL)
-        if self.atol is not None:
-            require_positive("HHT.atol", self.atol)
-            if self.rtol is None:
-                raise InvalidInput(
-                    "HHT.atol", "belongs to error control", self.atol, "Give rtol too."
-                )
-        if self.times is not None:
-            times = np.asarray(self.times, dtype=float)
-            good = times.ndim == 1 and len(times) > 1 and times[0] == 0.0
-            if not (good and np.all(np.isfinite(times)) and np.all(np.diff(times) > 0)):
-                raise InvalidInput(
-                    "HHT.times",
-                    "must be two or more increasing instants from 0 on",
-                    "others",
-                    "Take the instants of a solution.",
-                )
-            object.__setattr__(self, "times", tuple(float(t) for t in times))
 
     def frozen(self, solution: Solution) -> HHT:
         """Return the integrator that repeats the steps of a run, whatever the design.
@@ -198,26 +137,15 @@ class HHT(AdjointIntegrator):
         With error control the steps depend on the design and jump with it, so no derivative of
         the run exists. Every method differentiates it at the steps as they were taken.
         """
-        if self.rtol is None:
-            return self
-        if len(solution.t) < 2:
-            return self._changed(control_sensitivities=False)
-        times = tuple(float(t) for t in solution.t)
-        return self._changed(rtol=None, atol=None, times=times, control_sensitivities=False)
+        steps = self.steps.frozen(solution.t)
+        return self if steps is self.steps else self._changed(steps=steps)
 
     def refined(self, solution: Solution) -> HHT:
         """Return the integrator that halves every step of a run."""
-        if self.step is not None:
-            return self._changed(step=self.step / 2)
-        t = solution.t
-        halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
-        return self._changed(
-            rtol=None,
-            atol=None,
-            control_sensitivities=False,
-            times=tuple(float(x) for x in halves),
-            newton_tolerance=max(_EXACT, self._newton[0] / 4),
-        )
+        steps, tolerance = self.steps.refined(solution.t), self.newton_tolerance
+        if not isinstance(steps, FixedSteps):
+            tolerance = max(_EXACT, tolerance / 4)
+        return self._changed(steps=steps, newton_tolerance=tolerance)
 
     def integrate(
         self,
@@ -227,82 +155,67 @@ class HHT(AdjointIntegrator):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate from t = 0 to `t_end`, for a fixed step a whole number of steps."""
-        count = self._count_steps(t_end)
-        if self.control_sensitivities and np.iscomplexobj(system.b):
+        """Integrate from t = 0 to `t_end`, which must be the end of a step."""
+        steps, started, derivative = self.steps, time.perf_counter(), None
+        rows, along = steps.count(t_end) + 1, self._derivatives_along(system)
+        matrices = saddle_point(system, 0.0)
+        initial = consistent_start(system, matrices, 0.0)
+        scales = Scales.of(system, initial, t_end)
+        if along:
+            derivative = start_sensitivity(system, matrices, initial)
+
+        def run(sizes_b: Array) -> Solution:
+            recorder = Recorder(system, rows, sensitivities=along)
+            newton = self.newton_tolerance, self.max_iterations
+            tolerance = steps.tolerance(t_end, scales.q, sizes_b)
+            stepper = Stepper(
+                system, matrices, initial, derivative, self.hht_alpha, newton, tolerance, recorder
+            )
+            return march(stepper, steps.controller(t_end, stepper), recorder, t_end, progress)
+
+        if not along:
+            solution = run(np.zeros(0))
+            if sensitivities:
+                return self._differentiate(system, matrices, initial, scales, solution)
+            return self._estimated(solution, scales)
+        rough = self._rough().integrate(system, t_end, sensitivities=True, progress=progress)
+        solution = with_own_sizes(rough, run, scales)
+        # Statistics count the last run, and the time of all.
+        seconds = time.perf_counter() - started
+        statistics = replace(solution.statistics, wall_seconds=seconds)
+        return self._estimated(replace(solution, statistics=statistics), scales)
+
+    def _derivatives_along(self, system: MechanicalSystem) -> bool:
+        """Whether the derivatives go along with the motion, to be controlled."""
+        if not (isinstance(self.steps, ControlledSteps) and self.steps.sensitivities):
+            return False
+        if np.iscomplexobj(system.b):
             raise InvalidInput(
-                "HHT.control_sensitivities",
+                "ControlledSteps.sensitivities",
                 "computes derivatives in real numbers",
                 "a complex system",
                 "Repeat the steps of a run at real values: HHT.frozen.",
             )
-        matrices = saddle_point(system, 0.0)
-        initial = consistent_start(system, matrices, 0.0)
-        if self.control_sensitivities and system.n_b > 0:
-            return self._integrate_with_derivatives(system, matrices, initial, t_end, progress)
-        scales = Scales.of(system, initial, t_end)
-        recorder = Recorder(system, count + 1)
-        stepper = Stepper.of(system, matrices, initial, None, self._newton, recorder)
-        pace = self._pace(scales, initial, t_end, count)
-        solution = march(stepper, pace, self.hht_alpha, t_end, progress)
-        if sensitivities:
-            return self._differentiate(system, matrices, initial, scales, solution)
-        return self._estimated(solution, scales)
-
-    def _integrate_with_derivatives(
-        self,
-        system: MechanicalSystem,
-        matrices: SaddlePoint,
-        initial: InitialState,
-        t_end: float,
-        progress: bool,
-    ) -> Solution:
-        """Integrate with the derivatives along, under error control of both.
-
-        Their sizes come from a run under error control of the motion alone. Where that had them
-        too large the tolerance was too loose; then the sizes found count, and all is run again.
-        The statistics count the last run, and the time of all.
-        """
-        started, sizes_b = time.perf_counter(), None
-        derivative = start_sensitivity(system, matrices, initial)
-        scales = Scales.of(system, initial, t_end)
-        solution = self._rough().integrate(system, t_end, sensitivities=True, progress=progress)
-        while solution.outcome.verdict is not Verdict.INTERRUPTED:
-            assert solution.sensitivities is not None
-            found = derivative_sizes(scales, solution.sensitivities.q_b)
-            if sizes_b is None:
-                # A rough run that broke off may have seen the beginning of a derivative only.
-                sizes_b = found if solution.outcome.success else np.full(system.n_b, np.inf)
-            elif not solution.outcome.success or sizes_hold(sizes_b, found):
-                break
-            else:
-                sizes_b = smaller_sizes(sizes_b, found)
-            recorder = Recorder(system, _ROWS, sensitivities=True)
-            stepper = Stepper.of(system, matrices, initial, derivative, self._newton, recorder)
-            error = self._step_error(scales, t_end, sizes_b)
-            first = first_step(error, self.hht_alpha, initial, derivative)
-            pace = Controlled(error, first, self.max_steps)
-            solution = march(stepper, pace, self.hht_alpha, t_end, progress)
-        seconds = time.perf_counter() - started
-        solution = self._estimated(solution, scales)
-        return replace(solution, statistics=replace(solution.statistics, wall_seconds=seconds))
+        return system.n_b > 0
 
     def _estimated(self, solution: Solution, scales: Scales) -> Solution:
-        """Return the solution with estimates of its errors."""
-        return replace(
-            solution, estimated_errors=estimated_errors(scales, self.hht_alpha, solution)
-        )
+        """Return the solution with estimates of its errors.
+
+        The accelerations at the instants serve as those of the recurrence.
+        """
+        own, delta_b = solution.sensitivities, None
+        scale = constraint_error(Coefficients.of(1.0, self.hht_alpha)) * np.diff(solution.t) ** 2
+        with np.errstate(over="ignore", invalid="ignore"):
+            delta = scale[:, None] * np.diff(solution.a.real, axis=0)
+            if own is not None:
+                delta_b = scale[:, None, None] * np.diff(own.a_b, axis=0)
+        return replace(solution, estimated_errors=estimated_errors(scales, delta, delta_b, own))
 
     def _rough(self) -> HHT:
         """Return the integrator of the run that tells the sizes of the derivatives."""
-        assert self.rtol is not None
-        rtol = max(self.rtol, _ROUGH)
-        return self._changed(
-            rtol=rtol,
-            atol=None,
-            newton_tolerance=max(self._newton[0], _LOOSEST),
-            control_sensitivities=False,
-        )
+        assert isinstance(self.steps, ControlledSteps)
+        tolerance = max(self.newton_tolerance, _LOOSEST)
+        return self._changed(steps=self.steps.rough(), newton_tolerance=tolerance)
 
     def _changed(self, **changes: Any) -> HHT:
         """Return a copy with other settings; what these are warned about was said before."""
@@ -336,9 +249,8 @@ class HHT(AdjointIntegrator):
         # A run that ended in its first step has the derivatives of its start.
         arrays, verdict = [x[None] for x in start], Verdict.FINISHED
         if len(steps.h):
-            node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
-            node = start_node(system, matrices, steps.first, initial)
-            nodes = Nodes(solution, steps, node)
+            first = RecurrenceStart.of(system, matrices, steps.first, initial)
+            nodes, node_b = Nodes(solution, steps, first.node), first.sensitivity(derivative)
             arrays, verdict = linear_passes.differentiate(system, matrices, nodes, node_b)
             arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
         own = Sensitivities(system.design_names, system.b, *arrays)
@@ -350,26 +262,17 @@ class HHT(AdjointIntegrator):
         """Return the gradient of an objective by the discrete adjoint."""
         steps, matrices = self.steps_of(solution), saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        derivative = start_sensitivity(system, matrices, initial)
-        node_b = start_node_sensitivity(system, matrices, steps.first, initial, derivative)
-        nodes = Nodes(solution, steps, start_node(system, matrices, steps.first, initial))
+        first = RecurrenceStart.of(system, matrices, steps.first, initial)
+        nodes = Nodes(solution, steps, first.node)
         gradient, back, _ = linear_passes.pull_back(system, matrices, nodes, seeds)
-        for covector, start_b in (
-            (back.q_b, node_b.q_b),
-            (back.v_b, node_b.v_b),
-            (back.a_b, node_b.a_b),
-            (back.A_b, node_b.A_b),
-        ):
-            gradient = gradient + covector @ start_b
+        on = first.pull_back(back)
         # What an objective reads at t = 0 is the consistent start, not the shifted one.
-        for seed, start_b in (
-            (seeds.q, derivative.q_b),
-            (seeds.v, derivative.v_b),
-            (seeds.lam, derivative.lam_b),
-        ):
-            if seed is not None:
-                gradient = gradient + seed[0] @ start_b
-        return gradient
+        q, v, lam = (
+            x if seed is None else x + seed[0]
+            for x, seed in ((on.q, seeds.q), (on.v, seeds.v), (on.lam, seeds.lam))
+        )
+        on = Covectors(q, v, on.a, lam, on.b + gradient)
+        return pull_back_start(system, matrices, initial, on)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
@@ -383,7 +286,7 @@ class HHT(AdjointIntegrator):
         """
         steps, matrices = self.steps_of(solution), saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
-        node = start_node(system, matrices, steps.first, initial)
+        node = RecurrenceStart.of(system, matrices, steps.first, initial).node
         defects = Defects.of(solution.t, solution.a, steps)
         nodes = Nodes(solution, steps, node)
         _, back, change = linear_passes.pull_back(system, matrices, nodes, seeds, defects)
@@ -391,54 +294,26 @@ class HHT(AdjointIntegrator):
 
     def steps_of(self, solution: Solution) -> Steps:
         """Return the steps of a run of this integrator."""
-        if self.step is not None:
-            return Steps(np.full(len(solution.t) - 1, self.step), self.hht_alpha)
-        return Steps(np.diff(solution.t), self.hht_alpha)
-
-    @property
-    def _newton(self) -> tuple[float, int]:
-        """Tolerance of Newton's method, which is a number from the start, and its iterations."""
-        assert self.newton_tolerance is not None
-        return self.newton_tolerance, self.max_iterations
-
-    def _pace(self, scales: Scales, initial: InitialState, t_end: float, count: int) -> Pace:
-        if self.step is not None:
-            return Uniform(self.step, count)
-        if self.times is not None:
-            return Given(self.times)
-        error = self._step_error(scales, t_end, np.zeros(0))
-        return Controlled(error, first_step(error, self.hht_alpha, initial, None), self.max_steps)
-
-    def _step_error(self, scales: Scales, t_end: float, sizes_b: Array) -> StepError:
-        assert self.rtol is not None
-        atol = self.rtol if self.atol is None else self.atol
-        return StepError(self.rtol, atol, t_end, scales.q, sizes_b)
-
-    def _count_steps(self, t_end: float) -> int:
-        """Return the number of steps to allot memory for; check that the end is an instant."""
-        require_positive("t_end", t_end)
-        if self.times is not None:
-            if not math.isclose(self.times[-1], t_end, rel_tol=_WHOLE):
-                raise InvalidInput(
-                    "t_end", f"must be the last instant, {self.times[-1]:.6g}", t_end, "Use it."
-                )
-            return len(self.times) - 1
-        if self.step is None:
-            _require_square("t_end", float(t_end))
-            return _ROWS
-        steps = t_end / self.step
-        count = round(steps) if math.isfinite(steps) else 0
-        if count < 1 or not math.isclose(steps, count, rel_tol=_WHOLE):
-            raise InvalidInput(
-                "t_end",
-                f"must be a whole number of steps of {self.step:.6g}",
-                f"{t_end:.6g}, that is {steps:.6g} steps",
-                f"Use t_end = {max(count, 1) * self.step:.6g}, or another step.",
-            )
-        return count
+        return Steps(self.steps.sizes(solution.t), self.hht_alpha)
 
 
-def _require_square(where: str, value: float) -> None:
-    """Refuse times whose square, or its inverse, is no number of full precision."""
-    if not sys.float_info.min < value * value < math.inf:
-        raise InvalidInput(where, "must have a square that is a number", value, "Change units.")
+def _control(
+    steps: StepControl | float | None, step: float | None, rtol: float | None
+) -> StepControl:
+    """Return the control of the step, given in full or in short."""
+    given: list[Any] = [x for x in (steps, step, rtol) if x is not None]
+    if len(given) != 1:
+        raise InvalidInput(
+            "HHT",
+            "needs exactly one of steps, step and rtol",
+            f"{len(given)} of them",
+            "For example HHT(step=0.01), or HHT(rtol=1e-5) for error control.",
+        )
+    if isinstance(steps, StepControl):
+        return steps
+    try:
+        return FixedSteps(given[0]) if rtol is None else ControlledSteps(rtol)
+    except InvalidInput as error:
+        # The user wrote the short form.
+        where = "HHT.step" if rtol is None else "HHT.rtol"
+        raise InvalidInput(where, error.rule, error.got, error.repair) from None

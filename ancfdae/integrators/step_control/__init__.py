@@ -1,0 +1,11 @@
+"""Control of the step, apart from the method that takes it.
+
+`StepControl` holds the settings, `Controller` decides in a run, `OneStepMethod` is what a method
+offers for it, and `march` brings both to the end.
+"""
+
+from ancfdae.integrators.step_control.controlled import ControlledSteps
+from ancfdae.integrators.step_control.planned import FixedSteps, GivenSteps
+from ancfdae.integrators.step_control.settings import StepControl
+
+__all__ = ["ControlledSteps", "FixedSteps", "GivenSteps", "StepControl"]

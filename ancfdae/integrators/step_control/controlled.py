@@ -1,0 +1,206 @@
+"""Steps as large as the tolerances allow.
+
+A step is accepted if its error, e of `tolerance`, is at most 1.
+
+**Size of the next step.** Where the step jumps, multipliers and accelerations suffer a transient
+of first order (docs/theory.md); where it changes slowly they keep the order of the method. So sizes
+come from a digital filter (H211b of Soderlind 2003, with b = 4), aiming at e = 1/2. With p the
+order of the method
+
+    h_{n+1}/h_n = (x_n x_{n-1})^(1/8) (h_n/h_{n-1})^(-1/4),     x = (1/(2 e))^(1/p).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.errors import Verdict, require_count, require_kind, require_positive
+from ancfdae.integrators.integrator import require_rtol
+from ancfdae.integrators.step_control.one_step_method import OneStepMethod
+from ancfdae.integrators.step_control.planned import GivenSteps
+from ancfdae.integrators.step_control.settings import Controller, StepControl, require_square
+from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.numerics.arrays import Array
+
+# Second order asks for a tolerance of the same size where coordinates pass through zero.
+_LEAST_RTOL = 1e-12
+# Sizes of derivatives need no better tolerance.
+_ROUGH = 1e-3
+# Instants to allot memory for where their number is not known.
+_ROWS = 1000
+_AIM = 0.5
+# Exponent 1/b of the filter.
+_FILTER = 0.25
+# What is left per step of the largest e / h^p met.
+_MEMORY = 0.95
+_MOST = 4.0
+# The step changes by less than pi/2 of this part.
+_CHANGE = 0.2
+# A rejection within so many steps of the start begins anew: the start is made for its step.
+_RESTART = 10
+# So many last steps change linearly, and their number is fixed, to meet the end without a jump.
+_LAST_STEPS = 10
+# Smaller steps than this part of the run, or of the time reached, are a dead end.
+_SMALLEST = 1e-13
+
+
+@final
+@dataclass(frozen=True)
+class ControlledSteps(StepControl):
+    """Steps under error control.
+
+    Parameters
+    ----------
+    rtol : float
+        What the errors of all steps may add up to, relative to every coordinate; the step follows
+        from it. The run errs by up to 10 times as much (docs/theory.md, section 5).
+    atol : float, optional
+        The same relative to the size of the coordinates at the start (`Scales`), for coordinates
+        that pass through zero; by default rtol. With `sensitivities` also relative to the size of
+        each derivative: the smaller, the shorter the first steps, where they are zero.
+    max_steps : int
+        Steps, repeated ones included, before a run ends with an outcome.
+    sensitivities : bool
+        Whether the tolerance also bounds the errors of the design derivatives q_b, each relative
+        to its largest size in the run. They then go along with the motion, whatever is asked for,
+        after a run that tells their sizes. Without it gradients of undamped waves can be wrong
+        by any factor of the tolerance (docs/reports/work-precision).
+
+    Raises
+    ------
+    InvalidInput
+        If a setting is out of range.
+    """
+
+    rtol: float
+    atol: float | None = None
+    max_steps: int = 1_000_000
+    sensitivities: bool = False
+
+    def __post_init__(self) -> None:
+        """Validate; a NumPy number of single precision would spread its precision."""
+        require_rtol("ControlledSteps.rtol", self.rtol, _LEAST_RTOL)
+        object.__setattr__(self, "rtol", float(self.rtol))
+        if self.atol is not None:
+            require_positive("ControlledSteps.atol", self.atol)
+            object.__setattr__(self, "atol", float(self.atol))
+        require_count("ControlledSteps.max_steps", self.max_steps, "1000000 is plenty.")
+        where = "ControlledSteps.sensitivities"
+        require_kind(where, self.sensitivities, (bool,), "True or False.")
+
+    def rough(self) -> ControlledSteps:
+        """Return the control of the run that tells the sizes of the derivatives."""
+        return replace(self, rtol=max(self.rtol, _ROUGH), atol=None, sensitivities=False)
+
+    def count(self, t_end: float) -> int:
+        """Return a guess."""
+        require_positive("t_end", t_end)
+        require_square("t_end", float(t_end))
+        return _ROWS
+
+    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
+        """Return what measures the error of a step."""
+        atol = self.rtol if self.atol is None else self.atol
+        return Tolerance(self.rtol, atol, t_end, sizes, sizes_b)
+
+    def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
+        """Return the filter; half of what it aims at is the error of the step tried first."""
+        e, longest = method.start_error(), t_end / 20
+        first = longest if e == 0 else min(longest, _root(_AIM / 2 / e, method.order))
+        return _Filter(method.order, first, t_end, self.max_steps)
+
+    def sizes(self, t: Array) -> Array:
+        """Return the distances of the instants."""
+        return np.diff(t)
+
+    def frozen(self, t: Array) -> StepControl:
+        """Return the instants; of a run that never left its start, control of the motion."""
+        return GivenSteps(tuple(t.tolist())) if len(t) > 1 else replace(self, sensitivities=False)
+
+    def refined(self, t: Array) -> StepControl:
+        """Halve the distances."""
+        return GivenSteps.halving(t)
+
+
+@final
+class _Filter(Controller):
+    """The digital filter of the module description.
+
+    Parameters
+    ----------
+    order : int
+        p.
+    first : float
+        First step that is tried.
+    t_end : float
+    max_steps : int
+    """
+
+    def __init__(self, order: int, first: float, t_end: float, max_steps: int) -> None:
+        self._order, self._t_end, self._max_steps = order, t_end, max_steps
+        self._h = self._start = first
+        self._taken = 0
+        self._last_wish = self._last_ratio = 1.0
+        self._memory = 0.0
+        self._remaining, self._last_h = 0, self._h
+
+    def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
+        """Return the proposed step; the last ones of a run change linearly to meet its end."""
+        if t >= self._t_end:
+            return Verdict.FINISHED
+        if self._taken >= self._max_steps:
+            return Verdict.STEP_LIMIT
+        left = self._t_end - t
+        if self._remaining == 0 and left < (_LAST_STEPS + 0.5) * self._h:
+            self._remaining = max(1, math.ceil(left / self._h * (1 - 1e-9)))
+        count = self._remaining
+        if count == 1:
+            return left, self._t_end
+        h = self._h
+        if count > 0:
+            # Sizes h_0 (1 + c j), j = 1 .. count, with the sum that is left.
+            h = self._last_h * (1 + 2 * (left / self._last_h - count) / (count * (count + 1)))
+        end = t + h
+        # What the instants will say, so that a run over given ones repeats this one.
+        return end - t, end
+
+    def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
+        """Compare the error of the step with the tolerance, and choose the next size."""
+        self._taken += 1
+        if error is None:
+            return self._reject(n, t, h / 4, Verdict.NO_CONVERGENCE)
+        if not error <= 1.0:
+            factor = _root(_AIM / error, self._order) if error < math.inf else 0.0
+            return self._reject(n, t, h * min(0.9, max(0.2, factor)), Verdict.ERROR_TEST)
+        # What the error estimates passes through zero: without memory the step would leap there.
+        self._memory = max(error / h**self._order, _MEMORY * self._memory)
+        wish = _MOST
+        if self._memory > 0:
+            wish = _root(_AIM / (self._memory * h**self._order), self._order)
+        ratio = (wish * self._last_wish) ** (_FILTER / 2) * self._last_ratio**-_FILTER
+        ratio = 1 + _CHANGE * math.atan((ratio - 1) / _CHANGE)
+        self._last_wish, self._last_ratio = wish, ratio
+        self._remaining = max(self._remaining - 1, 0)
+        self._h, self._last_h = h * ratio, h
+        return n + 1
+
+    def _reject(self, n: int, t: float, h: float, why: Verdict) -> int | Verdict:
+        """Choose a smaller step; near the start, which is made for its step, begin anew with it."""
+        if h <= _SMALLEST * max(t, self._t_end):
+            return why
+        anew = n <= _RESTART
+        if anew:
+            h = self._start = min(h, 0.5 * self._start)
+            self._memory = 0.0
+        self._h = self._last_h = h
+        self._last_wish, self._last_ratio, self._remaining = 1.0, 1.0, 0
+        return 0 if anew else n
+
+
+def _root(x: float, order: int) -> float:
+    """Return x^(1/order); the square root is exact to the last bit."""
+    return math.sqrt(x) if order == 2 else float(x ** (1 / order))

@@ -1,0 +1,61 @@
+"""The loop over the steps of a run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from ancfdae.errors import Outcome, SingularMatrix, Verdict
+from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.step_control.one_step_method import OneStepMethod
+from ancfdae.integrators.step_control.settings import Controller
+from ancfdae.protocol.solution import Solution
+
+
+def march(
+    method: OneStepMethod[Any],
+    controller: Controller,
+    recorder: Recorder,
+    t_end: float,
+    progress: bool,
+) -> Solution:
+    """Step to the end; the solution says how that went, and keeps what an interrupt leaves."""
+    recorder.record(*method.consistent())
+    with tqdm(total=t_end, disable=not progress, unit="s") as bar:
+        try:
+            verdict = _to_end(method, controller, recorder, bar)
+        except SingularMatrix:
+            verdict = Verdict.SINGULAR
+        except KeyboardInterrupt:
+            verdict = Verdict.INTERRUPTED
+    size = 0.0 if verdict is Verdict.FINISHED else method.failure()[1]
+    return recorder.solution(Outcome(verdict, recorder.time, recorder.steps, size))
+
+
+def _to_end(
+    method: OneStepMethod[Any], controller: Controller, recorder: Recorder, bar: Any
+) -> Verdict:
+    n, t, last, now = 0, 0.0, 0.0, None
+    while not isinstance(planned := controller.plan(n, t), Verdict):
+        h, t_next = planned
+        # A run that blows up overflows; its outcome tells so, not NumPy's warnings.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            before = method.start(h) if now is None else method.resized(now, h / last)
+            after = method.advance(h, before, t_next)
+            error = None if after is None else method.error(h, before, after)
+            found = controller.judge(n, t, h, error)
+        if isinstance(found, int) and found > n:
+            n, t, last, now = found, t_next, h, after
+            recorder.record(*method.recorded(after))
+            bar.update(h)
+            continue
+        recorder.rejected += 1
+        if isinstance(found, Verdict):
+            return method.failure()[0] if after is None else found
+        if found == 0:
+            n, t, last, now = 0, 0.0, 0.0, None
+            recorder.restart()
+            bar.reset()
+    return planned

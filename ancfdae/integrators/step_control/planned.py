@@ -1,0 +1,177 @@
+"""Steps that are known before the run: of one size, or between given instants."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, Verdict, require_array, require_positive
+from ancfdae.integrators.step_control.one_step_method import OneStepMethod
+from ancfdae.integrators.step_control.settings import Controller, StepControl, require_square
+from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.numerics.arrays import Array
+
+# Steps may miss the end time by this many parts of their number (accumulated round-off).
+_WHOLE = 1e-9
+# A longer list of instants is shortened where it is printed.
+_SHOWN = 6
+
+
+@final
+@dataclass(frozen=True)
+class FixedSteps(StepControl):
+    """Steps of one size.
+
+    Parameters
+    ----------
+    step : float
+        Step size h; s.
+
+    Raises
+    ------
+    InvalidInput
+        If the step is not positive, or so small or large that its square is no number.
+    """
+
+    step: float
+
+    def __post_init__(self) -> None:
+        """Validate; a NumPy number of single precision would spread its precision."""
+        require_positive("FixedSteps.step", self.step)
+        require_square("FixedSteps.step", float(self.step))
+        object.__setattr__(self, "step", float(self.step))
+
+    def count(self, t_end: float) -> int:
+        """Return the number of steps, which must be whole."""
+        require_positive("t_end", t_end)
+        steps = t_end / self.step
+        count = round(steps) if math.isfinite(steps) else 0
+        if count < 1 or not math.isclose(steps, count, rel_tol=_WHOLE):
+            raise InvalidInput(
+                "t_end",
+                f"must be a whole number of steps of {self.step:.6g}",
+                f"{t_end:.6g}, that is {steps:.6g} steps",
+                f"Use t_end = {max(count, 1) * self.step:.6g}, or another step.",
+            )
+        return count
+
+    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
+        """Return none."""
+        return None
+
+    def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
+        """Return the plan; its instants are multiples, without accumulated round-off."""
+        count = self.count(t_end)
+        return _Plan(np.full(count, self.step), self.step * np.arange(1, count + 1))
+
+    def sizes(self, t: Array) -> Array:
+        """Return the step, free of the round-off of the instants."""
+        return np.full(len(t) - 1, self.step)
+
+    def frozen(self, t: Array) -> StepControl:
+        """Return itself."""
+        return self
+
+    def refined(self, t: Array) -> StepControl:
+        """Halve the step."""
+        return FixedSteps(self.step / 2)
+
+
+@final
+@dataclass(frozen=True)
+class GivenSteps(StepControl):
+    """Steps between given instants, such as those of another run.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Instants of the run, increasing from 0 on; s. The last one is its end.
+
+    Raises
+    ------
+    InvalidInput
+        If they are no such instants.
+    """
+
+    times: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        where, t = "GivenSteps.times", require_array("GivenSteps.times", self.times)
+        repair = "Take the instants of a solution, or np.linspace(0, t_end, n)."
+        if t.ndim != 1 or len(t) < 2:
+            got = f"{len(t)} instant(s)" if t.ndim == 1 else f"an array of shape {t.shape}"
+            raise InvalidInput(where, "must be two or more instants", got, repair)
+        if t[0] != 0.0:
+            raise InvalidInput(where, "must begin at 0, as every run does", t[0], repair)
+        falls = np.flatnonzero(np.diff(t) <= 0)
+        if len(falls):
+            k = int(falls[0]) + 1
+            got = f"times[{k}] = {t[k]:.6g} after times[{k - 1}] = {t[k - 1]:.6g}"
+            raise InvalidInput(where, "must increase", got, "Sort them, each instant once.")
+        object.__setattr__(self, "times", tuple(t.tolist()))
+
+    def __repr__(self) -> str:
+        """Return a short form; that of few instants can be typed back."""
+        if len(self.times) <= _SHOWN:
+            return f"GivenSteps(times={self.times})"
+        first = ", ".join(map(repr, self.times[:3]))
+        return f"GivenSteps(times=({first}, ..., {self.times[-1]!r}))"
+
+    @staticmethod
+    def halving(t: Array) -> GivenSteps:
+        """Return half the steps between the instants t."""
+        halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
+        return GivenSteps(tuple(halves.tolist()))
+
+    def count(self, t_end: float) -> int:
+        """Return the number of steps; the end must be the last instant."""
+        require_positive("t_end", t_end)
+        last = self.times[-1]
+        if not math.isclose(last, t_end, rel_tol=_WHOLE):
+            raise InvalidInput(
+                "t_end",
+                f"must be where the given instants end, GivenSteps.times[-1] = {last:.6g}",
+                t_end,
+                f"Run to t_end = {last:.6g}, or give instants up to {t_end:.6g}.",
+            )
+        return len(self.times) - 1
+
+    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
+        """Return none."""
+        return None
+
+    def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
+        """Return the plan."""
+        return _Plan(np.diff(self.times), np.array(self.times[1:]))
+
+    def sizes(self, t: Array) -> Array:
+        """Return the distances of the instants."""
+        return np.diff(t)
+
+    def frozen(self, t: Array) -> StepControl:
+        """Return itself."""
+        return self
+
+    def refined(self, t: Array) -> StepControl:
+        """Halve the distances."""
+        return GivenSteps.halving(t)
+
+
+@final
+class _Plan(Controller):
+    """Sizes and ends of all steps."""
+
+    def __init__(self, sizes: Array, ends: Array) -> None:
+        self._sizes, self._ends = sizes.tolist(), ends.tolist()
+
+    def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
+        """Return the next step."""
+        return (self._sizes[n], self._ends[n]) if n < len(self._ends) else Verdict.FINISHED
+
+    def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
+        """Accept what was solved: nothing can be changed."""
+        return Verdict.NO_CONVERGENCE if error is None else n + 1

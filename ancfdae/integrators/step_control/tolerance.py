@@ -1,0 +1,101 @@
+"""Error of a step against its tolerance.
+
+With delta what the positions miss in a step, the rates delta / h add up to the error of the run, so
+that is what the tolerance bounds (error per unit step):
+
+    e^2 = mean over i of (T delta_i / h / (rtol |q_i| + atol Q_i))^2
+
+with T the length of the run and Q_i the size of coordinate i (`Scales`). A step is accepted if
+e <= 1.
+
+Where the derivatives go along, each design variable j has its own e, from the derivative of delta
+in the design, with
+
+    rtol |q_b,ij| + atol S_j Q_i
+
+below the fraction and twice the value, because errors of the motion feed into those of its
+derivatives as much again; the largest e is that of the step. S_j is the largest size of
+derivative j in the run, relative to the coordinates (`derivative_sizes`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities
+
+# Errors of the motion feed into those of the derivatives as much again (docs/theory.md, 5).
+_FED = 2.0
+
+
+@final
+@dataclass(frozen=True)
+class Tolerance:
+    """What measures the error of a step (module description).
+
+    Attributes
+    ----------
+    rtol, atol : float
+    t_end : float
+    sizes : array, shape (n_q,)
+        Q_i.
+    sizes_b : array, shape (n_b,)
+        S_j; zero where the design variable has no influence.
+    """
+
+    rtol: float
+    atol: float
+    t_end: float
+    sizes: Array
+    sizes_b: Array
+
+    def of_motion(self, h: float, delta: Array, size: Array) -> float:
+        """Return e of the motion; `size` is abs(q)."""
+        return self._of(h, delta, size, self.sizes)
+
+    def of_derivatives(self, h: float, delta_b: Array, size_b: Array) -> float:
+        """Return the largest e of the derivatives; `size_b` is abs(q_b)."""
+        seen = self.sizes_b > 0
+        least = self.sizes[:, None] * self.sizes_b[seen]
+        return _FED * self._of(h, delta_b[:, seen], size_b[:, seen], least)
+
+    def _of(self, h: float, delta: Array, size: Array, least: Array) -> float:
+        ratio = delta * (self.t_end / h) / (self.rtol * size + self.atol * least)
+        return float(np.sqrt(np.max(np.mean(ratio * ratio, axis=0), initial=0.0)))
+
+
+def estimated_errors(
+    scales: Scales, delta: Array, delta_b: Array | None, own: Sensitivities | None
+) -> EstimatedErrors:
+    """Add up the errors of all steps of a run, relative to Q_i and Q_i S_j.
+
+    Parameters
+    ----------
+    scales : Scales
+    delta : array, shape (n, n_q)
+    delta_b : array, shape (n, n_q, n_b), or None
+    own : Sensitivities or None
+        Where there is `delta_b`.
+    """
+    # What blew up overflows, and its error is infinite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        motion = float(_added_up(delta / scales.q))
+        if delta_b is None or own is None:
+            return EstimatedErrors(motion)
+        sums = _FED * _added_up(delta_b / scales.q[:, None])
+        sizes_b = derivative_sizes(scales, own.q_b)
+        relative = np.divide(sums, sizes_b, out=np.full_like(sums, np.nan), where=sizes_b > 0)
+    relative = np.where(np.isfinite(sizes_b), relative, np.inf)
+    return EstimatedErrors(motion, tuple(float(x) for x in relative))
+
+
+def _added_up(errors: Array) -> Array:
+    """Add up, over steps, root mean squares over coordinates; infinite where that is no number."""
+    total = np.sum(np.sqrt(np.mean(errors * errors, axis=1)), axis=0)
+    return np.where(np.isfinite(total), total, np.inf)

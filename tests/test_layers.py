@@ -1,0 +1,102 @@
+"""The contracts between layers (`[tool.importlinter]`, pyproject.toml) refuse forbidden imports."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+LAYERS = "A layer of ancfdae imports only from those below it"
+INJECTIONS = [
+    ("scene.py", "from ancfdae.integrators.integrator import Integrator", LAYERS),
+    ("scene.py", "from ancfdae.protocol.system import MechanicalSystem", LAYERS),
+    ("scene.py", "import matplotlib", "Only ancfdae.plotting imports matplotlib"),
+    ("joints/joint.py", "from ancfdae.protocol.system import MechanicalSystem", LAYERS),
+    ("integrators/hht/method.py", "from ancfdae.observables import position", LAYERS),
+    (
+        "ancf/parameters.py",
+        "from ancfdae.protocol import MechanicalSystem",
+        "Of the assembler only the assembled system knows the protocol",
+    ),
+    (
+        "sensitivity/direct.py",
+        "from ancfdae.scene import Scene",
+        "Integrators and sensitivity methods know the protocol, no scene and no beam",
+    ),
+    (
+        "numerics/arrays.py",
+        "from validation.scenes import pendulum",
+        "The library does not know its validation reports",
+    ),
+    (
+        "user_systems/probe.py",
+        "import sksundae",
+        "Only ancfdae.integrators.sundials.ida imports sksundae",
+    ),
+    ("integrators/start.py", "from ancfdae.integrators import hht", "Layers of the integrators"),
+    (
+        "integrators/step_control/march.py",
+        "from ancfdae.integrators.hht.equations import Coefficients",
+        "Layers of the integrators",
+    ),
+    (
+        "integrators/step_control/tolerance.py",
+        "from ancfdae.integrators.step_control.settings import Controller",
+        "Layers of step control, which knows no method",
+    ),
+    ("ancf/vectors.py", "from ancfdae.ancf import system", "Layers of the assembler"),
+]
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Copy what the contracts speak of."""
+    for package in ("ancfdae", "validation"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=ignored)
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    return tmp_path
+
+
+def broken(tree: Path) -> list[str]:
+    """Return the contracts that a tree breaks, their names on one line each."""
+    command = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run(
+        [command, "--no-cache"],
+        cwd=tree,
+        env={"COLUMNS": "1000"},  # Long names would be wrapped.
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    names = re.findall(r"^(.+) BROKEN\b", done.stdout, re.MULTILINE)
+    kept = re.search(r"Contracts: (\d+) kept, (\d+) broken", done.stdout)
+    assert kept, done.stdout + done.stderr
+    assert (len(names), bool(names)) == (int(kept[2]), done.returncode != 0)
+    return names
+
+
+def test_the_tree_as_it_is_keeps_every_contract(tree: Path) -> None:
+    assert broken(tree) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "contract"), INJECTIONS, ids=[f"{m}: {line}" for m, line, _ in INJECTIONS]
+)
+def test_an_import_across_layers_is_refused(
+    tree: Path, module: str, line: str, contract: str
+) -> None:
+    path = tree / "ancfdae" / module
+    path.write_text(f"{path.read_text(encoding='utf-8')}\n{line}\n", encoding="utf-8")
+    assert any(name.startswith(contract) for name in broken(tree))
+
+
+def test_every_contract_has_an_import_that_breaks_it() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    names = re.findall(r'^name = "(.+)"$', text.split("[tool.importlinter]")[1], re.MULTILINE)
+    assert len(names) == text.count("[[tool.importlinter.contracts]]")
+    for name in names:
+        assert any(name.startswith(contract) for _, _, contract in INJECTIONS), name

@@ -1,0 +1,143 @@
+"""Control of the step serves any one-step method: implicit Euler uses it without a copy."""
+
+import numpy as np
+import pytest
+
+from ancfdae import ControlledSteps, Explicit, FixedSteps, GivenSteps, simulate
+from ancfdae.errors import Verdict
+from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.start import consistent_start, saddle_point
+from ancfdae.integrators.step_control.march import march
+from ancfdae.integrators.step_control.one_step_method import OneStepMethod
+
+from mechanisms import CartesianPendulum
+
+
+class ImplicitEuler(OneStepMethod):
+    """M (v - v_n) = h (Q - Phi_q^T lam), Phi(q) = 0, q = q_n + h v for a system without Q_q, Q_v.
+
+    The positions miss delta = -h (v - v_n)/2 in a step, so that the rate falls with h. A state is
+    (t, q, v, a, lam).
+    """
+
+    order = 1
+
+    def __init__(self, system, steps, t_end):
+        self.system, self.correction, self.solved, self.errors = system, np.inf, 0, []
+        self.initial = consistent_start(system, saddle_point(system, 0.0), 0.0)
+        sizes = Scales.of(system, self.initial, t_end).q
+        self.tolerance = steps.tolerance(t_end, sizes, np.zeros(0))
+
+    def consistent(self):
+        x = self.initial
+        return x.t, x.q, x.v, x.a, x.lam, ()
+
+    def start(self, h):
+        return self.consistent()[:-1]
+
+    def resized(self, state, ratio):
+        return state
+
+    def advance(self, h, before, t):
+        system, (_, q_n, v_n, _, lam) = self.system, before
+        v = v_n
+        for _ in range(20):
+            q = q_n + h * v
+            B = system.constraint_q(q, t)[None]
+            K = np.eye(2) + h**2 * system.constraint_force_q(q, lam, t).reshape(2, 2)
+            force = system.force(q, v, t) - system.constraint_force(q, lam, t)
+            R = np.append(v - v_n - h * force, system.constraint(q, t) / h)
+            x = np.linalg.solve(np.block([[K, h * B.T], [B, np.zeros((1, 1))]]), -R)
+            v, lam, self.correction = v + x[:2], lam + x[2:], np.linalg.norm(x[:2])
+            if self.correction < 1e-12:
+                self.solved += 1
+                return t, q_n + h * v, v, (v - v_n) / h, lam
+        return None
+
+    def failure(self):
+        return Verdict.NO_CONVERGENCE, self.correction
+
+    def recorded(self, state):
+        return *state, ()
+
+    def error(self, h, before, after):
+        if self.tolerance is None:
+            return 0.0
+        size = np.maximum(np.abs(before[1]), np.abs(after[1]))
+        self.errors.append(self.tolerance.of_motion(h, -h * (after[2] - before[2]) / 2, size))
+        return self.errors[-1]
+
+    def start_error(self):
+        x = self.initial
+        return self.tolerance.of_motion(1.0, -x.a / 2, np.abs(x.q))
+
+
+def run(steps, t_end=1.0):
+    system = CartesianPendulum(0.7, 1.0)
+    method = ImplicitEuler(system, steps, t_end)
+    recorder = Recorder(system, steps.count(t_end) + 1)
+    return method, march(method, steps.controller(t_end, method), recorder, t_end, False)
+
+
+def test_the_tolerance_bounds_the_error_of_another_method():
+    exact = simulate(CartesianPendulum(0.7, 1.0), 1.0, Explicit(1e-9))
+    counts = []
+    for rtol in (1e-2, 2e-3):
+        method, found = run(ControlledSteps(rtol))
+        assert found.outcome.success
+        assert found.t[-1] == 1.0
+        error = np.max(np.abs(found.q[-1] - exact.q[-1])) / np.max(np.abs(exact.q))
+        # The claim of `ControlledSteps`: never wrong by more than ten times the tolerance.
+        assert 1e-2 * rtol < error < 10 * rtol
+        assert method.solved == found.statistics.steps + found.statistics.rejected
+        counts.append(found.statistics.steps)
+    # First order: a fifth of the tolerance asks for five times the steps; the first ones, before
+    # the filter settles, and the memory of the largest error leave some tenths.
+    assert counts[1] / counts[0] == pytest.approx(5.0, rel=0.15)
+
+
+def test_steps_settle_where_control_aims():
+    # Between the first steps and the last ones, which meet the end. The memory keeps e below 1/2
+    # where the acceleration falls.
+    method, found = run(ControlledSteps(1e-3))
+    assert found.statistics.rejected == 0
+    middle = method.errors[len(method.errors) // 2 : -12]
+    assert 0.3 < np.median(middle) <= 0.55
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-3])
+def test_given_steps_repeat_a_controlled_run(rtol):
+    _, first = run(ControlledSteps(rtol))
+    _, again = run(ControlledSteps(rtol).frozen(first.t))
+    np.testing.assert_array_equal(again.t, first.t)
+    np.testing.assert_array_equal(again.q, first.q)
+
+
+def test_fixed_steps_are_instants_at_equal_distance():
+    _, fixed = run(FixedSteps(2.0**-6))
+    _, given = run(GivenSteps(tuple(np.arange(65) / 64)))
+    np.testing.assert_array_equal(given.q, fixed.q)
+
+
+def test_a_start_with_too_large_a_step_begins_anew(monkeypatch):
+    # The first step tried is as long as control allows where the start shows no error.
+    monkeypatch.setattr(ImplicitEuler, "start_error", lambda self: 0.0)
+    method, found = run(ControlledSteps(1e-3))
+    assert found.outcome.success
+    assert found.statistics.rejected > 0
+    assert found.t[1] < 1 / 20
+    # Instants of the runs given up are forgotten.
+    assert np.all(np.diff(found.t) > 0)
+    assert len(found.t) == found.statistics.steps + 1 < method.solved
+
+
+def test_what_is_never_solved_is_an_outcome(monkeypatch):
+    monkeypatch.setattr(ImplicitEuler, "advance", lambda self, h, before, t: None)
+    for steps in (FixedSteps(0.1), ControlledSteps(1e-3)):
+        _, found = run(steps)
+        assert found.outcome.verdict is Verdict.NO_CONVERGENCE
+        assert len(found.t) == 1
+    _, found = run(ControlledSteps(1e-3, max_steps=4))
+    assert found.outcome.verdict is Verdict.STEP_LIMIT
+    assert found.statistics.rejected == 4
