@@ -133,7 +133,7 @@ def test_the_gradient_on_a_closed_loop_is_that_of_the_discrete_adjoint_with_orde
     errors = []
     for n in (12, 24):
         ours, exact = (
-            gradient(FourBar(), Integral(custom(density, "H")), (), 0.15, HHT(0.15 / n), method)
+            gradient(FourBar(), Integral(custom(density, "H")), 0.15, HHT(0.15 / n), method=method)
             for method in (ContinuousAdjoint(), Adjoint())
         )
         errors.append(np.linalg.norm(ours.gradient - exact.gradient))

@@ -518,7 +518,7 @@ def test_deflection_is_that_of_the_reports(dimension):
     solution = simulate(scene, 12 * STEP, HHT(STEP))
     (beam,) = scene.beams
     value = observe(deflection(beam.at_end, beam.at_start), solution)
-    expected = scenes.deflection(solution)
+    expected = scenes.pendulum_deflection(solution)
     assert np.max(np.abs(expected)) > 1e-3
     # Round-off of coordinates of size one.
     assert np.allclose(value, expected, rtol=0, atol=1e-14)

@@ -17,7 +17,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.plotting import Panel, Series
 from validation.__main__ import main
 from validation.catalogue import CATALOGUE, Definition
-from validation.report import Report, Verdict, environment
+from validation.report import Agreement, Report, environment
 
 REPORTS = Path(__file__).resolve().parents[1] / "docs" / "reports"
 PANEL = Panel("Line", "t [s]", "y [m]", [Series("y", [0.0, 1.0], [0.0, 2.0])])
@@ -139,7 +139,7 @@ def test_table_with_missing_cells_is_refused(report: Report, rows: list[tuple[fl
 
 
 def test_claims_are_gathered_in_one_table_with_their_verdicts(report: Report) -> None:
-    verdicts = list(Verdict)
+    verdicts = list(Agreement)
     for verdict in verdicts:
         report.claim(f"claim {verdict.name}", "as printed", "as found", verdict)
         report.text("Something between the claims.")

@@ -182,6 +182,7 @@ def test_velocity_and_acceleration_are_time_derivatives_as_hht_i3_has_them(solut
 def test_wrong_names_and_places_are_refused(solution):
     d = dimension_of(solution)
     for action, where in (
+        (lambda: solution.position("bow"), "point"),
         (lambda: solution.position(Point("bow", 1.1)), "point of 'bow'"),
         (lambda: solution.velocity(Point("bow", -0.1)), "point of 'bow'"),
         (lambda: solution.slope(Point("bow", np.nan)), "point of 'bow'"),

@@ -28,7 +28,7 @@ from ancfdae import (
 from ancfdae.integrators import Seeds
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import GradientMethod
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 from validation.scenes import crank_slider
 
 __all__ = ["run"]
@@ -147,9 +147,9 @@ def _position_sensitivities(report: Report, solution: Solution, extent: _Extent)
         "Direct and 1 % finite-difference sensitivities of x differ much for E_1 and h_2 only",
         "a big difference for E_1 and h_2 (Fig. 8)",
         "more than a fifth of the norm apart: " + (", ".join(far) or "none"),
-        Verdict.AGREES
+        Agreement.AGREES
         if set(far) == {"E_1", "h_2"}
-        else (Verdict.PARTLY if {"E_1", "h_2"} & set(far) else Verdict.DISAGREES),
+        else (Agreement.PARTLY if {"E_1", "h_2"} & set(far) else Agreement.DISAGREES),
     )
 
 
@@ -210,7 +210,7 @@ def _objective_over_time(report: Report, solution: Solution, extent: _Extent) ->
         "Direct differentiation and adjoint variable method agree",
         "good agreement (Fig. 9)",
         f"discrete adjoint to {agreement:.1g}, continuous adjoint to {also:.1g} (relative norm)",
-        Verdict.AGREES if max(agreement, also) < 0.05 else Verdict.DISAGREES,
+        Agreement.AGREES if max(agreement, also) < 0.05 else Agreement.DISAGREES,
     )
 
 
@@ -463,7 +463,7 @@ def _cost(report: Report, extent: _Extent) -> None:
         "Direct differentiation costs about as much as the adjoint, finite differences far more",
         "700.3 s, 794.5 s, 2922.2 s (ratios 1 : 1.13 : 4.17)",
         f"ratios 1 : {adjoint / direct:.2f} : {finite / direct:.2f}",
-        Verdict.AGREES if finite > 2 * max(direct, adjoint) else Verdict.DISAGREES,
+        Agreement.AGREES if finite > 2 * max(direct, adjoint) else Agreement.DISAGREES,
     )
 
 

@@ -28,7 +28,7 @@ from ancfdae.plotting import Panel, Series
 from ancfdae.protocol import MechanicalSystem
 from validation.error_estimates import estimates
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 from validation.scenes import crank_slider, pendulum
 
 __all__ = ["run"]
@@ -222,7 +222,7 @@ def _pictures(report: Report, found: Sequence[_Found]) -> None:
 
 
 def _verdict(report: Report, found: Sequence[_Found]) -> None:
-    report.heading("Verdict")
+    report.heading("Agreement")
     lines = []
     for levels in ("2 levels", "3 levels"):
         mine = [row for row in found if row.kind.endswith(levels) and row.kind.startswith("HHT")]
@@ -256,7 +256,7 @@ def _verdict(report: Report, found: Sequence[_Found]) -> None:
         "Roache 1994, for grids that resolve the solution",
         "held where `resolved` says that the steps resolve the waves of the derivatives, and where "
         "it says that they do not; " + "; ".join(texts),
-        Verdict.AGREES if shares[0] >= 0.95 else Verdict.DISAGREES,
+        Agreement.AGREES if shares[0] >= 0.95 else Agreement.DISAGREES,
     )
 
 

@@ -18,7 +18,7 @@ from ancfdae import (
 )
 from ancfdae.plotting import Panel, Series
 from validation.external.slider_crank import SliderCrank
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 from validation.scenes import crank_slider, pendulum
 
 __all__ = ["estimates"]
@@ -93,7 +93,7 @@ def estimates(report: Report, quick: bool) -> None:
         f"estimated over true on undamped scenes: motion {motion.min():.2g} to {motion.max():.2g}, "
         f"derivatives {derivatives.min():.2g} to {derivatives.max():.2g}, {100 * near:.0f} % of "
         f"them within a factor of three; {least:.2g} at least on any scene",
-        Verdict.AGREES if good else Verdict.PARTLY,
+        Agreement.AGREES if good else Agreement.PARTLY,
     )
     report.text(_NOTES)
 

@@ -21,7 +21,7 @@ def run(report: Report, quick: bool) -> None:
 
 
 def _verdict(report: Report, requirements: list[Requirement], quick: bool) -> None:
-    report.heading("Verdict")
+    report.heading("Agreement")
     reached = [r for r in requirements if r.found is not None and r.found <= r.limit]
     measured = [r for r in requirements if r.found is not None]
     report.figure("verdict.required", len(requirements))

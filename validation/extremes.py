@@ -5,7 +5,7 @@ from validation.extremes_floor import round_off
 from validation.extremes_long import Long, long_runs
 from validation.extremes_rows import Row, add_table, measure
 from validation.extremes_scaling import scaling
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 
 __all__ = ["run"]
 
@@ -75,12 +75,12 @@ def _judge_long(report: Report, runs: list[Long], quick: bool) -> None:
         f"rigid pendulum: {rigid.run.outcome} Multipliers up to "
         f"{float(max(rigid.multipliers())):.0e}; StabilityWarning: "
         + ("yes" if rigid.warning else "no"),
-        Verdict.NOT_CHECKABLE if quick else _verdict(shown and bool(rigid.warning)),
+        Agreement.NOT_CHECKABLE if quick else _verdict(shown and bool(rigid.warning)),
     )
 
 
-def _verdict(good: bool) -> Verdict:
-    return Verdict.AGREES if good else Verdict.DISAGREES
+def _verdict(good: bool) -> Agreement:
+    return Agreement.AGREES if good else Agreement.DISAGREES
 
 
 _METHOD = """

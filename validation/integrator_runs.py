@@ -20,7 +20,7 @@ from ancfdae import (
 )
 from ancfdae.ancf import AncfSystem
 from ancfdae.integrators import IndexReduction
-from validation.scenes import deflection
+from validation.scenes import pendulum_deflection
 
 __all__ = [
     "MANY",
@@ -149,8 +149,8 @@ def _curves(run: Run, spacing: float) -> tuple[Array, Array]:
     solution, sensitivities = run.solution, run.solution.sensitivities
     assert sensitivities is not None
     rows = common_rows(solution, spacing)
-    y_b = solution.derivative(deflection)[rows] * sensitivities.values
-    return deflection(solution).real[rows], y_b
+    y_b = solution.derivative(pendulum_deflection)[rows] * sensitivities.values
+    return pendulum_deflection(solution).real[rows], y_b
 
 
 def balance(system: AncfSystem, solution: Solution, length: float) -> tuple[float, float]:

@@ -26,8 +26,8 @@ from validation.integrator_runs import (
     step_of,
     timed,
 )
-from validation.report import Report, Verdict
-from validation.scenes import deflection, pendulum
+from validation.report import Agreement, Report
+from validation.scenes import pendulum, pendulum_deflection
 
 __all__ = ["run"]
 
@@ -78,7 +78,7 @@ def run(report: Report, quick: bool) -> None:
 
 
 def _verdict(report: Report, requirements: Sequence[Requirement], quick: bool) -> None:
-    report.heading("Verdict")
+    report.heading("Agreement")
     reached = sum(r.found is not None and r.found <= r.limit for r in requirements)
     report.figure("verdict.required", len(requirements))
     report.figure("verdict.reached", reached)
@@ -210,8 +210,8 @@ def _agreement(
 def _at_all_instants(done: Run) -> tuple[Array, Array]:
     sensitivities = done.solution.sensitivities
     assert sensitivities is not None
-    y_b = done.solution.derivative(deflection) * sensitivities.values
-    return deflection(done.solution).real, y_b
+    y_b = done.solution.derivative(pendulum_deflection) * sensitivities.values
+    return pendulum_deflection(done.solution).real, y_b
 
 
 # ---------------------------------------------------------------- HHT
@@ -293,7 +293,7 @@ def _claim(report: Report, step: float, relative: Array) -> None:
         f"HHT-I3 at the step {step:g} s shows motion and sensitivities of the pendulum",
         "implied by Figs. 4 to 6, made with one step (2^-7 s)",
         f"largest relative errors: deflection {relative[0]:.2g}, sensitivities {wrong}",
-        Verdict.AGREES if np.max(relative) < 0.05 else Verdict.DISAGREES,
+        Agreement.AGREES if np.max(relative) < 0.05 else Agreement.DISAGREES,
     )
 
 

@@ -19,8 +19,8 @@ from ancfdae import (
 )
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import Method
-from validation.report import Report, Verdict
-from validation.scenes import deflection, pendulum
+from validation.report import Agreement, Report
+from validation.scenes import pendulum, pendulum_deflection
 
 __all__ = ["run"]
 
@@ -95,8 +95,8 @@ class _Curves:
 def _scaled(solution: Solution) -> _Curves:
     sensitivities = solution.sensitivities
     assert sensitivities is not None
-    y_b = solution.derivative(deflection) * sensitivities.values
-    return _Curves(solution.t, deflection(solution).real, y_b)
+    y_b = solution.derivative(pendulum_deflection) * sensitivities.values
+    return _Curves(solution.t, pendulum_deflection(solution).real, y_b)
 
 
 def _relative(x: Array, reference: Array) -> float:
@@ -145,7 +145,7 @@ def _effect_of_modulus(report: Report, hard: _Curves, soft: _Curves) -> None:
         "The stiffer pendulum deflects less and is less sensitive to E",
         "yes (text to Fig. 4)",
         "; ".join(f"{name}: {a:.3g} against {b:.3g}" for name, (a, b) in figures.items()),
-        Verdict.AGREES if smaller else Verdict.DISAGREES,
+        Agreement.AGREES if smaller else Agreement.DISAGREES,
     )
 
 
@@ -183,7 +183,7 @@ def _against_finite_differences(report: Report, hard: _Curves, extent: _Extent) 
         "relative difference (norm over time) "
         + ", ".join(f"{s}: {d:.2g}" for s, d in zip(_SYMBOLS, differences, strict=True)),
         # "Comparable" curves: the eye sees a difference of a fifth of the amplitude.
-        Verdict.AGREES if max(differences) < 0.2 else Verdict.PARTLY,
+        Agreement.AGREES if max(differences) < 0.2 else Agreement.PARTLY,
     )
     report.text(
         "Both curves differentiate the same discrete motion, so their agreement says nothing "
@@ -221,7 +221,7 @@ def _planar_and_spatial(report: Report, planar: _Curves, extent: _Extent) -> Non
         "coincide well (Fig. 6)",
         f"relative difference: deflection {motion:.2g}, "
         + ", ".join(f"{s}: {d:.2g}" for s, d in zip(_SYMBOLS, differences, strict=True)),
-        Verdict.AGREES if max(differences) < 0.2 else Verdict.PARTLY,
+        Agreement.AGREES if max(differences) < 0.2 else Agreement.PARTLY,
     )
     report.text(
         "They coincide because both elements lock in the same way: with the full St. "
@@ -372,7 +372,7 @@ def _step_halving(report: Report, coarse: _Curves, extent: _Extent) -> None:
         "The curves of Figs. 4 to 6 are the sensitivities of the pendulum",
         "implied; one step (2^-7 s) is shown",
         f"one halving of that step changes the E-sensitivity by {changes[0][3]:.2g} of its norm",
-        Verdict.DISAGREES if changes[0][3] > 0.2 else Verdict.PARTLY,
+        Agreement.DISAGREES if changes[0][3] > 0.2 else Agreement.PARTLY,
     )
 
 

@@ -20,13 +20,13 @@ import ancfdae
 from ancfdae import plotting
 from ancfdae.errors import InvalidInput
 
-__all__ = ["Report", "Verdict", "environment"]
+__all__ = ["Agreement", "Report", "environment"]
 
 _FLAT_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
 _PACKAGES: Final = ("numpy", "scipy", "matplotlib", "scikit-sundae")
 
 
-class Verdict(Enum):
+class Agreement(Enum):
     """How a finding compares with a claim of the source paper."""
 
     AGREES = "agrees"
@@ -40,7 +40,7 @@ class _Claim:
     statement: str
     paper: str
     found: str
-    verdict: Verdict
+    verdict: Agreement
 
 
 @final
@@ -150,7 +150,7 @@ class Report:
         if caption:
             self._body.append(f"*{caption.strip()}*")
 
-    def claim(self, statement: str, paper: str, found: str, verdict: Verdict) -> None:
+    def claim(self, statement: str, paper: str, found: str, verdict: Agreement) -> None:
         """Add a row to the table that compares the source with what is found here.
 
         Parameters
@@ -161,7 +161,7 @@ class Report:
             What the paper, or another source, says, with its place.
         found : str
             What this run shows.
-        verdict : Verdict
+        verdict : Agreement
             Whether the two agree.
         """
         self._claims.append(_Claim(statement, paper, found, verdict))

@@ -21,7 +21,7 @@ from ancfdae import (
     Spherical,
 )
 
-__all__ = ["crank_slider", "deflection", "pendulum"]
+__all__ = ["crank_slider", "pendulum", "pendulum_deflection"]
 
 
 def pendulum(
@@ -49,7 +49,7 @@ def pendulum(
     return Scene([beam], [Pin(beam.at_start)], gravity=gravity, start=start)
 
 
-def deflection(solution: Solution) -> npt.NDArray[Any]:
+def pendulum_deflection(solution: Solution) -> npt.NDArray[Any]:
     """Return the deflection of the free end in the pendulum's body frame, shape (n_t,); m.
 
     The frame sits at the pin with its x axis along the tangent of the centre line; the

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from ancfdae import HHT, Explicit, Setting, Tradeoff
 from ancfdae.plotting import Panel, Series
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 from validation.work_precision_control import gains, newton, trust
 from validation.work_precision_findings import (
     cheapest_of,
@@ -131,7 +131,7 @@ def _pointwise(report: Report, found: Sequence[Measured]) -> None:
         "sensitivities",
         "expected",
         "error of the gradient for the same time, " + "; ".join(texts),
-        Verdict.AGREES if factors and factors[-1] > 100 else Verdict.DISAGREES,
+        Agreement.AGREES if factors and factors[-1] > 100 else Agreement.DISAGREES,
     )
 
 
@@ -150,12 +150,12 @@ def _stiff(report: Report, found: Sequence[Measured]) -> None:
             whom = "none" if other is None else f"{short_name(other)} {theirs:.2g} s"
             texts.append(f"{each.case.name}, {kind}: {who}, high order {whom}")
     if texts:
-        verdict = Verdict.AGREES if all(wins) else Verdict.PARTLY
+        verdict = Agreement.AGREES if all(wins) else Agreement.PARTLY
         report.claim(
             "On stiff scenes second order wins",
             "expected",
             "cheapest with a gradient right to 1e-2: " + "; ".join(texts),
-            verdict if any(wins) else Verdict.DISAGREES,
+            verdict if any(wins) else Agreement.DISAGREES,
         )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from ancfdae import HHT, Setting, Tradeoff
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 from validation.work_precision_findings import (
     Choice,
     Gain,
@@ -50,7 +50,7 @@ def gains(report: Report, found: Sequence[Measured]) -> None:
         header += [f"controlled ({which})", "error", "CPU [s] / fixed", "ratio"]
     report.table([*header, "ratio of both"], rows)
     ratios = {same: gain.ratio for same, (gain, _) in best.items()}
-    verdict = Verdict.PARTLY if ratios.get(True, 1.0) <= 0.5 else Verdict.DISAGREES
+    verdict = Agreement.PARTLY if ratios.get(True, 1.0) <= 0.5 else Agreement.DISAGREES
     report.claim(
         "The controlled step needs at most half the CPU time of the best fixed step for the same "
         "gradient error on at least one scene",
@@ -62,7 +62,7 @@ def gains(report: Report, found: Sequence[Measured]) -> None:
             for same, (gain, where) in best.items()
         )
         or "no pair to compare",
-        Verdict.AGREES if ratios.get(False, 1.0) <= 0.5 else verdict,
+        Agreement.AGREES if ratios.get(False, 1.0) <= 0.5 else verdict,
     )
     report.text(_GAIN_NOTES)
 
@@ -80,7 +80,7 @@ def trust(report: Report, found: Sequence[Measured]) -> None:
         "asked for",
         "largest error over rtol on any scene, at any hht_alpha: control of the motion, states "
         f"{motion['states']:.2g}; control of motion and derivatives, {listed}",
-        Verdict.AGREES if max(promised) <= _ALLOWED else Verdict.DISAGREES,
+        Agreement.AGREES if max(promised) <= _ALLOWED else Agreement.DISAGREES,
     )
     report.text(_TRUST_NOTES)
 
@@ -164,7 +164,7 @@ _GAIN_NOTES = """
 A controlled step gains only where the time scale of a scene changes: on the damped
 pendulums of larger modulus, where gravity sets in suddenly, waves decay, and a slow swing
 remains. A fixed step has to be small enough for the start until the end; larger ones fail there
-(Newton's method does not converge) or leave a wrong kick. On undamped scenes and on the rigid
+(Newton's method does not converge) or start a wrong motion. On undamped scenes and on the rigid
 slider-crank, whose time scale stays the same, control costs as much as the best fixed step or more
 (up to 1.6 times), and its advantage is that nobody has to find that step. On the undamped stiff
 pendulum no tolerance of the motion resolves the waves that decide about the gradient: they are

@@ -2,8 +2,8 @@
 
 The smooth motion leaves defects in every step of the recurrence (`integrators.hht.defects`); the
 discrete adjoint gives the change of the objective that each of them causes. The error of the
-objective's own quadrature is added, from its value on every second instant: I - Q_h = -(Q_2h -
-Q_h)/3.
+objective's own quadrature is added; from its value on every second instant it is
+I - Q_h = -(Q_2h - Q_h)/3.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from validation.external.runs import (
 )
 from validation.external.scleronomic import Array
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 
 __all__ = ["slider_crank"]
 
@@ -202,7 +202,7 @@ def _published(report: Report, runs: Sequence[_Run]) -> None:
             f"Slider-crank, {name}",
             f"{printed:.8g} (SUNDIALS example, 5 digits)",
             f"{found:.9g}: {difference:.1e} apart, 1e-4 allowed (IDA, {setting(run.integrator)})",
-            Verdict.AGREES if difference <= 1e-4 else Verdict.DISAGREES,
+            Agreement.AGREES if difference <= 1e-4 else Agreement.DISAGREES,
         )
 
 

@@ -25,7 +25,7 @@ from validation.external.runs import (
 )
 from validation.external.scleronomic import Array
 from validation.integrator_runs import step_of
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 
 __all__ = ["four_bar"]
 
@@ -229,7 +229,7 @@ def _verdict(
         "Double four-bar through its singular positions",
         "table of the IFToMM problem A02, recomputed; 1e-5 at h = 1e-4",
         f"{error:.1e} (HHT, h = {step:g}, newton_tolerance = {_TOLERANCE:.0e})",
-        Verdict.AGREES if error <= _LIMIT else Verdict.DISAGREES,
+        Agreement.AGREES if error <= _LIMIT else Agreement.DISAGREES,
     )
     what = f"four-bar, HHT, h = {step:g}"
     return [

@@ -25,7 +25,7 @@ from validation.external.runs import (
 )
 from validation.external.scleronomic import Array
 from validation.integrator_runs import MANY
-from validation.report import Report, Verdict
+from validation.report import Agreement, Report
 
 __all__ = ["pendulum", "speed"]
 
@@ -197,7 +197,7 @@ def _verdict(report: Report, runs: Sequence[_Run], orders: Array) -> list[Requir
         "Cartesian pendulum, states and sensitivities",
         "table of the IFToMM problem A01, recomputed; 1e-8",
         f"{first:.1e} (IDA, {setting(tightest[IDA].integrator)}), largest of all columns",
-        Verdict.AGREES if first <= _LIMIT else Verdict.DISAGREES,
+        Agreement.AGREES if first <= _LIMIT else Agreement.DISAGREES,
     )
     distance = float(np.max(np.abs(orders - 2)))
     return [*found, Requirement("pendulum, HHT: distance of the order from 2", 0.1, distance)]
