@@ -47,19 +47,30 @@ from ancfdae.joints import (
     Drive,
     Guide,
     Harmonic,
+    Joint,
     Pin,
     PointOnLine,
     Revolute,
     Spherical,
     Uniform,
 )
-from ancfdae.loads import DistributedForce, FollowerForce, PointForce, SpringDamper
-from ancfdae.objectives import AtTimes, Integral, NonFiniteObjective, SmoothMaximum, Terminal
+from ancfdae.loads import DistributedForce, FollowerForce, Load, PointForce, SpringDamper
+from ancfdae.numerics.patterns import Pattern
+from ancfdae.objectives import (
+    AtTimes,
+    Integral,
+    NonFiniteObjective,
+    Objective,
+    SmoothMaximum,
+    Terminal,
+)
 from ancfdae.observables import (
+    Observable,
     apply,
     axial_strain,
     custom,
     deflection,
+    design_value,
     kinetic_energy,
     multiplier,
     observe,
@@ -68,10 +79,16 @@ from ancfdae.observables import (
     slope,
     slope_angle,
     strain_energy,
+    time,
     velocity,
 )
-from ancfdae.protocol import MechanicalSystem, OneByOneSystem
-from ancfdae.protocol.solution import EstimatedErrors, Sensitivities, Solution, Statistics
+from ancfdae.protocol import (
+    EstimatedErrors,
+    MechanicalSystem,
+    Sensitivities,
+    Solution,
+    Statistics,
+)
 from ancfdae.scene import NodeState, RigidMotion, Scene
 from ancfdae.sections import Material, Rectangle
 from ancfdae.sensitivity import (
@@ -124,13 +141,17 @@ __all__ = [
     "Integral",
     "Integrator",
     "InvalidInput",
+    "Joint",
+    "Load",
     "Material",
     "MechanicalSystem",
     "MissingPackage",
     "NodeState",
     "NonFiniteObjective",
-    "OneByOneSystem",
+    "Objective",
+    "Observable",
     "Outcome",
+    "Pattern",
     "Pin",
     "Point",
     "PointForce",
@@ -164,6 +185,7 @@ __all__ = [
     "check_system",
     "custom",
     "deflection",
+    "design_value",
     "differentiate",
     "distribution",
     "error_bars",
@@ -179,6 +201,7 @@ __all__ = [
     "slope_angle",
     "strain_energy",
     "taylor_test",
+    "time",
     "tradeoff",
     "velocity",
 ]

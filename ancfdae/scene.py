@@ -23,6 +23,7 @@ from ancfdae.errors import (
 from ancfdae.joints import Joint
 from ancfdae.loads import CentreLine, Load
 from ancfdae.numerics.arrays import Array
+from ancfdae.text import listed
 
 # Two targets hold the same value up to this relative difference: a length is summed from its n
 # elements, which moves it by n eps; this admits 4500 elements.
@@ -34,7 +35,7 @@ _SAME = 1e-12
 class RigidMotion:
     """Initial velocity of a beam: a rigid-body motion.
 
-    v = velocity + angular_velocity x (r - about); slopes turn along.
+    v = velocity + angular_velocity x (r - about); slopes turn with it.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ class NodeState:
 class Scene:
     """Beams, joints, loads and gravity, and how they start.
 
-    Nothing but what is declared is prepared or integrated: a planar scene has no spatial
+    Only what is declared is prepared and integrated: a planar scene has no spatial
     coordinate, a scene without damping no velocity Jacobian.
 
     Parameters
@@ -129,6 +130,16 @@ class Scene:
     def dimension(self) -> int:
         """Dimension of space."""
         return self.beams[0].dimension
+
+    def __repr__(self) -> str:
+        """Return the names of all parts."""
+        beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
+        joints, loads = (listed(part.name for part in x) for x in (self.joints, self.loads))
+        where = "plane" if self.dimension == 2 else "space"
+        return (
+            f"Scene in the {where}\nbeams: {beams}\njoints: {joints}\nloads: {loads}\n"
+            f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
+        )
 
     def beam(self, name: str) -> BeamBody:
         """Return the beam of this name.
@@ -207,7 +218,7 @@ class Scene:
     def check_value(self, variable: DesignVariable, value: float) -> None:
         """Refuse a value that a design variable cannot take, such as a negative height.
 
-        Each target is looked at by itself; whether all parts still fit together is not.
+        Each target is checked alone; whether all parts still fit together is not checked.
 
         Raises
         ------

@@ -9,7 +9,7 @@ from ancfdae import (
     Drive,
     Harmonic,
     Material,
-    OneByOneSystem,
+    MechanicalSystem,
     Pin,
     Rectangle,
     RigidMotion,
@@ -17,30 +17,22 @@ from ancfdae import (
     SpringDamper,
     assemble,
 )
-from ancfdae.numerics.patterns import Pattern
 
 
-class CartesianPendulum(OneByOneSystem):
+class CartesianPendulum(MechanicalSystem):
     """Point mass on a rod in Cartesian coordinates; design variables L and g.
 
     m q'' + Phi_q^T lam = (0, -m g), Phi = (x^2 + y^2 - L^2)/2, m = 1. It starts at the angle
     `angle` from the vertical with the angular velocity `spin`; q_0 depends on L.
     """
 
-    n_q, n_lam, n_b = 2, 1, 2
+    n_q, n_lam = 2, 1
     design_names = ("L", "g")
     constraint_names = ("rod",)
-    constant_mass = True
-    linear_constraints = False
-    velocity_forces = False
-    force_round_off = 0.0
-    project_start = False
-    naming = None
+    constant_mass, velocity_forces = True, False
 
     def __init__(self, angle=-np.pi / 2, spin=0.0, b=(1.0, 9.81)):
         self.angle, self.spin, self.b = angle, spin, np.asarray(b)
-        self.pattern, self.constraint_pattern = Pattern.full((2, 2)), Pattern.full((1, 2))
-        self.weights = np.ones(2)
         self._direction = np.array([np.sin(angle), -np.cos(angle)])
         self._tangent = np.array([np.cos(angle), np.sin(angle)])
 
@@ -50,43 +42,14 @@ class CartesianPendulum(OneByOneSystem):
     def start(self):
         return self.b[0] * self._direction, self.b[0] * self.spin * self._tangent
 
-    def start_b(self):
-        zero = np.zeros(2)
-        q_b = np.stack([self._direction, zero], axis=1)
-        return q_b, np.stack([self.spin * self._tangent, zero], axis=1)
-
     def mass(self, q):
         return np.eye(2).ravel()
-
-    def mass_times(self, q, x):
-        return x
-
-    def mass_b_times(self, q, a):
-        return np.zeros((2, 2))
-
-    def inertia_q(self, q, a):
-        return np.zeros(4)
-
-    def inertia_rate_total(self, q, v, a, q_b, v_b, a_b):
-        return np.zeros((2, 2))
 
     def force(self, q, v, t):
         return np.array([0.0, -1.0]) * self.b[1]
 
-    def force_q(self, q, v, t):
-        return np.zeros(4)
-
-    def force_v(self, q, v, t):
-        return np.zeros(4)
-
-    def force_b(self, q, v, t):
-        return np.array([[0.0, 0.0], [0.0, -1.0]])
-
     def force_rate(self, q, v, a, t):
         return np.zeros(2)
-
-    def force_rate_total(self, q, v, a, t, q_b, v_b, a_b):
-        return np.zeros((2, 2))
 
     def constraint(self, q, t):
         return np.array([(q @ q - self.b[0] ** 2) / 2])
@@ -94,50 +57,17 @@ class CartesianPendulum(OneByOneSystem):
     def constraint_q(self, q, t):
         return q
 
-    def constraint_b(self, q, t):
-        return np.array([[-self.b[0], 0.0]])
-
-    def constraint_force(self, q, lam, t):
-        return q * lam[0]
-
-    def constraint_force_q(self, q, lam, t):
-        return (np.eye(2) * lam[0]).ravel()
-
-    def constraint_force_b(self, q, lam, t):
-        return np.zeros((2, 2))
-
-    def constraint_q_times_total(self, q, x, t, q_b):
-        return (x @ q_b)[None]
-
     def constraint_q_rate(self, q, v, t):
         return v
-
-    def constraint_q_second_rate(self, q, v, a, t):
-        return a
 
     def velocity_side(self, q, t):
         return np.zeros(1)
 
-    def velocity_side_total(self, q, t, q_b):
-        return np.zeros((1, 2))
-
     def acceleration_side(self, q, v, t):
         return -np.array([v @ v])
 
-    def acceleration_side_total(self, q, v, t, q_b, v_b):
-        return -2 * (v @ v_b)[None]
-
     def jerk_side(self, q, v, a, t):
         return -3 * np.array([v @ a])
-
-    def jerk_side_total(self, q, v, a, t, q_b, v_b, a_b):
-        return -3 * (a @ v_b + v @ a_b)[None]
-
-    def constraint_force_rate(self, q, v, lam, t):
-        return v * lam[0]
-
-    def constraint_force_rate_total(self, q, v, lam, t, q_b, v_b, lam_b):
-        return v_b * lam[0] + np.outer(v, lam_b[0])
 
 
 class NeverRight(CartesianPendulum):

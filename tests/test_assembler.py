@@ -22,7 +22,7 @@ from ancfdae import (
     Guide,
     Harmonic,
     Material,
-    OneByOneSystem,
+    MechanicalSystem,
     Pin,
     PointForce,
     PointOnLine,
@@ -642,7 +642,7 @@ def instants(s, k=3):
 def test_linearise_is_the_loop_over_instants(plain):
     s, system = plain, plain.system
     t, states = instants(s)
-    ours, loop = system.linearise(t, *states), OneByOneSystem.linearise(system, t, *states)
+    ours, loop = system.linearise(t, *states), MechanicalSystem.linearise(system, t, *states)
     assert_close(ours.M, loop.M, VALUE)
     assert_close(ours.f_q, loop.f_q, VALUE)
     assert_close(ours.Phi_q, loop.Phi_q, VALUE)
@@ -655,7 +655,7 @@ def test_design_partials_are_the_loop_over_instants(setting):
     s, system = setting, setting.system
     t, states = instants(s)
     ours = system.design_partials(t, *states)
-    loop = OneByOneSystem.design_partials(system, t, *states)
+    loop = MechanicalSystem.design_partials(system, t, *states)
     for name in ("f_b", "Phi_b"):
         value, expected = getattr(ours, name), getattr(loop, name)
         assert value.shape == expected.shape

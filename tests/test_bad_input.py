@@ -433,7 +433,7 @@ def test_node_state_takes_nested_lists():
 def test_bad_design_is_refused(design, where, words):
     for action in (
         lambda: assemble(scene(), design),
-        lambda: differentiate(scene(), design, STEP, HHT(STEP)),
+        lambda: differentiate(scene(), STEP, HHT(STEP), design=design),
     ):
         assert words in str(refused(action, where))
 
@@ -691,20 +691,20 @@ def test_model_must_be_a_scene_or_a_system(model):
 def test_integrator_must_be_one(value):
     for action in (
         lambda: simulate(scene(), STEP, value),
-        lambda: differentiate(scene(), ["rod.height"], STEP, value),
+        lambda: differentiate(scene(), STEP, value, design=["rod.height"]),
     ):
         refused(action, "integrator", "Integrator", repr(value))
 
 
 @pytest.mark.parametrize("value", ["direct", 0, FiniteDifference])
 def test_method_must_be_one(value):
-    arguments = (["rod.height"], STEP, HHT(STEP), value)
-    refused(lambda: differentiate(scene(), *arguments), "method", "Method", repr(value))
+    run, given = (STEP, HHT(STEP)), {"design": ["rod.height"], "method": value}
+    refused(lambda: differentiate(scene(), *run, **given), "method", "Method", repr(value))
 
 
 def test_design_of_a_ready_system_is_refused():
     system = assemble(scene(), ["rod.height"])
-    refused(lambda: differentiate(system, ["rod.width"], STEP, HHT(STEP)), "design")
+    refused(lambda: differentiate(system, STEP, HHT(STEP), design=["rod.width"]), "design")
 
 
 @pytest.mark.parametrize("value", [0.0, -0.1, 1.0, 2.0, NAN, "0.01"])
@@ -714,8 +714,8 @@ def test_relative_step_of_finite_differences_must_lie_between_zero_and_one(value
 
 def test_relative_perturbation_of_zero_is_refused():
     rubber = beam(material=material(poisson_ratio=0.0))
-    arguments = (["rod.poisson_ratio"], STEP, HHT(STEP), FiniteDifference())
-    refused(lambda: differentiate(Scene([rubber]), *arguments), "rod.poisson_ratio", "zero")
+    run, given = (STEP, HHT(STEP)), {"design": ["rod.poisson_ratio"], "method": FiniteDifference()}
+    refused(lambda: differentiate(Scene([rubber]), *run, **given), "rod.poisson_ratio", "zero")
 
 
 def test_every_error_of_this_package_is_also_a_value_error():

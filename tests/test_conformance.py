@@ -19,6 +19,7 @@ DERIVED = [
     "force_q",
     "force_v",
     "force_b",
+    "force_total",
     "force_rate",
     "force_rate_total",
     "constraint_q",
@@ -38,6 +39,7 @@ DERIVED = [
     "constraint_force_rate",
     "constraint_force_rate_total",
     "start_b",
+    "start_pull_back",
     "linearise",
     "design_partials",
     "pull_back",
@@ -178,9 +180,25 @@ class Dropping(CartesianPendulum):
         return Dropping(self.angle, self.spin, b)
 
 
+class Filling(CartesianPendulum):
+    """Fills an array of floats, which refuses complex numbers."""
+
+    def force(self, q, v, t):
+        Q = np.zeros(2)
+        Q[1] = -self.b[1]
+        return Q
+
+    def with_values(self, b):
+        return Filling(self.angle, self.spin, b)
+
+
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
+        (
+            Filling,
+            "force accepts complex numbers, as force_q, force_v, force_b, force_total need",
+        ),
         (OffTheRod, "start, q on the constraints"),
         (WrongShape, "shape and kind of constraint_b"),
         (Forgetful, "with_values, there and back"),

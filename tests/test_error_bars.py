@@ -42,9 +42,9 @@ def numbers(value, slope):
 @pytest.mark.parametrize("name", CASES)
 def test_bars_hold_and_are_not_wasteful(name, controlled, levels):
     build, objective, t_end, step, rtol = CASES[name]
-    exact = numbers(*gradient(build(), objective, (), t_end, Explicit(1e-11), Direct()).pair)
+    exact = numbers(*gradient(build(), objective, t_end, Explicit(1e-11), method=Direct()).pair)
     integrator = HHT(rtol=rtol) if controlled else HHT(step)
-    found = error_bars(build(), objective, (), t_end, integrator, levels=levels)
+    found = error_bars(build(), objective, t_end, integrator, levels=levels)
     error = np.abs(numbers(found.value, found.gradient) - exact)
     bar = numbers(found.value_bar, found.gradient_bar)
     assert np.all(error <= bar), (error, bar)
@@ -58,9 +58,9 @@ def test_bars_hold_and_are_not_wasteful(name, controlled, levels):
 
 def test_runs_are_those_of_gradient():
     objective = Integral(HEIGHT)
-    found = error_bars(CartesianPendulum(), objective, (), 1.0, HHT(0.02), Adjoint())
+    found = error_bars(CartesianPendulum(), objective, 1.0, HHT(0.02), method=Adjoint())
     for run, step in zip(found.runs, (0.02, 0.01), strict=True):
-        alone = gradient(CartesianPendulum(), objective, (), 1.0, HHT(step), Adjoint())
+        alone = gradient(CartesianPendulum(), objective, 1.0, HHT(step), method=Adjoint())
         np.testing.assert_array_equal(run.gradient, alone.gradient)
     assert found.value == found.runs[-1].value
     assert found.names == ("L", "g")
@@ -69,7 +69,7 @@ def test_runs_are_those_of_gradient():
 
 
 def test_halved_steps_of_a_controlled_run_contain_its_instants():
-    found = error_bars(CartesianPendulum(), Integral(HEIGHT), (), 1.0, HHT(rtol=1e-2))
+    found = error_bars(CartesianPendulum(), Integral(HEIGHT), 1.0, HHT(rtol=1e-2))
     coarse, fine = (run.solution.t for run in found.runs)
     np.testing.assert_array_equal(fine[::2], coarse)
     np.testing.assert_allclose(fine[1::2], 0.5 * (coarse[1:] + coarse[:-1]))
@@ -78,8 +78,8 @@ def test_halved_steps_of_a_controlled_run_contain_its_instants():
 def test_bars_widen_where_runs_do_not_converge():
     # Steps of a third of a swing: orders are not reached, and the bar does not believe in them.
     objective = Terminal(HEIGHT)
-    exact = gradient(CartesianPendulum(), objective, (), 6.0, Explicit(1e-11), Direct())
-    found = error_bars(CartesianPendulum(), objective, (), 6.0, HHT(0.25), levels=3)
+    exact = gradient(CartesianPendulum(), objective, 6.0, Explicit(1e-11), method=Direct())
+    found = error_bars(CartesianPendulum(), objective, 6.0, HHT(0.25), levels=3)
     assert np.min(found.orders) < 1.5
     assert abs(found.value - exact.value) <= found.value_bar
 
@@ -87,8 +87,8 @@ def test_bars_widen_where_runs_do_not_converge():
 @pytest.mark.parametrize("integrator", [IDA(1e-6), Explicit(1e-6)])
 def test_tolerances_are_refined_without_extrapolation(integrator):
     objective = Integral(HEIGHT**2)
-    exact = gradient(CartesianPendulum(), objective, (), 1.0, Explicit(1e-12), Direct())
-    found = error_bars(CartesianPendulum(), objective, (), 1.0, integrator)
+    exact = gradient(CartesianPendulum(), objective, 1.0, Explicit(1e-12), method=Direct())
+    found = error_bars(CartesianPendulum(), objective, 1.0, integrator)
     assert found.extrapolated_value == found.value
     assert abs(found.value - exact.value) <= found.value_bar
     assert np.all(np.abs(found.gradient - exact.gradient) <= found.gradient_bar)
@@ -97,21 +97,21 @@ def test_tolerances_are_refined_without_extrapolation(integrator):
 @pytest.mark.parametrize("levels", [1, 4, 2.5, True, "2"])
 def test_other_levels_are_refused(levels):
     with pytest.raises(InvalidInput, match="levels"):
-        error_bars(CartesianPendulum(), Integral(HEIGHT), (), 1.0, HHT(0.02), levels=levels)
+        error_bars(CartesianPendulum(), Integral(HEIGHT), 1.0, HHT(0.02), levels=levels)
 
 
 def test_no_better_tolerance_is_refused():
     with pytest.raises(InvalidInput, match=r"Explicit\.rtol"):
-        error_bars(CartesianPendulum(), Integral(HEIGHT), (), 0.1, Explicit(2e-14))
+        error_bars(CartesianPendulum(), Integral(HEIGHT), 0.1, Explicit(2e-14))
 
 
 @pytest.mark.parametrize("controlled", [False, True])
 @pytest.mark.parametrize("name", CASES)
 def test_adjoint_weighted_estimate_is_the_error(name, controlled):
     build, objective, t_end, step, rtol = CASES[name]
-    exact = gradient(build(), objective, (), t_end, Explicit(1e-11), Direct()).value
+    exact = gradient(build(), objective, t_end, Explicit(1e-11), method=Direct()).value
     integrator = HHT(rtol=0.1 * rtol) if controlled else HHT(0.5 * step)
-    found = adjoint_error(build(), objective, (), t_end, integrator)
+    found = adjoint_error(build(), objective, t_end, integrator)
     # The estimate is the error but for terms of the next order.
     assert found.error == pytest.approx(exact - found.value, rel=0.15)
     assert abs(found.extrapolated_value - exact) < 0.15 * abs(found.value - exact)
@@ -120,11 +120,11 @@ def test_adjoint_weighted_estimate_is_the_error(name, controlled):
 def test_adjoint_weighted_estimate_refuses_what_it_cannot_do():
     objective = Integral(HEIGHT)
     with pytest.raises(InvalidInput, match="adjoint_error: runs with HHT"):
-        adjoint_error(CartesianPendulum(), objective, (), 1.0, IDA())
+        adjoint_error(CartesianPendulum(), objective, 1.0, IDA())
     with pytest.raises(InvalidInput, match="needs four steps"):
-        adjoint_error(CartesianPendulum(), objective, (), 0.2, HHT(0.1))
+        adjoint_error(CartesianPendulum(), objective, 0.2, HHT(0.1))
     with pytest.raises(InvalidInput, match="objective"):
-        adjoint_error(CartesianPendulum(), HEIGHT, (), 0.2, HHT(0.1))
+        adjoint_error(CartesianPendulum(), HEIGHT, 0.2, HHT(0.1))
 
 
 def test_bars_say_whether_waves_are_resolved():
@@ -132,10 +132,10 @@ def test_bars_say_whether_waves_are_resolved():
     tip = Terminal(position(beam.beams[0].at_end, 1))
     design = ("pendulum.height", "pendulum.width")
     # The waves of the soft beam are faster than these steps. The width has no influence, no error.
-    assert error_bars(beam, tip, design, 0.25, HHT(2.0**-7)).resolved is False
+    assert error_bars(beam, tip, 0.25, HHT(2.0**-7), design=design).resolved is False
     damped = pendulum(damping_time=1e-3)
-    assert error_bars(damped, tip, design, 0.25, HHT(2.0**-9)).resolved is True
-    assert error_bars(CartesianPendulum(), Integral(HEIGHT), (), 1.0, HHT(0.02)).resolved is True
+    assert error_bars(damped, tip, 0.25, HHT(2.0**-9), design=design).resolved is True
+    assert error_bars(CartesianPendulum(), Integral(HEIGHT), 1.0, HHT(0.02)).resolved is True
     for integrator, method in ((HHT(0.02), Adjoint()), (Explicit(1e-4), Direct())):
-        found = error_bars(CartesianPendulum(), Integral(HEIGHT), (), 1.0, integrator, method)
+        found = error_bars(CartesianPendulum(), Integral(HEIGHT), 1.0, integrator, method=method)
         assert found.resolved is None

@@ -174,7 +174,7 @@ ENERGY = kinetic_energy_integral()
 
 def crank(integrator, method=None):
     """Error of G, dG/dk, dG/dc."""
-    result = gradient(SliderCrank(), ENERGY, (), 10.0, integrator, method)
+    result = gradient(SliderCrank(), ENERGY, 10.0, integrator, method=method)
     return np.array([result.value, *result.gradient]) - published.CRANK_G, result.solution
 
 
@@ -230,7 +230,7 @@ def pendulum_error(integrator, rows=6):
     """Largest error of the table's first rows, relative to max(1, |value|)."""
     table = published.PENDULUM[:rows]
     t_end = table[-1, 0]
-    solution = differentiate(cartesian_pendulum(), (), t_end, integrator)
+    solution = differentiate(cartesian_pendulum(), t_end, integrator)
     assert solution.outcome.success
     places = [int(np.argmin(np.abs(solution.t - time))) for time in table[:, 0]]
     assert np.max(np.abs(solution.t[places] - table[:, 0])) <= 1e-12
@@ -295,7 +295,7 @@ def test_minimal_form_of_the_four_bar_gives_the_table():
 def test_four_bar_passes_the_singular_configuration_by_hht():
     # At t = 0.7 all bars are in one line; the tolerance is that of the report.
     motion = HHT(1e-4, newton_tolerance=1e-5)
-    solution = differentiate(double_four_bar(), (), 1.0, motion)
+    solution = differentiate(double_four_bar(), 1.0, motion)
     error, error_b = four_bar_error(solution, 1.0)
     assert error <= 1e-5
     assert error_b <= 1e-5
@@ -321,4 +321,4 @@ def test_adjoint_of_idas_ends_cleanly_at_the_singular_configuration(rtol):
     # The motion goes through, the covectors become infinite there.
     place = custom(lambda t, q, v, lam, b: q[:, 0] ** 2, "place")
     with pytest.raises(UnfinishedRun, match="no gradient"):
-        gradient(double_four_bar(), Integral(place), (), 2.0, IDAS(rtol), Adjoint())
+        gradient(double_four_bar(), Integral(place), 2.0, IDAS(rtol), method=Adjoint())

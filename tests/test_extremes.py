@@ -85,7 +85,7 @@ def test_derivatives_at_tiny_steps_are_those_of_the_complex_step(build, h, count
     # by their own size at 1e-7 s.
     system, integrator = build(), tiny(h, alpha, count)
     direct, check = (
-        differentiate(system, (), integrator.steps.times[-1], integrator, method)
+        differentiate(system, integrator.steps.times[-1], integrator, method=method)
         for method in (Direct(), ComplexStep())
     )
     for name, bound in (("q_b", 1e-12), ("v_b", 1e-10), ("a_b", 2e-6), ("lam_b", 2e-6)):
@@ -93,7 +93,7 @@ def test_derivatives_at_tiny_steps_are_those_of_the_complex_step(build, h, count
         assert np.max(np.abs(ours - theirs)) < bound * np.max(np.abs(theirs)), name
     objective = Integral(custom(lambda t, q, v, lam, b: lam[:, 0] ** 2, "reaction"))
     back, forth = (
-        gradient(system, objective, (), integrator.steps.times[-1], integrator, method).gradient
+        gradient(system, objective, integrator.steps.times[-1], integrator, method=method).gradient
         for method in (Adjoint(), Direct())
     )
     assert np.linalg.norm(back - forth) < 1e-7 * np.linalg.norm(forth)
@@ -101,8 +101,8 @@ def test_derivatives_at_tiny_steps_are_those_of_the_complex_step(build, h, count
 
 def test_derivatives_of_the_rigid_pendulum_stay_usable_at_tiny_steps():
     h, system = 1e-6, CartesianPendulum(-1.0, 2.0)
-    run = differentiate(system, (), 400 * h, HHT(h, hht_alpha=-0.05))
-    exact = differentiate(system, (), 400 * h, Explicit(1e-12)).sensitivities
+    run = differentiate(system, 400 * h, HHT(h, hht_alpha=-0.05))
+    exact = differentiate(system, 400 * h, Explicit(1e-12)).sensitivities
     for name in ("a_b", "lam_b"):
         ours, theirs = getattr(run.sensitivities, name)[-1], getattr(exact, name)[-1]
         assert np.max(np.abs(ours - theirs)) < 1e-5 * np.max(np.abs(theirs)), name
@@ -111,7 +111,7 @@ def test_derivatives_of_the_rigid_pendulum_stay_usable_at_tiny_steps():
 def test_derivatives_along_take_small_steps_into_account():
     system, h = CartesianPendulum(-1.0, 2.0), 1e-6
     integrator = HHT(ControlledSteps(1e-9, max_steps=400, sensitivities=True))
-    run = differentiate(system, (), 1e-4, integrator)
+    run = differentiate(system, 1e-4, integrator)
     assert np.median(np.diff(run.t)) < 10 * h
     batched = integrator.differentiate(system, run)
     for name in ("q_b", "v_b", "a_b", "lam_b"):
@@ -128,7 +128,7 @@ def test_an_interrupt_among_small_steps_keeps_the_derivatives_before(monkeypatch
         return original(*arguments)
 
     monkeypatch.setattr(ConstraintRow, "of", interrupted)
-    run = differentiate(CartesianPendulum(-1.0, 2.0), (), 20e-7, HHT(1e-7))
+    run = differentiate(CartesianPendulum(-1.0, 2.0), 20e-7, HHT(1e-7))
     assert run.outcome.verdict is Verdict.INTERRUPTED
     assert len(run.t) == len(run.sensitivities.q_b) == 6
 
@@ -158,7 +158,7 @@ class Carriage(ComplexStepSystem):
 
 def test_a_step_from_an_instant_without_forces_is_not_taken_for_small():
     # Inertia and reaction are zero at the start; increments of the drive would err by 4e-9.
-    run = differentiate(Carriage((1.0, 1.0)), (), 2.0, HHT(0.5))
+    run = differentiate(Carriage((1.0, 1.0)), 2.0, HHT(0.5))
     exact = np.stack([np.sin(run.t), run.t * np.cos(run.t)], axis=1)
     np.testing.assert_allclose(run.sensitivities.q_b[:, 1], exact, atol=1e-14, rtol=0)
 

@@ -81,8 +81,8 @@ def test_panels_integrate_to_degree_15_and_interpolate_to_degree_8():
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_states_multipliers_and_derivatives_agree(integrator):
-    ours = differentiate(CartesianPendulum(0.5, 2.0), (), 1.0, integrator)
-    other = differentiate(CartesianPendulum(0.5, 2.0), (), 1.0, Explicit(1e-12, intervals=8))
+    ours = differentiate(CartesianPendulum(0.5, 2.0), 1.0, integrator)
+    other = differentiate(CartesianPendulum(0.5, 2.0), 1.0, Explicit(1e-12, intervals=8))
     assert ours.outcome.success
     assert ours.degree == 8
     assert ours.statistics.steps > 10
@@ -101,18 +101,18 @@ def test_states_multipliers_and_derivatives_agree(integrator):
 def test_adjoint_of_idas_is_direct_differentiation(kind, reduce):
     objective = reduce(custom(OBJECTIVES[kind], kind))
     system = CartesianPendulum(0.5, 2.0)
-    exact = gradient(system, objective, (), 1.0, Explicit(1e-12)).gradient
+    exact = gradient(system, objective, 1.0, Explicit(1e-12)).gradient
     for method in (Adjoint(), Direct()):
-        found = gradient(system, objective, (), 1.0, IDAS(1e-10), method).gradient
+        found = gradient(system, objective, 1.0, IDAS(1e-10), method=method).gradient
         assert np.max(np.abs(found - exact)) < 1e-6 * np.max(np.abs(exact)), method
 
 
 def test_hht_converges_to_the_index_reduced_path():
     objective = Integral(custom(OBJECTIVES["lam"], "lam"))
     system = CartesianPendulum(0.5, 2.0)
-    exact = gradient(system, objective, (), 1.0, IDA(1e-11)).gradient
+    exact = gradient(system, objective, 1.0, IDA(1e-11)).gradient
     errors = [
-        np.linalg.norm(gradient(system, objective, (), 1.0, HHT(h)).gradient - exact)
+        np.linalg.norm(gradient(system, objective, 1.0, HHT(h)).gradient - exact)
         for h in (2.0**-7, 2.0**-8)
     ]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
@@ -120,9 +120,9 @@ def test_hht_converges_to_the_index_reduced_path():
 
 def test_differences_of_runs_agree_with_appended_sensitivities():
     objective, system = Integral(custom(OBJECTIVES["v"], "v")), CartesianPendulum(0.5, 2.0)
-    exact = gradient(system, objective, (), 1.0, Explicit(1e-12)).gradient
+    exact = gradient(system, objective, 1.0, Explicit(1e-12)).gradient
     method = FiniteDifference(1e-4, central=True)
-    found = gradient(system, objective, (), 1.0, Explicit(1e-12), method).gradient
+    found = gradient(system, objective, 1.0, Explicit(1e-12), method=method).gradient
     assert np.max(np.abs(found - exact)) < 1e-6 * np.max(np.abs(exact))
 
 
@@ -130,10 +130,10 @@ def test_refusals():
     objective, system = Integral(custom(OBJECTIVES["q"], "q")), CartesianPendulum()
     for method in (Adjoint(), ContinuousAdjoint()):
         with pytest.raises(InvalidInput, match="HHT"):
-            gradient(system, objective, (), 1.0, IDA(), method)
+            gradient(system, objective, 1.0, IDA(), method=method)
     for integrator in (IDA(), IDAS(), Explicit()):
         with pytest.raises(InvalidInput, match="complex numbers"):
-            gradient(system, objective, (), 1.0, integrator, ComplexStep())
+            gradient(system, objective, 1.0, integrator, method=ComplexStep())
     for wrong in ({"rtol": 0.1}, {"rtol": 0.0}, {"intervals": 0}, {"max_steps": 0}):
         for kind in (IDA, IDAS, Explicit):
             with pytest.raises(InvalidInput):

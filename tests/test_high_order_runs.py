@@ -72,7 +72,7 @@ def name_of(value):
 
 @lru_cache(maxsize=1)
 def reference():
-    return differentiate(driven(), (), T_END, Explicit(1e-11, 2))
+    return differentiate(driven(), T_END, Explicit(1e-11, 2))
 
 
 def errors(run, exact):
@@ -87,7 +87,7 @@ def errors(run, exact):
 
 @pytest.mark.parametrize("integrator", every_method(1e-7), ids=name_of)
 def test_methods_agree_on_a_driven_flexible_scene(integrator):
-    run = differentiate(driven(), (), T_END, integrator)
+    run = differentiate(driven(), T_END, integrator)
     assert run.outcome.success
     np.testing.assert_array_equal(run.t, reference().t)
     found = errors(run, reference())
@@ -97,7 +97,7 @@ def test_methods_agree_on_a_driven_flexible_scene(integrator):
 
 
 def test_hht_tends_to_the_same_end():
-    runs = [differentiate(driven(), (), T_END, HHT(T_END / n)) for n in (256, 512)]
+    runs = [differentiate(driven(), T_END, HHT(T_END / n)) for n in (256, 512)]
     for name in (*STATES, *RATES):
         holders = [run if name in STATES else run.sensitivities for run in (*runs, reference())]
         coarse, fine, exact = (getattr(holder, name)[-1] for holder in holders)
@@ -120,7 +120,7 @@ def test_error_falls_with_the_tolerance(integrator):
 
 @lru_cache(maxsize=8)
 def in_own_units(integrator):
-    return differentiate(driven(), (), T_END / 2, integrator)
+    return differentiate(driven(), T_END / 2, integrator)
 
 
 # Powers of four: no rounding changes, nor that of a root, so neither may a bit of the result.
@@ -132,7 +132,7 @@ UNITS = {"length": (4.0**10, 1.0, 1.0), "mass": (1.0, 4.0**-10, 1.0), "time": (1
 def test_runs_are_the_same_to_the_last_bit_in_other_units(integrator, unit):
     length, mass, time = UNITS[unit]
     base = in_own_units(integrator)
-    run = differentiate(chain(length, mass, time, DESIGN), (), T_END / 2 * time, integrator)
+    run = differentiate(chain(length, mass, time, DESIGN), T_END / 2 * time, integrator)
     assert run.outcome.success
     ours, other = (vars(x.statistics) | {"wall_seconds": 0} for x in (run, base))
     assert ours == other
@@ -169,7 +169,7 @@ def test_explicit_runs_stay_on_driven_constraints():
     joints = [Pin(rod.at_start), Drive(rod.at_start, Harmonic(0.5, 4.0), name="m")]
     system = assemble(Scene([rod], joints, (0, -9.81), project_start=True), ["m.frequency"])
     assert system.linear_constraints
-    run = differentiate(system, (), 0.125, Explicit(1e-4, 2))
+    run = differentiate(system, 0.125, Explicit(1e-4, 2))
     B, b = system.constraint_pattern, run.sensitivities
     for t, q, v, q_b in zip(run.t, run.q, run.v, b.q_b, strict=True):
         Phi_q = system.constraint_q(q, t)
@@ -229,7 +229,7 @@ OBJECTIVES = {
 
 @lru_cache(maxsize=8)
 def exact_gradient(name):
-    return gradient(swinging(), OBJECTIVES[name], (), 1.0, Explicit(1e-11, 4), Direct())
+    return gradient(swinging(), OBJECTIVES[name], 1.0, Explicit(1e-11, 4), method=Direct())
 
 
 @pytest.mark.parametrize("name", OBJECTIVES)
@@ -244,7 +244,7 @@ def exact_gradient(name):
     ids=name_of,
 )
 def test_gradients_of_composed_objectives(name, integrator, method):
-    found = gradient(swinging(), OBJECTIVES[name], (), 1.0, integrator, method)
+    found = gradient(swinging(), OBJECTIVES[name], 1.0, integrator, method=method)
     exact = exact_gradient(name)
     assert found.value == pytest.approx(exact.value, rel=1e-5)
     size = np.max(np.abs(exact.gradient))
@@ -255,7 +255,7 @@ def test_gradients_of_composed_objectives(name, integrator, method):
 def test_adjoint_of_idas_on_a_driven_scene():
     system, tip = driven(), position(Point("b", 1.0), 1)
     results = [
-        gradient(system, Integral(tip**2), (), T_END, integrator, method).gradient
+        gradient(system, Integral(tip**2), T_END, integrator, method=method).gradient
         for integrator, method in ((IDAS(1e-7, GGL, 2), Adjoint()), (Explicit(1e-9, 2), Direct()))
     ]
     np.testing.assert_allclose(results[0] * system.b, results[1] * system.b, rtol=1e-4, atol=1e-11)
@@ -263,5 +263,5 @@ def test_adjoint_of_idas_on_a_driven_scene():
 
 @pytest.mark.parametrize("integrator", [IDA(1e-8), idas(IDAS(1e-8)), Explicit()], ids=name_of)
 def test_direct_is_the_default_method(integrator):
-    found = gradient(swinging(), OBJECTIVES["smooth maximum"], (), 0.1, integrator)
+    found = gradient(swinging(), OBJECTIVES["smooth maximum"], 0.1, integrator)
     assert isinstance(found.method, Direct)

@@ -35,6 +35,7 @@ from ancfdae import (
     Harmonic,
     Material,
     Pin,
+    Point,
     PointOnLine,
     Rectangle,
     Revolute,
@@ -522,7 +523,7 @@ def simulated(scene, t_end=0.5):
 
 def section_of(solution, point):
     """Slope vectors of a point as columns, shape (n_t, 3, 3)."""
-    slopes = [solution.slope(point.beam, point.fraction, k, point.y, point.z) for k in range(3)]
+    slopes = [solution.slope(point, k) for k in range(3)]
     return np.stack(slopes, axis=-1)
 
 
@@ -538,7 +539,7 @@ def test_revolute_keeps_the_point_and_the_axis():
     axis, hinge = np.array([0.3, 1.0, 0.2]), rod.at(0.1, y=0.01)
     scene = Scene([rod], [Revolute(hinge, axis)], gravity=(2.0, -1.0, -9.81))
     solution = simulated(scene)
-    place = solution.position("rod", 0.1, 0.01)
+    place = solution.position(Point("rod", 0.1, y=0.01))
     assert np.max(np.abs(place - place[0])) <= HOLDS
     axis /= np.linalg.norm(axis)
     basis = np.linalg.svd(axis[None])[2][1:]  # any two directions across the axis
@@ -555,7 +556,7 @@ def test_revolute_between_beams_keeps_the_axis_of_the_other_beam():
     bearing = Revolute(rod.at_start, (0.0, 1.0, 0.3))
     joints = [bearing, Revolute(arm.at_start, axis, rod.at_end)]
     solution = simulated(Scene([rod, arm], joints, gravity=(2.0, -9.81, 3.0)))
-    apart = solution.position("arm", 0.0) - solution.position("rod", 1.0)
+    apart = solution.position(Point("arm", 0.0)) - solution.position(Point("rod", 1.0))
     assert np.max(np.abs(apart)) <= HOLDS
     basis = np.linalg.svd(axis[None])[2][1:]
     carried = moved_directions(solution, rod.at_end, axis[None])[:, 0]
@@ -569,7 +570,7 @@ def test_point_on_line_stays_on_the_line():
     direction = np.array([1.0, -0.4, -0.5])
     joints = [PointOnLine(rod.at(0.2, z=0.01), direction)]
     solution = simulated(Scene([rod], joints, gravity=(2.0, -1.0, -9.81)))
-    travel = solution.position("rod", 0.2, 0.0, 0.01)
+    travel = solution.position(Point("rod", 0.2, y=0.0, z=0.01))
     travel = travel - travel[0]
     assert np.max(np.abs(np.cross(travel, unit(direction)))) <= 10 * HOLDS
     assert np.max(np.abs(travel @ unit(direction))) > 0.1
@@ -591,8 +592,8 @@ def test_distance_keeps_the_distance_to_ground_and_between_beams():
         Pin(arm.at_start),
     ]
     solution = simulated(Scene([rod, arm], joints, gravity=(0.0, -9.81)))
-    stay = np.linalg.norm(solution.position("rod", 0.0) - ground, axis=1)
-    apart = solution.position("rod", 0.7, 0.02) - solution.position("arm", 0.5)
+    stay = np.linalg.norm(solution.position(Point("rod", 0.0)) - ground, axis=1)
+    apart = solution.position(Point("rod", 0.7, y=0.02)) - solution.position(Point("arm", 0.5))
     assert np.max(np.abs(stay - 0.5)) <= 10 * HOLDS
     assert np.max(np.abs(np.linalg.norm(apart, axis=1) - link)) <= 10 * HOLDS
 
@@ -608,7 +609,7 @@ def test_drive_turns_the_section_by_its_law_over_full_turns(d, sense):
     motor = Drive(crank.at(0.1), Uniform(speed, acceleration=grow))
     start = [RigidMotion("crank", spin, (0.0, 0.0, *z))]
     solution = simulated(Scene([crank], [bearing, motor], start=start), 1.25)
-    tangent = solution.slope("crank", 0.1)
+    tangent = solution.slope(Point("crank", 0.1))
     angle = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     turned, t = angle - angle[0], solution.t
     assert np.max(np.abs(turned - (speed * t + grow * t**2 / 2))) <= 100 * HOLDS
@@ -621,7 +622,7 @@ def test_guide_moves_the_point_by_its_law():
     guide = Guide(rod.at(0.2, y=0.01), direction, law)
     start = [RigidMotion("rod", 0.0, (0.0, 0.0), velocity=1.2 * unit(direction))]
     solution = simulated(Scene([rod], [guide], gravity=(0.0, -9.81), start=start))
-    place = solution.position("rod", 0.2, 0.01)
+    place = solution.position(Point("rod", 0.2, y=0.01))
     travel = (place - place[0]) @ unit(direction)
     assert np.max(np.abs(travel - 0.2 * np.sin(6.0 * solution.t))) <= 10 * HOLDS
     assert np.max(np.abs(travel)) > 0.15

@@ -29,6 +29,7 @@ from ancfdae import (
     FollowerForce,
     Material,
     Pin,
+    Point,
     PointForce,
     PointOnLine,
     Revolute,
@@ -285,9 +286,9 @@ def test_damper_takes_the_energy_out_of_a_swinging_beam():
         solution = simulate(scene, 0.5, HHT(step=2**-9, hht_alpha=-0.01))
         assert solution.outcome.success
         system = assemble(scene)
-        e = solution.position("rod", 0.5) - [0.2, -0.5]
+        e = solution.position(Point("rod", 0.5)) - [0.2, -0.5]
         l = np.linalg.norm(e, axis=1)
-        rate = np.sum(e * solution.velocity("rod", 0.5), axis=1) / l
+        rate = np.sum(e * solution.velocity(Point("rod", 0.5)), axis=1) / l
         stored = 0.5 * 40.0 * (l - 0.3) ** 2 + system.strain_energies(solution.q)
         energy = system.kinetic_energies(solution.v) + stored
         power = damping * rate**2

@@ -32,7 +32,7 @@ from ancfdae.observables import (
     apply,
     custom,
     deflection,
-    design,
+    design_value,
     kinetic_energy,
     position,
     reaction,
@@ -85,7 +85,9 @@ def work(t, q, v, lam, b):
 
 OBJECTIVES = {
     "integral": Integral(X),
-    "integral of everything": Integral(X * V * reaction("pin", 1) + time() * design("rod.height")),
+    "integral of everything": Integral(
+        X * V * reaction("pin", 1) + time() * design_value("rod.height")
+    ),
     "integral of energies": Integral(strain_energy() - kinetic_energy()),
     "integral of a custom function": Integral(custom(work, "work")),
     "terminal": Terminal(X**2 * V),

@@ -57,7 +57,7 @@ def test_flexible_pendulum_converges_with_order_two(modulus, t_end, first, spin,
 
 def test_sensitivities_of_the_rigid_pendulum_converge_with_order_two():
     system = CartesianPendulum(-1.0, 2.0)
-    runs = [differentiate(system, (), 1.0, HHT(2.0**-k)) for k in (6, 7, 8, 9)]
+    runs = [differentiate(system, 1.0, HHT(2.0**-k)) for k in (6, 7, 8, 9)]
     for name in ("q_b", "v_b", "a_b", "lam_b"):
         orders = observed_orders(runs, lambda run, name=name: getattr(run.sensitivities, name))
         assert abs(orders[-1] - 2) < WITHIN, (name, orders)

@@ -147,7 +147,7 @@ def test_a_start_that_cannot_be_projected_is_refused():
 
 def test_a_perturbed_run_that_ends_early_is_told_in_the_outcome():
     system = FailingWhenComplex()
-    run = differentiate(system, (), 1.0, HHT(2.0**-5), ComplexStep())
+    run = differentiate(system, 1.0, HHT(2.0**-5), method=ComplexStep())
     assert run.outcome.verdict is Verdict.NOT_FINITE
     assert run.outcome.step == len(run.t) - 1 == 15
 
@@ -156,7 +156,7 @@ def test_an_interrupt_of_the_pass_back_keeps_the_run(monkeypatch):
     monkeypatch.setattr(CartesianPendulum, "start_b", lambda self: interrupt())
     objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
     with pytest.raises(UnfinishedRun, match="interrupted") as caught:
-        gradient(CartesianPendulum(), objective, (), 1.0, HHT(2.0**-5), Adjoint())
+        gradient(CartesianPendulum(), objective, 1.0, HHT(2.0**-5), method=Adjoint())
     assert len(caught.value.solution.t) == 33
 
 

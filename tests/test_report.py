@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ancfdae
 import validation.report
 from ancfdae import plotting
 from ancfdae.errors import InvalidInput
@@ -18,6 +19,7 @@ from validation.__main__ import main
 from validation.catalogue import CATALOGUE, Definition
 from validation.report import Report, Verdict, environment
 
+REPORTS = Path(__file__).resolve().parents[1] / "docs" / "reports"
 PANEL = Panel("Line", "t [s]", "y [m]", [Series("y", [0.0, 1.0], [0.0, 2.0])])
 
 
@@ -27,8 +29,12 @@ def report(tmp_path: Path) -> Report:
 
 
 def written(report: Report) -> tuple[str, dict[str, dict[str, object]]]:
-    path = report.write()
-    return path.read_text(), json.loads((path.parent / "results.json").read_text())
+    return written_in(report.write().parent)
+
+
+def written_in(folder: Path) -> tuple[str, dict[str, dict[str, object]]]:
+    results = json.loads((folder / "results.json").read_text())
+    return (folder / "report.md").read_text(), results
 
 
 def fill(report: Report) -> None:
@@ -250,12 +256,28 @@ def test_run_passes_quick_on_writes_and_says_where(
     assert ("not results" in path.read_text()) is quick
     meta = json.loads(path.with_name("results.json").read_text())["meta"]
     assert meta["command"] == "python -m validation " + " ".join(words)
+    assert meta["ancfdae"] == ancfdae.__version__
 
 
 def test_run_writes_to_the_folder_that_is_asked_for(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "folder"
     assert main(["run", "sample", "--out", str(folder)], [definition(lambda *_: None)]) == 0
-    assert (folder / "report.md").read_text().startswith("# A sample\n\nDoes it run?\n")
+    text, results = written_in(folder)
+    assert text.startswith("# A sample\n\nDoes it run?\n")
+    # A committed report names no folder of the machine that made it.
+    assert results["meta"]["command"] == "python -m validation run sample"
+    assert str(tmp_path) not in text
+
+
+@pytest.mark.parametrize("path", sorted(REPORTS.glob("*/report.md")), ids=lambda x: x.parent.name)
+def test_committed_reports_come_from_a_clean_checkout_of_a_known_version(path: Path) -> None:
+    text, results = written_in(path.parent)
+    meta = results["meta"]
+    assert meta["command"] == f"python -m validation run {path.parent.name}"
+    assert meta["dirty"] is False
+    versions = f"with ancfdae {meta['ancfdae']} at commit {meta['commit']} without uncommitted"
+    assert f"Made by `{meta['command']}`" in text.splitlines()[-1]
+    assert versions in text.splitlines()[-1]
 
 
 def test_failing_report_exits_1_with_its_error_and_writes_nothing(

@@ -7,6 +7,7 @@ from ancfdae import (
     HHT,
     IDA,
     IDAS,
+    Adjoint,
     Beam,
     Clamp,
     ComplexStep,
@@ -15,23 +16,27 @@ from ancfdae import (
     Direct,
     Explicit,
     FiniteDifference,
+    Integral,
     InvalidInput,
     Material,
     NodeState,
     Pin,
+    Point,
     Rectangle,
     RigidMotion,
     Scene,
     Terminal,
     assemble,
     custom,
+    deflection,
     differentiate,
     distribution,
     gradient,
+    position,
     simulate,
     taylor_test,
 )
-from validation.scenes import deflection, pendulum
+from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
 
@@ -43,8 +48,8 @@ KINDS = ("youngs_modulus", "poisson_ratio", "density", "height", "width", "lengt
 
 def assert_same_derivative(scene, design, t_end, integrator, within=EXACT):
     """Compare direct differentiation and complex step for every variable and unknown."""
-    direct = differentiate(scene, design, t_end, integrator)
-    check = differentiate(scene, design, t_end, integrator, ComplexStep())
+    direct = differentiate(scene, t_end, integrator, design=design)
+    check = differentiate(scene, t_end, integrator, design=design, method=ComplexStep())
     assert direct.outcome.success
     for name, scale in (
         ("q_b", direct.q),
@@ -155,7 +160,7 @@ def test_a_system_with_curved_constraints():
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_modulus_and_density_identities_hold_to_round_off(dimension):
     design = ["pendulum.youngs_modulus", "pendulum.density"]
-    run = differentiate(pendulum(dimension), design, 1.0, HHT(2.0**-7))
+    run = differentiate(pendulum(dimension), 1.0, HHT(2.0**-7), design=design)
     s = run.sensitivities
     E, rho = s.values
     q_scale, lam_scale = np.max(np.abs(E * s.q_b[..., 0])), np.max(np.abs(run.lam))
@@ -169,12 +174,16 @@ def test_modulus_and_density_identities_hold_to_round_off(dimension):
 def test_finite_differences_approach_direct_differentiation_at_their_order():
     design = ["pendulum.youngs_modulus", "pendulum.height"]
     integrator = HHT(2.0**-7)
-    exact = differentiate(pendulum(), design, 0.25, integrator).sensitivities.q_b
+    exact = differentiate(pendulum(), 0.25, integrator, design=design).sensitivities.q_b
     for central, order in ((False, 1), (True, 2)):
         errors = [
             np.linalg.norm(
                 differentiate(
-                    pendulum(), design, 0.25, integrator, FiniteDifference(size, central)
+                    pendulum(),
+                    0.25,
+                    integrator,
+                    design=design,
+                    method=FiniteDifference(size, central),
                 ).sensitivities.q_b
                 - exact,
                 axis=(0, 1),
@@ -186,20 +195,53 @@ def test_finite_differences_approach_direct_differentiation_at_their_order():
         np.testing.assert_allclose(observed, order, atol=0.05)
 
 
-def test_taylor_remainder_is_of_second_order_and_a_wrong_derivative_is_not():
+TIP = Point("pendulum", 1.0)
+DEFLECTION = deflection(TIP, frame_at=Point("pendulum", 0.0))
+
+
+@pytest.mark.parametrize("method", [None, Direct(), Adjoint(), ComplexStep()])
+@pytest.mark.parametrize(
+    "objective", [Integral(DEFLECTION**2), Terminal(DEFLECTION) * Integral(position(TIP, 0))]
+)
+def test_taylor_remainder_of_an_objective_is_of_second_order(method, objective):
+    found = taylor_test(
+        pendulum(),
+        objective,
+        0.25,
+        HHT(2.0**-7),
+        design=["pendulum.youngs_modulus", "pendulum.height"],
+        method=method,
+        direction=(1.0, -0.5),
+    )
+    # The next term is of the size of the perturbations, 1e-3, times factors up to a hundred.
+    assert abs(found.order - 2) < 0.1
+
+
+def test_taylor_remainder_of_a_wrong_gradient_is_of_first_order():
     system = assemble(pendulum(), ["pendulum.youngs_modulus", "pendulum.height"])
-    good = taylor_test(system, 0.25, HHT(2.0**-7), Direct(), deflection, direction=(1.0, -0.5))
-    assert abs(good.order - 2) < 0.1
-    # A derivative that is one per cent off leaves a remainder of first order.
+    # Forward differences over five per cent are off by some per cent.
     coarse = FiniteDifference(0.05)
-    bad = taylor_test(system, 0.25, HHT(2.0**-7), coarse, deflection, direction=(1.0, -0.5))
-    assert bad.order < 1.5
+    objective = Integral(DEFLECTION**2)
+    found = taylor_test(system, objective, 0.25, HHT(2.0**-7), method=coarse, direction=(1.0, -0.5))
+    assert found.order < 1.5
+
+
+def test_a_model_without_design_variables_is_refused():
+    run = (0.25, HHT(2.0**-7))
+    for model in (pendulum(), assemble(pendulum())):
+        for call in (
+            lambda model=model: differentiate(model, *run),
+            lambda model=model: gradient(model, Integral(DEFLECTION), *run, design=[]),
+            lambda model=model: taylor_test(model, Integral(DEFLECTION), *run),
+        ):
+            with pytest.raises(InvalidInput, match=r"design: must name .* design=\["):
+                call()
 
 
 def test_unchanged_run_when_sensitivities_are_integrated_along():
     # The matrix kept from the sensitivities changes the Newton path, not its limit.
-    alone = differentiate(pendulum(), [], 0.5, HHT(2.0**-7))
-    along = differentiate(pendulum(), ["pendulum.height"], 0.5, HHT(2.0**-7))
+    alone = simulate(pendulum(), 0.5, HHT(2.0**-7))
+    along = differentiate(pendulum(), 0.5, HHT(2.0**-7), design=["pendulum.height"])
     np.testing.assert_allclose(along.q, alone.q, atol=1e-11)
 
 
@@ -209,9 +251,9 @@ ABSCISSA = Terminal(custom(lambda t, q, v, lam, b: q[:, 0]))
 @pytest.mark.parametrize("kind", [IDA, IDAS, Explicit])
 def test_complex_step_is_refused_by_integrators_in_real_numbers(kind):
     with pytest.raises(InvalidInput, match=r"ComplexStep: .*Use HHT"):
-        gradient(CartesianPendulum(), ABSCISSA, (), 1.0, kind(), ComplexStep())
+        gradient(CartesianPendulum(), ABSCISSA, 1.0, kind(), method=ComplexStep())
     with pytest.raises(InvalidInput, match=r"ComplexStep: .*Use HHT"):
-        differentiate(CartesianPendulum(), (), 1.0, kind(), ComplexStep())
+        differentiate(CartesianPendulum(), 1.0, kind(), method=ComplexStep())
 
 
 def test_complex_design_values_are_refused_by_integrators_in_real_numbers():

@@ -120,7 +120,7 @@ def test_gradients_through_a_damped_start_are_exact(step):
     scene, design = cantilever(2, 1e-2), ["rod.damping_time", "rod.height", "rod.length"]
     objective = AtTimes(position(scene.beams[0].at_end, 1), [step, 5 * step])
     found = [
-        gradient(scene, objective, design, 5 * step, HHT(step), method).gradient
+        gradient(scene, objective, 5 * step, HHT(step), design=design, method=method).gradient
         for method in (Direct(), Adjoint(), ComplexStep())
     ]
     # Stiff equations leave 1e-9 of round-off; a forgotten term of the start shows at order one.

@@ -50,7 +50,9 @@ X2 = Integral(custom(square))
 
 @pytest.fixture(scope="module")
 def measured():
-    return tradeoff(SCENE, OBJECTIVE, DESIGN, T_END, [*SETTINGS, FAILING], reference=Explicit(1e-9))
+    return tradeoff(
+        SCENE, OBJECTIVE, T_END, [*SETTINGS, FAILING], design=DESIGN, reference=Explicit(1e-9)
+    )
 
 
 def test_a_row_for_every_setting_in_order(measured):
@@ -65,7 +67,7 @@ def test_a_row_for_every_setting_in_order(measured):
 
 def test_errors_are_those_against_the_reference(measured):
     fine, coarse = (
-        gradient(SCENE, OBJECTIVE, DESIGN, T_END, i) for i in (Explicit(1e-9), SETTINGS[0])
+        gradient(SCENE, OBJECTIVE, T_END, i, design=DESIGN) for i in (Explicit(1e-9), SETTINGS[0])
     )
     b = np.array([0.05, 1e6])
     away = np.linalg.norm((coarse.gradient - fine.gradient) * b) / np.linalg.norm(fine.gradient * b)
@@ -141,7 +143,7 @@ def test_a_failed_setting_is_a_row_with_its_message(measured):
     assert failed not in measured.pareto()
     # Half a step does not fit into the run: the integrator refuses, the table goes on.
     one, refused = tradeoff(
-        CartesianPendulum(), X2, (), 1.0, [HHT(0.1), HHT(0.3)], reference=HHT(0.01)
+        CartesianPendulum(), X2, 1.0, [HHT(0.1), HHT(0.3)], reference=HHT(0.01)
     ).rows
     assert one.finished
     assert "whole number of steps" in refused.outcome
@@ -149,7 +151,7 @@ def test_a_failed_setting_is_a_row_with_its_message(measured):
 
 def test_systems_of_any_kind(measured):
     table = tradeoff(
-        CartesianPendulum(), X2, (), 1.0, [HHT(0.05), IDA(1e-6)], method=Direct(), repeats=2
+        CartesianPendulum(), X2, 1.0, [HHT(0.05), IDA(1e-6)], method=Direct(), repeats=2
     )
     coarse, fine = table.rows
     assert coarse.energy is None
@@ -192,9 +194,9 @@ def test_worker_processes_measure_the_same(measured):
         table = tradeoff(
             SCENE,
             OBJECTIVE,
-            DESIGN,
             T_END,
             [SETTINGS[0], FAILING],
+            design=DESIGN,
             reference=Explicit(1e-9),
             executor=executor,
         )
@@ -204,7 +206,7 @@ def test_worker_processes_measure_the_same(measured):
         assert table.rows[1].outcome == measured.rows[-1].outcome
         unsent = Integral(custom(lambda t, q, v, lam, b: q[:, 0]))
         with pytest.raises(InvalidInput, match="objective, executor: must pickle"):
-            tradeoff(SCENE, unsent, DESIGN, T_END, SETTINGS, executor=executor)
+            tradeoff(SCENE, unsent, T_END, SETTINGS, design=DESIGN, executor=executor)
     assert pickle.loads(pickle.dumps(table)) == table
 
 
@@ -224,7 +226,7 @@ class Breaking(ThreadPoolExecutor):
 
 def test_a_lost_worker_is_a_row():
     with Breaking(1) as executor:
-        table = tradeoff(CartesianPendulum(), X2, (), 1.0, [HHT(0.1), HHT(0.05)], executor=executor)
+        table = tradeoff(CartesianPendulum(), X2, 1.0, [HHT(0.1), HHT(0.05)], executor=executor)
     assert table.rows[0].finished
     assert "the worker died" in table.rows[1].outcome
 
@@ -249,20 +251,13 @@ def test_a_lost_worker_is_a_row():
 def test_bad_input_is_refused_by_name(change, match):
     given = {"objective": OBJECTIVE, "design": DESIGN, "t_end": T_END, "settings": SETTINGS}
     given |= change
-    own = {k: given.pop(k) for k in ("objective", "design", "t_end", "settings")}
     with pytest.raises(InvalidInput, match=match):
-        tradeoff(SCENE, *own.values(), **given)
+        tradeoff(SCENE, **given)
 
 
 def test_adjoint_where_it_exists_else_a_row():
     table = tradeoff(
-        CartesianPendulum(),
-        X2,
-        (),
-        1.0,
-        [HHT(0.05), IDA(1e-6)],
-        reference=HHT(0.01),
-        method=Adjoint(),
+        CartesianPendulum(), X2, 1.0, [HHT(0.05), IDA(1e-6)], reference=HHT(0.01), method=Adjoint()
     )
     assert table.rows[0].finished
     assert "InvalidInput" in table.rows[1].outcome

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ancfdae import HHT, Beam, Material, Pin, Rectangle, RigidMotion, Scene, differentiate
+from ancfdae import HHT, Beam, Material, Pin, Point, Rectangle, RigidMotion, Scene, differentiate
 
 DESIGN = ("beam.youngs_modulus", "beam.height", "beam.density", "beam.length")
 
@@ -23,7 +23,7 @@ def scaled_run(length, mass, time, dimension, spin=2.0):
     axis = spin / time if dimension == 2 else (0.0, 0.0, spin / time)
     start = [RigidMotion("beam", axis, (0.0, *rest))]
     scene = Scene([beam], [Pin(beam.at_start)], gravity=gravity, start=start)
-    return differentiate(scene, DESIGN, 0.5 * time, HHT(2.0**-7 * time))
+    return differentiate(scene, 0.5 * time, HHT(2.0**-7 * time), design=DESIGN)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -39,7 +39,7 @@ def test_motion_reactions_and_sensitivities_scale(length, mass, time, dimension)
     assert other.statistics.iterations == base.statistics.iterations
 
     def tip(run):
-        return run.position("beam", 1.0)
+        return run.position(Point("beam", 1.0))
 
     # 1e-10: the Newton tolerance 1e-13 and round-off, amplified by growing sensitivities.
     within = {"rtol": 0.0}
@@ -59,8 +59,8 @@ def test_a_turned_scene_turns_its_solution():
         start, end = rotation @ [0.3, 0.2], rotation @ [1.5, 0.2]
         beam = Beam("beam", start, end, 4, Rectangle(0.05, 0.04), Material(4000, 1e7, 0.3))
         scene = Scene([beam], [Pin(beam.at_start)], gravity=rotation @ [0.0, -9.81])
-        runs.append(differentiate(scene, DESIGN, 0.5, HHT(2.0**-7)))
-    straight, turned = (run.position("beam", 1.0) for run in runs)
+        runs.append(differentiate(scene, 0.5, HHT(2.0**-7), design=DESIGN))
+    straight, turned = (run.position(Point("beam", 1.0)) for run in runs)
     np.testing.assert_allclose(turned, straight @ turn.T, atol=1e-11)
 
 
@@ -76,8 +76,10 @@ def test_a_scene_far_from_the_origin_moves_alike():
             Material(4000, 1e7, 0.3),
         )
         scene = Scene([beam], [Pin(beam.at_start)], gravity=(0.0, -9.81))
-        runs.append(differentiate(scene, DESIGN, 0.5, HHT(2.0**-7)))
+        runs.append(differentiate(scene, 0.5, HHT(2.0**-7), design=DESIGN))
         assert runs[-1].outcome.success
-    near, far = (run.position("beam", 1.0) - run.position("beam", 0.0) for run in runs)
+    near, far = (
+        run.position(Point("beam", 1.0)) - run.position(Point("beam", 0.0)) for run in runs
+    )
     # Coordinates of 1e3 carry round-off of 1e-13 a step, which 64 steps let grow.
     np.testing.assert_allclose(far, near, atol=1e-9)

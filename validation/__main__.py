@@ -1,7 +1,6 @@
 """Command line of the validation reports: ``python -m validation list`` and ``... run NAME``."""
 
 import argparse
-import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,8 +30,7 @@ def main(
         Exit code: 0 done, 1 the report could not be made, 2 there is no such report. Wrong usage
         leaves through ``SystemExit`` with code 2, as argparse does it.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    chosen = _parser().parse_args(words)
+    chosen = _parser().parse_args(arguments)
     if chosen.command == "list":
         for definition in catalogue:
             print(f"{definition.name}: {definition.title}\n    {definition.question}")
@@ -40,7 +38,7 @@ def main(
     for definition in catalogue:
         if definition.name == chosen.name:
             directory = chosen.out or Path("out") / definition.name
-            return _run(definition, directory, chosen.quick, words)
+            return _run(definition, directory, chosen.quick)
     known = ", ".join(definition.name for definition in catalogue)
     print(f"validation run: no report is called {chosen.name!r}. Known: {known}.", file=sys.stderr)
     return 2
@@ -59,8 +57,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(definition: Definition, directory: Path, quick: bool, words: Sequence[str]) -> int:
-    command = shlex.join(["python", "-m", "validation", *words])
+def _run(definition: Definition, directory: Path, quick: bool) -> int:
+    # Without the folder: it belongs to the machine, not to the result.
+    command = f"python -m validation run {definition.name}" + " --quick" * quick
     report = Report(definition.title, definition.question, directory, command, definition.source)
     if quick:
         report.text("**Made with `--quick`: the figures below are not results.**")

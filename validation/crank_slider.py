@@ -16,6 +16,7 @@ from ancfdae import (
     Direct,
     FiniteDifference,
     Integral,
+    Point,
     Solution,
     assemble,
     differentiate,
@@ -64,7 +65,7 @@ def run(report: Report, quick: bool) -> None:
     extent = _QUICK if quick else _FULL
     report.heading("Method")
     report.text(_METHOD)
-    solution = differentiate(crank_slider(), _DESIGN, extent.t_end, HHT(_STEP))
+    solution = differentiate(crank_slider(), extent.t_end, HHT(_STEP), design=_DESIGN)
     _position_sensitivities(report, solution, extent)
     _objective_over_time(report, solution, extent)
     _open_question(report, extent)
@@ -82,7 +83,7 @@ def _objective() -> Integral:
 
 
 def _slider(solution: Solution) -> npt.NDArray[np.number]:
-    return solution.position("rod", 1.0)[:, 0]
+    return solution.position(Point("rod", 1.0))[:, 0]
 
 
 def _scaled(solution: Solution) -> Array:
@@ -99,7 +100,9 @@ def _relative(x: Array, reference: Array) -> float:
 
 def _position_sensitivities(report: Report, solution: Solution, extent: _Extent) -> None:
     report.heading("Slider position and its sensitivities (paper, Fig. 8)")
-    check = differentiate(crank_slider(), _DESIGN, extent.t_end, HHT(_STEP), FiniteDifference(0.01))
+    check = differentiate(
+        crank_slider(), extent.t_end, HHT(_STEP), design=_DESIGN, method=FiniteDifference(0.01)
+    )
     report.plot(
         "slider",
         [
@@ -226,7 +229,7 @@ def _gradient(t_end: float, integrator: HHT, method: GradientMethod) -> Array:
     """Return b dPsi/db, shape (6,)."""
     system = assemble(crank_slider(), _DESIGN)
     scaled: Array = (
-        gradient(system, _objective(), (), t_end, integrator, method).gradient * system.b
+        gradient(system, _objective(), t_end, integrator, method=method).gradient * system.b
     )
     return scaled
 
@@ -279,7 +282,7 @@ def _open_question(report: Report, extent: _Extent) -> None:
 
 
 def _attribute(report: Report, exact: Array, one_percent: Array, table: Array) -> None:
-    """Say what of the disagreement is finite differences and what is time discretisation."""
+    """Separate the parts of finite differences and of time discretisation in the disagreement."""
     spread = np.abs(table[-2] - table[-1])
     rows = []
     for i, symbol in enumerate(_SYMBOLS):
@@ -290,14 +293,14 @@ def _attribute(report: Report, exact: Array, one_percent: Array, table: Array) -
     report.text(
         "Second, the parts of a disagreement. *Finite differences*: the 1 % difference against "
         "the exact derivative of the same run. *Step*: that derivative at 2⁻⁸ s against the one "
-        "at the smallest step. *Last halving* tells how far the smallest step itself is settled. "
-        "All in m² s, times b."
+        "at the smallest step. *Last halving* shows how far the smallest step itself has "
+        "converged. All in m² s, times b."
     )
     report.table(["variable", "exact at 2⁻⁸ s", "finite differences", "step", "last halving"], rows)
 
 
 def _solver_tolerance(report: Report, extent: _Extent) -> None:
-    """Tell what a finite difference sees of a solver that stops early."""
+    """Show how a solver that stops early changes finite differences."""
     rows = []
     for tolerance in (1e-14, 1e-8, 1e-4):
         integrator = HHT(_STEP, newton_tolerance=tolerance)
@@ -313,9 +316,9 @@ def _solver_tolerance(report: Report, extent: _Extent) -> None:
 
 
 def _square_section(report: Report, extent: _Extent) -> None:
-    """Tell what a change of both sides of the square section would give."""
+    """Show what a change of both sides of the square section would give."""
     system = assemble(crank_slider(), ["crank.height", "crank.width", "rod.height", "rod.width"])
-    found = gradient(system, _objective(), (), extent.t_end, HHT(_STEP), Adjoint())
+    found = gradient(system, _objective(), extent.t_end, HHT(_STEP), method=Adjoint())
     h_1, w_1, h_2, w_2 = (found.gradient * system.b).tolist()
     report.figure("square.w_1", w_1)
     report.figure("square.w_2", w_2)
@@ -336,7 +339,7 @@ def _exactness(report: Report, solution: Solution, extent: _Extent) -> None:
     rows = []
     for key, (name, objective) in zip(("psi", "reaction"), kinds.items(), strict=True):
         adjoint, direct, check = (
-            gradient(system, objective, (), extent.t_end, integrator, method).gradient * system.b
+            gradient(system, objective, extent.t_end, integrator, method=method).gradient * system.b
             for method in (Adjoint(), Direct(), ComplexStep())
         )
         first = report.figure(f"exact.{key}.adjoint_direct", _relative(adjoint, direct))
@@ -421,7 +424,7 @@ def _cost(report: Report, extent: _Extent) -> None:
     integrator, objective, t_end = HHT(_STEP), _objective(), extent.t_end
 
     def by(method: GradientMethod) -> Callable[[], object]:
-        return lambda: gradient(full, objective, (), t_end, integrator, method)
+        return lambda: gradient(full, objective, t_end, integrator, method=method)
 
     tasks: dict[str, Callable[[], object]] = {
         "dynamics alone": lambda: simulate(plain, t_end, integrator),
@@ -488,8 +491,8 @@ What this settles, for the mechanism as read here.
   miss it by 0.2 % in Ψ and a few per cent in x, and the step of 2⁻⁸ s by 0.4 %. Neither finite
   differences nor time discretisation, nor a solver that stops early, explains a visible gap.
   Varying both sides of the section would (13 %), but it would double the derivative in h_1 too,
-  which the paper does not report. What is left is something in the paper that its text does not
-  tell: another geometry, or an error in one of its two derivatives in h_2.
+  which the paper does not report. What remains is something that the paper's text does not mention:
+  another geometry, or an error in one of its two derivatives in h_2.
 - Everything else agrees to a per cent at this step.
 """
 

@@ -120,12 +120,19 @@ def _pendulums(quick: bool) -> list[_Case]:
 
 
 def _measured(case: _Case, quick: bool) -> list[_Found]:
-    exact = gradient(case.model, case.objective, case.design, case.t_end, case.reference, Direct())
+    exact = gradient(
+        case.model, case.objective, case.t_end, case.reference, design=case.design, method=Direct()
+    )
     rows = []
     for integrator in case.settings:
         for levels in (2,) if quick or not isinstance(integrator, HHT) else (2, 3):
             bars = error_bars(
-                case.model, case.objective, case.design, case.t_end, integrator, levels=levels
+                case.model,
+                case.objective,
+                case.t_end,
+                integrator,
+                design=case.design,
+                levels=levels,
             )
             rows.append(_row(case, integrator, levels, bars, exact.value, exact.gradient))
     return rows
@@ -267,7 +274,7 @@ the norm of the gradient.
 
 _LIMITS = """
 - A bar is an estimate, not a proof: where a step does not resolve the waves that decide about
-  derivatives, differences of runs say little. `resolved` tells.
+  derivatives, differences of runs are not reliable; `resolved` is False there.
 - Errors of the model (elements, constitutive law) are not in the bars.
 - `adjoint_error`, an estimate of the value's error from one run, is compared with it in
   `tests/test_error_bars.py` (within 15 %), not here.

@@ -1,4 +1,4 @@
-"""What a run of HHT-I3 tells about its own errors, against the true ones."""
+"""Errors that a run of HHT-I3 estimates itself, against the true ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,14 +26,14 @@ __all__ = ["estimates"]
 Array = npt.NDArray[np.float64]
 
 _ALPHAS = (-0.05, -0.3)
-# Errors above this are no result, and no estimate can be right.
+# Runs with larger errors are left out, since no estimate can be right.
 _LARGEST = 1.0
 _NEAR, _FAR = 3.0, 10.0
 
 
 @dataclass(frozen=True)
 class _Case:
-    """A scene and the numbers of steps, as powers of two, of the runs looked at."""
+    """A scene and the numbers of steps, as powers of two, of its runs."""
 
     name: str
     system: MechanicalSystem
@@ -61,7 +61,7 @@ class _Pairs:
 
 def estimates(report: Report, quick: bool) -> None:
     """Fill the section."""
-    report.heading("What one run tells by itself")
+    report.heading("What one run estimates of its own errors")
     report.text(_METHOD)
     found = [_measured(case) for case in _cases(quick)]
     rows: list[list[object]] = []
@@ -140,10 +140,10 @@ def _cases(quick: bool) -> list[_Case]:
 
 
 def _measured(case: _Case) -> _Pairs:
-    exact = differentiate(case.system, (), case.t_end, case.reference)
+    exact = differentiate(case.system, case.t_end, case.reference)
     motion, derivatives = [], []
     for integrator in _settings(case):
-        run = differentiate(case.system, (), case.t_end, integrator)
+        run = differentiate(case.system, case.t_end, integrator)
         if not run.outcome.success:
             continue
         assert run.estimated_errors is not None
@@ -222,10 +222,10 @@ derivatives; hht_alpha -0.05 and -0.3. True errors above 1 are left out.
 """
 
 _NOTES = """
-So a gradient whose waves the steps do not resolve betrays itself: on the stiff pendulum the motion
-is right to 1e-5 and its derivatives are wrong by 6 to 75 %, and the runs say both. The estimate
-adds sizes and knows no signs. Two cases follow. Where damping is strong, errors made at the start
-are forgotten and remain in the sum (stiff damped pendulum at fixed steps, thousandfold). And an
-integral over waves is far better than the waves themselves: `estimated_errors` speaks of the
-derivatives of the motion, `error_bars` of those of an objective.
+So a gradient whose waves the steps do not resolve can be recognised: on the stiff pendulum the
+motion is right to 1e-5 and its derivatives are wrong by 6 to 75 %, and the estimates show both. The
+estimate adds magnitudes without signs, which has two consequences. Where damping is strong, errors
+made at the start die out but remain in the sum (stiff damped pendulum at fixed steps,
+thousandfold). And an integral over waves is far better than the waves themselves:
+`estimated_errors` is about the derivatives of the motion, `error_bars` about those of an objective.
 """

@@ -39,7 +39,7 @@ def _verdict(report: Report, requirements: list[Requirement], quick: bool) -> No
 
 
 _METHOD = """
-Three problems of others, each written by hand as a `MechanicalSystem` (`validation/external/`)
+Three published problems, each written by hand as a `MechanicalSystem` (`validation/external/`)
 with its partial derivatives; tests compare every one of them with a complex step. Each is run by
 every integrator (HHT at a fixed step; IDA, IDAS and Explicit with error control) and by every
 method of differentiation. Numbers to compare with are *recomputed* by a way that shares nothing
@@ -75,7 +75,7 @@ differences of IDA and IDAS are the weakest, because they also differentiate the
 _LIMITS = """
 - Three small systems with constant mass and constraints that do not name the time; prescribed
   motions and a mass that depends on q are covered by tests, not here.
-- The recomputed values have 10 to 13 digits; errors below 1e-11 say nothing.
+- The recomputed values have 10 to 13 digits; errors below 1e-11 mean nothing.
 - HHT meets the 1e-5 asked of the double four-bar with little to spare. What is left is truncation,
   largest at t = 5 s, where the point is fast; it falls by four with every halving of the step.
 - IDA and IDAS repeat the same run only on the same build of their libraries: errors at a given

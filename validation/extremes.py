@@ -49,7 +49,7 @@ def _judge(report: Report, rows: list[Row]) -> None:
     failed = [row.case.label for row in rows if not row.clean]
     report.claim(
         "Every failure is a clean outcome",
-        "no hang, no crash, no wrong number without a sign",
+        "no hang, no crash, no undetected wrong number",
         f"{len(rows)} rows: {survived} survived, {len(rows) - survived} stopped or refused in "
         "words" + (f"; not clean: {', '.join(failed)}" if failed else "; none else"),
         _verdict(not failed),

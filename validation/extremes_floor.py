@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from ancfdae import HHT, Explicit, Solution, differentiate, simulate
+from ancfdae import HHT, Explicit, Point, Solution, differentiate, simulate
 from ancfdae.plotting import Panel, Series
 from validation.external.rods import cartesian_pendulum
 from validation.extremes_scenes import SI, Crank, Rod
@@ -98,7 +98,7 @@ def _derivatives(h: float, alpha: float, steps: int) -> dict[str, float]:
     """Errors of the derivatives in L and g against an integrator of high order."""
     system = cartesian_pendulum(angle=_ANGLE, spin=_SPIN)
     runs = [
-        differentiate(system, (), h * steps, integrator).sensitivities
+        differentiate(system, h * steps, integrator).sensitivities
         for integrator in (HHT(h, hht_alpha=alpha), Explicit(1e-12))
     ]
     return {name: _largest(*(getattr(run, name)[-1] for run in runs)) for name in _QUANTITIES}
@@ -141,7 +141,7 @@ def _pendulum(h: float, alpha: float, steps: int) -> _Errors:
         run = simulate(rod.scene(units), step * count, HHT(step, hht_alpha=alpha))
         if not run.outcome.success:
             return _Errors(np.nan, np.nan)
-        a = run.acceleration("rod", 1.0) * units.time**2 / units.length
+        a = run.acceleration(Point("rod", 1.0)) * units.time**2 / units.length
         parts.append((a, run.lam / units.force))
     return _Errors(*(_largest(x, y) for x, y in zip(*parts, strict=True)))
 
@@ -159,7 +159,7 @@ def _stiff(h: float, alpha: float, steps: int) -> _Errors:
 
 
 def _elbow(run: Solution) -> Array:
-    return run.acceleration("crank", 1.0)
+    return run.acceleration(Point("crank", 1.0))
 
 
 def _largest(x: Array, exact: Array) -> float:
@@ -173,12 +173,12 @@ L, so that the accelerations that keep them carry eps L/(beta h²): at h = 1e-6 
 changed, the rigid pendulum lost a factor of 100 with every factor of 10 (3e-5 at 1e-5 s,
 hht_alpha = -0.05) and below, like the crank-slider, did not converge at all. Instead the step
 takes the *increment* of Phi, which is Phi_q dq integrated along dq = h v + O(h²), and so has the
-round-off eps h v alone. What gathers in Phi(q_n) itself is removed slowly enough to cost no more
-than 1e-9 of the motion (docs/theory.md, section 5). The floor is then flat, at that part times
+round-off eps h v alone. What accumulates in Phi(q_n) itself is removed slowly enough to cost no
+more than 1e-9 of the motion (docs/theory.md, section 5). The floor is then flat, at that part times
 the amplification of the recurrence, and rises again where eps v/(beta h) exceeds it, at 1e-8 s.
 The stiff flexible systems have a floor of their own, which no formulation of constraints can
 lower: their elastic forces have the round-off eps |K| |q|, and where the step resolves the waves
-across the section, below 1e-6 s, nothing holds that back from the accelerations.
+across the section, below 1e-6 s, it passes fully into the accelerations.
 """
 
 _DERIVATIVES = """

@@ -32,13 +32,13 @@ HEADER = (
     "iterations",
 )
 _NUMBERS = HEADER[2:]
-# A motion wrong by this part of its size must say so: its estimated error may not be much less.
+# A motion with a larger relative error must show it: its estimated error may not be much less.
 _WRONG_MOTION, _SHARE = 0.02, 0.2
-# An accepted step whose equations are violated by more is a wrong number without a sign; the
+# An accepted step whose equations are violated by more is an undetected error; the
 # stopping rule lets round-off pass up to 1e-6 of the motion (docs/theory.md, section 5).
 _WRONG_EQUATIONS = 1e-5
 _WRONG_CONSTRAINTS = 1e-8
-# Part of the steps that must have been counted as ending at round-off to be a sign.
+# The error counts as detected if this part of the steps were counted as ended by round-off.
 _SIGN = 0.5
 _DENSE = 500
 _CHECKED_INSTANTS = 40
@@ -63,7 +63,7 @@ class Case:
     error : callable, optional
         Error of the finished run against a reference; free of units.
     in_time : bool
-        Whether that is the error of the steps, which the run then has to tell by itself.
+        Whether it is the error of the steps, which the run must then show in its estimate.
     """
 
     label: str

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import HHT, Solution, differentiate
+from ancfdae import HHT, Point, Solution, differentiate
 from ancfdae.plotting import Panel, Series
 from validation.extremes_scenes import SI, Rod, Units
 from validation.report import Report
@@ -81,16 +81,16 @@ def _panel(title: str, unit: str, exponents: Sequence[int], errors: Array) -> Pa
 def _dimensionless(rod: Rod, units: Units, steps: int) -> tuple[list[Array], int]:
     """Tip, accelerations, reaction and scaled sensitivities, all in SI; Newton iterations."""
     h = _STEP * units.time
-    run = differentiate(rod.scene(units), _DESIGN, h * steps, HHT(h))
+    run = differentiate(rod.scene(units), h * steps, HHT(h), design=_DESIGN)
     assert run.sensitivities is not None
 
     def tip(solution: Solution) -> Array:
-        return solution.position("rod", 1.0)
+        return solution.position(Point("rod", 1.0))
 
     sensitivities = run.derivative(tip) * run.sensitivities.values / units.length
     parts = [
         tip(run) / units.length,
-        run.acceleration("rod", 1.0) * units.time**2 / units.length,
+        run.acceleration(Point("rod", 1.0)) * units.time**2 / units.length,
         run.reaction("pin(rod@0)") / units.force,
         sensitivities,
     ]

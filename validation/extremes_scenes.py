@@ -11,6 +11,7 @@ from ancfdae import (
     Beam,
     Material,
     Pin,
+    Point,
     PointOnLine,
     Rectangle,
     RigidMotion,
@@ -85,7 +86,7 @@ class Rod:
 
     def arm(self, run: Solution, units: Units = SI) -> Array:
         """Return the vector from pin to tip in lengths of the rod, shape (n_t, d)."""
-        arm = run.position("rod", 1.0) - run.position("rod", 0.0)
+        arm = run.position(Point("rod", 1.0)) - run.position(Point("rod", 0.0))
         result: Array = arm / (self.length * units.length)
         return result
 
@@ -145,5 +146,5 @@ class Crank:
     def reach(self, run: Solution) -> Array:
         """Return the distance of the slider from the bearing along its line, shape (n_t,)."""
         line = np.array([np.cos(self.turned), np.sin(self.turned)])
-        result: Array = run.position("rod", 1.0) @ line
+        result: Array = run.position(Point("rod", 1.0)) @ line
         return result

@@ -88,7 +88,7 @@ def timed(system: AncfSystem, t_end: float, integrator: Integrator) -> Run | Non
     """Run with sensitivities; None where the integrator's package is not installed."""
     started = time.process_time()
     try:
-        solution = differentiate(system, (), t_end, integrator)
+        solution = differentiate(system, t_end, integrator)
     except MissingPackage:
         return None
     return Run(integrator, solution, time.process_time() - started)

@@ -413,8 +413,8 @@ ratios, to a third. Digits are -log10 of a relative error.
 _TABLE_NOTES = """
 Drift: the pendulum's constraints are linear in q, so every method keeps them but for round-off; IDA
 and IDAS with GGL add the error of their Newton iteration. Energy: only HHT-I3 loses a visible part;
-it is what it takes out of waves that it cannot resolve. Multipliers follow the axial waves and are
-the last to become right.
+it is what it takes out of waves that it cannot resolve. Multipliers follow the axial waves
+and converge last.
 """
 
 _WHY_NOT_MORE = """
@@ -423,7 +423,7 @@ never die out (the fastest mode of the linearised beam has 4108 rad/s, 650 perio
 and a sensitivity to E counts their phases: error times frequency times time. The tolerances bound
 the error of one step; IDA and IDAS add up tens of thousands of them, whence 1 to 20 times the
 tolerance in the sensitivities. Tighter ones would bring more digits at the price of the table;
-Explicit at 1e-11 stands closest to what round-off leaves.
+Explicit at 1e-11 comes closest to the limit of round-off.
 """
 
 _CONVERGENCE_NOTES = """
@@ -436,7 +436,7 @@ period on the order is two. Single instants, and variables whose error has parts
 
 _ANSWER = """
 Why: what is wanted are phases of waves. A method that does not resolve them loses the sensitivities
-even where it is stable, so the unconditional stability of HHT-I3 buys nothing here; one that does
+even where it is stable, so the unconditional stability of HHT-I3 is of no use here; one that does
 resolve them is stable at that step anyway. Explicit takes one and a half radians of the fastest
 mode in a step at rtol 1e-7; HHT-I3, of order 2, needs about fifty steps in a period for two digits.
 The answer is for soft scenes: with the modulus of steel waves are a hundred times faster than here

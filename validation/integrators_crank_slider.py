@@ -14,6 +14,7 @@ from ancfdae import (
     Integral,
     Integrator,
     MissingPackage,
+    Point,
     Solution,
     assemble,
     gradient,
@@ -191,7 +192,7 @@ def _slider(solution: Solution, system: AncfSystem, spacing: float) -> tuple[Arr
     """Position of the slider and its derivatives times the variables, at common instants."""
 
     def read(s: Solution) -> Array:
-        x: Array = s.position("rod", 1.0)[:, 0]
+        x: Array = s.position(Point("rod", 1.0))[:, 0]
         return x
 
     rows = common_rows(solution, spacing)
@@ -224,7 +225,7 @@ def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
     def value(integrator: Integrator, variables: Sequence[str] = _DESIGN) -> _Value:
         chosen = assemble(crank_slider(), variables)
         started = time.process_time()
-        found = gradient(chosen, psi, (), extent.t_end, integrator)
+        found = gradient(chosen, psi, extent.t_end, integrator)
         seconds = time.process_time() - started
         values = np.full(1 + len(_DESIGN), np.nan)
         values[0] = found.value

@@ -66,8 +66,10 @@ def run(report: Report, quick: bool) -> None:
     extent = _QUICK if quick else _FULL
     report.heading("Method")
     report.text(_METHOD)
-    soft = _scaled(differentiate(pendulum(youngs_modulus=5e6), _DESIGN, extent.t_end, HHT(_STEP)))
-    hard_run = differentiate(pendulum(), _DESIGN, extent.t_end, HHT(_STEP))
+    soft = _scaled(
+        differentiate(pendulum(youngs_modulus=5e6), extent.t_end, HHT(_STEP), design=_DESIGN)
+    )
+    hard_run = differentiate(pendulum(), extent.t_end, HHT(_STEP), design=_DESIGN)
     hard = _scaled(hard_run)
     _effect_of_modulus(report, hard, soft)
     _against_finite_differences(report, hard, extent)
@@ -150,7 +152,9 @@ def _effect_of_modulus(report: Report, hard: _Curves, soft: _Curves) -> None:
 def _against_finite_differences(report: Report, hard: _Curves, extent: _Extent) -> None:
     report.heading("Direct differentiation against 1 % finite differences (paper, Fig. 5)")
     check = _scaled(
-        differentiate(pendulum(), _DESIGN, extent.t_end, HHT(_STEP), FiniteDifference(0.01))
+        differentiate(
+            pendulum(), extent.t_end, HHT(_STEP), design=_DESIGN, method=FiniteDifference(0.01)
+        )
     )
     differences = [_relative(check.y_b[:, i], hard.y_b[:, i]) for i in range(3)]
     for symbol, value in zip(_SYMBOLS, differences, strict=True):
@@ -189,7 +193,7 @@ def _against_finite_differences(report: Report, hard: _Curves, extent: _Extent) 
 
 def _planar_and_spatial(report: Report, planar: _Curves, extent: _Extent) -> None:
     report.heading("Planar against spatial element (paper, Fig. 6)")
-    spatial = _scaled(differentiate(pendulum(3), _DESIGN, extent.t_end, HHT(_STEP)))
+    spatial = _scaled(differentiate(pendulum(3), extent.t_end, HHT(_STEP), design=_DESIGN))
     differences = [_relative(spatial.y_b[:, i], planar.y_b[:, i]) for i in range(3)]
     motion = report.figure("fig6.difference.deflection", _relative(spatial.y, planar.y))
     for symbol, value in zip(_SYMBOLS, differences, strict=True):
@@ -228,7 +232,9 @@ def _planar_and_spatial(report: Report, planar: _Curves, extent: _Extent) -> Non
 
 def _exactness(report: Report, direct: Solution, extent: _Extent) -> None:
     report.heading("Is the derivative exact?")
-    check = differentiate(pendulum(), _DESIGN, extent.t_end, HHT(_STEP), ComplexStep())
+    check = differentiate(
+        pendulum(), extent.t_end, HHT(_STEP), design=_DESIGN, method=ComplexStep()
+    )
     ours, other = direct.sensitivities, check.sensitivities
     assert ours is not None
     assert other is not None
@@ -298,7 +304,7 @@ def _step_halving(report: Report, coarse: _Curves, extent: _Extent) -> None:
     runs = {_STEP: coarse}
     for k in range(extent.halvings):
         step = _STEP / 2 ** (k + 1)
-        runs[step] = _scaled(differentiate(pendulum(), _DESIGN, extent.t_end, HHT(step)))
+        runs[step] = _scaled(differentiate(pendulum(), extent.t_end, HHT(step), design=_DESIGN))
     steps = list(runs)
     rows = []
     for step, curves in runs.items():
@@ -432,7 +438,9 @@ def _valley(report: Report, direct: _Curves, extent: _Extent) -> None:
 
 
 def _difference_errors(method: Method, direct: _Curves, extent: _Extent) -> list[float]:
-    check = _scaled(differentiate(pendulum(), _DESIGN, extent.t_end, HHT(_STEP), method))
+    check = _scaled(
+        differentiate(pendulum(), extent.t_end, HHT(_STEP), design=_DESIGN, method=method)
+    )
     return [_relative(check.y_b[:, i], direct.y_b[:, i]) for i in range(3)]
 
 
@@ -444,7 +452,7 @@ def _cost(report: Report, extent: _Extent) -> None:
         alone, along = [], []
         for _ in range(extent.repeats):
             alone.append(_microseconds(simulate(plain, extent.t_end, HHT(_STEP))))
-            along.append(_microseconds(differentiate(full, (), extent.t_end, HHT(_STEP))))
+            along.append(_microseconds(differentiate(full, extent.t_end, HHT(_STEP))))
         base = report.figure(f"cost.{name}.microseconds_per_step", float(np.median(alone)))
         ratio = float(np.median(np.divide(along, alone)))
         report.figure(f"cost.{name}.ratio_three_variables", ratio)

@@ -14,15 +14,16 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
-from typing import Final, final
+from typing import Final, cast, final
 
+import ancfdae
 from ancfdae import plotting
 from ancfdae.errors import InvalidInput
 
 __all__ = ["Report", "Verdict", "environment"]
 
 _FLAT_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
-_PACKAGES: Final = ("numpy", "scipy", "matplotlib", "scikit-sundae", "ancfdae")
+_PACKAGES: Final = ("numpy", "scipy", "matplotlib", "scikit-sundae")
 
 
 class Verdict(Enum):
@@ -223,11 +224,17 @@ def environment() -> dict[str, object]:
     Returns
     -------
     dict
-        ``python`` and each package's version (None if not installed), ``processor``, ``commit``
+        Versions of ``ancfdae``, ``python`` and each package (None if not installed),
+        ``processor``, ``commit``
         (None outside a git checkout) and ``dirty`` (None likewise): whether the checkout differs
         from that commit.
     """
-    found: dict[str, object] = {"python": platform.python_version(), "processor": _processor()}
+    found: dict[str, object] = {
+        # Of the checkout that runs, which need not be installed.
+        "ancfdae": ancfdae.__version__,
+        "python": platform.python_version(),
+        "processor": _processor(),
+    }
     for package in _PACKAGES:
         try:
             found[package] = importlib.metadata.version(package)
@@ -240,7 +247,7 @@ def environment() -> dict[str, object]:
 
 
 def _processor() -> str:
-    """Name the processor; Linux tells its model only in /proc/cpuinfo."""
+    """Name the processor; Linux gives its model only in /proc/cpuinfo."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
         for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -266,12 +273,12 @@ def _git(*words: str) -> str | None:
 
 
 def _colophon(meta: dict[str, object]) -> str:
-    commit = meta["commit"] or "unknown"
-    changed = " with uncommitted changes" if meta["dirty"] else ""
+    trees = {None: "", True: " with uncommitted changes", False: " without uncommitted changes"}
+    commit = f"{meta['commit'] or 'unknown'}{trees[cast('bool | None', meta['dirty'])]}"
     versions = ", ".join(f"{name} {meta[name]}" for name in ("python", *_PACKAGES))
     return (
-        f"---\n\nMade by `{meta['command']}` on {meta['started']} in {meta['seconds']} s "
-        f"at commit {commit}{changed}; {versions}; {meta['processor']}. "
+        f"---\n\nMade by `{meta['command']}` on {meta['started']} in {meta['seconds']} s with "
+        f"ancfdae {meta['ancfdae']} at commit {commit}; {versions}; {meta['processor']}. "
         "The figures are in `results.json`."
     )
 

@@ -11,6 +11,7 @@ from ancfdae import (
     Material,
     NodeState,
     Pin,
+    Point,
     PointOnLine,
     Rectangle,
     Revolute,
@@ -54,8 +55,8 @@ def deflection(solution: Solution) -> npt.NDArray[Any]:
     The frame sits at the pin with its x axis along the tangent of the centre line; the
     deflection is the y component of the free end. Accepts complex solutions.
     """
-    tangent = solution.slope("pendulum", 0.0)
-    arm = solution.position("pendulum", 1.0) - solution.position("pendulum", 0.0)
+    tangent = solution.slope(Point("pendulum", 0.0))
+    arm = solution.position(Point("pendulum", 1.0)) - solution.position(Point("pendulum", 0.0))
     length = np.sqrt(np.sum(tangent * tangent, axis=1))
     across = tangent[:, 0] * arm[:, 1] - tangent[:, 1] * arm[:, 0]
     result: npt.NDArray[Any] = across / length

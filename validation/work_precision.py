@@ -26,7 +26,7 @@ __all__ = ["run"]
 # Lines that a plot shows; the others are in the tables.
 _SHOWN = (-0.05, -0.3)
 _TARGETS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
-# Errors above it are no result.
+# Results with larger errors are not counted.
 _ALLOWED = 10.0
 _GROUPS = {
     "HHT fixed": fixed,
@@ -285,15 +285,16 @@ _ANSWER = """
 In words:
 
 - **Soft, undamped.** Up to an error of 1 % of either gradient, HHT-I3 at a fixed step, 30 times
-  cheaper than high order. For a pointwise gradient better than 1e-3: Explicit. In its time it has
-  a thousand times smaller errors, because each halving of the step buys HHT a factor of four at
-  best and the undamped waves, whose phases a pointwise sensitivity counts, need a step far below
+  cheaper than high order. For a pointwise gradient better than 1e-3: Explicit. In the same time its
+  errors are a thousand times smaller, because each halving of the step gains HHT a factor of four
+  at best and the undamped waves, whose phases a pointwise sensitivity counts, need a step far below
   their periods first. An integral averages waves out, so HHT remains the cheaper one down to
   1e-4.
 - **Soft, damped.** HHT-I3 to 1e-4, then IDAS, for both gradients: the waves that made the
   difference are gone.
-- **Stiff, undamped.** HHT-I3 for a few per cent, 40 times cheaper; IDA from 1e-3 on. States
-  mislead here: 6e-6 right at a step that has the pointwise gradient wrong by its own size.
+- **Stiff, undamped.** HHT-I3 for a few per cent, 40 times cheaper; IDA from 1e-3 on. The
+  states are misleading here: they are right to 6e-6 at a step at which the pointwise gradient is
+  wrong by its own size.
 - **Stiff or medium, damped.** HHT-I3, with error control at rtol of 3e-4 or less. An explicit
   step is out of the question, and IDA at 1e-5 stops at its limit of steps below (run to the end
   it took 50 s, 200 times as long, for an error of 0.2).
@@ -301,26 +302,26 @@ In words:
 - **Paper's crank-slider.** Soft and undamped: HHT-I3 for a per cent, Explicit beyond.
 - **Any scene, and a gradient that has to keep a tolerance without a reference at hand.** HHT-I3
   with `sensitivities=True` (up to fifteen times the time of the best fixed step), or
-  Explicit where it gets through.
+  Explicit where it finishes.
 
 A coarse setting in the column 1e-01 may be right by chance: on undamped scenes errors do not fall
 steadily before waves are resolved. Look at the tables below, or ask for two settings in a row.
 """
 
 _ALPHA_NOTES = """
-At equal small steps -0.05 is as accurate as 0 and up to twice as accurate as -0.3. Damping pays
-where fast motion is to vanish: multipliers of the stiff damped pendulum are right to 7e-6 at
+At equal small steps -0.05 is as accurate as 0 and up to twice as accurate as -0.3. Damping helps
+where fast motion should die out: multipliers of the stiff damped pendulum are right to 7e-6 at
 -0.3, to 4e-3 at -0.05, and at 0 they are 7e-3 off, oscillating, as the warning of that setting
-says; the gradient does not feel it in these short runs. Coarse steps show the reverse: at -0.3 a
-start that is not resolved kicks the beam harder (damped stiff pendulum at 2⁻⁹ s: gradient wrong
-by 4, at -0.05 by 3e-4). With error control hht_alpha hardly matters, but 0 takes up to five times
-the steps. So: -0.05 for gradients at fixed steps, -0.3 where multipliers of stiff scenes are
+says; the gradient is not affected in these short runs. Coarse steps show the reverse: at -0.3 a
+start that is not resolved excites the beam more strongly (damped stiff pendulum at 2⁻⁹ s: gradient
+wrong by 4, at -0.05 by 3e-4). With error control hht_alpha hardly matters, but 0 takes up to five
+times the steps. So: -0.05 for gradients at fixed steps, -0.3 where multipliers of stiff scenes are
 wanted, 0 never.
 """
 
 _LIMITS = """
 - Seven scenes, one objective of each kind, two variables: `tradeoff` is there to measure others.
-- An error below that of the reference says nothing. References of high order are good to 1e-7 or
+- An error below that of the reference means nothing. References of high order are good to 1e-7 or
   better, those of the damped pendulums of larger modulus are HHT at 2⁻¹⁴ of the end time, good to
   about 1e-6.
 - IDA and IDAS report Gauss-Lobatto instants in 64 intervals; where waves are faster than an

@@ -110,7 +110,7 @@ def _ratios(
 
 
 def newton(report: Report, quick: bool) -> None:
-    """Show what the tolerance of Newton's method has to do with it."""
+    """Show the influence of the tolerance of Newton's method."""
     rtols = (1e-2, 1e-3) if quick else (1e-2, 1e-3, 1e-4)
     title, tables = newton_tolerances(rtols, quick)
     rows: list[list[object]] = []
@@ -161,39 +161,40 @@ The same with `sensitivities=True`: the tolerance bounds the errors of the deriv
 
 
 _GAIN_NOTES = """
-A controlled step gains where the pace of a scene changes and nowhere else: on the damped
+A controlled step gains only where the time scale of a scene changes: on the damped
 pendulums of larger modulus, where gravity sets in suddenly, waves decay, and a slow swing
 remains. A fixed step has to be small enough for the start until the end; larger ones fail there
 (Newton's method does not converge) or leave a wrong kick. On undamped scenes and on the rigid
-slider-crank, whose pace is even, control is as good as the best fixed step or dearer (up to 1.6
-times), and its advantage is that nobody has to find that step. On the undamped stiff pendulum no
-tolerance of the motion resolves the waves that decide about the gradient: they are smaller than
-any tried. *Ratio of both* is the least ratio, at any hht_alpha, of settings that control motion and
-derivatives. They never gain against a step chosen with the answer at hand; what they buy is that
-the tolerance holds, see below.
+slider-crank, whose time scale stays the same, control costs as much as the best fixed step or more
+(up to 1.6 times), and its advantage is that nobody has to find that step. On the undamped stiff
+pendulum no tolerance of the motion resolves the waves that decide about the gradient: they are
+smaller than any tried. *Ratio of both* is the least ratio, at any hht_alpha, of settings that
+control motion and derivatives. They never beat a step chosen with the answer known; their advantage
+is that the tolerance holds, see below.
 """
 
 
 _TRUST_NOTES = """
-Under control of the motion *states* keep to ten times the tolerance everywhere. *Objectives* do so
-too where they are of the size of the coordinates; the height of the tip at the end of the stiff
-scenes is some hundredths or thousandths of that, and its relative error that much larger.
-*Gradients* do not: on the soft undamped pendulum they are wrong by up to 14 (integrated) and 230
-(pointwise) tolerances, on the stiff undamped one by a tenth to their own size at every tolerance
-tried, because waves below the tolerance of the motion decide about them. `estimated_errors` of
-such a run says so (report `error-bars`).
+Under control of the motion the errors of *states* stay below ten times the tolerance everywhere.
+*Objectives* do so too where they are of the size of the coordinates; the height of the tip at the
+end of the stiff scenes is some hundredths or thousandths of that, and its relative error that much
+larger. *Gradients* do not: on the soft undamped pendulum they are wrong by up to 14 (integrated)
+and 230 (pointwise) tolerances, on the stiff undamped one by a tenth to their own size at every
+tolerance tried, because waves below the tolerance of the motion decide about them.
+`estimated_errors` of such a run says so (report `error-bars`).
 
-Under control of both everything keeps to a few tolerances, on every scene and at every hht_alpha.
-What it costs is in the column *ratio of both* above: one to fifteen times the best fixed step,
-which nobody knows beforehand. Integrated gradients of undamped scenes then are hundreds of times
-better than asked, for the waves that the derivatives contain are resolved, and an integral averages
-them out. A setting that did not finish ran at hht_alpha = 0, which is unstable and warned about.
+Under control of both all errors stay within a few tolerances, on every scene and at every
+hht_alpha. What it costs is in the column *ratio of both* above: one to fifteen times the best fixed
+step, which nobody knows beforehand. Integrated gradients of undamped scenes then are hundreds of
+times better than asked, for the waves that the derivatives contain are resolved, and an integral
+averages them out. A setting that did not finish ran at hht_alpha = 0, which is unstable and warned
+about.
 """
 
 
 _NEWTON_NOTES = """
 Newton's method at rtol/1000 of the forces would be the usual choice. On the stiff damped beam
-forces are large for the motion they make, and what is left of them moves it: states would be
-wrong by tens of tolerances, gradients by any factor. That is why the default is no more than
-1e-9; the table has what it costs.
+forces are large compared with the motion they cause, and the remaining imbalance moves it: states
+would be wrong by tens of tolerances, gradients by any factor. That is why the default is no more
+than 1e-9; the table shows what it costs.
 """

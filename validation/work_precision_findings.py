@@ -127,12 +127,12 @@ def best_gain(
     ----------
     table : Tradeoff
     floor, ceiling : float
-        Errors below the first say nothing for want of a reference, above the second they are no
-        result.
+        Errors below the first are not known, for the reference is no better; errors above the
+        second are not counted.
     same_alpha : bool
         Whether the fixed step must have the same hht_alpha; otherwise the best of all counts.
     choice : callable
-        Which settings are looked at.
+        Which settings are considered.
     """
     gains = []
     for row in settled(table).rows:

@@ -90,7 +90,6 @@ def measured(case: Case, quick: bool) -> Measured:
         tradeoff(
             case.system,
             objective,
-            (),
             case.t_end,
             settings,
             reference=case.reference,
@@ -116,7 +115,7 @@ def newton_tolerances(rtols: Sequence[float], quick: bool) -> tuple[str, list[Tr
     settings: list[Integrator] = []
     settings += [HHT(rtol=rtol, newton_tolerance=_LOOSE * rtol) for rtol in rtols]
     settings += [HHT(rtol=rtol) for rtol in rtols]
-    table = tradeoff(case.system, case.objectives[0], (), case.t_end, settings, reference=reference)
+    table = tradeoff(case.system, case.objectives[0], case.t_end, settings, reference=reference)
     halves = table.rows[: len(rtols)], table.rows[len(rtols) :]
     return case.title, [Tradeoff(rows, table.reference) for rows in halves]
 

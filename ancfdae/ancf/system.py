@@ -26,6 +26,7 @@ from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.scene import Scene
+from ancfdae.text import listed
 
 # Imaginary step for total derivatives at the start; exact, its square vanishes.
 _STEP = 1e-40
@@ -100,6 +101,12 @@ class AncfSystem(MechanicalSystem):
         self._elastic = ElasticForces(*common)
         self._inertia = Inertia(*common, scene.gravity)
         self._describe()
+
+    def __repr__(self) -> str:
+        """Return sizes, scene and values of the design variables."""
+        own = listed(f"{name} = {b:.6g}" for name, b in zip(self.design_names, self.b, strict=True))
+        sizes = f"{self.n_q} coordinates, {self.n_lam} multipliers"
+        return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {own}"
 
     # -- preparation ---------------------------------------------------------------------------
 
@@ -370,44 +377,35 @@ class AncfSystem(MechanicalSystem):
         """d^3 Phi_q/dt^3."""
         return self._constraints.constraint_q_third_rate(jerk, t)
 
-    def constraint_rate_b(
-        self, t: float, q: Array, v: Array, a: Array | None = None, jerk: Array | None = None
-    ) -> Array:
+    def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
         """Return partials of constraint rates, of the variables that constraints depend on."""
-        return self._constraints.rate_b(t, q, tuple(x for x in (v, a, jerk) if x is not None))
+        return self._constraints.rate_b(t, q, rates)
 
-    def linearise_rate(
-        self, t: float, state: tuple[Array, Array, Array, Array], rates: tuple[Array, Array]
-    ) -> Linearisation:
-        """Rates of forces and of Phi_q; M is constant, and so is (Phi_q^T lam)_q in q."""
-        q, v, _, _ = state
-        Q_q, Q_v = self._elastic.tangent_rates(q, v, rates)
-        if self.velocity_forces and Q_v is None:
+    def force_rate_partials(
+        self, t: float, states: tuple[Array, ...], later: Array
+    ) -> tuple[Array, Array, Array]:
+        """f'_q = -(Q_q)', f'_v = f_q - (Q_v)': M is constant, and so is (Phi_q^T lam)_q in q."""
+        q, v, a, lam = states
+        Q_q, Q_v = self._elastic.tangent_rates(q, v, (v, later))
+        if Q_v is None:
             Q_v = np.zeros_like(Q_q)
         if self._scene.loads:
-            self._loads.add_tangent_rates((q, v, rates[1]), Q_q, Q_v)
-        Phi_q = self._constraints.constraint_q_rate(rates[0], t)
-        f_v = None if Q_v is None else -Q_v
-        return Linearisation(np.zeros((1, self.pattern.size)), -Q_q, f_v, Phi_q[None])
+            self._loads.add_tangent_rates((q, v, later), Q_q, Q_v)
+        f_q = self.linearise(np.array([t]), q[None], v[None], a[None], lam[None]).f_q
+        return -Q_q[0], only(f_q - Q_v), np.zeros(self.pattern.size)
 
     def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
         """Contract masses pair by pair, joints for the variables they depend on."""
         reaction = self._constraints.constraint_force_pull_back(q, lam, t, mu)
         return self._inertia.pull_back(a[None], mu[None]) + reaction
 
-    def pull_back_rate(
-        self,
-        t: float,
-        state: tuple[Array, Array, Array, Array],
-        rates: tuple[Array, Array],
-        mu: Array,
-    ) -> Array:
+    def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
         """Contract forces pair by pair, the rest for the variables it depends on."""
-        q, v, _, lam = state
-        total = self._constraints.constraint_force_rate_pull_back(rates[0], lam, t, mu)
-        total = total - self._elastic.pull_back_rate(q, v, rates, mu)
+        q, v, _, lam = states
+        total = self._constraints.constraint_force_rate_pull_back(v, lam, t, mu)
+        total = total - self._elastic.pull_back_rate(q, v, (v, later), mu)
         if self._scene.loads:
-            total = total - self._loads.pull_back_rate((q, v, rates[1]), mu)
+            total = total - self._loads.pull_back_rate((q, v, later), mu)
         return total
 
     # -- energies, instants as rows ------------------------------------------------------------

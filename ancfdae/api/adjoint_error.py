@@ -1,8 +1,9 @@
 """Discretisation error of one objective from one run of HHT-I3 and one pass back.
 
 The smooth motion leaves defects in every step of the recurrence (`integrators.hht.defects`); the
-discrete adjoint tells what each of them changes in the objective. To that comes the error of the
-objective's own quadrature, from its value on every second instant: I - Q_h = -(Q_2h - Q_h)/3.
+discrete adjoint gives the change of the objective that each of them causes. The error of the
+objective's own quadrature is added, from its value on every second instant: I - Q_h = -(Q_2h -
+Q_h)/3.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class AdjointError:
     ----------
     value : float
     error : float
-        Estimate of the exact value minus `value`; with its sign, and no bound.
+        Estimate of the exact value minus `value`, with its sign; not a bound.
     solution : Solution
     """
 
@@ -46,29 +47,36 @@ class AdjointError:
 
     @property
     def extrapolated_value(self) -> float:
-        """The value with its estimated error taken out."""
+        """The value corrected by its estimated error."""
         return self.value + self.error
+
+    def __repr__(self) -> str:
+        """Return value, error and outcome."""
+        numbers = f"objective {self.value:.9g}, estimated error {self.error:.2g}"
+        return f"{numbers} (extrapolated {self.extrapolated_value:.9g})\n{self.solution.outcome}"
 
 
 def adjoint_error(
     model: Scene | MechanicalSystem,
     objective: Objective,
-    design: Sequence[str | DesignVariable],
     t_end: float,
     integrator: HHT,
     *,
+    design: Sequence[str | DesignVariable] | None = None,
     progress: bool = False,
 ) -> AdjointError:
     """Estimate the discretisation error of an objective from a single run.
 
-    Costs about 1.4 runs, where `error_bars` costs three; it says nothing about the gradient, and
-    little where the step does not resolve the motion.
+    Costs about 1.4 runs, where `error_bars` costs three; it gives no error of the gradient, and
+    is unreliable where the step does not resolve the motion.
 
     Parameters
     ----------
-    model, objective, design, t_end, progress
+    model, objective, t_end, progress
         As in `gradient`.
     integrator : HHT
+    design : sequence of str or DesignVariable, optional
+        Needed only where the objective contains `design_value`.
 
     Raises
     ------

@@ -40,16 +40,16 @@ def simulate(
         If the input makes no sense; before anything is integrated.
     """
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
-    return integrator.integrate(as_system(model, ()), t_end, progress=progress)
+    return integrator.integrate(as_system(model), t_end, progress=progress)
 
 
 def differentiate(
     model: Scene | MechanicalSystem,
-    design: Sequence[str | DesignVariable],
     t_end: float,
     integrator: Integrator,
-    method: Method | None = None,
     *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: Method | None = None,
     progress: bool = False,
 ) -> Solution:
     """Integrate and differentiate the whole trajectory in the design variables.
@@ -57,12 +57,12 @@ def differentiate(
     Parameters
     ----------
     model : Scene or MechanicalSystem
-    design : sequence of str or DesignVariable
-        For a scene, targets such as ``"pendulum.youngs_modulus"``; empty for a mechanical
-        system, which brings its own design variables.
     t_end : float
         End time; s.
     integrator : Integrator
+    design : sequence of str or DesignVariable
+        For a scene: targets such as ``"pendulum.youngs_modulus"``. A mechanical system brings its
+        own design variables, so leave it out there.
     method : Method
         `Direct` (default), `FiniteDifference` or `ComplexStep`.
     progress : bool
@@ -81,17 +81,17 @@ def differentiate(
     method = Direct() if method is None else method
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
-    return method.differentiate(as_system(model, design), t_end, integrator, progress)
+    return method.differentiate(differentiable(model, design), t_end, integrator, progress)
 
 
 def gradient(
     model: Scene | MechanicalSystem,
     objective: Objective,
-    design: Sequence[str | DesignVariable],
     t_end: float,
     integrator: Integrator,
-    method: GradientMethod | None = None,
     *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
     progress: bool = False,
 ) -> Gradient:
     """Return value and design gradient of an objective.
@@ -101,11 +101,11 @@ def gradient(
     model : Scene or MechanicalSystem
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
-    design : sequence of str or DesignVariable
-        As in `differentiate`.
     t_end : float
         End time; s.
     integrator : Integrator
+    design : sequence of str or DesignVariable
+        As in `differentiate`.
     method : GradientMethod, optional
         `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
         default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
@@ -122,23 +122,25 @@ def gradient(
     NonFiniteObjective
         If the objective is not finite; the message names the time.
     """
-    return gradients(model, [objective], design, t_end, integrator, method, progress=progress)[0]
+    return gradients(
+        model, [objective], t_end, integrator, design=design, method=method, progress=progress
+    )[0]
 
 
 def gradients(
     model: Scene | MechanicalSystem,
     objectives: Sequence[Objective],
-    design: Sequence[str | DesignVariable],
     t_end: float,
     integrator: Integrator,
-    method: GradientMethod | None = None,
     *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
     progress: bool = False,
 ) -> list[Gradient]:
     """Return value and gradient of several objectives of one run; see `gradient`."""
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     objectives = require_sequence("objectives", objectives)
-    system = as_system(model, design)
+    system = differentiable(model, design)
     require_objectives(system, objectives, t_end)
     chosen = _follow(integrator, system.n_b, len(objectives)) if method is None else method
     require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
@@ -148,7 +150,7 @@ def gradients(
 def require_objectives(
     system: MechanicalSystem, objectives: Sequence[Objective], t_end: float
 ) -> None:
-    """Refuse what is no objective of a run of this system.
+    """Refuse objectives that a run of this system cannot have.
 
     Raises
     ------
@@ -184,8 +186,28 @@ def cheapest(variables: int, objectives: int) -> GradientMethod:
     return Direct() if variables <= 2 * objectives else Adjoint()
 
 
+def differentiable(
+    model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> MechanicalSystem:
+    """Return `as_system`; refuse a model without design variables.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    system = as_system(model, design)
+    if not system.n_b:
+        raise InvalidInput(
+            "design",
+            "must name one or more variables to differentiate in",
+            "none",
+            'For a scene write design=["rod.height"]; a mechanical system needs design_names.',
+        )
+    return system
+
+
 def as_system(
-    model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable]
+    model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None = None
 ) -> MechanicalSystem:
     """Assemble a scene; a mechanical system is passed through.
 
@@ -195,13 +217,13 @@ def as_system(
         If design variables are named for a mechanical system, or the model is neither.
     """
     if isinstance(model, Scene):
-        return assemble(model, design)
+        return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
-    if design:
+    if design is not None and len(design):
         raise InvalidInput(
             "design",
             "a mechanical system brings its own design variables",
             repr(design),
-            "Pass an empty sequence.",
+            "Leave it out.",
         )
     return model

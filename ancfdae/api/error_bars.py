@@ -1,14 +1,14 @@
 """Discretisation error of an objective and its gradient, from runs that are refined.
 
 For HHT-I3, of order two, runs at h, h/2 (and h/4) differ by d_1 = x(h/2) - x(h) and
-d_2 = x(h/4) - x(h/2). With the order p seen in d_1/d_2 = 2^p, or p = 2 taken for granted, the
+d_2 = x(h/4) - x(h/2). With the order p observed in d_1/d_2 = 2^p, or p = 2 assumed, the
 finest run errs by d/(2^p - 1), and adding that at p = 2 is Richardson's extrapolation. The bar
 multiplies it by the safety factor of Roache's grid convergence index (J. Fluids Eng. 116, 1994): 3
-where the order is taken for granted, 1.25 where it was seen; an order seen is kept within 1/2 and
-2, so that runs that do not converge yet get wide bars, and d_2 counts as no less than d_1/4.
+where the order is assumed, 1.25 where it is observed. An observed order is limited to 1/2 to 2,
+so that runs that do not converge yet get wide bars, and d_2 is taken as d_1/4 at least.
 
-Runs with error control by SUNDIALS or SciPy have no step to halve. Their tolerance falls to a
-tenth, the bar is the whole difference, and nothing is extrapolated.
+SUNDIALS and SciPy choose their steps themselves. The refined run has a tenth of the tolerance, the
+bar is the whole difference, and no value is extrapolated.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ from ancfdae.protocol import MechanicalSystem
 from ancfdae.scene import Scene
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod
+from ancfdae.text import columns
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
-# Order of the estimated errors of derivatives from which on all bars measured held; it is 1.996 to
-# 2.03 where steps resolve all waves, 1.9 at most where bars failed (docs/reports/error-bars).
+# Where the estimated errors of derivatives fall at this order or more, all measured bars held. It
+# is 1.996 to 2.03 where steps resolve all waves, 1.9 at most where bars failed
+# (docs/reports/error-bars).
 _RESOLVED = 1.95
 
 
@@ -56,18 +58,18 @@ class ErrorBars:
         they hold.
     extrapolated_value : float
     extrapolated_gradient : array, shape (n_b,)
-        Better values by one order, where runs converge; those of the finest run if the integrator
-        has no order to extrapolate at.
+        Better values by one order, where runs converge; those of the finest run if the
+        integrator has no fixed order.
     orders : array, shape (1 + n_b,)
-        Orders seen for the value and the gradient; nan where they were not looked for.
+        Observed orders of the value and the gradient; nan where they cannot be observed.
     runs : tuple of Gradient
         From the coarsest to the finest.
     resolved : bool or None
         Whether the steps resolve the waves of the derivatives: whether their estimated errors
         (`Solution.estimated_errors`) fall at the order of the integrator from the last run but
-        one to the finest. Where they do not, differences of runs say little, and an error may be
-        ten or twenty times its bar. None where the method or the integrator does not tell: only
-        `Direct` with `HHT` does.
+        one to the finest. Where they do not, the bars are unreliable: an error may be
+        ten or twenty times its bar. None without such an estimate, which only `Direct`
+        with `HHT` provides.
     """
 
     names: tuple[str, ...]
@@ -81,15 +83,34 @@ class ErrorBars:
     runs: tuple[Gradient, ...]
     resolved: bool | None
 
+    def __repr__(self) -> str:
+        """Return value and derivatives with their bars, and how the finest run ended."""
+        numbers = zip(
+            ("objective", *self.names),
+            (self.value, *self.gradient),
+            (self.value_bar, *self.gradient_bar),
+            (self.extrapolated_value, *self.extrapolated_gradient),
+            self.orders,
+            strict=True,
+        )
+        rows = [("", "value", "bar", "extrapolated", "order")]
+        for name, x, bar, better, order in numbers:
+            seen = "-" if np.isnan(order) else f"{order:.2g}"
+            rows.append((name, f"{x:.9g}", f"{bar:.2g}", f"{better:.9g}", seen))
+        known = {True: "yes", False: "no, do not trust the bars", None: "not known"}
+        finest = self.runs[-1].solution.outcome
+        end = f"waves resolved: {known[self.resolved]}\nfinest run: {finest}"
+        return f"{columns(rows)}\n{end}"
+
 
 def error_bars(
     model: Scene | MechanicalSystem,
     objective: Objective,
-    design: Sequence[str | DesignVariable],
     t_end: float,
     integrator: Integrator,
-    method: GradientMethod | None = None,
     *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
     levels: int = 2,
     progress: bool = False,
 ) -> ErrorBars:
@@ -97,13 +118,13 @@ def error_bars(
 
     Parameters
     ----------
-    model, objective, design, t_end, integrator, progress
+    model, objective, t_end, integrator, design, progress
         As in `gradient`; the integrator is that of the coarsest run.
     method : GradientMethod
         As in `gradient`, but `Direct` by default.
     levels : int
-        Runs at two levels cost three times, at three levels seven times the first run with `HHT`;
-        three show whether the order is reached.
+        With `HHT`, two levels cost three times the first run, three levels seven times; three also
+        show whether the order is reached.
 
     Raises
     ------
@@ -119,7 +140,11 @@ def error_bars(
     for _ in range(levels):
         if runs:
             settings = settings.refined(runs[-1].solution)
-        runs.append(gradient(model, objective, design, t_end, settings, chosen, progress=progress))
+        runs.append(
+            gradient(
+                model, objective, t_end, settings, design=design, method=chosen, progress=progress
+            )
+        )
     x = np.array([[run.value, *run.gradient] for run in runs])
     bars, orders = _bars(np.diff(x, axis=0), integrator.order)
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
@@ -143,7 +168,7 @@ def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
     before, after = (None if x is None else x.derivatives for x in errors)
     if before is None or after is None:
         return None
-    # A variable without influence has no error: nan, which is neither. Infinite ones do not fall.
+    # A variable without influence has the error nan, which passes; an infinite one does not.
     return not any(
         y > x / 2.0**_RESOLVED or math.inf in (x, y) for x, y in zip(before, after, strict=True)
     )
@@ -161,5 +186,5 @@ def _bars(differences: Array, order: int | None) -> tuple[Array, Array]:
         orders = np.log2(size[0] / size[1])
     # Two differences of zero: nothing changes, and the bar is zero at any order.
     p = np.clip(np.nan_to_num(orders, nan=_ORDER), _LOWEST, _ORDER)
-    # A difference that passes through zero while the step falls is not believed.
+    # The last difference may be small by chance, where the error changes its sign.
     return _SEEN * np.maximum(size[1], size[0] / 2.0**order) / (2.0**p - 1), orders

@@ -2,64 +2,87 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_kind
+from ancfdae.api.calls import differentiable, gradient
+from ancfdae.design import DesignVariable
+from ancfdae.errors import InvalidInput
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
+from ancfdae.objectives import Objective
+from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
-from ancfdae.sensitivity.method import Method, finished
+from ancfdae.scene import Scene
+from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
+from ancfdae.text import columns
 
 
 @final
 @dataclass(frozen=True)
 class TaylorTest:
-    """Remainders of zeroth and first order along one direction of the design space.
+    """Remainders of zeroth and first order along one direction db of the design space.
 
     Attributes
     ----------
+    gradient : Gradient
+        Value Psi(b) and gradient Psi_b under test.
     sizes : array, shape (n,)
-        Relative perturbations.
+        Relative perturbations s.
     zeroth : array, shape (n,)
-        Norm over time of F(b + s db) - F(b).
+        abs(Psi(b + s db) - Psi(b)).
     first : array, shape (n,)
-        Norm over time of F(b + s db) - F(b) - s F_b db.
-    order : float
-        Smallest observed order of `first` between neighbouring sizes; 2 when F_b is right.
+        abs(Psi(b + s db) - Psi(b) - s Psi_b db).
     """
 
+    gradient: Gradient
     sizes: Array
     zeroth: Array
     first: Array
-    order: float
+
+    @property
+    def order(self) -> float:
+        """Smallest observed order of `first` between neighbouring sizes; 2 if Psi_b is right.
+
+        Infinite where a remainder vanishes, as that of a linear objective does but for round-off.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            orders = np.diff(np.log(self.first)) / np.diff(np.log(self.sizes))
+        return float(np.min(np.where(np.isnan(orders), np.inf, orders)))
+
+    def __repr__(self) -> str:
+        """Return value, method, order and the remainders."""
+        numbers = zip(self.sizes, self.zeroth, self.first, strict=True)
+        rows = [("size", "change", "remainder")]
+        rows += [(f"{s:.3g}", f"{change:.3g}", f"{rest:.3g}") for s, change, rest in numbers]
+        return (
+            f"Taylor test of {self.gradient.value:.9g} by {self.gradient.method}: order "
+            f"{self.order:.3g}, a right gradient has 2\n{columns(rows)}"
+        )
 
 
 def taylor_test(
-    system: MechanicalSystem,
+    model: Scene | MechanicalSystem,
+    objective: Objective,
     t_end: float,
     integrator: Integrator,
-    method: Method,
-    observable: Callable[[Solution], Array],
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
     direction: Sequence[float] | None = None,
     sizes: Sequence[float] = (1e-3, 5e-4, 2.5e-4),
 ) -> TaylorTest:
-    """Check the derivative of an observable by repeated runs.
+    """Check the gradient of an objective by runs at perturbed designs.
+
+    The perturbed runs keep the steps of the first one.
 
     Parameters
     ----------
-    system : MechanicalSystem
-        For a scene: ``assemble(scene, design)``.
-    t_end : float
-    integrator : Integrator
-    method : Method
-        The method under test.
-    observable : callable
-        As in `Solution.derivative`.
+    model, objective, t_end, integrator, design, method
+        As in `gradient`; the method is the one under test.
     direction : sequence of float, optional
         Relative change of each design variable (absolute where it is zero); ones by default.
     sizes : sequence of float
@@ -68,12 +91,11 @@ def taylor_test(
     Raises
     ------
     InvalidInput
-        If sizes or direction make no sense.
-    UnfinishedRun
-        If a run ends early.
+        If the input makes no sense; before anything is integrated.
+    UnfinishedRun, NonFiniteObjective
+        As `gradient`.
     """
-    require_kind("system", system, (MechanicalSystem,), "Use assemble(scene, design).")
-    require_kind("method", method, (Method,), "For example Direct().")
+    system = differentiable(model, design)
     if len(sizes) < 2 or np.any(np.diff(sizes) >= 0) or min(sizes) <= 0:
         raise InvalidInput(
             "sizes", "must be two or more, positive and falling", sizes, "Use 1e-3, 5e-4."
@@ -84,16 +106,12 @@ def taylor_test(
             "direction", f"must have {system.n_b} entries", relative.shape, "One per variable."
         )
     db = relative * np.where(system.b == 0, 1.0, np.abs(system.b))
-    base = finished(method.differentiate(system, t_end, integrator, False))
-    integrator = integrator.frozen(base)
-    value = np.asarray(observable(base))
-    slope = base.derivative(observable) @ db
-    zeroth, first = [], []
-    for size in sizes:
-        moved = finished(integrator.integrate(system.with_values(system.b + size * db), t_end))
-        change = np.asarray(observable(moved)) - value
-        zeroth.append(float(np.linalg.norm(change)))
-        first.append(float(np.linalg.norm(change - size * slope)))
-    scale = np.asarray(sizes, dtype=float)
-    orders = np.diff(np.log(first)) / np.diff(np.log(scale))
-    return TaylorTest(scale, np.array(zeroth), np.array(first), float(np.min(orders)))
+    base = gradient(system, objective, t_end, integrator, method=method)
+    frozen, s = integrator.frozen(base.solution), np.asarray(sizes, dtype=float)
+    changes = []
+    for size in s:
+        moved = system.with_values(system.b + size * db)
+        run = finished(frozen.integrate(moved, t_end))
+        changes.append(objective.value(moved, states_of(run)) - base.value)
+    change = np.array(changes)
+    return TaylorTest(base, s, np.abs(change), np.abs(change - s * (base.gradient @ db)))

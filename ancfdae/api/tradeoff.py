@@ -9,9 +9,9 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ancfdae.api import as_system
+from ancfdae.api.calls import differentiable
 from ancfdae.api.tradeoff_result import Tradeoff, compared
-from ancfdae.api.tradeoff_run import Record, Task, measure
+from ancfdae.api.tradeoff_run import Measurement, Task, measure
 from ancfdae.design import DesignVariable
 from ancfdae.errors import (
     InvalidInput,
@@ -32,10 +32,10 @@ _NO_TIME = 0.0
 def tradeoff(
     model: Scene | MechanicalSystem,
     objective: Objective,
-    design: Sequence[str | DesignVariable],
     t_end: float,
     settings: Sequence[Integrator],
     *,
+    design: Sequence[str | DesignVariable] | None = None,
     reference: Integrator | None = None,
     method: GradientMethod | None = None,
     repeats: int = 1,
@@ -48,24 +48,24 @@ def tradeoff(
     ----------
     model : Scene or MechanicalSystem
     objective : Objective
-    design : sequence of str or DesignVariable
-        As in `differentiate`; at least one variable, here or of the system.
     t_end : float
         End time; s.
     settings : sequence of Integrator
         For example ``[HHT(step=h) for h in (0.01, 0.005)] + [HHT(rtol=1e-3), IDA(1e-6)]``.
+    design : sequence of str or DesignVariable
+        As in `differentiate`.
     reference : Integrator, optional
         What errors are measured against, ``Explicit(1e-10)`` by default. For stiff scenes
         something that needs fewer steps, such as ``HHT`` at a small one.
     method : GradientMethod, optional
         As in `gradient`.
     repeats : int
-        Runs of each setting, of which the least processor time counts; what takes more than a
-        second is not repeated.
+        Runs of each setting, of which the least processor time counts; runs of more than a
+        second are not repeated.
     executor : concurrent.futures.Executor, optional
         Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
         client; by default in this process, one after the other. Model and objective must
-        pickle (no lambda in `custom` or `apply`). In threads processor times mix up.
+        pickle (no lambda in `custom` or `apply`). Threads would count each other's processor time.
     progress : bool
         Whether to show a progress bar.
 
@@ -93,32 +93,30 @@ def tradeoff(
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
     require_positive("t_end", t_end)
     require_count("repeats", repeats, "1 is enough for ratios of long runs.")
-    system = as_system(model, design)
-    if not system.n_b:
-        raise InvalidInput("design", "must name a variable", "none", "Name one or more.")
+    system = differentiable(model, design)
     objective.check(system, t_end)
-    # The reference is no candidate: its time is not compared, so once is enough.
+    # The reference runs once, because its time is not compared.
     tasks = [Task(system, objective, t_end, reference, method, 1)]
     tasks += [Task(system, objective, t_end, each, method, repeats) for each in settings]
     with tqdm(total=len(tasks), disable=not progress, unit="run") as bar:
-        records = _in_turn(tasks, bar) if executor is None else _by_workers(tasks, executor, bar)
-    exact = records[0]
-    rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, records, strict=True)]
+        measured = _in_turn(tasks, bar) if executor is None else _by_workers(tasks, executor, bar)
+    exact = measured[0]
+    rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, measured, strict=True)]
     return Tradeoff(tuple(rows[1:]), rows[0])
 
 
-def _in_turn(tasks: Sequence[Task], bar: Any) -> list[Record]:
-    records = []
+def _in_turn(tasks: Sequence[Task], bar: Any) -> list[Measurement]:
+    measured = []
     for task in tasks:
-        records.append(measure(task))
-        _require_reference(records[0])
+        measured.append(measure(task))
+        _require_reference(measured[0])
         bar.update()
-    return records
+    return measured
 
 
-def _by_workers(tasks: Sequence[Task], executor: Executor, bar: Any) -> list[Record]:
-    """Submit all; an exception that a worker could not put into words becomes a row as well."""
-    submitted: list[Future[Record] | BrokenExecutor] = []
+def _by_workers(tasks: Sequence[Task], executor: Executor, bar: Any) -> list[Measurement]:
+    """Submit all tasks; an exception in a worker becomes a row with its message."""
+    submitted: list[Future[Measurement] | BrokenExecutor] = []
     for task in tasks:
         try:
             submitted.append(executor.submit(measure, task))
@@ -132,14 +130,14 @@ def _by_workers(tasks: Sequence[Task], executor: Executor, bar: Any) -> list[Rec
         for future in futures:
             future.cancel()
         raise
-    records = [_answer(x) for x in submitted]
-    if not records[0].finished:
+    measured = [_answer(x) for x in submitted]
+    if not measured[0].finished:
         _require_pickles(tasks[0])
-    _require_reference(records[0])
-    return records
+    _require_reference(measured[0])
+    return measured
 
 
-def _answer(submitted: Future[Record] | BrokenExecutor) -> Record:
+def _answer(submitted: Future[Measurement] | BrokenExecutor) -> Measurement:
     if isinstance(submitted, BrokenExecutor):
         error: BaseException | None = submitted
     else:
@@ -149,28 +147,28 @@ def _answer(submitted: Future[Record] | BrokenExecutor) -> Record:
             error = cancelled
         if error is None:
             return submitted.result()
-    return Record(_NO_TIME, f"{type(error).__name__} in a worker: {error}")
+    return Measurement(_NO_TIME, f"{type(error).__name__} in a worker: {error}")
 
 
-def _require_reference(record: Record) -> None:
-    if not record.finished:
+def _require_reference(measurement: Measurement) -> None:
+    if not measurement.finished:
         raise InvalidInput(
             "reference",
             "must finish and give a gradient",
-            record.outcome,
+            measurement.outcome,
             "Loosen it, or take another integrator.",
         )
 
 
 def _require_pickles(task: Task) -> None:
-    """Name what cannot travel to a worker, if that is why the reference failed."""
+    """Name the part that does not pickle, if that is why the reference failed."""
     for name, part in (("model", task.system), ("objective", task.objective)):
         try:
             pickle.dumps(part)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise InvalidInput(
                 f"{name}, executor",
-                "must pickle to travel to a worker",
+                "must pickle to be sent to a worker",
                 str(error),
                 "Define functions at the top of a module, or leave the executor out.",
             ) from error

@@ -18,16 +18,17 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from ancfdae import plotting
-from ancfdae.api.tradeoff_run import Record, common_times
+from ancfdae.api.tradeoff_run import Measurement, common_times
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.integrators import HHT, ControlledSteps, Integrator, StepControl
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.text import columns
 
-Quantity = Literal["states", "multipliers", "objective", "gradient"]
-_QUANTITIES: Final[tuple[Quantity, ...]] = ("states", "multipliers", "objective", "gradient")
-# Settings of which one line of a plot has several.
+ErrorKind = Literal["states", "multipliers", "objective", "gradient"]
+_KINDS: Final[tuple[ErrorKind, ...]] = ("states", "multipliers", "objective", "gradient")
+# Settings that vary along one line of a plot.
 _ACCURACY: Final = ("step", "rtol", "atol", "times")
 _TECHNICAL: Final = ("newton_tolerance", "max_iterations", "max_steps", "intervals")
 
@@ -88,7 +89,7 @@ class Setting:
         ]
         return ", ".join(given) or "given"
 
-    def error(self, of: Quantity) -> float:
+    def error(self, of: ErrorKind) -> float:
         """Return one of the four errors; infinite if the setting failed.
 
         Raises
@@ -96,8 +97,8 @@ class Setting:
         InvalidInput
             If there is no such error.
         """
-        if of not in _QUANTITIES:
-            known = ", ".join(_QUANTITIES)
+        if of not in _KINDS:
+            known = ", ".join(_KINDS)
             raise InvalidInput("of", f"must be one of {known}", repr(of), "Choose one.")
         value: float | None = getattr(self, of)
         return np.inf if value is None else value
@@ -135,14 +136,14 @@ class Tradeoff:
     rows : tuple of Setting
         In the order they were asked for.
     reference : Setting
-        What errors are measured against; its own are zero by definition, so an error below that
-        of the reference itself says nothing.
+        The run that errors are measured against. Its own error is not known, and
+        errors below that mean nothing.
     """
 
     rows: tuple[Setting, ...]
     reference: Setting
 
-    def pareto(self, of: Quantity = "gradient") -> tuple[Setting, ...]:
+    def pareto(self, of: ErrorKind = "gradient") -> tuple[Setting, ...]:
         """Return the settings that no other beats in both processor time and error.
 
         Parameters
@@ -162,10 +163,10 @@ class Tradeoff:
                 least = row.error(of)
         return tuple(front)
 
-    def recommend(self, target_error: float, of: Quantity = "gradient") -> Setting:
+    def recommend(self, target_error: float, of: ErrorKind = "gradient") -> Setting:
         """Return the cheapest measured setting whose error is at most the target.
 
-        It is a statement about this scene, this objective and this end time; nothing is
+        It holds for this scene, this objective and this end time; nothing is
         extrapolated.
 
         Parameters
@@ -191,14 +192,18 @@ class Tradeoff:
 
     def table(self) -> str:
         """Return all settings as a table in plain text, the reference last."""
-        header = ["integrator", "setting", "CPU [s]", *_QUANTITIES, "drift", "energy", "outcome"]
+        return columns(self._lines(), shorten=False)
+
+    def __repr__(self) -> str:
+        """Return the reference and the first settings as a table."""
+        header, *lines, reference = self._lines()
+        return columns([header, reference, *lines])
+
+    def _lines(self) -> list[list[str]]:
+        header = ["integrator", "setting", "CPU [s]", *_KINDS, "drift", "energy", "outcome"]
         lines = [header, *(_cells(row) for row in (*self.rows, self.reference))]
         lines[-1][0] += " (reference)"
-        widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
-        return "\n".join(
-            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-            for line in lines
-        )
+        return lines
 
     def plot(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
         """Draw errors of states and gradient over processor time.
@@ -258,27 +263,27 @@ class Tradeoff:
 
 
 def compared(
-    system: MechanicalSystem, integrator: Integrator, record: Record, reference: Record
+    system: MechanicalSystem, integrator: Integrator, run: Measurement, reference: Measurement
 ) -> Setting:
-    """Measure a record against the reference."""
-    if not record.finished:
-        return Setting(integrator, record.seconds, record.outcome)
+    """Measure a run against the reference."""
+    if not run.finished:
+        return Setting(integrator, run.seconds, run.outcome)
     b = np.where(system.b == 0, 1.0, system.b)
     root = np.sqrt(system.weights)
-    q, q_0, lam, lam_0 = (_given(x) for x in (record.q, reference.q, record.lam, reference.lam))
-    slope, slope_0 = _given(record.gradient), _given(reference.gradient)
+    q, q_0, lam, lam_0 = (_given(x) for x in (run.q, reference.q, run.lam, reference.lam))
+    slope, slope_0 = _given(run.gradient), _given(reference.gradient)
     t = common_times(float(_given(reference.t)[-1]))
     forces = _forces(system, q_0, lam - lam_0, t), _forces(system, q_0, lam_0, t)
     return Setting(
         integrator,
-        record.seconds,
-        record.outcome,
+        run.seconds,
+        run.outcome,
         states=_largest_ratio((q - q_0) * root, q_0 * root),
         multipliers=_largest_ratio(forces[0] / root, forces[1] / root),
-        objective=_ratio(abs(record.value - reference.value), abs(reference.value)),
+        objective=_ratio(abs(run.value - reference.value), abs(reference.value)),
         gradient=_largest_ratio(((slope - slope_0) * b)[None], (slope_0 * b)[None]),
-        drift=_drift(system, q_0, t, record),
-        energy=_energy_error(record, reference),
+        drift=_drift(system, q_0, t, run),
+        energy=_energy_error(run, reference),
     )
 
 
@@ -289,7 +294,7 @@ def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
     ).reshape(len(t), -1)
 
 
-def _drift(system: MechanicalSystem, q: Array, t: Array, record: Record) -> float:
+def _drift(system: MechanicalSystem, q: Array, t: Array, run: Measurement) -> float:
     """Return the largest |Phi_i| over the length of its row of Phi_q and the size of q."""
     if not system.n_lam:
         return 0.0
@@ -301,17 +306,17 @@ def _drift(system: MechanicalSystem, q: Array, t: Array, record: Record) -> floa
     ]
     length = np.sqrt(np.max(squares, axis=0))
     size = float(np.max(np.linalg.norm(q * np.sqrt(system.weights), axis=1)))
-    away = np.max(np.abs(_given(record.drift)), axis=0)
+    away = np.max(np.abs(_given(run.drift)), axis=0)
     return max(_ratio(float(x), float(y) * size) for x, y in zip(away, length, strict=True))
 
 
-def _energy_error(record: Record, reference: Record) -> float | None:
+def _energy_error(run: Measurement, reference: Measurement) -> float | None:
     """Compare energies at the instants of the run; the reference's is interpolated."""
-    energy, energy_0 = _given(record.energy), _given(reference.energy)
+    energy, energy_0 = _given(run.energy), _given(reference.energy)
     if not len(energy):
         return None
     t_0, k = _given(reference.t), min(3, len(energy_0) - 1)
-    exact = make_interp_spline(t_0, energy_0, k=k)(np.minimum(_given(record.t), t_0[-1]))
+    exact = make_interp_spline(t_0, energy_0, k=k)(np.minimum(_given(run.t), t_0[-1]))
     return _ratio(float(np.max(np.abs(energy - exact))), reference.kinetic)
 
 

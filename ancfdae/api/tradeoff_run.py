@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf import AncfSystem
-from ancfdae.api import gradient
+from ancfdae.api.calls import gradient
 from ancfdae.errors import AncfdaeError, Verdict
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
@@ -18,10 +18,10 @@ from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.sensitivity import Gradient, GradientMethod, UnfinishedRun
 
-# Times at which trajectories are compared, and instants at which drift and energy are looked at.
+# Times at which trajectories are compared, and instants at which drift and energy are computed.
 _SAMPLES = 201
 _LOOKS = 1000
-# Longer runs are not repeated: the clock's grain and interruptions do not matter for them; s.
+# Longer runs are timed once: the clock's resolution and interruptions hardly matter; s.
 _LONG = 1.0
 
 
@@ -50,7 +50,7 @@ class Task:
 
 @final
 @dataclass(frozen=True)
-class Record:
+class Measurement:
     """What one setting gave.
 
     Attributes
@@ -91,8 +91,8 @@ def common_times(t_end: float) -> Array:
     return np.linspace(0.0, t_end, _SAMPLES)
 
 
-def measure(task: Task) -> Record:
-    """Run one setting; trouble is a record without results."""
+def measure(task: Task) -> Measurement:
+    """Run one setting; a failure is a measurement without results."""
     seconds, answer = np.inf, None
     for _ in range(task.repeats):
         clock = time.process_time()
@@ -101,28 +101,28 @@ def measure(task: Task) -> Record:
         except UnfinishedRun as error:
             if error.solution.outcome.verdict is Verdict.INTERRUPTED:
                 raise KeyboardInterrupt from error
-            return Record(time.process_time() - clock, str(error.solution.outcome))
+            return Measurement(time.process_time() - clock, str(error.solution.outcome))
         except (AncfdaeError, ArithmeticError, ValueError, RuntimeError, MemoryError) as error:
-            return Record(time.process_time() - clock, f"{type(error).__name__}: {error}")
+            return Measurement(time.process_time() - clock, f"{type(error).__name__}: {error}")
         seconds = min(seconds, time.process_time() - clock)
         if seconds > _LONG:
             break
     assert answer is not None
-    return _record(task, answer, float(seconds))
+    return _measured(task, answer, float(seconds))
 
 
 def _gradient(task: Task) -> Gradient:
-    return gradient(task.system, task.objective, (), task.t_end, task.integrator, task.method)
+    return gradient(task.system, task.objective, task.t_end, task.integrator, method=task.method)
 
 
-def _record(task: Task, answer: Gradient, seconds: float) -> Record:
+def _measured(task: Task, answer: Gradient, seconds: float) -> Measurement:
     solution, system = answer.solution, task.system
     # The end of a run with a fixed step may miss the end time by round-off.
     common = solution.at(common_times(float(solution.t[-1])).tolist())
     rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
     t, q = solution.t[rows], solution.q[rows]
     energy, kinetic = _energy(system, solution, rows)
-    return Record(
+    return Measurement(
         seconds=seconds,
         outcome=str(solution.outcome),
         finished=True,

@@ -20,7 +20,7 @@ class Integrator(abc.ABC):
     real_only : bool
         Whether it refuses systems at complex design values, as the complex step needs them.
     order : int or None
-        Power of the step with which errors fall; None where a tolerance rules them.
+        Power of the step with which errors fall; None where a tolerance controls them.
     """
 
     real_only: ClassVar[bool] = False
@@ -74,7 +74,7 @@ class Integrator(abc.ABC):
         Returns
         -------
         Solution
-            Trouble on the way is told by its outcome, and what was computed is kept.
+            A failure on the way is reported by its outcome, and what was computed is kept.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class AdjointIntegrator(Integrator):
 
 
 def require_rtol(where: str, rtol: float, least: float) -> None:
-    """Refuse a relative tolerance that round-off or sense forbids.
+    """Refuse a relative tolerance outside the range that makes sense.
 
     Raises
     ------

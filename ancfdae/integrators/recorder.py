@@ -10,7 +10,8 @@ import numpy as np
 from ancfdae.errors import InvalidInput, Outcome
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Sensitivities, Solution, Statistics
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import Sensitivities, Statistics
 
 
 @final
@@ -21,7 +22,7 @@ class Recorder:
     ----------
     system : MechanicalSystem
     rows : int
-        Number of instants, the start included; more are taken in when they come.
+        Number of instants, the start included; the arrays grow if there are more.
     degree : int
         Degree of the polynomials between the instants, see `Solution`.
     sensitivities : bool

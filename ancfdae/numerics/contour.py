@@ -1,8 +1,8 @@
 """Derivatives of analytic functions of any order, by sums over circles in the complex plane.
 
 One first derivative is a complex step, Im f(i s)/s with s = 1e-40 radii: exact but for round-off.
-Higher and mixed ones cannot be had that way, for a perturbation of 1e-40 is lost beside the
-imaginary part of another one. They come from Cauchy's formula (Lyness & Moler 1967).
+Higher and mixed ones need several perturbations at once, and one of 1e-40 would be lost next to
+the imaginary part of another. They come from Cauchy's formula (Lyness & Moler 1967).
 
 For f(z_1, ..., z_p) analytic and real for real arguments, wanted is the derivative of order k in
 z_1 and of order 1 in every other argument, at zero. On lines z = r (s, c_2 s, ..., c_p s), with
@@ -30,14 +30,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import product
-from typing import TypeAlias
 
 import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
-
-Function: TypeAlias = Callable[..., Array]
 
 # Points on a circle.
 _POINTS = 24
@@ -51,7 +48,7 @@ _SHRINKS, _SHRINK = 14, 0.25
 
 
 def derivative(
-    f: Function,
+    f: Callable[..., Array],
     radii: tuple[float, ...],
     order: int = 1,
     scale: Callable[[], Array] = lambda: np.zeros(1),
@@ -67,8 +64,9 @@ def derivative(
         varies serves best.
     order : int
     scale : callable
-        Returns values of the size of the terms of f. Where these cancel on the whole circle, as a
-        constraint does along its own motion, round-off is all that is left and is known by them.
+        Returns values of the size of the terms of f. Where these cancel on the whole circle, as
+        those of a constraint do along its own motion, only round-off is left, and these values show
+        it.
 
     Raises
     ------
@@ -87,19 +85,19 @@ def derivative(
     raise InvalidInput(
         "functions of the system",
         "must be analytic near the state",
-        "values on small circles in the complex plane that no power series describes",
+        "values on small circles in the complex plane that fit no power series",
         "Write them with operations that accept complex numbers, without kinks.",
     )
 
 
-def circle_size(f: Function, radius: float) -> float | None:
-    """Largest value on a circle that resolves f to round-off; None of one that does not."""
+def circle_size(f: Callable[..., Array], radius: float) -> float | None:
+    """Largest value on the circle; None if the circle does not resolve f to round-off."""
     value, resolved, size = _on_circle(f, (radius,), 1, 0.0)
     return size if resolved and np.all(np.isfinite(value)) else None
 
 
 def _on_circle(
-    f: Function, radii: tuple[float, ...], order: int, terms: float
+    f: Callable[..., Array], radii: tuple[float, ...], order: int, terms: float
 ) -> tuple[Array, bool, float]:
     """Return the derivative, whether aliasing is round-off, and the largest value."""
     degree = order + len(radii) - 1

@@ -3,7 +3,7 @@
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, ObservablePartials, Rows
 from ancfdae.observables.observe import observe, states_of
 from ancfdae.observables.quantities import (
-    design,
+    design_value,
     kinetic_energy,
     multiplier,
     reaction,
@@ -33,7 +33,7 @@ __all__ = [
     "axial_strain",
     "custom",
     "deflection",
-    "design",
+    "design_value",
     "kinetic_energy",
     "multiplier",
     "observe",

@@ -119,7 +119,7 @@ class Expression(abc.ABC, Generic[K]):
     def __pos__(self) -> K:
         return self.combined(analytic(np.positive), (self,))
 
-    # Refused by `analytic`, with a repair.
+    # `analytic` refuses these and says what to use instead.
 
     def __abs__(self) -> K:
         return self.combined(analytic(np.absolute), (self,))

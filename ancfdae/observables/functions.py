@@ -2,8 +2,8 @@
 
 For real x and a tiny step eps, Im f(x + i eps) / eps is f'(x) to round-off if f is analytic at x.
 NumPy continues some functions to where they are not real, sqrt(-1) = i, and there the quotient is
-no derivative. A complex operand is therefore read as a neighbourhood of its real part: where the
-function is not finite on all of it, the result is NaN.
+no derivative. A complex operand therefore stands for a small interval around its real part: where
+the function is not finite on all of it, the result is NaN.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _REPAIRS = {
     **dict.fromkeys(("floor", "ceil", "trunc", "rint"), _STEPS),
     **dict.fromkeys(("floor_divide", "remainder", "fmod", "divmod"), _STEPS),
 }
-# Failures by which a function shows that it cannot work on a complex array.
+# Exceptions of functions that cannot work on a complex array.
 _FAILURES = (TypeError, ValueError, AttributeError, ArithmeticError, IndexError)
 
 
@@ -65,7 +65,7 @@ class Function:
     edged : bool
         Whether it may be real on a part of the real line only.
     own : bool
-        Whether it is a user's, so that its derivative is not to be trusted.
+        Whether a user wrote it, so that its derivative is checked.
     """
 
     name: str
@@ -146,7 +146,7 @@ def require_derivative(where: str, along: Callable[[complex], Array]) -> None:
     ------
     InvalidInput
         If it fails on complex numbers, or its complex step agrees with no central difference of
-        six sizes. Where no difference is finite nothing is judged.
+        six sizes. Where no difference is finite, the function is accepted.
     """
     try:
         base, moved = np.asarray(along(0.0)), np.asarray(along(1j * STEP))

@@ -155,7 +155,7 @@ class Observable(Expression["Observable"]):
             )
         _require_derivatives(values)
         parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam", "b"))
-        with np.errstate(all="ignore"):  # not finite: the caller looks
+        with np.errstate(all="ignore"):  # the caller checks for values that are not finite
             for leaf, factor in leaf_weights(values, weight).items():
                 gradient = cast(Leaf, leaf).leaf_gradient(system, states)
                 for name, states_of in (("q", states.q), ("v", states.v), ("lam", states.lam)):

@@ -59,7 +59,7 @@ def time() -> Observable:
     return Time()
 
 
-def design(name: str) -> Observable:
+def design_value(name: str) -> Observable:
     """Return the value of a design variable, the same at every instant.
 
     Parameters

@@ -82,7 +82,7 @@ class Custom(Leaf):
         """
         system = known_system(self.name, system)
         q, v = system.start()
-        # Beside the start, because there velocities and multipliers may be special.
+        # Near the start, but not at it, where velocities and multipliers may be zero.
         spread = 1e-3 * np.arange(1.0, 4.0)[:, None]
         states = States(
             t=np.array([0.0, 0.1, 0.2]),

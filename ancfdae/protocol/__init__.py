@@ -1,12 +1,12 @@
 """The protocol between a mechanical system and everything that integrates it."""
 
 from ancfdae.naming import Naming
-from ancfdae.protocol.solution import EstimatedErrors, Sensitivities, Solution, Statistics
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 from ancfdae.protocol.system import (
     DesignPartials,
     Linearisation,
     MechanicalSystem,
-    OneByOneSystem,
 )
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "Linearisation",
     "MechanicalSystem",
     "Naming",
-    "OneByOneSystem",
     "Sensitivities",
     "Solution",
     "Statistics",

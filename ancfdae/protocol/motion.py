@@ -10,8 +10,8 @@ import numpy as np
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
 
-# Imaginary parts above the first against the real ones, and above the second, are no
-# perturbations of a complex step. Real parts may pass through zero, so one of them is not enough.
+# Imaginary parts that exceed both, the first relative to the real parts, are too large
+# for a complex step. Real parts may pass through zero, so a relative limit alone is not enough.
 _RELATIVE, _ABSOLUTE = 1e-12, 1e-20
 
 
@@ -26,7 +26,7 @@ class Motion:
         What a quantity does not depend on is zero.
     lam : array, shape (n_lam,)
     t : float or complex
-        The protocol speaks of real time; only differentiation makes it complex.
+        Real in the protocol; complex only while derivatives are taken.
     """
 
     q: Array
@@ -52,7 +52,7 @@ class Motion:
 
     @property
     def is_zero(self) -> bool:
-        """Whether it is no change at all."""
+        """Whether every part is zero."""
         return not any(np.any(x) for x in (self.q, self.v, self.a, self.lam, self.t))
 
     def parts(self) -> tuple[Self, Self]:
@@ -73,7 +73,7 @@ class Motion:
 
 
 def require_perturbation(name: str, x: Array) -> None:
-    """Refuse complex numbers whose imaginary part is no perturbation of a complex step.
+    """Refuse complex numbers whose imaginary part is too large for a complex step.
 
     Raises
     ------

@@ -2,109 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import os
-import uuid
-import zipfile
-import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from ancfdae.bodies import Point, Quantity, require_point
 from ancfdae.errors import InvalidInput, Outcome, UnknownName, Verdict
-from ancfdae.naming import BeamLayout, JointLayout, Layout, Naming
+from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.protocol import solution_file
+from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
+from ancfdae.text import listed
 
-_FORMAT = "ancfdae solution 3"
-# What reading a file that is no archive, or a damaged one, ends in.
-_DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
-# Imaginary perturbation of observables: any value whose square underflows against one is exact.
+# Imaginary perturbation of the states: any value whose square underflows against one is exact.
 _STEP = 1e-40
-
-
-@final
-@dataclass(frozen=True)
-class Statistics:
-    """What a run cost.
-
-    Attributes
-    ----------
-    steps : int
-        Accepted steps.
-    iterations : int
-        Newton iterations.
-    factorisations : int
-        Factorised iteration matrices.
-    residuals : int
-        Evaluations of the residual.
-    round_off_steps : int
-        Steps of `HHT` whose Newton corrections stopped shrinking, at round-off, above the
-        tolerance, or that round-off of the elastic forces leaves less than seven digits.
-    wall_seconds : float
-        Elapsed time of the integration.
-    rejected : int
-        Steps of `HHT` repeated with a smaller size; SUNDIALS and SciPy do not tell.
-    """
-
-    steps: int
-    iterations: int
-    factorisations: int
-    residuals: int
-    round_off_steps: int
-    wall_seconds: float
-    rejected: int = 0
-
-
-@final
-@dataclass(frozen=True)
-class EstimatedErrors:
-    """Discretisation errors as a run of HHT-I3 itself tells them (docs/theory.md, section 5).
-
-    The errors of all steps, added up. Against the true ones they are right within a factor of
-    three (motion) and ten (derivatives) on undamped scenes, waves that the steps do not resolve
-    included; strong damping, which removes errors again, makes them too large
-    (docs/reports/error-bars). For an objective and its gradient see `error_bars`.
-
-    Attributes
-    ----------
-    motion : float
-        Of q, relative to the size of the coordinates.
-    derivatives : tuple of float, or None
-        Of q_b, one per design variable, relative to the largest size of that derivative in the
-        run; nan where the variable has no influence above round-off, inf where the run blew up.
-        None unless it was differentiated by `Direct` or `ControlledSteps(sensitivities=True)`.
-    """
-
-    motion: float
-    derivatives: tuple[float, ...] | None = None
-
-
-@final
-@dataclass(frozen=True)
-class Sensitivities:
-    """Total derivatives of a trajectory in the design variables.
-
-    Attributes
-    ----------
-    names : tuple of str
-    values : array, shape (n_b,)
-        Design variables and their values.
-    q_b, v_b, a_b : array, shape (n_t, n_q, n_b)
-    lam_b : array, shape (n_t, n_lam, n_b)
-    """
-
-    names: tuple[str, ...]
-    values: Array
-    q_b: Array
-    v_b: Array
-    a_b: Array
-    lam_b: Array
 
 
 @final
@@ -150,44 +67,39 @@ class Solution:
         """Node vectors of a beam, shape (n_t, n_nodes, n_s, d): position, then slopes."""
         return self._nodes(self.q, beam)
 
-    def position(self, beam: str, fraction: float, y: float = 0.0, z: float = 0.0) -> Array:
+    def position(self, point: Point) -> Array:
         """Position of a material point, shape (n_t, d).
 
         Parameters
         ----------
-        beam : str
-        fraction : float
-            Arc-length fraction along the beam, 0 to 1.
-        y, z : float
-            Offset along the section's axes; m.
+        point : Point
+            For example ``rod.at_end``, ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``.
 
         Raises
         ------
         UnknownName
             If there is no such beam.
         InvalidInput
-            If the fraction lies outside [0, 1], or z is not zero in the plane.
+            If it is no point, or its z is not zero in the plane.
         """
-        return self._vector(self.q, Point(beam, fraction, y, z), Quantity.POSITION)
+        return self._vector(self.q, point, Quantity.POSITION)
 
-    def velocity(self, beam: str, fraction: float, y: float = 0.0, z: float = 0.0) -> Array:
-        """Velocity of a material point, shape (n_t, d); arguments as in `position`."""
-        return self._vector(self.v, Point(beam, fraction, y, z), Quantity.POSITION)
+    def velocity(self, point: Point) -> Array:
+        """Velocity of a material point, shape (n_t, d); as `position`."""
+        return self._vector(self.v, point, Quantity.POSITION)
 
-    def acceleration(self, beam: str, fraction: float, y: float = 0.0, z: float = 0.0) -> Array:
-        """Acceleration of a material point, shape (n_t, d); arguments as in `position`."""
-        return self._vector(self.a, Point(beam, fraction, y, z), Quantity.POSITION)
+    def acceleration(self, point: Point) -> Array:
+        """Acceleration of a material point, shape (n_t, d); as `position`."""
+        return self._vector(self.a, point, Quantity.POSITION)
 
-    def slope(
-        self, beam: str, fraction: float, axis: int = 0, y: float = 0.0, z: float = 0.0
-    ) -> Array:
+    def slope(self, point: Point, along: int = 0) -> Array:
         """Slope vector along a section axis (0: along the beam), shape (n_t, d)."""
         d = self._known_naming().layout.d
-        if axis not in range(d):
+        if along not in range(d):
             raise InvalidInput(
-                "slope, axis", f"must lie in 0 to {d - 1}", repr(axis), "0 is along the beam."
+                "slope, along", f"must lie in 0 to {d - 1}", repr(along), "0 is along the beam."
             )
-        return self._vector(self.q, Point(beam, fraction, y, z), Quantity(axis + 1))
+        return self._vector(self.q, point, Quantity(along + 1))
 
     def multipliers(self, joint: str) -> Array:
         """Multipliers of a joint, shape (n_t, rows), in the order of its equations."""
@@ -215,12 +127,12 @@ class Solution:
             )
         return -self.multipliers(joint)[:, : layout.d]
 
-    def derivative(self, observable: Callable[[Solution], Array]) -> Array:
+    def derivative(self, function: Callable[[Solution], Array]) -> Array:
         """Total design derivative of anything computed from a solution.
 
         Parameters
         ----------
-        observable : callable
+        function : callable
             Takes a solution and returns an array, shape (n_t, ...); written with operations
             that accept complex numbers (no abs, norm or comparison). It is evaluated at
             q + i eps q_b, which is exact to round-off.
@@ -232,11 +144,11 @@ class Solution:
         Raises
         ------
         InvalidInput
-            If the solution has no sensitivities, or the observable drops the imaginary part.
+            If the solution has no sensitivities, or the function drops the imaginary part.
         """
         s, naming = self._known_sensitivities(), self.naming
         if not s.names:
-            return np.zeros((*np.shape(observable(self)), 0))
+            return np.zeros((*np.shape(function(self)), 0))
         columns = []
         for i in range(len(s.names)):
             if naming is not None and self.naming is not None:
@@ -251,10 +163,10 @@ class Solution:
                 naming=naming,
                 sensitivities=None,
             )
-            value = np.asarray(observable(shifted))
+            value = np.asarray(function(shifted))
             if value.dtype.kind != "c":
                 raise InvalidInput(
-                    "observable",
+                    "function of a solution",
                     "must keep the imaginary part of its input",
                     f"a result of type {value.dtype}",
                     "Replace abs, norm and comparisons by complex-safe operations.",
@@ -321,7 +233,7 @@ class Solution:
 
     def _vector(self, states: Array, point: Point, quantity: Quantity) -> Array:
         naming = self._known_naming()
-        require_point(f"point of {point.beam!r}", point, naming.layout.d)
+        require_point("point", point, naming.layout.d)
         return naming.vector(point, quantity).of(states, naming.layout.d)
 
     def _nodes(self, states: Array, beam: str) -> Array:
@@ -387,51 +299,17 @@ class Solution:
             sensitivities=own,
         )
 
-    # -- files ---------------------------------------------------------------------------------
+    # -- files and text ------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the solution to one file, complete or not at all.
-
-        The file is a NumPy archive without pickled objects; it is written beside its final
-        name and moved there when it is complete.
+        """Write the solution to one file, complete or not at all, and return its path.
 
         Parameters
         ----------
         path : path-like
             By convention with the ending ``.npz``.
         """
-        path = Path(path)
-        arrays = {name: getattr(self, name) for name in ("t", "q", "v", "a", "lam")}
-        meta: dict[str, Any] = {
-            "format": _FORMAT,
-            "statistics": asdict(self.statistics),
-            "outcome": {**asdict(self.outcome), "verdict": self.outcome.verdict.name},
-            "degree": self.degree,
-            "estimated_errors": self.estimated_errors and asdict(self.estimated_errors),
-            "layout": None,
-            "names": None,
-        }
-        if self.naming is not None:
-            meta["layout"] = asdict(self.naming.layout)
-            arrays["lengths"] = self.naming.lengths
-            arrays["lengths_b"] = self.naming.lengths_b
-        if self.sensitivities is not None:
-            s = self.sensitivities
-            meta["names"] = list(s.names)
-            for name in ("values", "q_b", "v_b", "a_b", "lam_b"):
-                arrays[f"sensitivity_{name}"] = getattr(s, name)
-        # Settings may be numbers of NumPy, which JSON does not know.
-        arrays["meta"] = np.array(json.dumps(meta, default=np.generic.item))
-        # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
-        temporary = path.parent / f"{path.name}.{uuid.uuid4().hex}.part"
-        try:
-            with temporary.open("xb") as file:
-                np.savez(file, allow_pickle=False, **arrays)
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-        return path
+        return solution_file.write(Path(path), vars(self))
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Solution:
@@ -442,52 +320,16 @@ class Solution:
         InvalidInput
             If the file is not such a solution.
         """
-        try:
-            # Opened here, because np.load leaves a file open that is no whole archive.
-            with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            meta = json.loads(str(arrays["meta"]))
-            if meta["format"] != _FORMAT:
-                raise ValueError(f"the format {meta['format']!r}")
-            return _rebuild(arrays, meta)
-        except FileNotFoundError:
-            raise
-        except (OSError, KeyError, ValueError, TypeError, *_DAMAGED) as error:
-            raise InvalidInput(
-                f"solution file {os.fspath(path)!r}",
-                f"must be a file written by Solution.save ({_FORMAT})",
-                f"{type(error).__name__}: {error}",
-                "Choose another file.",
-            ) from error
+        return Solution(**solution_file.read(Path(path)))
 
-
-def _rebuild(arrays: dict[str, Array], meta: dict[str, Any]) -> Solution:
-    outcome = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
-    naming = None
-    if meta["layout"] is not None:
-        beams = tuple(
-            BeamLayout(**{**beam, "fractions": tuple(beam["fractions"])})
-            for beam in meta["layout"]["beams"]
+    def __repr__(self) -> str:
+        """Return sizes, outcome and design variables."""
+        own, errors = self.sensitivities, self.estimated_errors
+        sizes = (
+            f"Solution: {len(self.t)} instants from t = {self.t[0]:.6g} to {self.t[-1]:.6g}, "
+            f"{self.q.shape[1]} coordinates, {self.lam.shape[1]} multipliers"
         )
-        joints = tuple(JointLayout(**joint) for joint in meta["layout"]["joints"])
-        layout = Layout(meta["layout"]["d"], beams, joints)
-        naming = Naming(layout, arrays["lengths"], arrays["lengths_b"])
-    sensitivities = None
-    if meta["names"] is not None:
-        parts = ("values", "q_b", "v_b", "a_b", "lam_b")
-        sensitivities = Sensitivities(
-            tuple(meta["names"]), *(arrays[f"sensitivity_{name}"] for name in parts)
-        )
-    errors = None
-    if meta["estimated_errors"] is not None:
-        motion, derivatives = (meta["estimated_errors"][x] for x in ("motion", "derivatives"))
-        errors = EstimatedErrors(motion, None if derivatives is None else tuple(derivatives))
-    return Solution(
-        **{name: arrays[name] for name in ("t", "q", "v", "a", "lam")},
-        statistics=Statistics(**meta["statistics"]),
-        outcome=Outcome(**outcome),
-        naming=naming,
-        sensitivities=sensitivities,
-        degree=int(meta["degree"]),
-        estimated_errors=errors,
-    )
+        lines = [sizes, str(self.outcome)]
+        lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
+        lines += [] if errors is None else [repr(errors)]
+        return "\n".join(lines)

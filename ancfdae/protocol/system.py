@@ -12,22 +12,29 @@ your own use ``Pattern.full((n, n))`` and return ``matrix.ravel()``.
 A partial ``X_y`` has shape X.shape + y.shape. A name that ends in ``_total``
 is the derivative in the design variables *along* given derivatives of its
 arguments: ``F_total(x, ..., x_b) = F_x x_b + F_b``.
+
+What is abstract must be written, with operations that accept complex numbers;
+everything else follows from it by complex steps and products, and may be
+overridden where a formula is faster.
 """
 
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self, final
 
 import numpy as np
 
+from ancfdae.errors import InvalidInput
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
-# Imaginary step of derivatives along a motion: its square vanishes against one.
-_STEP = 1e-40
+# Imaginary step of derivatives: its square vanishes, and as a power of two it adds no round-off.
+_STEP = 2.0**-133
 
 
 @final
@@ -73,21 +80,23 @@ class MechanicalSystem(abc.ABC):
 
     Attributes
     ----------
-    n_q, n_lam, n_b : int
-        Numbers of coordinates, constraints and design variables.
+    n_q, n_lam : int
+        Numbers of coordinates and constraints.
     design_names : tuple of str
-        Names of the design variables, length n_b.
+        Names of the design variables.
     b : array, shape (n_b,)
         Their values; complex in a complex-step run.
+    n_b : int
+        Number of design variables; by default of their names.
     pattern : Pattern
-        Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q together.
+        Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q together; full by default.
     constraint_pattern : Pattern
-        Pattern (n_lam x n_q) of Phi_q.
+        Pattern (n_lam x n_q) of Phi_q; full by default.
     weights : array, shape (n_q,)
-        Positive real weights that turn coordinates of different units into comparable ones;
-        usually the diagonal of M. Convergence tests and scalings use them.
+        Positive real weights that turn coordinates of different units into comparable ones; by
+        default the diagonal of M at the start. Convergence tests and scalings use them.
     constraint_names : tuple of str
-        For every constraint the joint it belongs to, length n_lam.
+        For every constraint the joint it belongs to, length n_lam; numbers by default.
     constant_mass : bool
         Whether M does not depend on q; it is then formed once.
     linear_constraints : bool
@@ -105,23 +114,89 @@ class MechanicalSystem(abc.ABC):
 
     n_q: int
     n_lam: int
-    n_b: int
     design_names: tuple[str, ...]
     b: Array
-    pattern: Pattern
-    constraint_pattern: Pattern
-    weights: Array
-    constraint_names: tuple[str, ...]
-    constant_mass: bool
-    linear_constraints: bool
-    velocity_forces: bool
-    force_round_off: float
-    project_start: bool
-    naming: Naming | None
+    constant_mass: bool = False
+    linear_constraints: bool = False
+    velocity_forces: bool = True
+    force_round_off: float = 0.0
+    project_start: bool = False
+    naming: Naming | None = None
+
+    @cached_property
+    def n_b(self) -> int:
+        """Number of design variables."""
+        return len(self.design_names)
+
+    @cached_property
+    def pattern(self) -> Pattern:
+        """Pattern of the mass and all tangents."""
+        return Pattern.full((self.n_q, self.n_q))
+
+    @cached_property
+    def constraint_pattern(self) -> Pattern:
+        """Pattern of Phi_q."""
+        return Pattern.full((self.n_lam, self.n_q))
+
+    @cached_property
+    def weights(self) -> Array:
+        """Diagonal of M at the start."""
+        diagonal = np.arange(self.n_q)
+        M = self.mass(self.start()[0])
+        return np.asarray(M[self.pattern.index(diagonal, diagonal)].real, dtype=float)
+
+    @cached_property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Numbers."""
+        return tuple(f"constraint {i}" for i in range(1, self.n_lam + 1))
+
+    # -- design variables, and derivatives in them -----------------------------------------------
 
     @abc.abstractmethod
     def with_values(self, b: Array) -> Self:
         """Return the same system at other values of the design variables, real or complex."""
+
+    def moved(self, i: int) -> Self:
+        """Return the system with design variable i moved by a small imaginary step."""
+        if i not in self._moved:
+            self._moved[i] = self.with_values(self.b + 1j * _STEP * np.eye(self.n_b)[i])
+        return self._moved[i]
+
+    @cached_property
+    def _moved(self) -> dict[int, Self]:
+        return {}
+
+    def along(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
+        """Differentiate in the design variables along given derivatives of states.
+
+        Parameters
+        ----------
+        value : callable
+            ``value(system, *states)``; exact in complex numbers.
+        *states : pair of array, shape (n,) and (n, n_b)
+            States with their derivatives.
+
+        Returns
+        -------
+        array, shape of the value + (n_b,)
+        """
+        columns = [
+            np.imag(value(self.moved(i), *(x + 1j * _STEP * x_b[:, i] for x, x_b in states)))
+            for i in range(self.n_b)
+        ]
+        if not columns:
+            return np.zeros((*np.shape(value(self, *(x for x, _ in states))), 0))
+        return np.asarray(np.stack(columns, axis=-1) / _STEP)
+
+    def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
+        """Differentiate in the numbers of x; values on a pattern.
+
+        What is imaginary already, in a complex-step run, does not count.
+        """
+        still = np.imag(value(x))
+        columns = [np.imag(value(x + 1j * _STEP * e)) - still for e in np.eye(self.n_q)]
+        matrix = np.stack(columns, axis=-1) / _STEP
+        return np.asarray(matrix[pattern.rows, pattern.columns])
 
     # -- start ---------------------------------------------------------------------------------
 
@@ -129,9 +204,16 @@ class MechanicalSystem(abc.ABC):
     def start(self) -> tuple[Array, Array]:
         """Return the start (q, v) as declared, before any projection; shapes (n_q,)."""
 
-    @abc.abstractmethod
     def start_b(self) -> tuple[Array, Array]:
         """Return the partials of `start`; shapes (n_q, n_b)."""
+        both = self.along(lambda s: np.concatenate(s.start()))
+        return both[: self.n_q], both[self.n_q :]
+
+    def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
+        """Return q_b^T on_q + v_b^T on_v for the partials of `start`, shape (n_b,)."""
+        q_b, v_b = self.start_b()
+        product: Array = on_q @ q_b + on_v @ v_b
+        return product
 
     # -- inertia -------------------------------------------------------------------------------
 
@@ -139,19 +221,31 @@ class MechanicalSystem(abc.ABC):
     def mass(self, q: Array) -> Array:
         """Return the values of M on `pattern`."""
 
-    @abc.abstractmethod
     def mass_times(self, q: Array, x: Array) -> Array:
         """Return M x for a vector or for columns."""
+        return self.pattern.dot(self.mass(q), x)
 
-    @abc.abstractmethod
     def mass_b_times(self, q: Array, a: Array) -> Array:
         """Return (M a)_b with q and a held, shape (n_q, n_b)."""
+        return self.along(lambda s: s.mass_times(q, a))
 
-    @abc.abstractmethod
     def inertia_q(self, q: Array, a: Array) -> Array:
-        """Return the values of (M a)_q with a held; asked for only unless `constant_mass`."""
+        """Return the values of (M a)_q with a held; to be written unless `constant_mass`.
 
-    @abc.abstractmethod
+        Raises
+        ------
+        InvalidInput
+            If it is not.
+        """
+        if self.constant_mass:
+            return np.zeros(self.pattern.size)
+        raise InvalidInput(
+            f"{type(self).__name__}.inertia_q",
+            "must be written where the mass depends on q",
+            "no such method",
+            "Write it, or declare constant_mass = True.",
+        )
+
     def inertia_rate_total(
         self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
@@ -160,43 +254,46 @@ class MechanicalSystem(abc.ABC):
         Asked for only unless `constant_mass`.
         """
 
+        def rate(s: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
+            return s.pattern.dot(s.inertia_q(q, a), v)
+
+        return self.along(rate, (q, q_b), (v, v_b), (a, a_b))
+
     # -- forces --------------------------------------------------------------------------------
 
     @abc.abstractmethod
     def force(self, q: Array, v: Array, t: float) -> Array:
         """Return Q, shape (n_q,)."""
 
-    @abc.abstractmethod
     def force_q(self, q: Array, v: Array, t: float) -> Array:
         """Return the values of Q_q on `pattern`."""
+        return self._by_coordinate(lambda x: self.force(x, v, t), q, self.pattern)
 
-    @abc.abstractmethod
     def force_v(self, q: Array, v: Array, t: float) -> Array:
         """Return the values of Q_v on `pattern`; asked for only if `velocity_forces`."""
+        return self._by_coordinate(lambda x: self.force(q, x, t), v, self.pattern)
 
-    @abc.abstractmethod
     def force_b(self, q: Array, v: Array, t: float) -> Array:
         """Return Q_b, shape (n_q, n_b)."""
+        return self.along(lambda s: s.force(q, v, t))
 
     def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
-        """Return the total design derivative of Q, shape (n_q, n_b).
-
-        Override it where Q_q q_b is cheaper than Q_q.
-        """
-        total = self.force_b(q, v, t) + self.pattern.dot(self.force_q(q, v, t), q_b)
-        if self.velocity_forces:
-            total = total + self.pattern.dot(self.force_v(q, v, t), v_b)
-        return total
+        """Return the total design derivative of Q, shape (n_q, n_b)."""
+        return self.along(lambda s, q, v: s.force(q, v, t), (q, q_b), (v, v_b))
 
     @abc.abstractmethod
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return dQ/dt along the motion, Q_q v + Q_v a + Q_t, shape (n_q,)."""
 
-    @abc.abstractmethod
     def force_rate_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
         """Return the total design derivative of `force_rate`, shape (n_q, n_b)."""
+
+        def rate(s: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
+            return s.force_rate(q, v, a, t)
+
+        return self.along(rate, (q, q_b), (v, v_b), (a, a_b))
 
     # -- constraints ---------------------------------------------------------------------------
 
@@ -208,25 +305,29 @@ class MechanicalSystem(abc.ABC):
     def constraint_q(self, q: Array, t: float) -> Array:
         """Return the values of Phi_q on `constraint_pattern`."""
 
-    @abc.abstractmethod
     def constraint_b(self, q: Array, t: float) -> Array:
         """Return Phi_b, shape (n_lam, n_b)."""
+        return self.along(lambda s: s.constraint(q, t))
 
-    @abc.abstractmethod
     def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
         """Return Phi_q^T lam, shape (n_q,)."""
+        return self.constraint_pattern.dot_transposed(self.constraint_q(q, t), lam)
 
-    @abc.abstractmethod
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
         """Return the values of (Phi_q^T lam)_q; asked for only unless `linear_constraints`."""
+        return self._by_coordinate(lambda x: self.constraint_force(x, lam, t), q, self.pattern)
 
-    @abc.abstractmethod
     def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
         """Return (Phi_q^T lam)_b with q and lam held, shape (n_q, n_b)."""
+        return self.along(lambda s: s.constraint_force(q, lam, t))
 
-    @abc.abstractmethod
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """Return the total design derivative of Phi_q x with x held, shape (n_lam, n_b)."""
+
+        def product(s: MechanicalSystem, q: Array) -> Array:
+            return s.constraint_pattern.dot(s.constraint_q(q, t), x)
+
+        return self.along(product, (q, q_b))
 
     @abc.abstractmethod
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
@@ -235,158 +336,132 @@ class MechanicalSystem(abc.ABC):
         It is also (dPhi/dt)_q, and half of (d^2 Phi/dt^2)_v.
         """
 
-    @abc.abstractmethod
     def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return the values of d^2 Phi_q/dt^2 on `constraint_pattern`; also (d^2 Phi/dt^2)_q."""
+
+        def second_rate(x: Array) -> Array:
+            Phi_q = self.constraint_pattern.dot(self.constraint_q(x, t), a)
+            return Phi_q - self.acceleration_side(x, v, t)
+
+        return self._by_coordinate(second_rate, q, self.constraint_pattern)
 
     @abc.abstractmethod
     def velocity_side(self, q: Array, t: float) -> Array:
         """Return nu in Phi_q v = nu, that is -Phi_t, shape (n_lam,)."""
 
-    @abc.abstractmethod
     def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
         """Return the total design derivative of `velocity_side`, shape (n_lam, n_b)."""
+        return self.along(lambda s, q: s.velocity_side(q, t), (q, q_b))
 
     @abc.abstractmethod
     def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
         """Return gamma in Phi_q a = gamma: -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
 
-    @abc.abstractmethod
     def acceleration_side_total(
         self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
     ) -> Array:
         """Return the total design derivative of `acceleration_side`, shape (n_lam, n_b)."""
+        return self.along(lambda s, q, v: s.acceleration_side(q, v, t), (q, q_b), (v, v_b))
 
     @abc.abstractmethod
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return S in Phi_q q''' = S: d(gamma)/dt - (dPhi_q/dt) a, shape (n_lam,)."""
 
-    @abc.abstractmethod
     def jerk_side_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
         """Return the total design derivative of `jerk_side`, shape (n_lam, n_b)."""
 
-    @abc.abstractmethod
+        def side(s: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
+            return s.jerk_side(q, v, a, t)
+
+        return self.along(side, (q, q_b), (v, v_b), (a, a_b))
+
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
         """Return (dPhi_q^T/dt) lam along the motion, shape (n_q,)."""
+        return self.constraint_pattern.dot_transposed(self.constraint_q_rate(q, v, t), lam)
 
-    @abc.abstractmethod
     def constraint_force_rate_total(
         self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
     ) -> Array:
         """Return the total design derivative of `constraint_force_rate`, shape (n_q, n_b)."""
 
-    # -- rates for the transpose of the start ----------------------------------------------------
+        def rate(s: MechanicalSystem, q: Array, v: Array, lam: Array) -> Array:
+            return s.constraint_force_rate(q, v, lam, t)
 
-    def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
-        """Return `start_b` contracted with covectors on q and v, shape (n_b,)."""
-        q_b, v_b = self.start_b()
-        total: Array = on_q @ q_b + on_v @ v_b
-        return total
+        return self.along(rate, (q, q_b), (v, v_b), (lam, lam_b))
+
+    # -- for the transpose of the start --------------------------------------------------------
 
     def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
-        """Return the values of d^3 Phi_q/dt^3 on `constraint_pattern`."""
-        step = 1j * _STEP
-        moved = (q + step * v, v + step * a, a + step * jerk)
-        later = self.constraint_q_second_rate(*moved, t + step)  # type: ignore[arg-type]
-        return np.asarray(later.imag / _STEP)
+        """Return the values of d^3 Phi_q/dt^3 on `constraint_pattern`; also (d^3 Phi/dt^3)_q."""
 
-    def constraint_rate_b(
-        self, t: float, q: Array, v: Array, a: Array | None = None, jerk: Array | None = None
-    ) -> Array:
-        """Return the design partial of dPhi/dt, d^2 Phi/dt^2 or d^3 Phi/dt^3, (n_lam, n_b).
+        def third_rate(x: Array) -> Array:
+            Phi_q = self.constraint_pattern.dot(self.constraint_q(x, t), jerk)
+            return Phi_q - self.jerk_side(x, v, a, t)
 
-        The order is the number of rates given; they are held.
+        return self._by_coordinate(third_rate, q, self.constraint_pattern)
+
+    def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
+        """Return the design partial of a time derivative of Phi, states held, (n_lam, n_b).
+
+        Its order, 1 to 3, is the number of time derivatives of q that are given.
         """
-        still = np.zeros((self.n_q, self.n_b))
-        if a is None:
-            side = self.velocity_side_total(q, t, still)
-            return self.constraint_q_times_total(q, v, t, still) - side
-        if jerk is None:
-            side = self.acceleration_side_total(q, v, t, still, still)
-            return self.constraint_q_times_total(q, a, t, still) - side
-        side = self.jerk_side_total(q, v, a, t, still, still, still)
-        return self.constraint_q_times_total(q, jerk, t, still) - side
 
-    def linearise_rate(
-        self, t: float, state: tuple[Array, Array, Array, Array], rates: tuple[Array, Array]
-    ) -> Linearisation:
-        """Return the time derivative of `linearise` at one instant, a and lam held.
+        def rate(s: MechanicalSystem) -> Array:
+            moving = s.constraint_pattern.dot(s.constraint_q(q, t), rates[-1])
+            if len(rates) == 1:
+                return moving - s.velocity_side(q, t)
+            if len(rates) == 2:
+                return moving - s.acceleration_side(q, rates[0], t)
+            return moving - s.jerk_side(q, rates[0], rates[1], t)
+
+        return self.along(rate)
+
+    def force_rate_partials(
+        self, t: float, states: tuple[Array, ...], later: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return values of f'_q, f'_v and dM/dt, with f' the rate of f = M a + Phi_q^T lam - Q.
+
+        a and lam are held in time; the acceleration by which velocities change, `later`, need not
+        be a.
 
         Parameters
         ----------
         t : float
-        state : (q, v, a, lam)
-        rates : (array, array), shape (n_q,)
-            Rates of q and v.
+        states : (q, v, a, lam)
+        later : array, shape (n_q,)
         """
-        (q, v, a, lam), step = state, 1j * _STEP
-        moved = (q + step * rates[0], v + step * rates[1], a, lam)
-        local = self.linearise(np.array([t + step]), *(x[None] for x in moved))
-        f_v = None if local.f_v is None else local.f_v.imag / _STEP
-        M, f_q, Phi_q = (x.imag / _STEP for x in (local.M, local.f_q, local.Phi_q))
-        return Linearisation(M, f_q, f_v, Phi_q)
+        q, v, a, lam = states
+
+        def rate(q: Array, v: Array) -> Array:
+            return self._held_rate(t, (q, v, a, lam), later)
+
+        f_q = self._by_coordinate(lambda x: rate(x, v), q, self.pattern)
+        f_v = self._by_coordinate(lambda x: rate(q, x), v, self.pattern)
+        return f_q, f_v, np.imag(self.mass(q + 1j * _STEP * v)) / _STEP
+
+    def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
+        """Return mu^T f'_b with states held, shape (n_b,); f' as in `force_rate_partials`."""
+        total: Array = mu @ self.along(lambda s: s._held_rate(t, states, later))
+        return total
+
+    def _held_rate(self, t: float, states: tuple[Array, ...], later: Array) -> Array:
+        q, v, a, lam = states
+        rate = self.constraint_force_rate(q, v, lam, t) - self.force_rate(q, v, later, t)
+        if self.constant_mass:
+            return rate
+        return rate + self.pattern.dot(self.inertia_q(q, a), v)
 
     def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
         """Return mu^T (M a + Phi_q^T lam)_b with q, a and lam held, shape (n_b,)."""
         total: Array = mu @ (self.mass_b_times(q, a) + self.constraint_force_b(q, lam, t))
         return total
 
-    def pull_back_rate(
-        self,
-        t: float,
-        state: tuple[Array, Array, Array, Array],
-        rates: tuple[Array, Array],
-        mu: Array,
-    ) -> Array:
-        """Return mu^T of the time derivative of f_b along the rates of q and v, shape (n_b,).
-
-        f_b is the design partial of M a + Phi_q^T lam - Q with everything else held; a and lam are
-        held in time too.
-        """
-        (q, v, a, lam), (v_now, a_now) = state, rates
-        still, none = np.zeros((self.n_q, self.n_b)), np.zeros((self.n_lam, self.n_b))
-        rate_b = self.constraint_force_rate_total(q, v_now, lam, t, still, still, none)
-        rate_b = rate_b - self.force_rate_total(q, v, a_now, t, still, still, still)
-        if not self.constant_mass:
-            rate_b = rate_b + self.inertia_rate_total(q, v_now, a, still, still, still)
-        total: Array = mu @ rate_b
-        return total
-
     # -- many instants at once -----------------------------------------------------------------
 
-    @abc.abstractmethod
     def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
         """Linearise f = M a + Phi_q^T lam - Q and Phi at k instants; states are rows (k, n)."""
-
-    @abc.abstractmethod
-    def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
-        """Return the design partials of f = M a + Phi_q^T lam - Q and Phi at k instants."""
-
-    @abc.abstractmethod
-    def pull_back(
-        self,
-        t: Array,
-        states: tuple[Array, Array, Array, Array],
-        covectors: tuple[Array, Array],
-    ) -> Array:
-        """Return the sum over instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
-
-        Parameters
-        ----------
-        t : array, shape (k,)
-        states : (q, v, a, lam), arrays with k rows
-        covectors : (mu, zeta), arrays with k rows
-        """
-
-
-class OneByOneSystem(MechanicalSystem):
-    """A system that handles many instants by a loop over them; enough for small ones."""
-
-    @final
-    def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
-        """Linearise instant by instant."""
         M: list[Array] = []
         f_q, f_v, Phi_q = [], [], []
         for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True):
@@ -404,9 +479,8 @@ class OneByOneSystem(MechanicalSystem):
         rates = np.array(f_v) if self.velocity_forces else None
         return Linearisation(np.array(M), np.array(f_q), rates, np.array(Phi_q))
 
-    @final
     def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
-        """Differentiate instant by instant."""
+        """Return the design partials of f = M a + Phi_q^T lam - Q and Phi at k instants."""
         f_b, Phi_b = [], []
         for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True):
             reaction_b = self.constraint_force_b(q_k, lam_k, time)
@@ -414,14 +488,20 @@ class OneByOneSystem(MechanicalSystem):
             Phi_b.append(self.constraint_b(q_k, time))
         return DesignPartials(np.array(f_b), np.array(Phi_b))
 
-    @final
     def pull_back(
         self,
         t: Array,
         states: tuple[Array, Array, Array, Array],
         covectors: tuple[Array, Array],
     ) -> Array:
-        """Contract the design partials."""
+        """Return the sum over instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
+
+        Parameters
+        ----------
+        t : array, shape (k,)
+        states : (q, v, a, lam), arrays with k rows
+        covectors : (mu, zeta), arrays with k rows
+        """
         partials = self.design_partials(t, *states)
         mu, zeta = covectors
         total: Array = np.einsum("knb,kn->b", partials.f_b, mu)

@@ -17,7 +17,7 @@ from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.sensitivity.method import Gradient, Method, finished, repeated, with_columns
 
-# Relative imaginary perturbation: its square vanishes against one, and itself stays far from
+# Relative imaginary perturbation: its square vanishes against one, and it stays far above
 # the smallest normal number after division by beta h^2 or multiplication with small lengths.
 _STEP = 1e-40
 
@@ -94,7 +94,7 @@ class ComplexStep(Method):
 
 
 def _refuse_real(integrator: Integrator) -> None:
-    """Refuse before the first run; the real one would only be thrown away."""
+    """Refuse before the first run, which would be wasted."""
     if integrator.real_only:
         raise InvalidInput(
             "ComplexStep",

@@ -116,7 +116,7 @@ def _with_smooth_multipliers(system: MechanicalSystem, solution: Solution) -> So
     accelerations = Accelerations(system, saddle_point(system, 0.0))
     states = zip(solution.t[1:], solution.q[1:], solution.v[1:], strict=True)
     later = [accelerations.solve(float(t), q, v)[1] for t, q, v in states]
-    # The reported start is free of the shift of v that later instants have.
+    # At the start the reported v has no shift, unlike at later instants.
     near, t = slice(0, _LEAST_STEPS), solution.t
     first = BarycentricInterpolator(t[1:][near], later[near])(t[0])
     return replace(solution, lam=np.stack([first, *later]))

@@ -15,7 +15,9 @@ from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Sensitivities, Solution
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import Sensitivities
+from ancfdae.text import columns
 
 
 @final
@@ -62,6 +64,13 @@ class Gradient:
         """Value and gradient, as ``scipy.optimize.minimize(jac=True)`` wants them."""
         return self.value, self.gradient
 
+    def __repr__(self) -> str:
+        """Return value, method, derivatives by name and outcome."""
+        slopes = [f"{slope:.6g}" for slope in self.gradient]
+        rows = [("design variable", "derivative"), *zip(self.names, slopes, strict=True)]
+        head = f"objective {self.value:.9g}, gradient by {self.method}"
+        return f"{head}\n{columns(rows)}\n{self.solution.outcome}"
+
 
 class GradientMethod(abc.ABC):
     """Frozen settings of a method that differentiates objectives of a run."""
@@ -101,7 +110,7 @@ class Method(GradientMethod):
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Turn what breaks off a pass back into an error that keeps the run and says why.
+    """Raise an error with the run and the reason where a pass back breaks off.
 
     Raises
     ------

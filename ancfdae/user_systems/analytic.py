@@ -23,7 +23,7 @@ _PART = 0.5
 # Reach in a design variable, relative to its value.
 _DESIGN = 0.125
 _STEP = 1e-40
-# Relative disagreement of complex step and finite difference that convicts.
+# Relative difference of complex step and finite difference that is refused.
 _DISAGREE = 1e-3
 
 
@@ -100,7 +100,7 @@ class Reach:
             *(_DESIGN * size / np.abs(db[moved])),
         ]
         least = float(min(limits))
-        # Nothing but a and lam changes, in which everything is linear.
+        # Only a and lam change, and everything is linear in them.
         linear = max(float(np.max(np.abs(x), initial=0.0)) for x in (change.a, change.lam))
         least = least if least < np.inf else 1 / (linear or 1.0)
         # Rounded, so that the same values of b come again.
@@ -108,7 +108,7 @@ class Reach:
 
 
 def require_analytic(system: MechanicalSystem) -> None:
-    """Try M, Q, Phi and the start beside the start on complex numbers.
+    """Evaluate M, Q, Phi and the start with complex numbers, near the start.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def _probes(
     """Names, functions of a number that moves all arguments at once, and shapes."""
     n_q, n_lam, n_b = system.n_q, system.n_lam, system.n_b
     q, v = (np.asarray(x, dtype=complex) for x in _start(system))
-    # Beside the start, because there velocities may be zero; no two directions alike.
+    # Near the start, but not at it, where velocities may be zero; no two directions alike.
     dq, dv = np.cos(np.arange(1.0, n_q + 1)), np.sin(np.arange(2.0, n_q + 2))
     dq, dv = dq * (np.max(np.abs(q)) or 1.0), dv * (np.max(np.abs(v)) or 1.0)
     b, db = system.b.astype(complex), np.where(system.b == 0, 1.0, system.b)
@@ -212,5 +212,5 @@ def _unsafe(where: str, got: str) -> InvalidInput:
         where,
         "must be analytic and accept complex numbers",
         got,
-        "Avoid abs, comparisons and arrays of floats that are filled in.",
+        "Avoid abs, comparisons and writing into arrays of floats.",
     )

@@ -1,4 +1,4 @@
-"""Mechanical systems of which only the physics is written; the partials come by complex numbers.
+"""Mechanical systems given by their physics alone; the partials are taken by complex numbers.
 
 Every partial of the protocol is a derivative, at zero, of M x, Q or Phi in at most three numbers:
 
@@ -14,7 +14,7 @@ and a `_total` is d/de of one of these with the state moved by e (q_b, v_b, ...)
 all others on circles: it derives their errors, some 1e-14 to 1e-12 of the largest value.
 
 **Within a complex-step run** q or b carry an imaginary part of 1e-40. On a circle it would be
-lost beside imaginary parts of order one. So a derivative F of complex arguments x + i y is
+lost next to imaginary parts of order one. So a derivative F of complex arguments x + i y is
 
     F(x) + i F_x y,
 
@@ -28,35 +28,34 @@ in q, v and t is found by trial once per system: of radii that round-off resolve
 the least max|f| / r^3. Lengths of q and v are taken in the norm of the weights, so units do not
 matter; a path is followed as long as it stays within all three lengths. Errors are relative to
 the terms at that distance: a prescribed motion that is a million times slower than the rest has
-an acceleration that is lost beside theirs.
+an acceleration that is lost next to theirs.
 """
 
 from __future__ import annotations
 
 import abc
 from functools import cache, cached_property
-from typing import final
+from typing import Self, final
 
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.contour import derivative
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.protocol.motion import Motion
-from ancfdae.protocol.system import MechanicalSystem, OneByOneSystem
+from ancfdae.protocol.system import MechanicalSystem
 from ancfdae.user_systems.analytic import require_analytic
 from ancfdae.user_systems.differentiator import Differentiator, Kernel
 
 
-class ComplexStepSystem(OneByOneSystem):
+class ComplexStepSystem(MechanicalSystem):
     """A system that is given by M, Q, Phi and its start.
 
     Subclasses set `n_q`, `n_lam` and `design_names`, implement `mass_matrix`, `force`,
     `constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end of their
     own constructor. All of it must be analytic in q, v, t and ``self.b`` and accept complex
-    numbers: no ``abs``, no comparison, no array of floats that is filled in. Any partial may be
+    numbers: no ``abs``, no comparison, no writing into an array of floats. Any partial may be
     overridden by a formula of one's own; `check_system` compares.
 
     Parameters
@@ -71,17 +70,8 @@ class ComplexStepSystem(OneByOneSystem):
         shape, or if a weight is not positive.
     """
 
-    constraint_names: tuple[str, ...] = ()
-    constant_mass: bool = False
-    linear_constraints: bool = False
-    velocity_forces: bool = True
-    force_round_off: float = 0.0
-    project_start: bool = False
-    naming: Naming | None = None
-
     def __init__(self, b: Array | tuple[complex, ...]) -> None:
         self.b = np.asarray(b) * 1.0
-        self.n_b = len(self.design_names)
         if self.b.shape != (self.n_b,):
             raise InvalidInput(
                 f"{type(self).__name__}.b",
@@ -91,8 +81,6 @@ class ComplexStepSystem(OneByOneSystem):
             )
         self.pattern = _full(self.n_q, self.n_q)
         self.constraint_pattern = _full(self.n_lam, self.n_q)
-        names = tuple(f"constraint {i}" for i in range(1, self.n_lam + 1))
-        self.constraint_names = self.constraint_names or names
         if self.b.dtype.kind != "c":
             require_analytic(self)
         self.weights = self.coordinate_weights()
@@ -122,13 +110,12 @@ class ComplexStepSystem(OneByOneSystem):
             )
         return np.diagonal(M).real.astype(float)
 
-    # -- start ---------------------------------------------------------------------------------
-
-    def start_b(self) -> tuple[Array, Array]:
-        """Differentiate the start."""
-        n = self.n_q
-        both = self._d.columns(lambda system, _: np.concatenate(system.start()), self._d.motion())
-        return both[:n], both[n:]
+    def moved(self, i: int) -> Self:
+        """Return the system moved in design variable i; what was found by trial stays."""
+        if i not in self._moved:
+            other = super().moved(i)
+            other._d, other._d_forces = self._d.of(other), self._d_forces.of(other)
+        return self._moved[i]
 
     # -- inertia -------------------------------------------------------------------------------
 
@@ -136,18 +123,6 @@ class ComplexStepSystem(OneByOneSystem):
     def mass(self, q: Array) -> Array:
         """Return the entries of M row by row."""
         return self.mass_matrix(q).ravel()
-
-    @final
-    def mass_times(self, q: Array, x: Array) -> Array:
-        """Multiply."""
-        product: Array = self.mass_matrix(q) @ x
-        return product
-
-    def mass_b_times(self, q: Array, a: Array) -> Array:
-        """Differentiate M a in b."""
-        return self._d.columns(
-            lambda system, m: system.mass_times(m.q, m.a), self._d.motion(q, a=a)
-        )
 
     def inertia_q(self, q: Array, a: Array) -> Array:
         """Differentiate M a in q."""
@@ -157,71 +132,18 @@ class ComplexStepSystem(OneByOneSystem):
 
         return self._d.gradient(inertia, self._d.motion(q, a=a)).ravel()
 
-    def inertia_rate_total(
-        self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Differentiate dM/dt a, a held in time."""
-        m = self._d.motion(q, v, a)
-        radii = (self._d.reach.time(self._d.motion(q, v)),)
-
-        def inertia(system: MechanicalSystem, m: Motion, s: complex) -> Array:
-            return system.mass_times(m.q + s * m.v, m.a)
-
-        return self._d.columns(inertia, m, radii, 1, (q_b, v_b, a_b))
-
     # -- forces --------------------------------------------------------------------------------
-
-    def force_q(self, q: Array, v: Array, t: float) -> Array:
-        """Differentiate Q in q."""
-
-        def force(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
-            return system.force(m.q + x * unit, m.v, t)
-
-        return self._d_forces.gradient(force, self._d_forces.motion(q, v)).ravel()
-
-    def force_v(self, q: Array, v: Array, t: float) -> Array:
-        """Differentiate Q in v."""
-
-        def force(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
-            return system.force(m.q, m.v + x * unit, t)
-
-        return self._d_forces.gradient(force, self._d_forces.motion(q, v)).ravel()
-
-    def force_b(self, q: Array, v: Array, t: float) -> Array:
-        """Differentiate Q in b."""
-        return self._d_forces.columns(
-            lambda system, m: system.force(m.q, m.v, t), self._d_forces.motion(q, v)
-        )
 
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Differentiate Q along the motion."""
         m = self._d_forces.motion(q, v, a, t=t)
         return self._d_forces.value(_force_at, m, (self._d_forces.reach.time(m),), 1)
 
-    def force_rate_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Differentiate `force_rate`."""
-        m = self._d_forces.motion(q, v, a, t=t)
-        return self._d_forces.columns(
-            _force_at, m, (self._d_forces.reach.time(m),), 1, (q_b, v_b, a_b)
-        )
-
     # -- constraints ---------------------------------------------------------------------------
 
     def constraint_q(self, q: Array, t: float) -> Array:
         """Differentiate Phi in q."""
         return self._d.gradient(_constraint_moved, self._d.motion(q, t=t)).ravel()
-
-    def constraint_b(self, q: Array, t: float) -> Array:
-        """Differentiate Phi in b."""
-        return self._d.columns(
-            lambda system, m: system.constraint(m.q, m.t), self._d.motion(q, t=t)
-        )
-
-    def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
-        """Differentiate lam . Phi in q."""
-        return self._d.gradient(_reaction_moved, self._d.motion(q, lam=lam, t=t))
 
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
         """Differentiate lam . Phi twice in q."""
@@ -239,77 +161,25 @@ class ComplexStepSystem(OneByOneSystem):
                 result[i, j] = result[j, i] = derivative(reaction, (reach[i], reach[j]))
         return result.ravel()
 
-    def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
-        """Differentiate lam . Phi in q and b."""
-        return self._d.gradient_columns(_reaction_moved, self._d.motion(q, lam=lam, t=t))
-
-    def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Differentiate Phi along x, and that in b."""
-
-        def moved(system: MechanicalSystem, m: Motion, s: complex) -> Array:
-            return system.constraint(m.q + s * x, m.t)
-
-        m = self._d.motion(q, t=t)
-        radius = self._d.reach.along(self._d.motion(x), self.b, 0 * self.b, 0.0)
-        return self._d.columns(moved, m, (radius,), 1, (q_b,))
-
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
         """Differentiate Phi in q and along the motion."""
         m = self._d.motion(q, v, t=t)
         return self._d.gradient(_constraint_rate, m, (self._d.reach.time(m),), 1).ravel()
-
-    def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Differentiate Phi in q and twice along the motion."""
-        m = self._d.motion(q, v, a, t=t)
-        return self._d.gradient(_constraint_rate, m, (self._d.reach.time(m),), 2).ravel()
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """Differentiate -Phi in t."""
         m = self._d.motion(q, t=t)
         return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), 1)
 
-    def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
-        """Differentiate `velocity_side`."""
-        m = self._d.motion(q, t=t)
-        return self._d.columns(_minus_constraint, m, (self._d.reach.time(m),), 1, (q_b,))
-
     def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
         """Differentiate -Phi twice along the motion without acceleration."""
         m = self._d.motion(q, v, t=t)
         return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), 2)
 
-    def acceleration_side_total(
-        self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
-    ) -> Array:
-        """Differentiate `acceleration_side`."""
-        m = self._d.motion(q, v, t=t)
-        return self._d.columns(_minus_constraint, m, (self._d.reach.time(m),), 2, (q_b, v_b))
-
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Differentiate -Phi three times along the motion with its acceleration held."""
         m = self._d.motion(q, v, a, t=t)
         return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), 3)
-
-    def jerk_side_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Differentiate `jerk_side`."""
-        m = self._d.motion(q, v, a, t=t)
-        return self._d.columns(_minus_constraint, m, (self._d.reach.time(m),), 3, (q_b, v_b, a_b))
-
-    def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
-        """Differentiate lam . Phi in q and along the motion, lam held."""
-        m = self._d.motion(q, v, lam=lam, t=t)
-        return self._d.gradient(_reaction_rate, m, (self._d.reach.time(m),), 1)
-
-    def constraint_force_rate_total(
-        self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
-    ) -> Array:
-        """Differentiate `constraint_force_rate`."""
-        m = self._d.motion(q, v, lam=lam, t=t)
-        zero = np.zeros_like(q_b)
-        radii = (self._d.reach.time(m),)
-        return self._d.gradient_columns(_reaction_rate, m, radii, 1, (q_b, v_b, zero, lam_b))
 
     @cached_property
     def _d(self) -> Differentiator:
@@ -344,17 +214,7 @@ def _constraint_moved(system: MechanicalSystem, m: Motion, x: complex, unit: Arr
     return system.constraint(m.q + x * unit, m.t)
 
 
-def _reaction_moved(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
-    return np.asarray(m.lam @ _constraint_moved(system, m, x, unit))
-
-
 def _constraint_rate(
     system: MechanicalSystem, m: Motion, s: complex, x: complex, unit: Array
 ) -> Array:
     return _constraint_moved(system, m.at(s), x, unit)
-
-
-def _reaction_rate(
-    system: MechanicalSystem, m: Motion, s: complex, x: complex, unit: Array
-) -> Array:
-    return _reaction_moved(system, m.at(s), x, unit)

@@ -1,4 +1,4 @@
-"""Whether an implementation of the protocol is one: every member against every other."""
+"""Check of an implementation of the protocol: every member against every other."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_count, require_kind
 from ancfdae.protocol.system import MechanicalSystem
+from ancfdae.text import listed
 from ancfdae.user_systems.conformance_bulk import BULK_CHECKS
 from ancfdae.user_systems.conformance_checks import CHECKS
-from ancfdae.user_systems.conformance_shapes import shapes
+from ancfdae.user_systems.conformance_shapes import complex_numbers, shapes
 from ancfdae.user_systems.probe import Probe
 
 # Design values that vanish are varied by parts of one, the largest of which is half of this.
@@ -82,13 +83,18 @@ class Conformance:
             Naming what is wrong.
         """
         if self.wrong:
-            listed = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
+            names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
             raise InvalidInput(
                 self.name,
                 "must agree with its own values and their differences",
-                f"{len(self.wrong)} of {len(self.findings)} that do not: {listed}",
+                f"{len(self.wrong)} of {len(self.findings)} that do not: {names}",
                 "Correct these methods; print the report for all of them.",
             )
+
+    def __repr__(self) -> str:
+        """Return how many checks failed, and which."""
+        wrong = f"wrong: {listed(x.name for x in self.wrong)}" if self.wrong else "all ok"
+        return f"{self.name}: {len(self.findings)} checks, {wrong}"
 
     def __str__(self) -> str:
         """Return a table."""
@@ -99,13 +105,14 @@ class Conformance:
 
 
 def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -> Conformance:
-    """Compare every member of a mechanical system with what it must be.
+    """Check every member of a mechanical system against the others.
 
     Shapes and declarations are checked, products against the matrices they stand for, and every
     partial and total against differences of real values, extrapolated to about 1e-10; a sign, a
-    factor or a forgotten term shows as an error of order one. Where the system accepts complex
-    numbers, the complex steps of its values are compared as well. States are random, beside the
-    start; they need not lie on the constraints.
+    factor or a forgotten term shows as an error of order one. A value that refuses complex numbers
+    is named if other members are complex steps of it. Where complex numbers are accepted, the
+    complex steps of values are compared as well. States are random, beside the start; they need
+    not lie on the constraints.
 
     Parameters
     ----------
@@ -131,8 +138,10 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
         raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
     rng = np.random.default_rng(seed)
     rows, system = _Rows(), _inside(system)
-    # Values of the wrong shape would make nonsense of everything that follows.
-    shapes(rows.add, system)
+    # Values that fail or have the wrong shape would make nonsense of everything that follows.
+    for first in (complex_numbers, shapes):
+        if rows.passed:
+            first(rows.add, system)
     if rows.passed:
         for _ in range(samples):
             probe = Probe(system, rng)
@@ -143,7 +152,7 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:
-    """Move design values that are zero and must not be negative away from there."""
+    """Move design values away from zero where they must not become negative."""
     b = system.b.copy()
     for i in np.flatnonzero(b == 0):
         less = system.b.copy()

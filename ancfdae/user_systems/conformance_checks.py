@@ -44,10 +44,16 @@ def start(add: Add, p: Probe) -> None:
         found = p.by_design(lambda x, m, k=k: x.start()[k], False)  # type: ignore[misc]
         claimed = system.start_b()[k] * p.b_sizes
         add(f"start_b, {name}: differences of start", gap(claimed, found, (q, v)[k]), _DIFFERENCES)
+    on_q, on_v = p.d.q * s.weights, p.d.v * s.weights
+    q_b, v_b = (x * p.b_sizes for x in s.start_b())
+    pulled = s.start_pull_back(on_q, on_v) * p.b_sizes
+    size = np.abs(on_q) @ np.abs(q_b) + np.abs(on_v) @ np.abs(v_b)
+    error = gap(pulled, on_q @ q_b + on_v @ v_b, size)
+    add("start_pull_back: q_b^T x + v_b^T y", error, _SAME)
 
 
 def values(add: Add, p: Probe) -> None:
-    """Check that other design values come and go, and leave the system itself alone."""
+    """Check that `with_values` takes other design values and leaves the system unchanged."""
 
     def all_of(x: MechanicalSystem) -> Array:
         m = p.m
@@ -114,6 +120,9 @@ def forces(add: Add, p: Probe) -> None:
     found = p.by_design(lambda x, m: x.force(m.q, m.v, m.t), False)
     claimed = s.force_b(m.q, m.v, m.t) * p.b_sizes
     add("force_b: differences of Q", gap(claimed, found, value), _DIFFERENCES)
+    found = p.by_design(lambda x, m: x.force(m.q, m.v, p.m.t), True)
+    claimed = s.force_total(m.q, m.v, m.t, p.columns("q"), p.columns("v")) * p.b_sizes
+    add("force_total: differences of Q", gap(claimed, found, value), _DIFFERENCES)
     rate = s.force_rate(m.q, m.v, m.a, m.t)
     found = p.in_time(lambda x: s.force(x.q, x.v, x.t))
     error = gap(rate, found, value / p.time)

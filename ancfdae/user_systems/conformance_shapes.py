@@ -1,9 +1,10 @@
-"""Names, weights, and shape and kind of every array of a system."""
+"""Names, weights, shape and kind of every array of a system, and whether complex numbers pass."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -11,6 +12,56 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.system import MechanicalSystem
 
 Add: TypeAlias = Callable[[str, float, float], None]
+
+_STEP = 1e-40
+# What the protocol derives by a complex step of each value, unless it is overridden.
+_BY_STEPS = {
+    "start": ("start_b",),
+    "mass": ("mass_b_times",),
+    "inertia_q": ("inertia_rate_total",),
+    "force": ("force_q", "force_v", "force_b", "force_total"),
+    "force_rate": ("force_rate_total",),
+    "constraint": ("constraint_b",),
+    "constraint_q": (
+        "constraint_force_q",
+        "constraint_force_b",
+        "constraint_q_times_total",
+        "constraint_q_second_rate",
+    ),
+    "constraint_q_rate": ("constraint_force_rate_total",),
+    "velocity_side": ("velocity_side_total",),
+    "acceleration_side": ("acceleration_side_total", "constraint_q_second_rate"),
+    "jerk_side": ("jerk_side_total",),
+}
+
+
+def complex_numbers(add: Add, system: MechanicalSystem) -> None:
+    """Find values that refuse complex numbers although other members are complex steps of them."""
+    x = np.asarray(system.start()[0]) + 1j * _STEP
+    arguments: dict[str, tuple[Any, ...]] = {"start": (), "mass": (x,), "inertia_q": (x, x)}
+    arguments |= dict.fromkeys(("constraint", "constraint_q", "velocity_side"), (x, 0.0))
+    arguments |= dict.fromkeys(("force", "constraint_q_rate", "acceleration_side"), (x, x, 0.0))
+    arguments |= dict.fromkeys(("force_rate", "jerk_side"), (x, x, x, 0.0))
+    for name, derived in _BY_STEPS.items():
+        kept = [y for y in derived if getattr(type(system), y) is getattr(MechanicalSystem, y)]
+        if not kept or (name == "inertia_q" and system.constant_mass):
+            continue
+
+        def call(name: str = name) -> None:
+            getattr(system.with_values(system.b + 1j * _STEP), name)(*arguments[name])
+
+        if _refuses(call):
+            add(f"{name} accepts complex numbers, as {', '.join(kept)} need", 1.0, 0.0)
+
+
+def _refuses(call: Callable[[], None]) -> bool:
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)
+            call()
+    except (TypeError, ValueError, np.exceptions.ComplexWarning):
+        return True
+    return False
 
 
 def shapes(add: Add, system: MechanicalSystem) -> None:
@@ -32,6 +83,7 @@ def shapes(add: Add, system: MechanicalSystem) -> None:
         _expect(add, f"start, {name}", array, (n_q,))
     for name, array in zip(("q_b", "v_b"), system.start_b(), strict=True):
         _expect(add, f"start_b, {name}", array, (n_q, n_b))
+    _expect(add, "start_pull_back", system.start_pull_back(q, v), (n_b,))
     _expect(add, "mass", system.mass(q), (nnz,))
     _expect(add, "mass_times", system.mass_times(q, v), (n_q,))
     _expect(add, "mass_times of columns", system.mass_times(q, q_b), (n_q, n_b))
@@ -61,6 +113,7 @@ def _force_shapes(add: Add, system: MechanicalSystem, q: Array, v: Array, q_b: A
     if system.velocity_forces:
         _expect(add, "force_v", system.force_v(q, v, t), (nnz,))
     _expect(add, "force_b", system.force_b(q, v, t), (n_q, n_b))
+    _expect(add, "force_total", system.force_total(q, v, t, q_b, q_b), (n_q, n_b))
     _expect(add, "force_rate", system.force_rate(q, v, v, t), (n_q,))
     total = system.force_rate_total(q, v, v, t, q_b, q_b, q_b)
     _expect(add, "force_rate_total", total, (n_q, n_b))

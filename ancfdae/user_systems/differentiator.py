@@ -37,6 +37,12 @@ class Differentiator:
         self._system, self._of_forces = system, of_forces
         self._moved: dict[bytes, MechanicalSystem] = {}
 
+    def of(self, system: MechanicalSystem) -> Differentiator:
+        """Return the differentiator of the same system with imaginary parts in b."""
+        other = Differentiator(system, self._of_forces)
+        other.base, other.reach, other._moved = self.base, self.reach, self._moved
+        return other
+
     @cached_property
     def base(self) -> MechanicalSystem:
         """The system at the real part of b."""
@@ -77,23 +83,6 @@ class Differentiator:
             return value
         return value + 1j * self._total(kernel, m, change, db, radii, order)
 
-    def columns(
-        self,
-        kernel: Kernel,
-        m: Motion,
-        radii: tuple[float, ...] = (),
-        order: int = 1,
-        changes: tuple[Array, ...] = (),
-    ) -> Array:
-        """Totals in every design variable, along columns of q, v, a and lam; at the real part."""
-        m, _ = m.parts()
-        columns = []
-        for i, unit in enumerate(np.eye(self._system.n_b)):
-            change = self.motion(*[x[:, i].real for x in changes])
-            columns.append(self._total(kernel, m, change, unit, radii, order))
-        shape = np.shape(kernel(self.base, m, *(0.0 for _ in radii)))
-        return np.stack(columns, axis=-1) if columns else np.zeros((*shape, 0))
-
     def gradient(
         self, kernel: Kernel, m: Motion, radii: tuple[float, ...] = (), order: int = 1
     ) -> Array:
@@ -104,22 +93,6 @@ class Differentiator:
             for j, unit in enumerate(np.eye(self._system.n_q))
         ]
         return np.stack(parts, axis=-1)
-
-    def gradient_columns(
-        self,
-        kernel: Kernel,
-        m: Motion,
-        radii: tuple[float, ...] = (),
-        order: int = 1,
-        changes: tuple[Array, ...] = (),
-    ) -> Array:
-        """Differentiate in every coordinate and every design variable, shape (n_q, n_b)."""
-        reach = self.reach.coordinates
-        rows = [
-            self.columns(_towards(kernel, unit), m, (*radii, reach[j]), order, changes)
-            for j, unit in enumerate(np.eye(self._system.n_q))
-        ]
-        return np.array(rows)
 
     def _total(
         self,

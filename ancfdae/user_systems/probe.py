@@ -1,4 +1,4 @@
-"""Random states beside the start of a system, and derivatives of its values by differences."""
+"""Random states near the start of a system, and derivatives of its values by differences."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ancfdae.numerics.extrapolation import real_derivative
 from ancfdae.protocol.motion import Motion
 from ancfdae.protocol.system import MechanicalSystem
 
-# How far a state lies beside the start, against its own size.
+# Distance of a random state from the start, relative to its size.
 _BESIDE = 0.05
 # Part of the largest value below which an entry is compared with that instead of with itself.
 _SMALL = 1e-3

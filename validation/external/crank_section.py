@@ -240,6 +240,6 @@ energy over 10 s.
 _METHODS = """
 Largest error of dG/dk and dG/dc against the recomputed values, and the distance from direct
 differentiation with the same integrator. Central differences perturb by 0.1 %; with error control
-they also differentiate the choice of steps, which is why they stay behind there. The continuous
-adjoint discretises equations of its own, so it differs from the others in order h².
+they also differentiate the choice of steps, which limits their accuracy. The continuous
+adjoint discretises its own equations, so it differs from the others by O(h²).
 """

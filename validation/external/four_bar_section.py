@@ -249,30 +249,30 @@ phi'' = (3.5/3) (g/L) sin phi, which is not singular; it reproduces the table to
 """
 
 _WHY = """
-Who passes, and why:
+Which integrators pass, and why:
 
 - **In the motion itself** the multipliers have a pole: evaluated on the minimal form they grow as
   0.27/s newtons per metre with the smallest singular value s of Phi_q, and change sign at s = 0.
   The forces Phi_q^T lam stay bounded. No method can converge in the multipliers there; the
-  question is whether positions get across.
-- **HHT** does not see the singular position itself, only its neighbours one step away, where s is
-  about h/2 times the angular velocity. Round-off of the constraints (1e-16) enters the
+  question is whether the positions pass.
+- **HHT** never evaluates the singular position itself, only instants up to one step away, where s
+  is about h/2 times the angular velocity. Round-off of the constraints (1e-16) enters the
   accelerations as 1e-16/(beta h² s): at h = 1e-4 and s = 1.4e-4 measured corrections stop at 2e-4
   of the motion. With its default newton_tolerance HHT takes round-off above 1e-6 of the motion for
   a failure, stops, and says so. That the default passes at a larger step and stops at a smaller
   one is no contradiction: this round-off grows as 1/h³. With newton_tolerance = 1e-5 a correction
   is accepted once its estimated successor is below that; since Newton's method converges
   quadratically until then, positions lose nothing, and every step passes.
-- **IDA and IDAS** pass as long as the tolerance lets a step lead across. The tighter it is, the
-  closer to the pole they must step, and Newton's method fails there; they shrink the step until
-  they give up, and report it. Sensitivities of the multipliers have a pole of higher order, so
-  with them they stop at looser tolerances already.
+- **IDA and IDAS** pass as long as the tolerance allows a step across the position. The tighter it
+  is, the closer to the pole they must step, and Newton's method fails there; they shrink the step
+  until they give up, and report it. Sensitivities of the multipliers have a pole of higher order,
+  so with them they stop at looser tolerances already.
 - **Explicit** solves for accelerations, whose equations lose the digits of 1/s²; its error
   estimate sees that noise at the tightest tolerance only and runs into the limit of steps. Down to
   1e-8 it is the cheapest by far, positions and derivatives alike: it takes few, long steps.
 
-A run that stops keeps what it has, and that is right to its tolerance. Whether a variable step
-leads across is a matter of where it falls; a fixed step of HHT with newton_tolerance = 1e-5 does
+A run that stops keeps what it has, and that is right to its tolerance. Whether a variable
+step passes depends on where it falls; a fixed step of HHT with newton_tolerance = 1e-5 does
 not depend on that. The safe way is a minimal form, or HHT checked against Explicit.
 """
 

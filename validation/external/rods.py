@@ -82,13 +82,6 @@ class Rods(Scleronomic):
         L: float = self.b[0]
         return self._geometry.rest + L * self._geometry.along, L * self._geometry.across
 
-    def start_b(self) -> tuple[Array, Array]:
-        """Return its partials."""
-        zero = np.zeros(self.n_q)
-        columns = (self._geometry.along, self._geometry.across)
-        q_b, v_b = (np.stack([column, zero], axis=1) for column in columns)
-        return q_b, v_b
-
     # -- forces --------------------------------------------------------------------------------
 
     def force(self, q: Array, v: Array, t: float) -> Array:
@@ -100,23 +93,9 @@ class Rods(Scleronomic):
         """Return zero."""
         return np.zeros(self.n_q**2)
 
-    def force_v(self, q: Array, v: Array, t: float) -> Array:
-        """Return zero."""
-        return np.zeros(self.n_q**2)
-
-    def force_b(self, q: Array, v: Array, t: float) -> Array:
-        """Return Q_b."""
-        return np.stack([np.zeros(self.n_q), self._geometry.weight], axis=1)
-
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return zero."""
         return np.zeros(self.n_q)
-
-    def force_rate_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Return zero."""
-        return np.zeros((self.n_q, self.n_b))
 
     # -- constraints ---------------------------------------------------------------------------
 
@@ -130,12 +109,6 @@ class Rods(Scleronomic):
         """Return Phi_q."""
         return self._gradient(self._along(q) + self._c)
 
-    def constraint_b(self, q: Array, t: float) -> Array:
-        """Return Phi_b."""
-        shares = self._geometry.shares
-        by_L = -shares * (1 + shares * (self.b[0] - 1))
-        return np.stack([by_L, np.zeros(self.n_lam)], axis=1)
-
     def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
         """Return Phi_q^T lam."""
         reaction: Array = (lam[:, None] * (self._along(q) + self._c)).ravel() @ self._flat
@@ -146,17 +119,9 @@ class Rods(Scleronomic):
         K: Array = lam @ self._squares
         return K
 
-    def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Return the total design derivative of Phi_q x."""
-        return self._matrix(self._along(x)) @ q_b
-
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
         """Return dPhi_q/dt."""
         return self._gradient(self._along(v))
-
-    def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Return d^2 Phi_q/dt^2."""
-        return self._gradient(self._along(a))
 
     def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
         """Return gamma."""
@@ -164,36 +129,10 @@ class Rods(Scleronomic):
         gamma: Array = -np.sum(d_t * d_t, axis=1)
         return gamma
 
-    def acceleration_side_total(
-        self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
-    ) -> Array:
-        """Return the total design derivative of gamma."""
-        return -2 * self._matrix(self._along(v)) @ v_b
-
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return S."""
         S: Array = -3 * np.sum(self._along(v) * self._along(a), axis=1)
         return S
-
-    def jerk_side_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Return the total design derivative of S."""
-        by_v, by_a = self._matrix(self._along(a)), self._matrix(self._along(v))
-        return -3 * (by_v @ v_b + by_a @ a_b)
-
-    def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
-        """Return (dPhi_q^T/dt) lam."""
-        rate: Array = (lam[:, None] * self._along(v)).ravel() @ self._flat
-        return rate
-
-    def constraint_force_rate_total(
-        self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
-    ) -> Array:
-        """Return the total design derivative of (dPhi_q^T/dt) lam."""
-        K = (lam @ self._squares).reshape(self.n_q, self.n_q)
-        total: Array = K @ v_b + self._matrix(self._along(v)).T @ lam_b
-        return total
 
     def _along(self, x: Array) -> Array:
         """P_k x, shape (n_lam, 2)."""

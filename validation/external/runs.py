@@ -1,4 +1,4 @@
-"""Runs of external problems that tell what came, at what cost, or why nothing came."""
+"""Runs of external problems: the result and its cost, or why there is none."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -74,7 +74,7 @@ class Attempt:
     solution : Solution or None
         What was computed, also if the run ended early.
     value : array or None
-        Objective and its gradient, where one was asked for and came.
+        Objective and its gradient, where one was asked for and computed.
     """
 
     note: str
@@ -169,7 +169,7 @@ def run(
 
     def call() -> Attempt:
         if sensitivities:
-            solution = differentiate(system, (), t_end, integrator)
+            solution = differentiate(system, t_end, integrator)
         else:
             solution = simulate(system, t_end, integrator)
         note = FINISHED if solution.outcome.success else solution.outcome.verdict.value
@@ -182,7 +182,9 @@ def differentiated(problem: Problem, integrator: Integrator, method: GradientMet
     """Return the objective and its gradient."""
 
     def call() -> Attempt:
-        answer = gradient(problem.system, problem.objective, (), problem.t_end, integrator, method)
+        answer = gradient(
+            problem.system, problem.objective, problem.t_end, integrator, method=method
+        )
         return Attempt(FINISHED, 0.0, answer.solution, np.array([answer.value, *answer.gradient]))
 
     return _timed(call)

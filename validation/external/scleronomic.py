@@ -3,15 +3,14 @@
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import OneByOneSystem
-from ancfdae.numerics.patterns import Pattern
+from ancfdae import MechanicalSystem
 
 __all__ = ["Array", "Scleronomic"]
 
 Array = npt.NDArray[np.float64]
 
 
-class Scleronomic(OneByOneSystem):
+class Scleronomic(MechanicalSystem):
     """A mass matrix that nothing changes, constraints Phi(q, b) = 0, forces Q(q, v, b).
 
     Parameters
@@ -26,10 +25,6 @@ class Scleronomic(OneByOneSystem):
     """
 
     constant_mass = True
-    linear_constraints = False
-    force_round_off = 0.0
-    project_start = False
-    naming = None
 
     def __init__(
         self,
@@ -39,44 +34,14 @@ class Scleronomic(OneByOneSystem):
         b: npt.ArrayLike,
     ) -> None:
         self._M = mass_matrix
-        self.n_q, self.n_lam, self.n_b = len(mass_matrix), len(constraint_names), len(design_names)
+        self.n_q, self.n_lam = len(mass_matrix), len(constraint_names)
         self.constraint_names, self.design_names = constraint_names, design_names
         self.b = np.asarray(b)
-        self.weights = np.diag(mass_matrix).copy()
-        self.pattern = Pattern.full((self.n_q, self.n_q))
-        self.constraint_pattern = Pattern.full((self.n_lam, self.n_q))
 
     def mass(self, q: Array) -> Array:
         """Return M."""
         return self._M.ravel()
 
-    def mass_times(self, q: Array, x: Array) -> Array:
-        """Return M x."""
-        product: Array = self._M @ x
-        return product
-
-    def mass_b_times(self, q: Array, a: Array) -> Array:
-        """Return zero."""
-        return np.zeros((self.n_q, self.n_b))
-
-    def inertia_q(self, q: Array, a: Array) -> Array:
-        """Return zero."""
-        return np.zeros(self.n_q**2)
-
-    def inertia_rate_total(
-        self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Return zero."""
-        return np.zeros((self.n_q, self.n_b))
-
     def velocity_side(self, q: Array, t: float) -> Array:
         """Return zero."""
         return np.zeros(self.n_lam)
-
-    def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
-        """Return zero."""
-        return np.zeros((self.n_lam, self.n_b))
-
-    def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
-        """Return zero: no design variable stands in Phi_q."""
-        return np.zeros((self.n_q, self.n_b))

@@ -45,7 +45,8 @@ from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Sensitivities, Solution
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import Sensitivities
 
 # Newton's method stops well below the error of a step.
 _SHARE = 1e-3

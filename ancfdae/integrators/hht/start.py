@@ -183,8 +183,7 @@ class RecurrenceStart:
         """Transpose of `sensitivity`: from covectors on the node to those on the consistent start.
 
         With P = Phi_q j - S, the third time derivative of Phi, the rules are P_q = (Phi_q)^(3),
-        P_v = 3 Phi_q'' and P_a = 3 Phi_q'; with f = M a + Phi_q^T lam - Q and f' its rate along
-        (v, a + s j) they are f'_q = (f_q)', f'_v = f_q + (f_v)', f'_a = f_v, f'_lam = (Phi_q^T)'.
+        P_v = 3 Phi_q'' and P_a = 3 Phi_q'; f'_q and f'_v are those of `force_rate_partials`.
         """
         total, on_a = self._pull_back_shift(back.v_b)
         on_a = on_a + back.a_b
@@ -219,19 +218,19 @@ class RecurrenceStart:
         t, q, v, a, lam, j = x.t, x.q, x.v, x.a, x.lam, jerk.jerk
         K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
         m, z = solve_transposed(self.damped, on_jerk, np.zeros_like(lam))
-        state, rates = (q, v, a, lam), (v, jerk.a + self.s * j)
-        local = system.linearise(np.array([t]), q[None], v[None], a[None], lam[None])
-        rate, first = system.linearise_rate(t, state, rates), system.constraint_q_rate(q, v, t)
-        on_q = K(rate.f_q[0], m) + curvature(system, t, q, j, jerk.lam_rate, m)
+        states, later = (q, v, a, lam), jerk.a + self.s * j
+        f_q, f_v, M_rate = system.force_rate_partials(t, states, later)
+        first = system.constraint_q_rate(q, v, t)
+        on_q = K(f_q, m) + curvature(system, t, q, j, jerk.lam_rate, m)
         on_q = on_q + B(system.constraint_q_third_rate(q, v, jerk.a, j, t), z)
-        on_v = K(local.f_q[0], m) + 3 * B(system.constraint_q_second_rate(q, v, jerk.a, t), z)
+        on_v = K(f_v, m) + 3 * B(system.constraint_q_second_rate(q, v, jerk.a, t), z)
         on_same, on_a = 3 * B(first, z), np.zeros_like(a)
-        if rate.f_v is not None and local.f_v is not None:
-            on_v, on_same = on_v + K(rate.f_v[0], m), on_same + K(local.f_v[0], m)
+        if system.velocity_forces:
+            on_same = on_same - K(system.force_v(q, v, t), m)
         if not system.constant_mass:
-            on_a = K(rate.M[0], m)
+            on_a = K(M_rate, m)
         on_b = z @ system.constraint_rate_b(t, q, v, jerk.a, j)
         on_b = on_b + system.pull_back_inertia(t, q, j, jerk.lam_rate, m)
-        on_b = on_b + system.pull_back_rate(t, state, rates, m)
+        on_b = on_b + system.pull_back_rate(t, states, later, m)
         on_lam = system.constraint_pattern.dot(first, m)
         return Covectors(-on_q, -on_v, -on_a, -on_lam, -on_b), -on_same

@@ -1,0 +1,112 @@
+"""What comes with a trajectory: what it cost, how wrong it is, and its design derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.numerics.arrays import Array
+from ancfdae.text import columns, listed
+
+
+@final
+@dataclass(frozen=True)
+class Statistics:
+    """What a run cost.
+
+    Attributes
+    ----------
+    steps : int
+        Accepted steps.
+    iterations : int
+        Newton iterations.
+    factorisations : int
+        Factorised iteration matrices.
+    residuals : int
+        Evaluations of the residual.
+    round_off_steps : int
+        Steps of `HHT` whose Newton corrections stopped shrinking, at round-off, above the
+        tolerance, or that round-off of the elastic forces leaves less than seven digits.
+    wall_seconds : float
+        Elapsed time of the integration.
+    rejected : int
+        Steps of `HHT` repeated with a smaller size; SUNDIALS and SciPy do not tell.
+    """
+
+    steps: int
+    iterations: int
+    factorisations: int
+    residuals: int
+    round_off_steps: int
+    wall_seconds: float
+    rejected: int = 0
+
+
+@final
+@dataclass(frozen=True)
+class EstimatedErrors:
+    """Discretisation errors that a run of HHT-I3 estimates itself (docs/theory.md, section 5).
+
+    The errors of all steps are added up. On undamped scenes the sums are within a factor of
+    three (motion) and ten (derivatives) of the true errors, also where steps do not resolve the
+    waves; strong damping, which removes errors again, makes them too large
+    (docs/reports/error-bars). For an objective and its gradient see `error_bars`.
+
+    Attributes
+    ----------
+    motion : float
+        Of q, relative to the size of the coordinates.
+    derivatives : tuple of float, or None
+        Of q_b, one per design variable, relative to the largest size of that derivative in the
+        run; nan where the variable has no influence above round-off, inf where the motion grew
+        without bound. None unless it was differentiated by `Direct` or
+        `ControlledSteps(sensitivities=True)`.
+    """
+
+    motion: float
+    derivatives: tuple[float, ...] | None = None
+
+    def __repr__(self) -> str:
+        """Return the errors on one line."""
+        own = (
+            "not computed"
+            if self.derivatives is None
+            else listed(f"{x:.3g}" for x in self.derivatives)
+        )
+        return f"estimated errors: motion {self.motion:.3g}; derivatives {own}"
+
+
+@final
+@dataclass(frozen=True)
+class Sensitivities:
+    """Total derivatives of a trajectory in the design variables.
+
+    Attributes
+    ----------
+    names : tuple of str
+    values : array, shape (n_b,)
+        Design variables and their values.
+    q_b, v_b, a_b : array, shape (n_t, n_q, n_b)
+    lam_b : array, shape (n_t, n_lam, n_b)
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    q_b: Array
+    v_b: Array
+    a_b: Array
+    lam_b: Array
+
+    def __repr__(self) -> str:
+        """Return the variables, their values and the size of the derivatives of q."""
+        largest = np.max(np.abs(self.q_b), axis=(0, 1), initial=0.0)
+        rows = zip(self.names, _short(self.values), _short(largest), strict=True)
+        head = ("design variable", "value", "largest |q_b|")
+        return f"Sensitivities at {len(self.q_b)} instants\n{columns([head, *rows])}"
+
+
+def _short(numbers: Iterable[float]) -> list[str]:
+    return [f"{number:.6g}" for number in numbers]

@@ -1,0 +1,36 @@
+"""Plain text for people: lists that end, and columns that stand below each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+# Entries shown of what has any number of them.
+_SHOWN = 12
+
+
+def listed(words: Iterable[object]) -> str:
+    """Return the first twelve words, separated by commas, and how many are left out."""
+    texts = [str(word) for word in words]
+    more = f" and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
+    return (", ".join(texts[:_SHOWN]) + more) or "none"
+
+
+def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
+    """Return rows of cells as lines, cells of a column below each other.
+
+    Parameters
+    ----------
+    rows : sequence of sequences of str
+        All of one length.
+    shorten : bool
+        Whether only the first twelve are shown, with the number of those left out.
+    """
+    shown = rows[:_SHOWN] if shorten else rows
+    widths = [max(len(cell) for cell in column) for column in zip(*shown, strict=True)]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in shown
+    ]
+    if len(shown) < len(rows):
+        lines.append(f"and {len(rows) - len(shown)} more")
+    return "\n".join(lines)
