@@ -8,8 +8,8 @@ from ancfdae.errors import Verdict
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start, saddle_point
+from ancfdae.integrators.step_control.contracts import OneStepMethod
 from ancfdae.integrators.step_control.march import march
-from ancfdae.integrators.step_control.one_step_method import OneStepMethod
 
 from mechanisms import CartesianPendulum
 
@@ -159,6 +159,11 @@ def test_sizes_are_the_formula_of_the_filter(order):
         ratio = (x * last_x) ** (1 / 8) * ratio ** (-1 / 4)
         ratio = 1 + 0.2 * np.arctan((ratio - 1) / 0.2)
         t, last_x, expected = t_next, x, h * ratio
+    # Near it the next run begins with half its first step at most, or with what was rejected.
+    near = steps.controller(t_end, method)
+    first, _ = near.plan(0, 0.0)
+    assert near.judge(3, 4 * first, first, 2.0) == 0
+    assert near.plan(0, 0.0)[0] == pytest.approx(first * min(0.25 ** (1 / order), 0.5), rel=1e-12)
     # Far from the start a rejected step is repeated: smaller by the root of what it errs too much.
     assert controller.judge(20, t, h, 2.0) == 20
     assert controller.plan(20, t)[0] == pytest.approx(h * max(0.25 ** (1 / order), 0.2), rel=1e-12)
