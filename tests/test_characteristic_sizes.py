@@ -9,7 +9,7 @@ from ancfdae import ComplexStepSystem
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.start import consistent_start, saddle_point
 
-from mechanisms import chain
+from mechanisms import CartesianPendulum, chain
 
 
 class Bead(ComplexStepSystem):
@@ -78,16 +78,19 @@ def test_scales_of_a_start(case):
     np.testing.assert_allclose(scales.b, abs(system.b[0]) or 1.0, rtol=1e-14)
 
 
-def test_the_largest_load_counts():
-    # The line is loaded sideways: the reaction is as large as the force, the acceleration zero.
-    class Pressed(Bead):
-        def with_values(self, b):
-            return Pressed(self.x, self.v, *b)
-
-        def force(self, q, v, t):
-            return np.array([0.0, 1.0]) * self.b[0]
-
-    assert scales_of(Pressed(1.0, 0.0, 12.0), T).load == pytest.approx(6.0 / 2**0.5, rel=1e-14)
+@pytest.mark.parametrize(
+    ("angle", "spin", "load"),
+    [
+        (0.5, 0.0, 9.81),  # at rest, oblique: the force
+        (0.0, 2.0, 9.81 + 4.0),  # through the bottom: the reaction
+        (np.pi, 6.0, 36.0),  # through the top: the inertia, of which the force bears a part
+    ],
+    ids=["force", "reaction", "inertia"],
+)
+def test_the_largest_load_counts(angle, spin, load):
+    # Unit mass and length; the root mean square over two coordinates.
+    scales = scales_of(CartesianPendulum(angle, spin), T)
+    assert scales.load == pytest.approx(load / 2**0.5, rel=1e-14)
 
 
 def test_scales_follow_the_units():
