@@ -2,7 +2,13 @@
 
 from ancfdae.integrators.explicit import Explicit
 from ancfdae.integrators.hht.method import HHT
-from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
+from ancfdae.integrators.integrand import Density, Integrand, Part, Points
+from ancfdae.integrators.integrator import (
+    AdjointIntegrator,
+    Integrator,
+    QuadratureIntegrator,
+    Seeds,
+)
 from ancfdae.integrators.sundials.bindings import MissingPackage
 from ancfdae.integrators.sundials.ida import IDA
 from ancfdae.integrators.sundials.idas import IDAS
@@ -13,9 +19,14 @@ __all__ = [
     "IDA",
     "IDAS",
     "AdjointIntegrator",
+    "Density",
     "Explicit",
     "IndexReduction",
+    "Integrand",
     "Integrator",
     "MissingPackage",
+    "Part",
+    "Points",
+    "QuadratureIntegrator",
     "Seeds",
 ]

@@ -11,7 +11,7 @@ from ancfdae.integrators import AdjointIntegrator, Integrator, Seeds
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.sensitivity.method import Gradient, GradientMethod, finished, keeping
+from ancfdae.sensitivity.method import Gradient, GradientMethod, keeping, run_for
 
 
 @final
@@ -46,11 +46,13 @@ class Adjoint(GradientMethod):
                 repr(integrator),
                 "Use HHT or IDAS, or Direct().",
             )
-        solution = finished(integrator.integrate(system, t_end, progress=progress))
+        solution, totals = run_for(
+            system, objectives, t_end, integrator, progress, differentiated=True
+        )
         results = []
         for objective in objectives:
-            partials = objective.partials(system, states_of(solution))
-            seeds = Seeds(partials.q, partials.v, partials.lam, objective.over_time)
+            partials = objective.partials(system, states_of(solution), totals)
+            seeds = Seeds(partials.q, partials.v, partials.lam, partials.densities)
             with keeping(solution):
                 total = partials.b + integrator.pull_back(system, solution, seeds)
             results.append(Gradient(partials.value, total, system.design_names, self, solution))
