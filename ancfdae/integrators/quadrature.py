@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import final
 
 import numpy as np
 
 from ancfdae.integrators.index_1 import Accelerations
-from ancfdae.integrators.integrand import Integrand, Points, Rule
-from ancfdae.numerics.arrays import Array
+from ancfdae.integrators.integrand import Integrand, Part, Points, Rule
 
 # Gauss-Lobatto rule of four points with its Kronrod extension of seven, of degrees 5 and 9
 # (Gander & Gautschi, BIT 40, 2000), moved from [-1, 1] to [0, 1].
@@ -53,19 +52,19 @@ class Quadrature:
             The same part on ever finer panels; each integrand takes the first on which its error
             is within the tolerance, or the last.
         """
-        pending = self._integrands
-        parts: list[tuple[Integrand, object]] = []
-        for points in choices:
-            points = self._completed(points, pending)
-            tried = [(integrand, integrand.part(points)) for integrand in pending]
-            for integrand, part in tried:
+        pending, unfinished = self._integrands, list[tuple[Integrand, Part]]()
+        for choice in choices:
+            points, unfinished = self._completed(choice, pending), []
+            for integrand in pending:
+                part = integrand.part(points)
                 if part.error <= self._rtol:
                     integrand.add(part)
-            tried = [(integrand, part) for integrand, part in tried if not part.error <= self._rtol]
-            pending = tuple(integrand for integrand, _ in tried)
+                else:
+                    unfinished.append((integrand, part))
+            pending = tuple(integrand for integrand, _ in unfinished)
             if not pending:
                 return
-        for integrand, part in tried:
+        for integrand, part in unfinished:
             integrand.add(part)
 
     def _completed(self, points: Points, integrands: Sequence[Integrand]) -> Points:

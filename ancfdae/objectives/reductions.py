@@ -175,7 +175,7 @@ class Integral(OverTime):
         return 1.0
 
     def integrand(self, x: Array, near: float) -> Array:
-        """x."""
+        """Return x."""
         return x
 
     def integrand_slope(self, x: Array, near: float) -> Array:

@@ -40,9 +40,7 @@ class Total(Integrand, Integrated):
         states held.
     """
 
-    def __init__(
-        self, system: MechanicalSystem, reduction: OverTime, differentiated: bool
-    ) -> None:
+    def __init__(self, system: MechanicalSystem, reduction: OverTime, differentiated: bool) -> None:
         self._system, self._reduction, self._differentiated = system, reduction, differentiated
         self._parts: list[Part] = []
         self._duration, self._size = 0.0, np.zeros(1 + system.n_b if differentiated else 1)
@@ -135,7 +133,7 @@ class _OverTimeDensity(Density):
 
 def totals_of(
     system: MechanicalSystem, objectives: Sequence[Objective], differentiated: bool
-) -> dict[OverTime, Total]:
+) -> dict[object, Total]:
     """Return a collector for each integral that the objectives are made of."""
     found = [leaf for objective in objectives for leaf in leaves(objective.tree)]
     return {x: Total(system, x, differentiated) for x in found if isinstance(x, OverTime)}

@@ -158,7 +158,7 @@ def run_for(
     run = integrator.integrate_with(
         system, t_end, list(totals.values()), sensitivities=sensitivities, progress=progress
     )
-    return finished(run), dict(totals)
+    return finished(run), totals
 
 
 def with_columns(

@@ -108,17 +108,19 @@ class _IdasMarch(March):
         self._bindings, self._settings, self._t_end = bindings, settings, t_end
         self._progress = Progress(t_end)
         self._form = settings.form.form(problem.system, problem.scales)
-        equations = IdasEquations(
-            bindings, self._form, settings.rtol, self._form.start(problem.initial)
-        )
+        start = self._form.start(problem.initial)
+        equations = IdasEquations(bindings, self._form, settings.rtol, start)
         self._equations, self._memory = equations, equations.memory
         self._t, self._out = 0.0, bindings.vector(equations.context, np.zeros(self._form.n))
         self._m = 0 if problem.derivative is None else problem.system.n_b
-        if problem.derivative is not None and self._m:
-            self._add_sensitivities(*self._form.start_b(problem.derivative))
+        Y = Yp = np.zeros((self._form.n, 0))
+        if problem.derivative is not None:
+            Y, Yp = self._form.start_b(problem.derivative)
+        if self._m:
+            self._add_sensitivities(Y, Yp)
         check(idas.IDASetStopTime(self._memory, t_end))
         self._points = StepPoints(self._form, quadrature, self._m)
-        self._points.add(0.0, *self._reached(0.0))
+        self._points.add(0.0, np.append(start[0], Y.T), np.append(start[1], Yp.T))
         self.steps = self.iterations = self.factorisations = self.residuals = 0
 
     def to(self, t: float) -> State | Verdict:
@@ -151,16 +153,13 @@ class _IdasMarch(March):
         self._points.finish()
 
     def _reached(self, t: float) -> tuple[Array, Array]:
-        """Copies of y and y' after a step to t, their sensitivities appended."""
-        e, array = self._equations, self._bindings.array
-        y, yp = array(e.y).copy(), array(e.yp).copy()
+        """Return copies of y and y' after a step to t, their sensitivities appended."""
+        array = self._bindings.array
+        y, yp = (array(x).copy() for x in (self._equations.y, self._equations.yp))
         if self._m == 0:
             return y, yp
-        if t == 0.0:
-            Y, Yp = ([array(x) for x in vectors] for vectors in (self._Y, self._Yp))
-        else:
-            Y, Yp = self._sensitivities(t, 0), self._sensitivities(t, 1)
-        return np.concatenate([y, *Y]), np.concatenate([yp, *Yp])
+        Y, Yp = self._sensitivities(t, 0), self._sensitivities(t, 1)
+        return np.append(y, Y), np.append(yp, Yp)
 
     def _sensitivities(self, t: float, k: int) -> Array:
         """Time derivatives of order k of the sensitivities, shape (m, n)."""

@@ -103,7 +103,7 @@ class StepPoints:
 
 
 def _panels(t: Array, per_step: float) -> Array:
-    """Ends of panels of several steps, or of parts of steps."""
+    """Return ends of panels of several steps, or of parts of steps."""
     if per_step < 1:
         return np.append(t[: -1 : round(1 / per_step)], t[-1])
     share = np.arange(round(per_step)) / per_step
