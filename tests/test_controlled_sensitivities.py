@@ -208,6 +208,7 @@ def test_same_steps_for_other_units_of_the_design():
             pendulum_with(modulus),
             0.25 * time,
             HHT(both(1e-2)),
+            design=("beam.youngs_modulus", "beam.height"),
         )
         for modulus, time in ((1e7, 1.0), (1e1, 1e3))
     ]
@@ -246,9 +247,11 @@ def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
     true_force, calls = CartesianPendulum.force, []
 
     def interrupted(self, q, v, t):
-        calls.append(t)
-        if len(calls) == after:
-            raise KeyboardInterrupt
+        # Complex ones differentiate what is computed.
+        if not (np.iscomplexobj(q) or np.iscomplexobj(self.b)):
+            calls.append(t)
+            if len(calls) == after:
+                raise KeyboardInterrupt
         return true_force(self, q, v, t)
 
     monkeypatch.setattr(CartesianPendulum, "force", interrupted)

@@ -44,7 +44,7 @@ INJECTIONS = [
     ),
     (
         "integrators/step_control/tolerance.py",
-        "from ancfdae.integrators.step_control.settings import Controller",
+        "from ancfdae.integrators.step_control.contracts import Controller",
         "Layers of step control, which knows no method",
     ),
     ("ancf/vectors.py", "from ancfdae.ancf import system", "Layers of the assembler"),

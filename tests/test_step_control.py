@@ -8,8 +8,8 @@ from ancfdae.errors import Verdict
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start, saddle_point
+from ancfdae.integrators.step_control.contracts import OneStepMethod
 from ancfdae.integrators.step_control.march import march
-from ancfdae.integrators.step_control.one_step_method import OneStepMethod
 
 from mechanisms import CartesianPendulum
 
@@ -120,16 +120,64 @@ def test_fixed_steps_are_instants_at_equal_distance():
     np.testing.assert_array_equal(given.q, fixed.q)
 
 
-def test_a_start_with_too_large_a_step_begins_anew(monkeypatch):
-    # The first step tried is as long as control allows where the start shows no error.
-    monkeypatch.setattr(ImplicitEuler, "start_error", lambda self: 0.0)
+def test_a_rejection_near_the_start_begins_anew(monkeypatch):
+    true_error, true_start, starts, calls = ImplicitEuler.error, ImplicitEuler.start, [], []
+
+    def rejecting_the_third(self, h, before, after):
+        calls.append(h)
+        return 2.0 if len(calls) == 3 else true_error(self, h, before, after)
+
+    def seen(self, h):
+        starts.append(h)
+        return true_start(self, h)
+
+    monkeypatch.setattr(ImplicitEuler, "error", rejecting_the_third)
+    monkeypatch.setattr(ImplicitEuler, "start", seen)
     method, found = run(ControlledSteps(1e-3))
     assert found.outcome.success
-    assert found.statistics.rejected > 0
-    assert found.t[1] < 1 / 20
-    # Instants of the runs given up are forgotten.
+    # What was rejected shrinks, and so does the first step: to a half at most.
+    assert len(starts) == 2
+    assert starts[1] <= starts[0] / 2
+    # The instants of the run given up are forgotten, its two steps are counted as tried.
     assert np.all(np.diff(found.t) > 0)
-    assert len(found.t) == found.statistics.steps + 1 < method.solved
+    assert len(found.t) == found.statistics.steps + 1 == method.solved - 2
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_sizes_are_the_formula_of_the_filter(order):
+    # Of an error k h^p the largest e/h^p is that of every step, and the memory has no part.
+    steps, k, t_end = ControlledSteps(1e-3), 3e4, 10.0
+    method = NumbersOnly(order, k)
+    controller, t, last_x, ratio = steps.controller(t_end, method), 0.0, 1.0, 1.0
+    expected = (0.25 / k) ** (1 / order)
+    for n in range(20):
+        h, t_next = controller.plan(n, t)
+        assert h == pytest.approx(expected, rel=1e-12)
+        e = k * h**order
+        assert controller.judge(n, t, h, e) == n + 1
+        x = (1 / (2 * e)) ** (1 / order)
+        ratio = (x * last_x) ** (1 / 8) * ratio ** (-1 / 4)
+        ratio = 1 + 0.2 * np.arctan((ratio - 1) / 0.2)
+        t, last_x, expected = t_next, x, h * ratio
+    # Near it the next run begins with half its first step at most, or with what was rejected.
+    near = steps.controller(t_end, method)
+    first, _ = near.plan(0, 0.0)
+    assert near.judge(3, 4 * first, first, 2.0) == 0
+    assert near.plan(0, 0.0)[0] == pytest.approx(first * min(0.25 ** (1 / order), 0.5), rel=1e-12)
+    # Far from the start a rejected step is repeated: smaller by the root of what it errs too much.
+    assert controller.judge(20, t, h, 2.0) == 20
+    assert controller.plan(20, t)[0] == pytest.approx(h * max(0.25 ** (1 / order), 0.2), rel=1e-12)
+    assert controller.judge(20, t, 1e-13, 2.0) is Verdict.ERROR_TEST
+
+
+class NumbersOnly:
+    """All that a controller reads of a method."""
+
+    def __init__(self, order, e):
+        self.order, self.e = order, e
+
+    def start_error(self):
+        return self.e
 
 
 def test_what_is_never_solved_is_an_outcome(monkeypatch):

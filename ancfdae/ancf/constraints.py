@@ -14,8 +14,10 @@ ingredients; docs/theory.md, section 3, lists them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -24,12 +26,9 @@ from scipy import sparse
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.joints import Coefficients, Joint
 from ancfdae.naming import JointLayout
-from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
-
-# Imaginary step for derivatives of polynomials of a few numbers; exact, its square vanishes.
-_STEP = 1e-40
 
 
 @final
@@ -37,21 +36,12 @@ _STEP = 1e-40
 class _Values:
     """Flat coefficients of all joints at one instant: linear, bilinear, offset.
 
-    Design partials have a leading axis n_b.
+    Those that are moved in every design variable have a leading axis n_b.
     """
 
     a: Array
     s: Array
     offset: Array
-
-    def moved(self, other: _Values, size: complex) -> _Values:
-        return _Values(
-            self.a + size * other.a, self.s + size * other.s, self.offset + size * other.offset
-        )
-
-    def of(self, variable: int) -> _Values:
-        """Pick one design variable of partials."""
-        return _Values(self.a[variable], self.s[variable], self.offset[variable])
 
 
 @final
@@ -63,33 +53,40 @@ class JointInput:
     ----------
     joint : Joint
     p : array, shape (n_p,); p_b : array, shape (n_p, n_b)
-    reference : array, shape (n_vectors, d); reference_b : array, shape (n_vectors, d, n_b)
+    reference : array, shape (n_vectors, d)
+    reference_b : dict from int to array, shape (n_vectors, d)
+        For the design variables that move it.
     """
 
     joint: Joint
     p: Array
     p_b: Array
     reference: Array
-    reference_b: Array
+    reference_b: dict[int, Array]
 
     def at(self, t: float, order: int) -> Coefficients:
         """Return the coefficients."""
         return self.joint.coefficients(self.p, self.reference, t, order)
 
-    def partial(self, t: float, order: int, variable: int) -> Coefficients:
-        """Return their partial in one design variable."""
-        p = self.p.real + 1j * _STEP * self.p_b[:, variable]
-        reference = self.reference.real + 1j * _STEP * self.reference_b[..., variable]
-        c = self.joint.coefficients(p, reference, t, order)
-        return Coefficients(c.linear.imag / _STEP, c.bilinear.imag / _STEP, c.offset.imag / _STEP)
+    @property
+    def active(self) -> set[int]:
+        """Design variables that the coefficients may depend on."""
+        return {*np.flatnonzero(np.any(self.p_b, axis=0)).tolist(), *self.reference_b}
+
+    def moved(self, i: int) -> JointInput:
+        """Return the joint moved in design variable i by an imaginary step."""
+        p, reference = self.p + 1j * STEP * self.p_b[:, i], self.reference
+        if i in self.reference_b:
+            reference = reference + 1j * STEP * self.reference_b[i]
+        return replace(self, p=p, reference=reference)
 
     def structure(self) -> Coefficients:
         """Return coefficients that vanish only where they do at all times and parameters."""
         found = self.at(0.0, 0)
         linear, bilinear = np.abs(found.linear), np.abs(found.bilinear)
         # Generic parameters and instants: a coefficient that is not zero by structure shows.
-        p = self.p * (1 + 1j * _STEP) + 1j * _STEP * np.sqrt(1.0 + np.arange(len(self.p)))
-        reference = self.reference + 1j * _STEP * np.sum(self.reference_b, axis=-1)
+        p = self.p * (1 + 1j * STEP) + 1j * STEP * np.sqrt(1.0 + np.arange(len(self.p)))
+        reference = self.reference + 1j * STEP * sum(self.reference_b.values())
         for order in range(4 if self.joint.driven else 1):
             for t in (0.0, 0.37):
                 c = self.joint.coefficients(p, reference, t, order)
@@ -110,21 +107,18 @@ class JointConstraints:
     inputs : sequence of JointInput
     vectors : Vectors
         The vectors of all joints, in the order of the inputs.
-    n_q, n_b, d : int
+    n_b, d : int
     """
 
-    def __init__(
-        self, inputs: Sequence[JointInput], vectors: Vectors, n_q: int, n_b: int, d: int
-    ) -> None:
+    def __init__(self, inputs: Sequence[JointInput], vectors: Vectors, n_b: int, d: int) -> None:
         self._inputs, self._vectors = inputs, vectors
         self._n_b, self._d = n_b, d
         self._number(inputs)
         self.driven = any(item.joint.driven for item in inputs)
         self.linear = len(self._s_row) == 0
         self._cache: tuple[float, _Values] | None = None
-        self._constant = self._collect(lambda item: item.at(0.0, 0))
-        self._constant_b = self._read_partials(0.0, 0)
-        self._place(n_q)
+        self._constant, self._moved = self._collect(0), dict[int, JointConstraints]()
+        self._place()
         self._active = self._find_active()
 
     # -- structure -----------------------------------------------------------------------------
@@ -152,20 +146,24 @@ class JointConstraints:
         self._picks = picks
         self.n_lam, self.joints = row, tuple(joints)
 
-    def _collect(self, read: Callable[[JointInput], Coefficients]) -> _Values:
-        """Flatten the coefficients of all joints onto the structure."""
+    def _collect(self, order: int, t: float = 0.0) -> _Values:
+        """Flatten the coefficients of all joints, or their time derivatives, onto the structure."""
         a, s, offset = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
         for item, (linear, bilinear) in zip(self._inputs, self._picks, strict=True):
-            c = read(item)
-            a.append(c.linear[linear])
+            c = item.at(t, order if item.joint.driven else 0)
+            # What does not depend on time: all but the rows of driven joints, all of s.
+            moving = 1.0 if order == 0 or item.joint.driven else 0.0
+            a.append(moving * c.linear[linear])
             # Both halves of the symmetric matrix in one entry, 1/2 on the diagonal.
-            s.append(c.bilinear[bilinear] * np.where(bilinear[1] == bilinear[2], 0.5, 1.0))
-            offset.append(c.offset)
+            half = np.where(bilinear[1] == bilinear[2], 0.5, 1.0) * (order == 0)
+            s.append(c.bilinear[bilinear] * half)
+            offset.append(moving * c.offset)
         return _Values(np.concatenate(a), np.concatenate(s), np.concatenate(offset))
 
-    def _place(self, n_q: int) -> None:
+    def _place(self) -> None:
         """Constant maps from raw entries to Phi_q, Phi_q^T lam and (Phi_q^T lam)_q."""
         d, L = self._d, self._vectors.matrix
+        n_q = L.shape[1]
         axes = np.arange(d)
         to_i = (self._s_i[:, None] * d + axes).ravel()
         to_j = (self._s_j[:, None] * d + axes).ravel()
@@ -196,8 +194,12 @@ class JointConstraints:
         )
         self._simple = self.linear and not self.driven
         if self._simple:
-            self._B_values = self._to_values(self._constant.a)
-            self._B = LinearMap(self.pattern.csr(self._B_values))
+            self._place_constant()
+
+    def _place_constant(self) -> None:
+        """Constraints that are linear and do not depend on time are one map."""
+        self._B_values = self._to_values(self._constant.a)
+        self._B = LinearMap(self.pattern.csr(self._B_values))
 
     def couplings(self) -> tuple[Array, Array, Array, Array]:
         """Rows, columns, weights and bilinear entry of the products L_i^T L_j + L_j^T L_i."""
@@ -228,50 +230,71 @@ class JointConstraints:
 
     def _at(self, t: float, order: int = 0) -> _Values:
         if not self.driven:
-            zero = self._constant
-            return zero if order == 0 else zero.moved(zero, -1.0)
+            return self._constant if order == 0 else self._zero
         if order == 0 and self._cache is not None and self._cache[0] == t:
             return self._cache[1]
-        values = self._collect(lambda item: item.at(t, order if item.joint.driven else 0))
-        if order > 0:
-            values = self._only_driven(values)
-        else:
+        values = self._collect(order, t)
+        if order == 0:
             self._cache = (t, values)
         return values
 
-    def _only_driven(self, values: _Values) -> _Values:
-        """Zero what does not depend on time: all but the rows of driven joints, all of s."""
-        rows = np.zeros(self.n_lam, dtype=bool)
-        for place, item in zip(self.joints, self._inputs, strict=True):
-            rows[place.first_row : place.first_row + place.rows] = item.joint.driven
-        return _Values(values.a * rows[self._a_row], 0 * values.s, values.offset * rows)
-
-    def _partials(self, t: float, order: int = 0) -> _Values:
-        if not self.driven:
-            known = self._constant_b
-            return known if order == 0 else known.moved(known, -1.0)
-        return self._read_partials(t, order)
-
-    def _read_partials(self, t: float, order: int) -> _Values:
-        columns = []
-        for i in range(self._n_b):
-            values = self._collect(
-                lambda item, i=i: item.partial(t, order if item.joint.driven else 0, i)  # type: ignore[misc]  # bound per pass
-            )
-            columns.append(values if order == 0 else self._only_driven(values))
-        empty = (len(self._a_row), len(self._s_row), self.n_lam)
-        parts = zip(*((c.a, c.s, c.offset) for c in columns), strict=True) if columns else None
-        if parts is None:
-            return _Values(*(np.zeros((0, size)) for size in empty))
-        return _Values(*(np.stack(part) for part in parts))
+    @cached_property
+    def _zero(self) -> _Values:
+        return self._collect(1)
 
     def _find_active(self) -> list[int]:
         """Design variables that constraints depend on with q held."""
+        moves = {int(i) for i in np.flatnonzero(self._vectors.moves)}
+        candidates = moves.union(*(item.active for item in self._inputs))
         if self.driven:
-            return list(range(self._n_b))
-        c = self._constant_b
-        found = np.any(c.a, axis=1) | np.any(c.s, axis=1) | np.any(c.offset, axis=1)
-        return [int(i) for i in np.flatnonzero(found | self._vectors.moves)]
+            return sorted(candidates)
+        found = []
+        for i in candidates:
+            c = self._move(i)._constant
+            if i in moves or any(np.any(x.imag) for x in (c.a, c.s, c.offset)):
+                found.append(i)
+        return sorted(found)
+
+    def moved(self, i: int) -> JointConstraints:
+        """Return the constraints moved in design variable i by an imaginary step."""
+        if i not in self._active:
+            return self
+        if i not in self._moved:
+            self._moved[i] = self._move(i)
+        return self._moved[i]
+
+    def _move(self, i: int) -> JointConstraints:
+        other = copy.copy(self)
+        other._inputs = [item.moved(i) for item in self._inputs]
+        other._cache, other._constant = None, other._collect(0)
+        other._vectors = self._vectors.moved(i)
+        if other._vectors is not self._vectors:
+            other._place()
+        elif self._simple:
+            other._place_constant()
+        return other
+
+    def _passes(self, t: Array) -> Iterator[tuple[int, slice, JointConstraints, _Values]]:
+        """Active variables with the constraints moved in them, and instants handled at once."""
+        for i in self._active:
+            moved = self.moved(i)
+            if not self.driven:
+                yield i, slice(None), moved, moved._constant
+                continue
+            for k, time in enumerate(t):
+                yield i, slice(k, k + 1), moved, moved._at(float(time))
+
+    def _together(self, t: float, order: int) -> _Values:
+        """Coefficients moved in every design variable, with a leading axis n_b."""
+        c = self._at(t, order)
+        if not self._active:
+            return c
+        parts = [np.repeat(x[None].astype(complex), self._n_b, 0) for x in (c.a, c.s, c.offset)]
+        for i in self._active:
+            m = self.moved(i)._at(t, order)
+            for part, x in zip(parts, (m.a, m.s, m.offset), strict=True):
+                part[i] = x
+        return _Values(*parts)
 
     # -- values, one instant -------------------------------------------------------------------
 
@@ -311,38 +334,28 @@ class JointConstraints:
 
     def constraints_b(self, q: Array, t: Array) -> Array:
         """Phi_b, shape (k, n_lam, n_b)."""
-        U, U_b = self._vectors.of(q), self._vectors.of_b(q)
-        result = np.zeros((len(q), self.n_lam, self._n_b), dtype=q.dtype)
-        for k in range(len(q)) if self.driven else [slice(None)]:
-            time = float(t[k]) if self.driven else 0.0
-            c, partials = self._at(time), self._partials(time)
-            for i in self._active:
-                moved = c.moved(partials.of(i), 1j * _STEP)
-                u = U[k].real + 1j * _STEP * U_b[k][..., i]
-                result[k, ..., i] = self._phi(moved, u).imag / _STEP
+        result = np.zeros((len(q), self.n_lam, self._n_b))
+        for i, rows, moved, c in self._passes(t):
+            result[rows, :, i] = moved._phi(c, moved._vectors.of(q[rows])).imag / STEP
         return result
 
     def constraint_forces_b(self, q: Array, lam: Array, t: Array) -> Array:
         """(Phi_q^T lam)_b, shape (k, n_q, n_b)."""
-        U, U_b = self._vectors.of(q), self._vectors.of_b(q)
-        n_q = q.shape[1]
-        result = np.zeros((len(q), n_q, self._n_b), dtype=q.dtype)
-        if len(self._active) == 0:
-            return result
-        on_vectors = np.zeros((len(q), U.shape[1] * self._d))
-        for k in range(len(q)) if self.driven else [slice(None)]:
-            time = float(t[k]) if self.driven else 0.0
-            c, partials = self._at(time), self._partials(time)
-            loads = lam[k][..., self._raw_row]
-            for i in self._active:
-                moved = c.moved(partials.of(i), 1j * _STEP)
-                u = U[k].real + 1j * _STEP * U_b[k][..., i]
-                raw_b = self._raw(moved, u).imag / _STEP
-                force = np.atleast_2d(raw_b * loads)
-                result[k, ..., i] = self._to_force.rows(force).reshape(result[k, ..., i].shape)
-            weighted = np.atleast_2d(self._raw(c, U[k]).real * loads)
-            np.add.at(np.atleast_2d(on_vectors[k]).T, self._raw_at, weighted.T)
-        return result + self._vectors.lift_b(on_vectors.reshape(U.shape))
+        result = np.zeros((*q.shape, self._n_b))
+        for i, rows, moved, c in self._passes(t):
+            raw = moved._raw(c, moved._vectors.of(q[rows]))
+            force = moved._to_force.rows(raw * lam[rows][:, self._raw_row])
+            result[rows, :, i] = force.imag / STEP
+        return result
+
+    def pull_back(self, q: Array, lam: Array, t: Array, mu: Array, zeta: Array) -> Array:
+        """Sum over instants of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""
+        total = np.zeros(self._n_b)
+        for i, rows, moved, c in self._passes(t):
+            U, X = moved._vectors.of(q[rows]), moved._vectors.of(mu[rows])
+            work = lam[rows] * moved._jacobian_times([c], U, X) + zeta[rows] * moved._phi(c, U)
+            total[i] += np.sum(work.imag) / STEP
+        return total
 
     # -- start: rates and their total derivatives, one instant -----------------------------------
 
@@ -360,28 +373,18 @@ class JointConstraints:
 
     def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
-
-        def rate(series: Sequence[_Values], U: Array, *V: Array) -> Array:
-            side = (self._velocity_side, self._acceleration_side, self._jerk_side)[len(V) - 1]
-            moving: Array = self._jacobian_times(series, U, V[-1]) - side(series, U, *V[:-1])
-            return moving
-
-        return self._held(rate, t, len(rates) + 1, (q, *rates))
-
-    def constraint_force_pull_back(self, q: Array, lam: Array, t: float, mu: Array) -> Array:
-        """Design partial of mu . Phi_q^T lam with everything else held, shape (n_b,)."""
-        total: Array = lam @ self._held(self._jacobian_times, t, 1, (q, mu))
-        return total
+        result = np.zeros((self.n_lam, self._n_b))
+        for i in self._active:
+            result[:, i] = self.moved(i)._rate(t, q, rates).imag / STEP
+        return result
 
     def constraint_force_rate_pull_back(self, v: Array, lam: Array, t: float, mu: Array) -> Array:
         """Design partial of mu . (dPhi_q^T/dt) lam with everything else held, shape (n_b,)."""
-
-        def turning(series: Sequence[_Values], V: Array, X: Array) -> Array:
-            rate = _Values(series[1].a, series[0].s, series[1].offset)
-            return self._jacobian_times([rate], V, X)
-
-        total: Array = lam @ self._held(turning, t, 2, (v, mu))
-        return total
+        result = np.zeros(self._n_b)
+        for i in self._active:
+            rate = self.moved(i).constraint_force_rate(v, v, lam, t)
+            result[i] = mu @ rate.imag / STEP
+        return result
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
@@ -445,9 +448,9 @@ class JointConstraints:
         raw_b = self._total(self._raw_rate, t, 2, (v,), (v_b,))
         loads, loads_b = lam[self._raw_row], lam_b[self._raw_row]
         total = self._to_force.columns(raw_b * loads[:, None] + raw[:, None] * loads_b)
-        on_vectors = np.zeros(V.size, dtype=raw.dtype)
-        np.add.at(on_vectors, self._raw_at, raw * loads)
-        return total + only(self._vectors.lift_b(on_vectors.reshape(1, *V.shape)))
+        for i in np.flatnonzero(self._vectors.moves):
+            total[:, i] += self.moved(int(i))._to_force(raw * loads).imag / STEP
+        return total
 
     # -- polynomials ---------------------------------------------------------------------------
 
@@ -501,20 +504,12 @@ class JointConstraints:
         side: Array = series[3].offset - 3 * moving - self._linear(series[3], U)
         return side
 
-    def _held(
-        self, function: Callable[..., Array], t: float, orders: int, states: tuple[Array, ...]
-    ) -> Array:
-        """Design partial of a polynomial with the states held, shape (n_lam, n_b)."""
-        result = np.zeros((self.n_lam, self._n_b))
-        if not self._active:
-            return result
-        U, U_b = self._vectors.of(np.stack(states)), self._vectors.of_b(np.stack(states))
-        series = [(self._at(t, n), self._partials(t, n)) for n in range(orders)]
-        for i in self._active:
-            moved = [c.moved(partials.of(i), 1j * _STEP) for c, partials in series]
-            arguments = (x + 1j * _STEP * x_b[..., i] for x, x_b in zip(U, U_b, strict=True))
-            result[:, i] = function(moved, *arguments).imag / _STEP
-        return result
+    def _rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
+        """Time derivative of Phi, of the order of the number of rates."""
+        series = [self._at(t, n) for n in range(len(rates) + 1)]
+        U, *V = self._vectors.of(np.stack([q, *rates]))
+        side = (self._velocity_side, self._acceleration_side, self._jerk_side)[len(V) - 1]
+        return self._jacobian_times(series, U, V[-1]) - side(series, U, *V[:-1])
 
     def _total(
         self,
@@ -526,12 +521,12 @@ class JointConstraints:
     ) -> Array:
         """Differentiate a polynomial of coefficients and vectors along the design."""
         U, U_b = self._vectors.of(np.stack(states)), self._vectors.of_b(np.stack(states))
-        moved = [self._at(t, n).moved(self._partials(t, n), 1j * _STEP) for n in range(orders)]
+        moved = [self._together(t, n) for n in range(orders)]
         arguments = []
         for k, x_b in enumerate(states_b):
             along = self._vectors.of(x_b.T) + np.moveaxis(U_b[k], -1, 0)
-            arguments.append(U[k] + 1j * _STEP * along)
-        columns: Array = function(moved, *arguments).imag / _STEP
+            arguments.append(U[k] + 1j * STEP * along)
+        columns: Array = function(moved, *arguments).imag / STEP
         return columns.T
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -14,12 +16,9 @@ from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.elements import elastic
 from ancfdae.elements.packing import packed_gram_direction
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
-
-# Imaginary step along a motion; exact, its square vanishes.
-_STEP = 1e-40
 
 
 @final
@@ -49,15 +48,14 @@ class ElasticForces:
     ) -> None:
         self._block, self._numbering, self._n_b = block, numbering, n_b
         self._shape = (len(numbering.vectors), numbering.element.n_y, numbering.element.d)
-        R = numbering.relative()
-        self._R = LinearMap(R)
+        self._R = LinearMap(numbering.relative())
         self._tangent_map = _tangent_map(numbering, pattern)
         pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
         self._stiff = len(block.stiffness_pairs)
         self._pair_element = mapping.elements[pairs]
         self._pair_variable = mapping.variables[pairs]
         self._pair_weight = mapping.weights[pairs]
-        self._pair_map = self._pair_scatter(R)
+        self._own: tuple[Array, ElementBlock] | None = None
 
     @property
     def damped(self) -> bool:
@@ -85,10 +83,7 @@ class ElasticForces:
 
     def force(self, q: Array, v: Array) -> Array:
         """Q_s for one instant, shape (n_q,)."""
-        block = self._block
-        Y = self._R(q).reshape(self._shape)
-        V = None if block.tau is None else self._R(v).reshape(self._shape)
-        return -self._R.transposed(elastic.force(block.A, block.g_o, Y, V, block.tau).ravel())
+        return self._assembled(elastic.force, q, None if self._block.tau is None else v)
 
     def force_q(self, q: Array, v: Array) -> Array:
         """Values of (Q_s)_q on the pattern, shape (k, nnz)."""
@@ -140,14 +135,14 @@ class ElasticForces:
         self, q: Array, v: Array, rates: tuple[Array, Array]
     ) -> tuple[Array, Array | None]:
         """Time derivatives of `force_q` and `force_v` of one instant along rates of q and v."""
-        moved = [(x + 1j * _STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
-        rate_q = self.force_q(moved[0], moved[1]).imag / _STEP
-        return rate_q, self.force_v(moved[0]).imag / _STEP if self.damped else None
+        moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
+        rate_q = self.force_q(moved[0], moved[1]).imag / STEP
+        return rate_q, self.force_v(moved[0]).imag / STEP if self.damped else None
 
     def pull_back_rate(self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array) -> Array:
         """Time derivative of `pull_back` of one instant along rates of q and v, mu held."""
-        moved = [(x + 1j * _STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
-        rate = self._pair_forces(moved[0], moved[1]).imag / _STEP
+        moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
+        rate = self._pair_forces(moved[0], moved[1]).imag / STEP
         work = rate * self.relative(mu[None])[:, self._pair_element]
         per_pair = -np.sum(work, axis=(0, 2, 3))
         return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
@@ -160,32 +155,45 @@ class ElasticForces:
 
     def force_rate(self, q: Array, v: Array, a: Array) -> Array:
         """d(Q_s)/dt along the motion, shape (n_q,), for one instant."""
+        return self._assembled(elastic.force_rate, q, v, a)
+
+    def _assembled(self, function: Callable[..., Array], *states: Array | None) -> Array:
+        """Minus the sum of R^T function(A, g_o, Y, ..., tau) over all elements."""
         block = self._block
-        Y, V, Z = (self._R(x).reshape(self._shape) for x in (q, v, a))
-        F = elastic.force_rate(block.A, block.g_o, Y, V, Z, block.tau)
+        Y = [None if x is None else self._R(x).reshape(self._shape) for x in states]
+        if self._own is None:
+            F = function(block.A, block.g_o, *Y, block.tau)
+        else:
+            at, own = self._own
+            F = function(own.A, own.g_o, *(None if y is None else y[at] for y in Y), own.tau)
+            if len(at) < self._shape[0]:
+                rest = function(block.A, block.g_o, *Y, block.tau).astype(complex)
+                rest[at] = F
+                F = rest
         return -self._R.transposed(F.ravel())
 
-    def moved(self, variable: int, size: float) -> ElasticForces:
-        """Return these forces with one design variable moved by i times `size`.
+    def moved(self, i: int) -> ElasticForces:
+        """Return these forces with design variable i moved by an imaginary step.
 
-        The invariants move along their prepared derivatives, which is exact for an imaginary
-        step whose square vanishes.
+        Only elements that it drives move, along their prepared derivatives; `force` and
+        `force_rate` know.
         """
-        block = self._block
-        n = self._shape[0]
-        A = np.repeat(block.A, n, axis=0) if len(block.A) == 1 else block.A
-        g_o = np.repeat(block.g_o, n, axis=0) if len(block.g_o) == 1 else block.g_o
-        A, g_o = A.astype(complex), g_o.astype(complex)
-        tau = None if block.tau is None else block.tau.astype(complex)
-        for pair in np.flatnonzero(self._pair_variable == variable):
-            element = self._pair_element[pair]
-            if pair < self._stiff:
-                g_o[element] += 1j * size * block.g_ob[pair]
-                A[element] += 1j * size * block.A_b[pair]
-            elif tau is not None:
-                tau[element] += 1j * size * self._pair_weight[pair]
+        block, pairs = self._block, np.flatnonzero(self._pair_variable == i)
+        if len(pairs) == 0:
+            return self
+        at, place = np.unique(self._pair_element[pairs], return_inverse=True)
+        A, g_o = (
+            x[np.zeros_like(at) if len(x) == 1 else at].astype(complex)
+            for x in (block.A, block.g_o)
+        )
+        tau = None if block.tau is None else block.tau[at].astype(complex)
+        stiff = pairs < self._stiff
+        np.add.at(g_o, place[stiff], 1j * STEP * block.g_ob[pairs[stiff]])
+        np.add.at(A, place[stiff], 1j * STEP * block.A_b[pairs[stiff]])
+        if tau is not None:
+            np.add.at(tau, place[~stiff], 1j * STEP * self._pair_weight[pairs[~stiff]])
         other = copy.copy(self)
-        other._block = replace(block, A=A, g_o=g_o, tau=tau)
+        other._own = at, replace(block, A=A, g_o=g_o, tau=tau)
         return other
 
     # -- energies ------------------------------------------------------------------------------
@@ -225,10 +233,12 @@ class ElasticForces:
         D = elastic.stressed(elastic.apply_invariant(A, rate), Y[:, damped])
         return np.concatenate([F, D], axis=1)
 
-    def _pair_scatter(self, R: sparse.csr_array) -> LinearMap:
+    @cached_property
+    def _pair_map(self) -> LinearMap:
         """Map from the forces of all pairs to columns of a row-major (n_q, n_b) array."""
         size = self._shape[1] * self._shape[2]
         rows = (self._pair_element[:, None] * size + np.arange(size)).ravel()
+        R = self._numbering.relative()
         shape = (R.shape[1] * self._n_b, len(rows))
         if len(rows) == 0:
             return LinearMap(sparse.csr_array(shape))

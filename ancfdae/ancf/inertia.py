@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from ancfdae.ancf.block import ElementBlock
 from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
@@ -28,12 +30,8 @@ class Inertia:
 
     Attributes
     ----------
-    values : array
-        M on the pattern.
     weights : array, shape (n_q,)
         Real diagonal of M.
-    gravity, gravity_b : array, shape (n_q,) and (n_q, n_b)
-        Q_e = M (field of unit translations times g): eq. (12) without an integral of its own.
     """
 
     def __init__(
@@ -49,20 +47,61 @@ class Inertia:
         self._pair_element = mapping.elements[block.mass_pairs]
         self._pair_variable = mapping.variables[block.mass_pairs]
         n_q, element = numbering.n_q, numbering.element
-        rows, columns, values = self._entries(block.m, numbering.vectors)
-        self.values = np.asarray(pattern.gather(rows, columns) @ values)
-        self._M = LinearMap(pattern.csr(self.values))
+        self._pattern, self._moved_in = pattern, np.zeros(0, dtype=np.int64)
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
-        rows, columns, values = self._entries(block.m_b, numbering.vectors[self._pair_element])
-        variable = np.repeat(self._pair_variable, element.d * element.n_a**2)
-        self._M_b = LinearMap.of(rows * n_b + variable, columns, values, (n_q * n_b, n_q))
-        self.gravity = np.zeros(n_q, dtype=self.values.dtype)
-        self.gravity_b = np.zeros((n_q, n_b), dtype=self.values.dtype)
+        self._field = np.zeros((n_q // element.d, element.d))
         if gravity is not None:
-            field = np.zeros((n_q // element.d, element.d))
-            field[:: element.n_s] = gravity
-            self.gravity = self._M(field.ravel())
-            self.gravity_b = self.times_b(field.reshape(1, -1))[0]
+            self._field[:: element.n_s] = gravity
+
+    def moved(self, i: int) -> Inertia:
+        """Return the inertia moved in design variable i by an imaginary step."""
+        pairs = np.flatnonzero(self._pair_variable == i)
+        if len(pairs) == 0:
+            return self
+        other = copy.copy(self)
+        for name in ("values", "_M", "_M_b", "gravity", "gravity_b"):
+            other.__dict__.pop(name, None)
+        other._moved_in = pairs
+        return other
+
+    @cached_property
+    def values(self) -> Array:
+        """M on the pattern."""
+        rows, columns, values = self._entries(self._block.m, self._numbering.vectors)
+        M = np.asarray(self._pattern.gather(rows, columns) @ values)
+        if len(self._moved_in) == 0:
+            return M
+        vectors = self._numbering.vectors[self._pair_element[self._moved_in]]
+        rows, columns, values = self._entries(self._block.m_b[self._moved_in], vectors)
+        return np.asarray(M + 1j * STEP * (self._pattern.gather(rows, columns) @ values))
+
+    @cached_property
+    def _M(self) -> LinearMap:
+        return LinearMap(self._pattern.csr(self.values))
+
+    @cached_property
+    def _M_b(self) -> LinearMap:
+        """Map from a to columns of a row-major (n_q, n_b) array."""
+        element, n_q = self._numbering.element, self._numbering.n_q
+        vectors = self._numbering.vectors[self._pair_element]
+        rows, columns, values = self._entries(self._block.m_b, vectors)
+        variable = np.repeat(self._pair_variable, element.d * element.n_a**2)
+        shape = (n_q * self._n_b, n_q)
+        return LinearMap.of(rows * self._n_b + variable, columns, values, shape)
+
+    @cached_property
+    def gravity(self) -> Array:
+        """Q_e = M (field of unit translations times g): eq. (12) without an integral of its own."""
+        return self._M(self._field.ravel())
+
+    @cached_property
+    def gravity_b(self) -> Array:
+        """Its design partials, shape (n_q, n_b)."""
+        return only(self.times_b(self._field.reshape(1, -1)))
+
+    def gravity_pull_back(self, mu: Array) -> Array:
+        """Sum over instants of gravity_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
+        return self.pull_back(self._field.reshape(1, -1), np.sum(mu, axis=0)[None])
 
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""

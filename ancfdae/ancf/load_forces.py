@@ -8,18 +8,16 @@ and a new load needs no derivative of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.loads import Load
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
-
-_STEP = 1e-40
 
 
 @final
@@ -50,6 +48,16 @@ class LoadInput:
         """Return the forces on the vectors at the real parameters."""
         return self.load.force(U, V, self.p.real)
 
+    @property
+    def active(self) -> list[int]:
+        """Design variables that the force depends on with q and v held."""
+        return [int(i) for i in np.flatnonzero(np.any(self.p_b, axis=0) | self.vectors.moves)]
+
+    def moved(self, i: int) -> LoadInput:
+        """Return the load moved in design variable i by an imaginary step."""
+        p = self.p + 1j * STEP * self.p_b[:, i]
+        return replace(self, vectors=self.vectors.moved(i), p=p)
+
 
 @final
 class LoadForces:
@@ -65,6 +73,7 @@ class LoadForces:
         self._inputs, self._n_q, self._n_b, self._d = inputs, n_q, n_b, d
         self.uses_velocity = any(item.uses_velocity for item in inputs)
         self._moving = [item for item in inputs if not item.load.constant]
+        self._active = sorted({i for item in inputs for i in item.active})
         self._steady = np.zeros(n_q)
         zero = np.zeros((1, n_q))
         for item in inputs:
@@ -138,52 +147,44 @@ class LoadForces:
                 own = _jacobian(item.force, U, V, True)
                 Q_v += to_values.rows(_flat(_jacobian(rate, U, V, False) - own))
 
-    def force_b(self, q: Array, v: Array) -> Array:
-        """Q_b, shape (k, n_q, n_b)."""
-        result = np.zeros((len(q), self._n_q, self._n_b), dtype=q.dtype)
-        for item in self._inputs:
-            result += self._item_total(item, item.load.force, (q, v), None)
-        return result
-
     def pull_back_rate(self, states: tuple[Array, Array, Array], mu: Array) -> Array:
         """Design partial of mu . dQ/dt with the states held, shape (n_b,)."""
         result, rows = np.zeros(self._n_b), tuple(x[None] for x in states)
-        for item in self._moving:
-            result += mu @ self._item_total(item, item.load.force_rate, rows, None)[0]
+        for i in self._active:
+            result[i] = np.sum(self.moved(i).force_rate(*rows).imag * mu) / STEP
         return result
 
-    def force_rate_total(self, states: tuple[Array, ...], states_b: tuple[Array, ...]) -> Array:
-        """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
-        result = np.zeros((1, self._n_q, self._n_b), dtype=states[0].dtype)
-        rows = tuple(x[None] for x in states)
+    def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
+        """Total design derivative of Q for one instant, shape (n_q, n_b)."""
+        total: Array = self.force_b(q[None], v[None])[0]
         for item in self._moving:
-            result += self._item_total(item, item.load.force_rate, rows, states_b)
-        total: Array = result[0]
+            U, V = item.vectors.of(q[None]), item.vectors.of(v[None])
+            F_b = _jacobian(item.force, U, V, True)[0] @ (item.vectors.matrix @ q_b)
+            if item.uses_velocity:
+                F_b = F_b + _jacobian(item.force, U, V, False)[0] @ (item.vectors.matrix @ v_b)
+            total += item.vectors.matrix.T @ F_b
         return total
 
-    def _item_total(
-        self,
-        item: LoadInput,
-        function: Callable[..., Array],
-        states: tuple[Array, ...],
-        states_b: tuple[Array, ...] | None,
-    ) -> Array:
-        """Total derivative of L^T F along given derivatives of the states (None: zero)."""
-        U = [item.vectors.of(x) for x in states]
-        U_b = [item.vectors.of_b(x) for x in states]
-        F = function(*U, item.p)
-        result = item.vectors.lift_b(F)
-        for i in range(self._n_b):
-            along = [u_b[..., i] for u_b in U_b]
-            if states_b is not None:
-                moves = (item.vectors.of(x_b[None, :, i]) for x_b in states_b)
-                along = [x + y for x, y in zip(along, moves, strict=True)]
-            if not (np.any(item.p_b[:, i]) or any(np.any(x) for x in along)):
-                continue
-            p = item.p.real + 1j * _STEP * item.p_b[:, i]
-            moved = [u.real + 1j * _STEP * x for u, x in zip(U, along, strict=True)]
-            result[..., i] += item.vectors.lift(function(*moved, p).imag / _STEP)
+    def force_b(self, q: Array, v: Array) -> Array:
+        """Q_b, shape (k, n_q, n_b)."""
+        result = np.zeros((len(q), self._n_q, self._n_b))
+        for i in self._active:
+            result[..., i] = self.moved(i).force(q.real, v.real).imag / STEP
         return result
+
+    def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
+        """Sum over instants of Q_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
+        total = np.zeros(self._n_b)
+        for i in self._active:
+            total[i] = np.sum(self.moved(i).force(q, v).imag * mu) / STEP
+        return total
+
+    def moved(self, i: int) -> LoadForces:
+        """Return the loads moved in design variable i by an imaginary step."""
+        if i not in self._active:
+            return self
+        inputs = [item.moved(i) for item in self._inputs]
+        return LoadForces(inputs, self._n_q, self._n_b, self._d)
 
 
 def _flat(matrices: Array) -> Array:
@@ -196,10 +197,10 @@ def _jacobian(
     """Return F_U or F_V, shape (k, n, n) with n = n_v d; all directions at once."""
     k, n_v, d = U.shape
     n = n_v * d
-    moves = 1j * _STEP * np.eye(n).reshape(1, n, n_v, d)
+    moves = 1j * STEP * np.eye(n).reshape(1, n, n_v, d)
     still = np.zeros((1, n, 1, 1))
     U, V = U[:, None], V[:, None]
     positions, velocities = (U + moves, V + still) if in_position else (U + still, V + moves)
     F = force(positions, velocities)
-    jacobian: Array = np.swapaxes(F.imag.reshape(k, n, n) / _STEP, 1, 2)
+    jacobian: Array = np.swapaxes(F.imag.reshape(k, n, n) / STEP, 1, 2)
     return jacobian

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -10,28 +10,8 @@ import numpy as np
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.bodies import BeamBody
 from ancfdae.elements import ElementParameter
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.scene import RigidMotion, Scene
-
-
-@final
-@dataclass(frozen=True)
-class StartState:
-    """Coordinates and velocities with their design partials.
-
-    Attributes
-    ----------
-    q_reference, q, v : array, shape (n_q,)
-        Reference configuration; start as declared.
-    q_reference_b, q_b, v_b : array, shape (n_q, n_b)
-    """
-
-    q_reference: Array
-    q_reference_b: Array
-    q: Array
-    q_b: Array
-    v: Array
-    v_b: Array
 
 
 def length_partials(mapping: ParameterMap, n_b: int) -> Array:
@@ -42,8 +22,9 @@ def length_partials(mapping: ParameterMap, n_b: int) -> Array:
     return partial
 
 
-def start_state(scene: Scene, lengths: Array, lengths_b: Array) -> StartState:
-    """Evaluate reference and start configuration and their design partials.
+@final
+class StartState:
+    """Reference and start configuration.
 
     Only the element lengths carry the design: node k of a beam stands at
     start + sum_{e<k} l_e chord_e, and slopes do not change with the length.
@@ -53,50 +34,69 @@ def start_state(scene: Scene, lengths: Array, lengths_b: Array) -> StartState:
     scene : Scene
     lengths : array, shape (n,)
     lengths_b : array, shape (n, n_b)
+
+    Attributes
+    ----------
+    active : list of int
+        Design variables that they depend on.
     """
-    first = scene.first_elements()
-    parts: list[list[Array]] = [[] for _ in range(6)]
-    for beam in scene.beams:
-        chosen = slice(first[beam.name], first[beam.name] + beam.element_count)
-        X, X_b = _nodes(beam, lengths[chosen], lengths_b[chosen])
-        Z, Z_b = X, X_b
-        V, V_b = np.zeros_like(X), np.zeros_like(X_b)
-        for motion in (s for s in scene.start if s.beam == beam.name):
-            if isinstance(motion, RigidMotion):
-                V, V_b = _rigid_velocity(motion, Z, Z_b)
-                continue
-            Z, Z_b = motion.coordinates.astype(X.dtype), np.zeros_like(X_b)
-            if motion.velocities is not None:
-                V, V_b = motion.velocities.astype(X.dtype), np.zeros_like(X_b)
-        for part, array in zip(parts, (X, X_b, Z, Z_b, V, V_b), strict=True):
-            part.append(array)
-    n_b = lengths_b.shape[1]
-    q_o, q_ob, q, q_b, v, v_b = (np.concatenate(part) for part in parts)
-    n_q = q.size
-    return StartState(
-        q_reference=q_o.ravel(),
-        q_reference_b=q_ob.reshape(n_q, n_b),
-        q=q.ravel(),
-        q_b=q_b.reshape(n_q, n_b),
-        v=v.ravel(),
-        v_b=v_b.reshape(n_q, n_b),
-    )
+
+    def __init__(self, scene: Scene, lengths: Array, lengths_b: Array) -> None:
+        self._scene, self._lengths, self._lengths_b = scene, lengths, lengths_b
+        self.active: list[int] = np.flatnonzero(np.any(lengths_b != 0, axis=0)).tolist()
+
+    @property
+    def q_reference(self) -> Array:
+        """Reference configuration, shape (n_q,)."""
+        return self._states[0]
+
+    @property
+    def q(self) -> Array:
+        """Start as declared, shape (n_q,)."""
+        return self._states[1]
+
+    @property
+    def v(self) -> Array:
+        """Its velocity, shape (n_q,)."""
+        return self._states[2]
+
+    @cached_property
+    def _states(self) -> tuple[Array, Array, Array]:
+        first, parts = self._scene.first_elements(), []
+        for beam in self._scene.beams:
+            chosen = slice(first[beam.name], first[beam.name] + beam.element_count)
+            X = Z = _nodes(beam, self._lengths[chosen])
+            V = np.zeros_like(X)
+            for motion in (s for s in self._scene.start if s.beam == beam.name):
+                if isinstance(motion, RigidMotion):
+                    V = _rigid_velocity(motion, Z)
+                    continue
+                Z = motion.coordinates.astype(X.dtype)
+                if motion.velocities is not None:
+                    V = motion.velocities.astype(X.dtype)
+            parts.append((X.ravel(), Z.ravel(), V.ravel()))
+        q_o, q, v = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return q_o, q, v
+
+    def moved(self, i: int) -> StartState:
+        """Return them moved in design variable i by an imaginary step."""
+        if i not in self.active:
+            return self
+        lengths = self._lengths + 1j * STEP * self._lengths_b[:, i]
+        return StartState(self._scene, lengths, self._lengths_b)
 
 
-def _nodes(beam: BeamBody, lengths: Array, lengths_b: Array) -> tuple[Array, Array]:
-    """Node vectors (n + 1, n_s, d) of the reference configuration and their partials."""
-    shape = beam.reference()
-    d, n_b = beam.dimension, lengths_b.shape[1]
+def _nodes(beam: BeamBody, lengths: Array) -> Array:
+    """Node vectors (n + 1, n_s, d) of the reference configuration."""
+    shape, d = beam.reference(), beam.dimension
     X = np.zeros((len(lengths) + 1, d + 1, d), dtype=lengths.dtype)
     X[:, 0] = shape.start
     X[1:, 0] += np.cumsum(lengths[:, None] * shape.chords, axis=0)
     X[:, 1:] = shape.slopes
-    X_b = np.zeros((*X.shape, n_b), dtype=lengths.dtype)
-    X_b[1:, 0] = np.cumsum(shape.chords[..., None] * lengths_b[:, None, :], axis=0)
-    return X, X_b
+    return X
 
 
-def _rigid_velocity(motion: RigidMotion, X: Array, X_b: Array) -> tuple[Array, Array]:
+def _rigid_velocity(motion: RigidMotion, X: Array) -> Array:
     """Velocity v + omega x (r - about) of positions and omega x slope of slopes."""
     d = X.shape[-1]
     spin = np.atleast_1d(np.asarray(motion.angular_velocity, dtype=float))
@@ -107,7 +107,7 @@ def _rigid_velocity(motion: RigidMotion, X: Array, X_b: Array) -> tuple[Array, A
         omega = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     arms = X.copy()
     arms[:, 0] -= np.asarray(motion.about, dtype=float)
-    V = arms @ omega.T
+    V: Array = arms @ omega.T
     if motion.velocity is not None:
         V[:, 0] += np.asarray(motion.velocity, dtype=float)
-    return V, np.einsum("ij,nsjb->nsib", omega, X_b)
+    return V

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -14,7 +16,7 @@ from ancfdae.ancf.inertia import Inertia
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
-from ancfdae.ancf.reference import length_partials, start_state
+from ancfdae.ancf.reference import StartState, length_partials
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.bodies import Point, Quantity
 from ancfdae.design import DesignVariable, as_design
@@ -22,14 +24,11 @@ from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput
 from ancfdae.loads import CentreLine
 from ancfdae.naming import Layout, Naming, PointVector
-from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.scene import Scene
 from ancfdae.text import listed
-
-# Imaginary step for total derivatives at the start; exact, its square vanishes.
-_STEP = 1e-40
 
 
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
@@ -90,7 +89,7 @@ class AncfSystem(MechanicalSystem):
         lengths = parameters[:, ElementParameter.LENGTH]
         layout = Layout(self.element.d, self._numbering.beams, ())
         self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
-        self._start = start_state(scene, lengths, self.naming.lengths_b)
+        self._start = StartState(scene, lengths, self.naming.lengths_b)
         self._constraints = self._joint_constraints()
         self._loads = self._load_forces()
         self.pattern = self._joint_pattern()
@@ -112,19 +111,21 @@ class AncfSystem(MechanicalSystem):
 
     def _joint_constraints(self) -> JointConstraints:
         d, inputs, points = self.element.d, [], []
-        q_o, q_ob = self._start.q_reference, self._start.q_reference_b
+        q_o, active = self._start.q_reference, self._start.active
+        q_ob = [self._start.moved(i).q_reference.imag / STEP for i in active]
         for joint in self._scene.joints:
             own = [self.naming.vector(*vector) for vector in joint.vectors(d)]
             vectors = Vectors(own, d, self.n_q, self.n_b)
-            reference = vectors.of(q_o[None])[0]
-            reference_b = vectors.of_b(q_o[None])[0]
-            for i in range(self.n_b):
-                reference_b[..., i] += vectors.of(q_ob[None, :, i])[0].real
+            reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
+            if active:
+                along[..., active] += np.moveaxis(vectors.of(np.array(q_ob)), 0, -1).real
+            moving = np.flatnonzero(np.any(along, axis=(0, 1)))
+            reference_b = {int(i): along[..., i] for i in moving}
             p, p_b = self._mapping.part(joint.name, self.b)
             inputs.append(JointInput(joint, p, p_b, reference, reference_b))
             points += own
         vectors = Vectors(points, d, self.n_q, self.n_b)
-        return JointConstraints(inputs, vectors, self.n_q, self.n_b, d)
+        return JointConstraints(inputs, vectors, self.n_b, d)
 
     def _load_forces(self) -> LoadForces:
         inputs = []
@@ -186,13 +187,36 @@ class AncfSystem(MechanicalSystem):
                 self._scene.check_value(variable, new)
         return AncfSystem(self._scene, self._design, self._mapping, b)
 
+    def moved(self, i: int) -> AncfSystem:
+        """Return the scene moved in design variable i; nothing is integrated again."""
+        other = copy.copy(self)
+        other.b = self.b + 1j * STEP * np.eye(self.n_b)[i]
+        lengths = self.naming.lengths + 1j * STEP * self.naming.lengths_b[:, i]
+        other.naming = replace(self.naming, lengths=lengths)
+        other._start, other._constraints = self._start.moved(i), self._constraints.moved(i)
+        other._loads, other._elastic = self._loads.moved(i), self._elastic.moved(i)
+        other._inertia = self._inertia.moved(i)
+        return other
+
     def start(self) -> tuple[Array, Array]:
         """Return the declared start."""
         return self._start.q, self._start.v
 
     def start_b(self) -> tuple[Array, Array]:
         """Return the partials of the declared start."""
-        return self._start.q_b, self._start.v_b
+        q_b, v_b = np.zeros((2, self.n_q, self.n_b))
+        for i in self._start.active:
+            moved = self._start.moved(i)
+            q_b[:, i], v_b[:, i] = moved.q.imag / STEP, moved.v.imag / STEP
+        return q_b, v_b
+
+    def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
+        """Contract over the variables that move the start."""
+        total = np.zeros(self.n_b)
+        for i in self._start.active:
+            moved = self._start.moved(i)
+            total[i] = (on_q @ moved.q.imag + on_v @ moved.v.imag) / STEP
+        return total
 
     def mass(self, q: Array) -> Array:
         """M (eq. 10)."""
@@ -205,16 +229,6 @@ class AncfSystem(MechanicalSystem):
     def mass_b_times(self, q: Array, a: Array) -> Array:
         """(M a)_b."""
         return only(self._inertia.times_b(a[None]))
-
-    def inertia_q(self, q: Array, a: Array) -> Array:
-        """Zero: the mass is constant."""
-        return np.zeros(self.pattern.size)
-
-    def inertia_rate_total(
-        self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Zero: the mass is constant."""
-        return np.zeros((self.n_q, self.n_b))
 
     def force(self, q: Array, v: Array, t: float) -> Array:
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
@@ -238,9 +252,8 @@ class AncfSystem(MechanicalSystem):
 
     def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q."""
-        if self._scene.loads:
-            return super().force_total(q, v, t, q_b, v_b)
-        return self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
+        total = self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
+        return total + self._loads.force_total(q, v, q_b, v_b) if self._scene.loads else total
 
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Q_q v + Q_v a."""
@@ -248,17 +261,6 @@ class AncfSystem(MechanicalSystem):
         if self._scene.loads:
             rate = rate + self._loads.force_rate(q[None], v[None], a[None])[0]
         return rate
-
-    def force_rate_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Total design derivative of `force_rate`."""
-        total = self._loads.force_rate_total((q, v, a), (q_b, v_b, a_b))
-        for i in range(self.n_b):
-            moved = self._elastic.moved(i, _STEP)
-            states = (x + 1j * _STEP * y[:, i] for x, y in ((q, q_b), (v, v_b), (a, a_b)))
-            total[:, i] += moved.force_rate(*states).imag / _STEP
-        return total
 
     def constraint(self, q: Array, t: float) -> Array:
         """Phi."""
@@ -358,18 +360,11 @@ class AncfSystem(MechanicalSystem):
         states: tuple[Array, Array, Array, Array],
         covectors: tuple[Array, Array],
     ) -> Array:
-        """Contraction pair by pair, without arrays of the size n_q n_b for elements."""
+        """Contraction over pairs and active variables, without arrays of the size n_q n_b."""
         (q, v, a, lam), (mu, zeta) = states, covectors
         total = self._inertia.pull_back(a, mu) - self._elastic.pull_back(q, v, mu)
-        total = total - np.sum(mu, axis=0) @ self._inertia.gravity_b
-        if self._scene.loads:
-            total = total - np.einsum("knb,kn->b", self._loads.force_b(q, v), mu)
-        if self._scene.joints:
-            forces = self._constraints.constraint_forces_b(q, lam, t)
-            total = total + np.einsum("knb,kn->b", forces, mu)
-            Phi_b = self._constraints.constraints_b(q, t)
-            total = total + np.einsum("knb,kn->b", Phi_b, zeta)
-        return np.asarray(total)
+        total = total - self._inertia.gravity_pull_back(mu) - self._loads.pull_back(q, v, mu)
+        return np.asarray(total + self._constraints.pull_back(q, lam, t, mu, zeta))
 
     # -- rates for the transpose of the start --------------------------------------------------
 
@@ -396,7 +391,8 @@ class AncfSystem(MechanicalSystem):
 
     def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
         """Contract masses pair by pair, joints for the variables they depend on."""
-        reaction = self._constraints.constraint_force_pull_back(q, lam, t, mu)
+        none = np.zeros((1, len(lam)))
+        reaction = self._constraints.pull_back(q[None], lam[None], np.array([t]), mu[None], none)
         return self._inertia.pull_back(a[None], mu[None]) + reaction
 
     def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:

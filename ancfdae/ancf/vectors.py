@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import final
 
@@ -9,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from ancfdae.naming import PointVector
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
 
 
@@ -41,23 +42,29 @@ class Vectors:
                 values.append(vector.weights[used])
                 values_b.append(vector.weights_b[used])
         empty = np.zeros(0, dtype=np.int64)
-        row = np.concatenate([empty, *rows])
-        column = np.concatenate([empty, *columns])
-        value = np.concatenate([np.zeros(0), *values])
+        self._row, self._column = np.concatenate([empty, *rows]), np.concatenate([empty, *columns])
+        self._value = np.concatenate([np.zeros(0), *values])
         value_b = np.concatenate([np.zeros((0, n_b)), *values_b])
-        shape = (self._count * d, n_q)
-        self.matrix = sparse.csr_array((value, (row, column)), shape=shape)
+        self._at, self._variable = np.nonzero(value_b)
+        self._change = value_b[self._at, self._variable]
+        self.moves = np.bincount(self._variable, minlength=n_b) > 0
+        self._shape, self._moved = (self._count * d, n_q), dict[int, Vectors]()
+        self._set(self._value)
+
+    def _set(self, value: Array) -> None:
+        self.matrix = sparse.csr_array((value, (self._row, self._column)), shape=self._shape)
         self._L = LinearMap(self.matrix)
-        at, variable = np.nonzero(value_b)
-        changes = value_b[at, variable]
-        self.moves = np.bincount(variable, minlength=n_b) > 0
-        self._moving = len(at) > 0
-        self._L_b = LinearMap.of(
-            row[at] * n_b + variable, column[at], changes, (shape[0] * n_b, n_q)
-        )
-        self._L_bT = LinearMap.of(
-            column[at] * n_b + variable, row[at], changes, (n_q * n_b, shape[0])
-        )
+
+    def moved(self, i: int) -> Vectors:
+        """Return the vectors moved in design variable i by an imaginary step."""
+        if not self.moves[i]:
+            return self
+        if i not in self._moved:
+            chosen, value = self._variable == i, self._value.astype(complex)
+            value[self._at[chosen]] += 1j * STEP * self._change[chosen]
+            self._moved[i] = copy.copy(self)
+            self._moved[i]._set(value)
+        return self._moved[i]
 
     def of(self, q: Array) -> Array:
         """Return U for rows of q, shape (k, n_v, d)."""
@@ -65,16 +72,11 @@ class Vectors:
 
     def of_b(self, q: Array) -> Array:
         """Return the design partial of U with q held, shape (k, n_v, d, n_b)."""
-        shape = (len(q), self._count, self._d, self._n_b)
-        return self._L_b.rows(q).reshape(shape) if self._moving else np.zeros(shape)
+        result = np.zeros((len(q), self._count, self._d, self._n_b), dtype=q.dtype)
+        for i in np.flatnonzero(self.moves):
+            result[..., i] = self.moved(int(i)).of(q.real).imag / STEP
+        return result
 
     def lift(self, F: Array) -> Array:
         """Return L^T F, shape (k, n_v, d) to (k, n_q)."""
         return self._L.rows_transposed(F.reshape(len(F), -1))
-
-    def lift_b(self, F: Array) -> Array:
-        """Return the design partial of L^T F with F held, shape (k, n_q, n_b)."""
-        n_q = self.matrix.shape[1]
-        if not self._moving:
-            return np.zeros((len(F), n_q, self._n_b))
-        return self._L_bT.rows(F.reshape(len(F), -1)).reshape(len(F), n_q, self._n_b)

@@ -282,22 +282,25 @@ class Solution:
         if verdict is not Verdict.FINISHED:
             outcome = Outcome(verdict, float(self.t[steps]), steps, 0.0)
         rows = slice(steps + 1)
-        statistics = replace(
-            self.statistics,
-            factorisations=self.statistics.factorisations + steps,
-            wall_seconds=self.statistics.wall_seconds + seconds,
-        )
         return replace(
-            self,
+            self.with_pass(steps, seconds),
             t=self.t[rows],
             q=self.q[rows],
             v=self.v[rows],
             a=self.a[rows],
             lam=self.lam[rows],
-            statistics=statistics,
             outcome=outcome,
             sensitivities=own,
         )
+
+    def with_pass(self, factorisations: int, seconds: float) -> Solution:
+        """Return the solution with the cost of a pass over it added to the statistics."""
+        statistics = replace(
+            self.statistics,
+            factorisations=self.statistics.factorisations + factorisations,
+            wall_seconds=self.statistics.wall_seconds + seconds,
+        )
+        return replace(self, statistics=statistics)
 
     # -- files and text ------------------------------------------------------------------------
 

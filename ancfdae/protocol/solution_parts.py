@@ -24,7 +24,8 @@ class Statistics:
     iterations : int
         Newton iterations.
     factorisations : int
-        Factorised iteration matrices.
+        Factorised iteration matrices; those of passes for derivatives too, but for the pass back
+        of IDAS, which does not tell.
     residuals : int
         Evaluations of the residual.
     round_off_steps : int

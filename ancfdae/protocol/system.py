@@ -30,11 +30,8 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.naming import Naming
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import Pattern
-
-# Imaginary step of derivatives: its square vanishes, and as a power of two it adds no round-off.
-_STEP = 2.0**-133
 
 
 @final
@@ -159,7 +156,7 @@ class MechanicalSystem(abc.ABC):
     def moved(self, i: int) -> Self:
         """Return the system with design variable i moved by a small imaginary step."""
         if i not in self._moved:
-            self._moved[i] = self.with_values(self.b + 1j * _STEP * np.eye(self.n_b)[i])
+            self._moved[i] = self.with_values(self.b + 1j * STEP * np.eye(self.n_b)[i])
         return self._moved[i]
 
     @cached_property
@@ -181,12 +178,12 @@ class MechanicalSystem(abc.ABC):
         array, shape of the value + (n_b,)
         """
         columns = [
-            np.imag(value(self.moved(i), *(x + 1j * _STEP * x_b[:, i] for x, x_b in states)))
+            np.imag(value(self.moved(i), *(x + 1j * STEP * x_b[:, i] for x, x_b in states)))
             for i in range(self.n_b)
         ]
         if not columns:
             return np.zeros((*np.shape(value(self, *(x for x, _ in states))), 0))
-        return np.asarray(np.stack(columns, axis=-1) / _STEP)
+        return np.asarray(np.stack(columns, axis=-1) / STEP)
 
     def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
         """Differentiate in the numbers of x; values on a pattern.
@@ -194,8 +191,8 @@ class MechanicalSystem(abc.ABC):
         What is imaginary already, in a complex-step run, does not count.
         """
         still = np.imag(value(x))
-        columns = [np.imag(value(x + 1j * _STEP * e)) - still for e in np.eye(self.n_q)]
-        matrix = np.stack(columns, axis=-1) / _STEP
+        columns = [np.imag(value(x + 1j * STEP * e)) - still for e in np.eye(self.n_q)]
+        matrix = np.stack(columns, axis=-1) / STEP
         return np.asarray(matrix[pattern.rows, pattern.columns])
 
     # -- start ---------------------------------------------------------------------------------
@@ -439,7 +436,7 @@ class MechanicalSystem(abc.ABC):
 
         f_q = self._by_coordinate(lambda x: rate(x, v), q, self.pattern)
         f_v = self._by_coordinate(lambda x: rate(q, x), v, self.pattern)
-        return f_q, f_v, np.imag(self.mass(q + 1j * _STEP * v)) / _STEP
+        return f_q, f_v, np.imag(self.mass(q + 1j * STEP * v)) / STEP
 
     def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
         """Return mu^T f'_b with states held, shape (n_b,); f' as in `force_rate_partials`."""

@@ -31,7 +31,7 @@ from ancfdae.integrators.hht.small_steps import ConstraintRow
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import InitialSensitivity, InitialState
-from ancfdae.integrators.step_control.one_step_method import OneStepMethod, Record
+from ancfdae.integrators.step_control.contracts import OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint

@@ -20,9 +20,13 @@ import numpy as np
 
 from ancfdae.errors import Verdict, require_count, require_kind, require_positive
 from ancfdae.integrators.integrator import require_rtol
-from ancfdae.integrators.step_control.one_step_method import OneStepMethod
+from ancfdae.integrators.step_control.contracts import (
+    Controller,
+    OneStepMethod,
+    StepControl,
+    require_square,
+)
 from ancfdae.integrators.step_control.planned import GivenSteps
-from ancfdae.integrators.step_control.settings import Controller, StepControl, require_square
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 
@@ -123,7 +127,7 @@ class ControlledSteps(StepControl):
 
     def refined(self, t: Array) -> StepControl:
         """Halve the distances."""
-        return GivenSteps.halving(t)
+        return GivenSteps(tuple(t.tolist())).refined(t)
 
 
 @final

@@ -9,8 +9,7 @@ from tqdm import tqdm
 
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.step_control.one_step_method import OneStepMethod
-from ancfdae.integrators.step_control.settings import Controller
+from ancfdae.integrators.step_control.contracts import Controller, OneStepMethod
 from ancfdae.protocol.solution import Solution
 
 

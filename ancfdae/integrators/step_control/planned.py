@@ -9,8 +9,12 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, Verdict, require_array, require_positive
-from ancfdae.integrators.step_control.one_step_method import OneStepMethod
-from ancfdae.integrators.step_control.settings import Controller, StepControl, require_square
+from ancfdae.integrators.step_control.contracts import (
+    Controller,
+    OneStepMethod,
+    StepControl,
+    require_square,
+)
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 
@@ -121,12 +125,6 @@ class GivenSteps(StepControl):
         first = ", ".join(map(repr, self.times[:3]))
         return f"GivenSteps(times=({first}, ..., {self.times[-1]!r}))"
 
-    @staticmethod
-    def halving(t: Array) -> GivenSteps:
-        """Return half the steps between the instants t."""
-        halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
-        return GivenSteps(tuple(halves.tolist()))
-
     def count(self, t_end: float) -> int:
         """Return the number of steps; the end must be the last instant."""
         require_positive("t_end", t_end)
@@ -158,7 +156,8 @@ class GivenSteps(StepControl):
 
     def refined(self, t: Array) -> StepControl:
         """Halve the distances."""
-        return GivenSteps.halving(t)
+        halves = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])]))
+        return GivenSteps(tuple(halves.tolist()))
 
 
 @final

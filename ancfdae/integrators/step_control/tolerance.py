@@ -28,7 +28,7 @@ import numpy as np
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities
+from ancfdae.protocol import EstimatedErrors, Sensitivities
 
 # Errors of the motion feed into those of the derivatives as much again (docs/theory.md, 5).
 _FED = 2.0
@@ -73,15 +73,9 @@ class Tolerance:
 def estimated_errors(
     scales: Scales, delta: Array, delta_b: Array | None, own: Sensitivities | None
 ) -> EstimatedErrors:
-    """Add up the errors of all steps of a run, relative to Q_i and Q_i S_j.
+    """Add up the errors of all n steps of a run, relative to Q_i and Q_i S_j.
 
-    Parameters
-    ----------
-    scales : Scales
-    delta : array, shape (n, n_q)
-    delta_b : array, shape (n, n_q, n_b), or None
-    own : Sensitivities or None
-        Where there is `delta_b`.
+    Shapes (n, n_q) and (n, n_q, n_b); `own` are the derivatives that `delta_b` belongs to.
     """
     # What blew up overflows, and its error is infinite.
     with np.errstate(over="ignore", invalid="ignore"):

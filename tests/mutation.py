@@ -1,0 +1,106 @@
+"""Mutation testing with cosmic-ray (docs/mutation.md): a sample of mutants, and their tests.
+
+python tests/mutation.py sample SESSION NUMBER SEED    keeps NUMBER mutants of every package
+python tests/mutation.py test                          runs the tests of the mutated module
+python tests/mutation.py report SESSION                counts, and the mutants that survived
+"""
+
+import random
+import re
+import subprocess
+import sys
+from collections import defaultdict
+
+PASSES = ["tests/test_adjoint.py", "-k", "dot_product or complex_step_of_the_run or pass"]
+# From the path of a module, without ancfdae/, to the tests that are to kill its mutants: quick
+# ones first.
+TESTS = {
+    "elements/": [["tests/test_invariants.py"], ["tests/test_assembler.py"]],
+    "joints/": [["tests/test_joints.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
+    "loads/": [["tests/test_loads.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
+    "integrators/hht/": [["tests/test_newton.py"], PASSES, ["tests/test_order.py"]],
+    "sensitivity/adjoint": [PASSES, ["tests/test_high_order_runs.py", "-k", "adjoint"]],
+    "sensitivity/continuous": [
+        ["tests/test_adjoint_end.py"],
+        ["tests/test_adjoint.py", "-k", "continuous or passes"],
+    ],
+    "observables/": [["tests/test_observables.py"], ["tests/test_objectives.py"]],
+    "objectives/": [["tests/test_objectives.py"], ["tests/test_adjoint.py", "-k", "is_complex"]],
+}
+# Operators that a sign, a factor or a branch written wrongly looks like. The others put a bit
+# operation or a modulus where a float stands, which fails whatever the tests are, or an operator
+# into an annotation.
+SERIOUS = re.compile(
+    r"core/(ReplaceBinaryOperator_(Add_Sub|Sub_Add|Add_Mul|Mul_Add|Mul_Div|Div_Mul|Pow_Mul|Pow_Div)"
+    r"|ReplaceComparisonOperator_(Eq_NotEq|NotEq_Eq|Lt_(LtE|GtE)|LtE_(Lt|Gt)|Gt_(GtE|LtE)"
+    r"|GtE_(Gt|Lt)|Is_IsNot|IsNot_Is)|ReplaceUnaryOperator_(USub_UAdd|Delete_(USub|Not))|AddNot"
+    r"|ReplaceTrueWithFalse|ReplaceFalseWithTrue|ReplaceAndWithOr|ReplaceOrWithAnd"
+    r"|ReplaceBreakWithContinue|ReplaceContinueWithBreak|NumberReplacer|ZeroIterationForLoop)"
+)
+
+
+def package(path):
+    """Key of TESTS of a module."""
+    return next(name for name in TESTS if str(path).startswith(f"ancfdae/{name}"))
+
+
+def sample(session, number, seed):
+    from cosmic_ray.work_db import use_db
+    from cosmic_ray.work_item import WorkerOutcome, WorkResult
+
+    with use_db(session) as database:
+        groups = defaultdict(list)
+        for item in database.work_items:
+            (mutation,) = item.mutations
+            if SERIOUS.fullmatch(mutation.operator_name):
+                key = (str(mutation.module_path), mutation.operator_name, mutation.occurrence)
+                groups[package(mutation.module_path)].append((*key, item.job_id))
+        kept = set()
+        for name in TESTS:
+            items = sorted(groups[name])
+            chosen = random.Random(seed).sample(items, min(int(number), len(items)))
+            kept |= {item[-1] for item in chosen}
+            print(f"{name}: {len(chosen)} of {len(items)} mutants")
+        rest = [item.job_id for item in database.work_items if item.job_id not in kept]
+        skipped = WorkResult(worker_outcome=WorkerOutcome.SKIPPED)
+        database.set_multiple_results(rest, skipped)
+
+
+def test():
+    """Fail as soon as one of the selections fails."""
+    changed = ["git", "diff", "--name-only", "--", "ancfdae"]
+    names = subprocess.run(changed, capture_output=True, text=True, check=True).stdout.split()
+    selections = [x for name in {package(path) for path in names} for x in TESTS[name]]
+    for selection in selections or [x for part in TESTS.values() for x in part]:
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *selection]
+        if subprocess.run(command, check=False).returncode:
+            return 1
+    return 0
+
+
+def report(session):
+    from cosmic_ray.work_db import use_db
+    from cosmic_ray.work_item import TestOutcome, WorkerOutcome
+
+    counts = defaultdict(lambda: [0, 0])
+    with use_db(session) as database:
+        for item, result in database.completed_work_items:
+            if result.worker_outcome is WorkerOutcome.SKIPPED:
+                continue
+            (mutation,) = item.mutations
+            survived = result.test_outcome is TestOutcome.SURVIVED
+            count = counts[package(mutation.module_path)]
+            count[0] += not survived
+            count[1] += 1
+            if survived:
+                print(f"\n{mutation.module_path}:{mutation.start_pos[0]} {mutation.operator_name}")
+                lines = (result.diff or "").splitlines()
+                print("\n".join(x for x in lines if re.match(r"[-+](?![-+])", x)))
+    for name, (killed, total) in counts.items():
+        print(f"{name}: {killed} of {total} killed")
+    killed, total = (sum(x) for x in zip(*counts.values(), strict=True))
+    print(f"all: {killed} of {total} killed, {100 * killed / total:.1f} %")
+
+
+if __name__ == "__main__":
+    sys.exit({"sample": sample, "test": test, "report": report}[sys.argv[1]](*sys.argv[2:]))
