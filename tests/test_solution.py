@@ -5,6 +5,7 @@ round-off is that of a sum of eight products of numbers below two: 16 eps = 4e-1
 """
 
 import dataclasses
+import io
 import json
 import stat
 
@@ -562,6 +563,14 @@ def meta(**changes):
     return np.array(json.dumps({"format": "ancfdae solution 3", **changes}))
 
 
+def of_format(good, name):
+    """Arrays of a good file that says another format and is right otherwise."""
+    with np.load(io.BytesIO(good)) as file:
+        arrays = dict(file)
+    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 3", name))
+    return arrays
+
+
 BROKEN = {
     "empty": lambda path, good: b"",
     "text": lambda path, good: b"not a solution",
@@ -570,7 +579,7 @@ BROKEN = {
     "head only": lambda path, good: good[:4],
     "flipped bytes": lambda path, good: good[:200] + good[299:199:-1] + good[300:],
     "other archive": lambda path, good: archive(path, x=np.zeros(3)),
-    "other format": lambda path, good: archive(path, meta=np.array('{"format": "2"}')),
+    "other format": lambda path, good: archive(path, **of_format(good, "ancfdae solution 2")),
     "no object": lambda path, good: archive(path, meta=np.array("[]")),
     "no JSON": lambda path, good: archive(path, meta=np.array("{")),
     "nothing else": lambda path, good: archive(path, meta=meta()),
