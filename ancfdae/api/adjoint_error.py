@@ -97,7 +97,7 @@ def adjoint_error(
         raise InvalidInput("adjoint_error", "needs four steps", steps, "Use a smaller step.")
     states = states_of(solution)
     partials = objective.partials(system, states)
-    seeds = Seeds(partials.q, partials.v, partials.lam, objective.over_time)
+    seeds = Seeds(partials.q, partials.v, partials.lam)
     with keeping(solution):
         error = integrator.discretisation_error(system, solution, seeds)
     every_second = [*range(0, steps, 2), steps]

@@ -2,7 +2,13 @@
 
 from ancfdae.integrators.explicit import Explicit
 from ancfdae.integrators.hht.method import HHT
-from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
+from ancfdae.integrators.integrand import Density, Integrand, Part, Points
+from ancfdae.integrators.integrator import (
+    AdjointIntegrator,
+    Integrator,
+    QuadratureIntegrator,
+    Seeds,
+)
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
 from ancfdae.integrators.sundials.bindings import MissingPackage
 from ancfdae.integrators.sundials.ida import IDA
@@ -15,12 +21,17 @@ __all__ = [
     "IDAS",
     "AdjointIntegrator",
     "ControlledSteps",
+    "Density",
     "Explicit",
     "FixedSteps",
     "GivenSteps",
     "IndexReduction",
+    "Integrand",
     "Integrator",
     "MissingPackage",
+    "Part",
+    "Points",
+    "QuadratureIntegrator",
     "Seeds",
     "StepControl",
 ]

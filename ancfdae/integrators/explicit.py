@@ -6,12 +6,17 @@ with (a, lam) and (a_b, lam_b) from one factorised matrix per stage, which is on
 where M and Phi_q are constant. What positions, velocities and their derivatives drift from the
 constraints is removed after each step and from the instants (`projection`).
 
+The stages of a step make a quadrature of order 8 for functions of the states, with the error
+estimate of the method; where that says that they are too few for an integrand, points within the
+step come from its dense output.
+
 The solver runs in the time s = t / t_end from 0 to 1: SciPy's guess of the first step contains
 times in seconds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
@@ -21,7 +26,9 @@ from scipy.integrate import DOP853, DenseOutput
 from ancfdae.errors import SingularMatrix, Verdict, require_count
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
 from ancfdae.integrators.index_1 import State, project
+from ancfdae.integrators.integrand import Points, Rule
 from ancfdae.integrators.integrator import require_rtol
+from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.protocol.solution import Solution
 
@@ -29,6 +36,11 @@ from ancfdae.protocol.solution import Solution
 _LEAST_RTOL = 3e-14
 # Absolute tolerance relative to the scales, per unit of rtol.
 _SMALL = 1e-2
+# Stages that carry weight; the first is the state before the step.
+_USED = np.flatnonzero(DOP853.B)
+_STAGES = Rule(DOP853.B[_USED], DOP853.E5[_USED], DOP853.E3[_USED])
+# Panels of a step whose stages are too few.
+_PANELS = (1, 4, 16)
 
 
 @final
@@ -71,16 +83,30 @@ class Explicit(HighOrder):
         """Return the integrator with a tenth of the tolerance."""
         return replace(self, rtol=self.rtol / 10)
 
-    def start(self, problem: Problem, t_end: float) -> March:
+    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up DOP853."""
-        return _ExplicitMarch(self, problem, t_end)
+        return _ExplicitMarch(self, problem, t_end, quadrature)
+
+
+@final
+@dataclass(frozen=True)
+class _Stage:
+    """A state at which the rate was evaluated, with its multipliers."""
+
+    t: float
+    state: State
+    lam: Array
+    lam_b: Array | None
 
 
 @final
 class _ExplicitMarch(March):
     """One run; the vector y holds the columns (q, v) and (q_b, v_b) of every variable, scaled."""
 
-    def __init__(self, settings: Explicit, problem: Problem, t_end: float) -> None:
+    def __init__(
+        self, settings: Explicit, problem: Problem, t_end: float, quadrature: Quadrature
+    ) -> None:
+        self._quadrature, self._stages = quadrature, list[_Stage]()
         self._max_steps, self._problem, self._t_end = settings.max_steps, problem, t_end
         self._progress, self._trouble = Progress(1.0), Verdict.ERROR_TEST
         system, s, b = problem.system, problem.scales, problem.derivative
@@ -101,6 +127,7 @@ class _ExplicitMarch(March):
             rtol=settings.rtol,
             atol=_SMALL * settings.rtol,
         )
+        self._first = self._stages[0]
 
     def to(self, t: float) -> State | Verdict:
         """Step until t lies behind, then interpolate."""
@@ -109,6 +136,7 @@ class _ExplicitMarch(March):
             if self.steps == self._max_steps:
                 return Verdict.STEP_LIMIT
             self._trouble = Verdict.ERROR_TEST
+            self._stages.clear()
             solver.step()
             if solver.status == "failed":
                 return self._trouble
@@ -116,14 +144,42 @@ class _ExplicitMarch(March):
                 return Verdict.ERROR_TEST
             self.steps += 1
             self._between = None
+            # The last twelve evaluations: stages 1 to 11, and the state after the step.
+            stages = [self._first, *self._stages[-12:]]
+            self._first = stages[-1]
+            if self._quadrature.wanted:
+                self._quadrature.add(self._points(stages))
             if self._problem.system.n_lam:
                 solver.y = self._vector(self._projected(solver.t, solver.y))
                 solver.f = self._rate(solver.t, solver.y)
+                self._first = self._stages[-1]
         if solver.t == s:
             return self._point(solver.y)
         if self._between is None:
             self._between = solver.dense_output()
         return self._projected(s, self._between(s))
+
+    def finish(self) -> None:
+        """Do nothing: every step was taken in at once."""
+
+    def _points(self, stages: list[_Stage]) -> Iterator[Points]:
+        """Points within the last step: its stages, then its dense output on ever more panels."""
+        solver, t_end = self._solver, self._t_end
+        h = (solver.t - solver.t_old) * t_end
+        used = [stages[i] for i in _USED]
+        points = _stacked(_STAGES, np.array([h]), [x.t for x in used], [x.state for x in used])
+        lam_b = [x.lam_b for x in used if x.lam_b is not None]
+        yield replace(
+            points,
+            lam=np.array([x.lam for x in used]),
+            lam_b=np.array(lam_b) if lam_b else None,
+        )
+        between, left = solver.dense_output(), solver.t_old
+        for n in _PANELS:
+            shares = (np.arange(n)[:, None] + SHARES).ravel() / n
+            s = np.minimum(left + shares * (solver.t - left), solver.t)
+            states = [self._point(between(x)) for x in s]
+            yield _stacked(KRONROD, np.full(n, h / n), s * t_end, states)
 
     def residual(self) -> float:
         """Return zero: an explicit step has no equations left over."""
@@ -167,11 +223,22 @@ class _ExplicitMarch(March):
             raise NotFinite
         t, x, accelerations = s * self._t_end, self._point(y), self._problem.accelerations
         a, lam = accelerations.solve(t, x.q, x.v)
-        rate = State(x.v, a)
+        rate, lam_b = State(x.v, a), None
         if x.q_b is not None and x.v_b is not None:
             state = (x.q, x.v, a, lam)
-            rate = State(x.v, a, x.v_b, accelerations.solve_b(t, state, x.q_b, x.v_b)[0])
+            a_b, lam_b = accelerations.solve_b(t, state, x.q_b, x.v_b)
+            rate = State(x.v, a, x.v_b, a_b)
         vector = self._vector(rate) * self._t_end
         if not is_finite(vector):
             raise NotFinite
+        self._stages.append(_Stage(t, x, lam, lam_b))
         return vector
+
+
+def _stacked(rule: Rule, h: Array, t: Sequence[float] | Array, states: list[State]) -> Points:
+    q, v = np.array([x.q for x in states]), np.array([x.v for x in states])
+    q_b = [x.q_b for x in states if x.q_b is not None]
+    v_b = [x.v_b for x in states if x.v_b is not None]
+    if not q_b:
+        return Points(rule, h, np.asarray(t), q, v)
+    return Points(rule, h, np.asarray(t), q, v, np.array(q_b), np.array(v_b))

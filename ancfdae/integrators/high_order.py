@@ -2,12 +2,13 @@
 
 They choose their steps themselves and report Gauss-Lobatto instants in equal intervals, with
 accelerations and multipliers recomputed from positions and velocities by one linear solve: more
-accurate than what a solver carries along.
+accurate than what a solver carries along. Integrals follow the steps, not the instants.
 """
 
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -17,7 +18,9 @@ from tqdm import tqdm
 from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_positive
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.index_1 import Accelerations, State
-from ancfdae.integrators.integrator import Integrator
+from ancfdae.integrators.integrand import Integrand
+from ancfdae.integrators.integrator import QuadratureIntegrator
+from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import (
     InitialSensitivity,
@@ -137,6 +140,10 @@ class March(abc.ABC):
         """
 
     @abc.abstractmethod
+    def finish(self) -> None:
+        """Take the last steps into the integrals."""
+
+    @abc.abstractmethod
     def residual(self) -> float:
         """Size of the last finite scaled residual; it is kept, not evaluated again.
 
@@ -144,19 +151,22 @@ class March(abc.ABC):
         """
 
 
-class HighOrder(Integrator):
+class HighOrder(QuadratureIntegrator):
     """An integrator that controls its error.
 
     Attributes
     ----------
+    rtol : float
     intervals : int
-        Equal intervals of the run; each has nine Gauss-Lobatto instants, ends included.
+        Equal intervals of the run; each has nine Gauss-Lobatto instants, ends included. They
+        say where the trajectory is reported, nothing else.
     """
 
+    rtol: float
     intervals: int
 
     @abc.abstractmethod
-    def start(self, problem: Problem, t_end: float) -> March:
+    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up a solver at the start."""
 
     @final
@@ -169,6 +179,21 @@ class HighOrder(Integrator):
         progress: bool = False,
     ) -> Solution:
         """Integrate from t = 0 to `t_end`."""
+        return self.integrate_with(
+            system, t_end, (), sensitivities=sensitivities, progress=progress
+        )
+
+    @final
+    def integrate_with(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        integrands: Sequence[Integrand],
+        *,
+        sensitivities: bool = False,
+        progress: bool = False,
+    ) -> Solution:
+        """Integrate from t = 0 to `t_end`, integrals beside the motion."""
         if self.real_only:
             _refuse_complex(type(self).__name__, system)
         problem = Problem.of(system, t_end, sensitivities)
@@ -177,15 +202,18 @@ class HighOrder(Integrator):
         recorder.accepted = 0
         _record_start(problem, recorder)
         verdict, march = Verdict.FINISHED, None
+        quadrature = Quadrature(integrands, problem.accelerations, self.rtol)
         try:
             with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
-                march = self.start(problem, t_end)
+                march = self.start(problem, t_end, quadrature)
                 for t in tqdm(grid.t[1:], disable=not progress, unit="instant"):
                     point = march.to(float(t))
                     if isinstance(point, Verdict):
                         verdict = point
                         break
                     _record(problem, recorder, float(t), point)
+                else:
+                    march.finish()
         except NotFinite:
             verdict = Verdict.NOT_FINITE
         except SingularMatrix:

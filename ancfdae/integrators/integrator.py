@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, final
 
 from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.integrators.integrand import Density, Integrand
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
@@ -83,23 +85,46 @@ class Integrator(abc.ABC):
         """
 
 
+class QuadratureIntegrator(Integrator):
+    """An integrator that takes integrals beside the motion, on points of its own.
+
+    Those of the others are sums over the instants of their solutions.
+    """
+
+    @abc.abstractmethod
+    def integrate_with(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        integrands: Sequence[Integrand],
+        *,
+        sensitivities: bool = False,
+        progress: bool = False,
+    ) -> Solution:
+        """Integrate as `integrate`, and feed the integrands on the way.
+
+        They are complete where the run reached `t_end`.
+        """
+
+
 @final
 @dataclass(frozen=True)
 class Seeds:
-    """Partials of an objective in the states of every instant, rows; None for none.
+    """Partials of an objective in the states.
 
     Attributes
     ----------
     q, v : array, shape (n_t, n_q), or None
+        Of every instant, rows; None for none.
     lam : array, shape (n_t, n_lam), or None
-    over_time : bool
-        Whether the rows are weights of a quadrature times smooth functions of time.
+    densities : tuple of (float, Density)
+        Partials in integrals that a `QuadratureIntegrator` took beside the motion.
     """
 
     q: Array | None
     v: Array | None
     lam: Array | None
-    over_time: bool = False
+    densities: tuple[tuple[float, Density], ...] = ()
 
 
 class AdjointIntegrator(Integrator):
@@ -115,7 +140,7 @@ class AdjointIntegrator(Integrator):
         solution : Solution
             A finished run of this integrator on this system.
         seeds : Seeds
-            dPsi/dq, dPsi/dv, dPsi/dlam at every instant.
+            dPsi/dq, dPsi/dv, dPsi/dlam at every instant, and in integrals.
 
         Returns
         -------

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast, final
 
 import numpy as np
 
 from ancfdae.errors import AncfdaeError
+from ancfdae.integrators import Density
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables import States
 from ancfdae.observables.expression import (
@@ -48,7 +50,8 @@ class ObjectivePartials:
     """Value and partial derivatives of an objective.
 
     The design derivative of the objective is
-    sum_n (q[n] . q_b[n] + v[n] . v_b[n] + lam[n] . lam_b[n]) + b.
+    sum_n (q[n] . q_b[n] + v[n] . v_b[n] + lam[n] . lam_b[n]) + b, plus that through the states of
+    the integrals taken beside the motion, where these were integrated without sensitivities.
 
     Attributes
     ----------
@@ -58,7 +61,9 @@ class ObjectivePartials:
         the objective does not depend on the argument.
     lam : array, shape (k, n_lam), or None
     b : array, shape (n_b,)
-        Derivative in the design variables with the states held.
+        Derivative in the design variables with the states of the instants held.
+    densities : tuple of (float, Density)
+        Weights and partials of the integrals taken beside the motion.
     """
 
     value: float
@@ -66,6 +71,23 @@ class ObjectivePartials:
     v: Array | None
     lam: Array | None
     b: Array
+    densities: tuple[tuple[float, Density], ...] = ()
+
+
+class Integrated(abc.ABC):
+    """An objective whose integral the integrator took beside the motion."""
+
+    @abc.abstractmethod
+    def value(self) -> float:
+        """As `Objective.value`."""
+
+    @abc.abstractmethod
+    def partials(self) -> ObjectivePartials:
+        """As `Objective.partials`; b is the total derivative if sensitivities were integrated."""
+
+
+Totals = Mapping[object, Integrated]
+NO_TOTALS: Totals = {}
 
 
 class Objective(Expression["Objective"]):
@@ -101,8 +123,15 @@ class Objective(Expression["Objective"]):
         """
 
     @abc.abstractmethod
-    def value(self, system: MechanicalSystem, states: States) -> Any:
+    def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
         """Return the value: a float, or a complex number for complex states or design values.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+        states : States
+        totals : mapping of objectives to Integrated
+            Those whose integrals the integrator took; the others are sums over the states.
 
         Raises
         ------
@@ -111,7 +140,9 @@ class Objective(Expression["Objective"]):
         """
 
     @abc.abstractmethod
-    def partials(self, system: MechanicalSystem, states: States) -> ObjectivePartials:
+    def partials(
+        self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
+    ) -> ObjectivePartials:
         """Return value and partials at real states.
 
         Raises
@@ -143,30 +174,34 @@ class Combination(Objective):
         for objective in self._leaves():
             objective.check(system, t_end)
 
-    def value(self, system: MechanicalSystem, states: States) -> Any:
+    def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
         """Evaluate every objective in it once."""
-        nodes = evaluated(self.tree, lambda leaf: np.asarray(leaf.value(system, states)))
+        nodes = evaluated(self.tree, lambda leaf: np.asarray(leaf.value(system, states, totals)))
         value = list(nodes.values())[-1]
         _require_finite_number("the value", value)
         return value.item()
 
-    def partials(self, system: MechanicalSystem, states: States) -> ObjectivePartials:
+    def partials(
+        self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
+    ) -> ObjectivePartials:
         """Chain rule over the objectives in it."""
-        parts = {leaf: leaf.partials(system, states) for leaf in self._leaves()}
+        parts = {leaf: leaf.partials(system, states, totals) for leaf in self._leaves()}
         nodes = evaluated(self.tree, lambda leaf: np.asarray(parts[leaf].value))
         value = list(nodes.values())[-1]
         _require_finite_number("the value", value)
         total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
-        b = np.zeros(system.n_b)
+        b, densities = np.zeros(system.n_b), list[tuple[float, Density]]()
         for leaf, weight in leaf_weights(nodes, np.ones(())).items():
             _require_finite_number("the derivative", weight)
             part = parts[cast(Objective, leaf)]
             b = b + weight * part.b
+            densities += [(float(weight) * w, density) for w, density in part.densities]
             for name, so_far in total.items():
-                rows: Array | None = getattr(part, name)
-                if rows is not None:
-                    total[name] = weight * rows if so_far is None else so_far + weight * rows
-        return ObjectivePartials(float(value), total["q"], total["v"], total["lam"], b)
+                own: Array | None = getattr(part, name)
+                if own is not None:
+                    total[name] = weight * own if so_far is None else so_far + weight * own
+        rows = (total["q"], total["v"], total["lam"])
+        return ObjectivePartials(float(value), *rows, b, tuple(densities))
 
     def _leaves(self) -> list[Objective]:
         return cast("list[Objective]", leaves(self.tree))

@@ -2,7 +2,8 @@
 
 Each is a function of the observable's values at the instants of the run, combined with
 quadrature weights; all methods of differentiation use the same weights, so that they
-differentiate the same number.
+differentiate the same number. Integrals over time are taken from the integrator where it took
+them beside the motion (`totals`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,13 @@ import numpy as np
 from ancfdae.errors import InvalidInput, require_finite, require_positive
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.objectives.objective import NonFiniteObjective, Objective, ObjectivePartials
+from ancfdae.objectives.objective import (
+    NO_TOTALS,
+    NonFiniteObjective,
+    Objective,
+    ObjectivePartials,
+    Totals,
+)
 from ancfdae.observables import Observable, States
 from ancfdae.protocol import MechanicalSystem
 
@@ -58,15 +65,21 @@ class Reduction(Objective):
         self.observable.check(system)
         self.check_times(t_end)
 
-    def value(self, system: MechanicalSystem, states: States) -> Any:
+    def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
         """Reduce the observable."""
+        if self in totals:
+            return totals[self].value()
         w, x = self.weights(states.grid), self.observable.value(system, states)
         used = w != 0
         self._require_finite("the observable", x[used], states.t[used])
         return self.reduce(x[used], w[used]).item()
 
-    def partials(self, system: MechanicalSystem, states: States) -> ObjectivePartials:
+    def partials(
+        self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
+    ) -> ObjectivePartials:
         """Pull the derivative of the reduction back to the states."""
+        if self in totals:
+            return totals[self].partials()
         nodes = self.observable.node_values(system, states)
         w, x = self.weights(states.grid), list(nodes.values())[-1]
         used = w != 0
@@ -97,13 +110,50 @@ class WeightedSum(Reduction):
         return w
 
 
+class OverTime(Reduction):
+    """A mean over time in some sense, times a factor of the duration.
+
+    The reductions of parts of a run, reduced with the durations, are the reduction of the whole.
+    """
+
+    @property
+    def over_time(self) -> bool:
+        """True."""
+        return True
+
+    def check_times(self, t_end: float) -> None:
+        """Accept every run."""
+
+    def weights(self, grid: TimeGrid) -> Array:
+        """Quadrature weights times the factor; one for a single instant."""
+        w = grid.weights()
+        return w * self.factor(float(np.sum(w))) if len(w) > 1 else np.ones(1)
+
+    @abc.abstractmethod
+    def factor(self, duration: float) -> float:
+        """Return the factor of the quadrature weights of a run."""
+
+    @abc.abstractmethod
+    def integrand(self, x: Array, near: float) -> Array:
+        """Return what is integrated: the reduction near a value of it, but for a constant."""
+
+    @abc.abstractmethod
+    def integrand_slope(self, x: Array, near: float) -> Array:
+        """Return the derivative of `integrand` in x."""
+
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Weights times the derivative of the integrand at the reduction."""
+        return w * self.integrand_slope(x, float(self.reduce(x, w)))
+
+
 @final
 @dataclass(frozen=True)
-class Integral(WeightedSum):
+class Integral(OverTime):
     """Integral of an observable over the run.
 
-    The quadrature has the order of the integrator: the trapezoidal rule on the steps of HHT,
-    Gauss-Lobatto rules on the instants of the others.
+    `IDA`, `IDAS` and `Explicit` take it beside the motion, to their tolerance. On the instants of
+    a solution the quadrature has the order of the integrator: the trapezoidal rule on the steps
+    of HHT, Gauss-Lobatto rules on the instants of the others.
 
     Parameters
     ----------
@@ -116,17 +166,21 @@ class Integral(WeightedSum):
         """Validate."""
         _require_observable(self.observable)
 
-    @property
-    def over_time(self) -> bool:
-        """True."""
-        return True
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Return the sum."""
+        return np.asarray(w @ x)
 
-    def check_times(self, t_end: float) -> None:
-        """Accept every run."""
+    def factor(self, duration: float) -> float:
+        """One."""
+        return 1.0
 
-    def weights(self, grid: TimeGrid) -> Array:
-        """Quadrature weights."""
-        return grid.weights()
+    def integrand(self, x: Array, near: float) -> Array:
+        """Return x."""
+        return x
+
+    def integrand_slope(self, x: Array, near: float) -> Array:
+        """One."""
+        return np.ones_like(x)
 
 
 @final
@@ -228,7 +282,7 @@ class AtTimes(WeightedSum):
 
 @final
 @dataclass(frozen=True)
-class SmoothMaximum(Reduction):
+class SmoothMaximum(OverTime):
     """Smooth maximum over time, (1/k) log((1/T) int exp(k x) dt) (Kreisselmeier-Steinhauser).
 
     It lies below the maximum and tends to it as the sharpness k grows, with an error of the order
@@ -255,30 +309,22 @@ class SmoothMaximum(Reduction):
         _require_observable(self.observable)
         require_positive("SmoothMaximum, sharpness", self.sharpness)
 
-    @property
-    def over_time(self) -> bool:
-        """True."""
-        return True
-
-    def check_times(self, t_end: float) -> None:
-        """Accept every run."""
-
-    def weights(self, grid: TimeGrid) -> Array:
-        """Weights of the mean over time."""
-        w = grid.weights()
-        mean: Array = w / np.sum(w) if len(w) > 1 else np.ones(1)
-        return mean
-
     def reduce(self, x: Array, w: Array) -> Array:
         """Logarithm of the mean; the largest x is split off, so that nothing overflows."""
         k, largest = self.sharpness, np.max(x.real)
         return np.asarray(largest + np.log(w @ np.exp(k * (x - largest))) / k)
 
-    def slopes(self, x: Array, w: Array) -> Array:
-        """Shares of the instants in the mean; they sum to one."""
-        share = w * np.exp(self.sharpness * (x - np.max(x)))
-        total: Array = share / np.sum(share)
-        return total
+    def factor(self, duration: float) -> float:
+        """One over the duration."""
+        return 1.0 / duration
+
+    def integrand(self, x: Array, near: float) -> Array:
+        """exp(k (x - near)) / k."""
+        return self.integrand_slope(x, near) / self.sharpness
+
+    def integrand_slope(self, x: Array, near: float) -> Array:
+        """exp(k (x - near)): at the smooth maximum its mean is one."""
+        return np.asarray(np.exp(self.sharpness * (x - near)))
 
 
 def _require_observable(observable: object) -> None:

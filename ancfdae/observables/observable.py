@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from typing import cast, final
+from typing import ClassVar, cast, final
 
 import numpy as np
 
@@ -173,7 +173,15 @@ class Observable(Expression["Observable"]):
 
 
 class Leaf(Observable):
-    """An observable that is not made of others; immutable and compared by value."""
+    """An observable that is not made of others; immutable and compared by value.
+
+    Attributes
+    ----------
+    multipliers : bool
+        Whether it depends on multipliers.
+    """
+
+    multipliers: ClassVar[bool] = False
 
     @property
     def tree(self) -> object:

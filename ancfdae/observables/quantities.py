@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -81,6 +81,8 @@ class Reaction(Leaf):
         If the axis is not 0, 1 or 2.
     """
 
+    multipliers: ClassVar[bool] = True
+
     joint: str
     axis: int
 
@@ -116,6 +118,8 @@ class Reaction(Leaf):
 @dataclass(frozen=True)
 class Multiplier(Leaf):
     """Multiplier of an equation of a joint."""
+
+    multipliers: ClassVar[bool] = True
 
     joint: str
     row: int

@@ -12,7 +12,7 @@ from ancfdae.integrators import HHT, AdjointIntegrator, Integrator, Seeds
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.sensitivity.method import Gradient, GradientMethod, finished, keeping
+from ancfdae.sensitivity.method import Gradient, GradientMethod, keeping, run_for
 
 
 @final
@@ -47,14 +47,16 @@ class Adjoint(GradientMethod):
                 repr(integrator),
                 "Use HHT or IDAS, or Direct().",
             )
-        solution = finished(integrator.integrate(system, t_end, progress=progress))
+        solution, totals = run_for(
+            system, objectives, t_end, integrator, progress, differentiated=True
+        )
         results = []
         # The pass back over a run of HHT factorises once per step.
         factorised = solution.statistics.steps if isinstance(integrator, HHT) else 0
         for objective in objectives:
-            partials = objective.partials(system, states_of(solution))
-            seeds = Seeds(partials.q, partials.v, partials.lam, objective.over_time)
             started = time.perf_counter()
+            partials = objective.partials(system, states_of(solution), totals)
+            seeds = Seeds(partials.q, partials.v, partials.lam, partials.densities)
             with keeping(solution):
                 total = partials.b + integrator.pull_back(system, solution, seeds)
             seconds = time.perf_counter() - started

@@ -9,11 +9,11 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators import Integrator
-from ancfdae.objectives import Objective
+from ancfdae.objectives import Objective, ObjectivePartials
 from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
-from ancfdae.sensitivity.method import Gradient, Method, finished
+from ancfdae.sensitivity.method import Gradient, Method, run_for
 
 
 @final
@@ -40,15 +40,26 @@ class Direct(Method):
         progress: bool,
     ) -> list[Gradient]:
         """One run for all objectives (eq. 21)."""
-        solution = finished(self.differentiate(system, t_end, integrator, progress))
-        return [self._chain(system, objective, solution) for objective in objectives]
+        solution, totals = run_for(
+            system,
+            objectives,
+            t_end,
+            integrator,
+            progress,
+            differentiated=True,
+            sensitivities=True,
+        )
+        states = states_of(solution)
+        return [
+            self._chain(objective.partials(system, states, totals), system, solution)
+            for objective in objectives
+        ]
 
     def _chain(
-        self, system: MechanicalSystem, objective: Objective, solution: Solution
+        self, partials: ObjectivePartials, system: MechanicalSystem, solution: Solution
     ) -> Gradient:
-        partials, s = objective.partials(system, states_of(solution)), solution.sensitivities
+        total, s = partials.b, solution.sensitivities
         assert s is not None
-        total = partials.b
         for rows, x_b in ((partials.q, s.q_b), (partials.v, s.v_b), (partials.lam, s.lam_b)):
             if rows is not None:
                 total = total + np.tensordot(rows, x_b, axes=2)

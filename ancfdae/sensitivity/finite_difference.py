@@ -15,7 +15,7 @@ from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
-from ancfdae.sensitivity.method import Gradient, Method, finished, repeated, with_columns
+from ancfdae.sensitivity.method import Gradient, Method, repeated, run_for, with_columns
 
 
 @final
@@ -92,16 +92,14 @@ class FiniteDifference(Method):
     ) -> list[Gradient]:
         """Differences of the objectives of whole runs."""
         self._refuse_zero(system)
-        solution = finished(integrator.integrate(system, t_end, progress=progress))
+        solution, base = self._values(system, objectives, t_end, integrator, progress)
         integrator, t_end = repeated(integrator, solution, t_end)
-        base = [objective.value(system, states_of(solution)) for objective in objectives]
         slopes = np.zeros((len(objectives), system.n_b))
         for i in range(system.n_b):
             values = [base]
             for sign in (1.0, -1.0) if self.central else (1.0,):
                 moved = system.with_values(self._moved(system, i, sign))
-                run = finished(integrator.integrate(moved, t_end, progress=progress))
-                values.append([objective.value(moved, states_of(run)) for objective in objectives])
+                values.append(self._values(moved, objectives, t_end, integrator, progress)[1])
             ahead, behind = values[1], values[-1] if self.central else base
             difference = float(system.b[i]) * self.relative_step * (2.0 if self.central else 1.0)
             slopes[:, i] = np.subtract(ahead, behind) / difference
@@ -109,6 +107,20 @@ class FiniteDifference(Method):
             Gradient(value, slope, system.design_names, self, solution)
             for value, slope in zip(base, slopes, strict=True)
         ]
+
+    def _values(
+        self,
+        system: MechanicalSystem,
+        objectives: Sequence[Objective],
+        t_end: float,
+        integrator: Integrator,
+        progress: bool,
+    ) -> tuple[Solution, list[float]]:
+        solution, totals = run_for(
+            system, objectives, t_end, integrator, progress, differentiated=False
+        )
+        states = states_of(solution)
+        return solution, [objective.value(system, states, totals) for objective in objectives]
 
     def _refuse_zero(self, system: MechanicalSystem) -> None:
         for name, value in zip(system.design_names, system.b, strict=True):

@@ -11,9 +11,11 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import AncfdaeError, Outcome, PassFailed, SingularMatrix, Verdict
-from ancfdae.integrators import Integrator
+from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
+from ancfdae.objectives.objective import NO_TOTALS, Totals
+from ancfdae.objectives.totals import totals_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities
@@ -140,6 +142,32 @@ def finished(solution: Solution) -> Solution:
     if solution.outcome.verdict is not Verdict.FINISHED:
         raise UnfinishedRun(solution)
     return solution
+
+
+def run_for(
+    system: MechanicalSystem,
+    objectives: Sequence[Objective],
+    t_end: float,
+    integrator: Integrator,
+    progress: bool,
+    *,
+    differentiated: bool,
+    sensitivities: bool = False,
+) -> tuple[Solution, Totals]:
+    """Return a finished run and the integrals that the integrator took beside the motion.
+
+    Raises
+    ------
+    UnfinishedRun
+    """
+    if not isinstance(integrator, QuadratureIntegrator):
+        run = integrator.integrate(system, t_end, sensitivities=sensitivities, progress=progress)
+        return finished(run), NO_TOTALS
+    totals = totals_of(system, objectives, differentiated)
+    run = integrator.integrate_with(
+        system, t_end, list(totals.values()), sensitivities=sensitivities, progress=progress
+    )
+    return finished(run), totals
 
 
 def with_columns(

@@ -60,15 +60,20 @@ class AdjointEquations:
     accelerations : Accelerations
     t : float
     q, v : array, shape (n_q,)
+
+    Attributes
+    ----------
+    lam : array, shape (n_lam,)
+        The multipliers there.
     """
 
     def __init__(
         self, system: MechanicalSystem, accelerations: Accelerations, t: float, q: Array, v: Array
     ) -> None:
         self._system, self._t, self._q, self._v = system, t, q, v
-        self._a, self._lam = accelerations.solve(t, q, v)
+        self._a, self.lam = accelerations.solve(t, q, v)
         self._factors = accelerations.factors(t, q)
-        a, lam = self._a, self._lam
+        a, lam = self._a, self.lam
         local = system.linearise(np.array([t]), q[None], v[None], a[None], lam[None])
         self._f_q = local.f_q[0]
         self._f_v = None if local.f_v is None else local.f_v[0]
@@ -101,7 +106,7 @@ class AdjointEquations:
 
     def _on_design(self, mu: Array, zeta: Array) -> Array:
         system, t, q, v, a = self._system, self._t, self._q, self._v, self._a
-        states = (q[None], v[None], a[None], self._lam[None])
+        states = (q[None], v[None], a[None], self.lam[None])
         still = np.zeros((system.n_q, system.n_b))
         side_b = system.constraint_q_times_total(q, a, t, still)
         side_b = side_b - system.acceleration_side_total(q, v, t, still, still)

@@ -24,8 +24,10 @@ from ancfdae.errors import Verdict, require_count, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
 from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrator import require_rtol
+from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage, IndexReduction
 from ancfdae.integrators.sundials.messages import without_messages
+from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.protocol.solution import Solution
 
@@ -91,16 +93,18 @@ class IDA(HighOrder):
         """Return the integrator with a tenth of the tolerance."""
         return replace(self, rtol=self.rtol / 10)
 
-    def start(self, problem: Problem, t_end: float) -> March:
+    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up IDA."""
-        return _IdaMarch(self, problem, t_end)
+        return _IdaMarch(self, problem, t_end, quadrature)
 
 
 @final
 class _IdaMarch(March):
     """One run of IDA; the vector y holds the states and then one block per design variable."""
 
-    def __init__(self, settings: IDA, problem: Problem, t_end: float) -> None:
+    def __init__(
+        self, settings: IDA, problem: Problem, t_end: float, quadrature: Quadrature
+    ) -> None:
         self._settings, self._t_end, self._progress = settings, t_end, Progress(t_end)
         self._form = settings.form.form(problem.system, problem.scales)
         system, b = problem.system, problem.derivative
@@ -116,7 +120,9 @@ class _IdaMarch(March):
         if b is not None:
             blocks, rates = self._form.start_b(b)
             Y, Yp = _join(Y, blocks), _join(Yp, rates)
-        self._t, self._y, self._yp, self._last = 0.0, Y, Yp, 0.0
+        self._t, self._y, self._last = 0.0, Y, 0.0
+        self._points = StepPoints(self._form, quadrature, self._m)
+        self._points.add(0.0, Y, Yp)
         self._solver = self._set_up(settings)
         _keep(self._solver)
         self._solver.init_step(0.0, Y, Yp)
@@ -136,8 +142,11 @@ class _IdaMarch(March):
             if self.steps == 0:
                 _release(self._solver)
             # After an interpolation IDA returns its last step once more before it goes on.
-            self.steps += int(result.t > self._t)
-            self._t, self._y, self._yp = result.t, result.y.copy(), result.yp.copy()
+            if result.t > self._t:
+                self.steps += 1
+                self._t, self._y = result.t, result.y.copy()
+                if self._points.wanted:
+                    self._points.add(self._t, self._y, result.yp.copy())
             if self._progress.stalls(self._t):
                 return Verdict.ERROR_TEST
         y = self._y if self._t == t else self._solver.step(t, "normal", self._t_end).y.copy()
@@ -148,6 +157,10 @@ class _IdaMarch(March):
         if self._m == 0:
             return State(q, v)
         return State(q, v, *self._form.coordinates_b(blocks))
+
+    def finish(self) -> None:
+        """Take the last steps into the integrals."""
+        self._points.finish()
 
     def residual(self) -> float:
         """Largest scaled residual of the states."""

@@ -16,10 +16,12 @@ from ancfdae.errors import Verdict, require_count, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
 from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds, require_rtol
+from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import Bindings
 from ancfdae.integrators.sundials.idas_adjoint import pull_back
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
+from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
@@ -71,9 +73,9 @@ class IDAS(HighOrder, AdjointIntegrator):
         """Return the integrator with a tenth of the tolerance."""
         return replace(self, rtol=self.rtol / 10)
 
-    def start(self, problem: Problem, t_end: float) -> March:
+    def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up IDAS."""
-        return _IdasMarch(Bindings.load(), self, problem, t_end)
+        return _IdasMarch(Bindings.load(), self, problem, t_end, quadrature)
 
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
         """Return the gradient of an objective by the adjoint with checkpoints."""
@@ -94,20 +96,31 @@ class IDAS(HighOrder, AdjointIntegrator):
 class _IdasMarch(March):
     """One forward run."""
 
-    def __init__(self, bindings: Bindings, settings: IDAS, problem: Problem, t_end: float) -> None:
+    def __init__(
+        self,
+        bindings: Bindings,
+        settings: IDAS,
+        problem: Problem,
+        t_end: float,
+        quadrature: Quadrature,
+    ) -> None:
         idas, check = bindings.idas, bindings.check
         self._bindings, self._settings, self._t_end = bindings, settings, t_end
         self._progress = Progress(t_end)
         self._form = settings.form.form(problem.system, problem.scales)
-        equations = IdasEquations(
-            bindings, self._form, settings.rtol, self._form.start(problem.initial)
-        )
+        start = self._form.start(problem.initial)
+        equations = IdasEquations(bindings, self._form, settings.rtol, start)
         self._equations, self._memory = equations, equations.memory
         self._t, self._out = 0.0, bindings.vector(equations.context, np.zeros(self._form.n))
         self._m = 0 if problem.derivative is None else problem.system.n_b
-        if problem.derivative is not None and self._m:
-            self._add_sensitivities(*self._form.start_b(problem.derivative))
+        Y = Yp = np.zeros((self._form.n, 0))
+        if problem.derivative is not None:
+            Y, Yp = self._form.start_b(problem.derivative)
+        if self._m:
+            self._add_sensitivities(Y, Yp)
         check(idas.IDASetStopTime(self._memory, t_end))
+        self._points = StepPoints(self._form, quadrature, self._m)
+        self._points.add(0.0, np.append(start[0], Y.T), np.append(start[1], Yp.T))
         self.steps = self.iterations = self.factorisations = self.residuals = 0
 
     def to(self, t: float) -> State | Verdict:
@@ -122,6 +135,8 @@ class _IdasMarch(March):
             if flag < 0:
                 return Verdict.NOT_FINITE if not_finite else self._bindings.verdict(flag)
             self._t = reached
+            if self._points.wanted:
+                self._points.add(reached, *self._reached(reached))
             if self._progress.stalls(reached):
                 return Verdict.ERROR_TEST
         array, out = self._bindings.array, self._out
@@ -131,11 +146,30 @@ class _IdasMarch(March):
         q, v = self._form.coordinates(array(out))
         if self._m == 0:
             return State(q, v)
-        columns = []
-        for i in range(self._m):
-            self._bindings.check(idas.IDAGetSensDky1(self._memory, t, 0, i, out))
-            columns.append(array(out).copy())
-        return State(q, v, *self._form.coordinates_b(np.stack(columns, axis=1)))
+        return State(q, v, *self._form.coordinates_b(self._sensitivities(t, 0).T))
+
+    def finish(self) -> None:
+        """Take the last steps into the integrals."""
+        self._points.finish()
+
+    def _reached(self, t: float) -> tuple[Array, Array]:
+        """Return copies of y and y' after a step to t, their sensitivities appended."""
+        array = self._bindings.array
+        y, yp = (array(x).copy() for x in (self._equations.y, self._equations.yp))
+        if self._m == 0:
+            return y, yp
+        Y, Yp = self._sensitivities(t, 0), self._sensitivities(t, 1)
+        return np.append(y, Y), np.append(yp, Yp)
+
+    def _sensitivities(self, t: float, k: int) -> Array:
+        """Time derivatives of order k of the sensitivities, shape (m, n)."""
+        rows = np.empty((self._m, self._form.n))
+        for i, row in enumerate(rows):
+            self._bindings.check(
+                self._bindings.idas.IDAGetSensDky1(self._memory, t, k, i, self._out)
+            )
+            row[:] = self._bindings.array(self._out)
+        return rows
 
     def residual(self) -> float:
         """Largest scaled residual of the states."""

@@ -5,8 +5,8 @@ tolerances are pure numbers: with P the sum of the sizes of the objective's part
 
     y = [p_q S_q, p_v S_v] / P,        quadrature  on_b b / P.
 
-An integral over time gives H_q, H_v, H_lam as polynomials through the instants; values at single
-instants make y jump, and the backward run is started again there.
+An integral over time is asked for H_q, H_v, H_lam at the states of the backward run; values at
+single instants make y jump, and the backward run is started again there.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SMALL = 1e-2
 
 @final
 class AdjointSeeds:
-    """What the objective contributes at a time: densities, or values at instants.
+    """What the objective contributes at a time: densities, and values at instants.
 
     Parameters
     ----------
@@ -44,27 +44,30 @@ class AdjointSeeds:
 
     def __init__(self, problem: Problem, solution: Solution, seeds: Seeds) -> None:
         system, s = problem.system, problem.scales
-        self._grid = TimeGrid(solution.t, solution.degree)
+        self._t, self._densities = solution.t, seeds.densities
         sizes = (system.n_q, system.n_q, system.n_lam)
         given = (seeds.q, seeds.v, seeds.lam)
-        rows = [
+        self._rows = [
             np.zeros((len(solution.t), n)) if x is None else x
             for x, n in zip(given, sizes, strict=True)
         ]
-        scaled = zip(rows, (s.q, s.v, s.lam), strict=True)
-        self.size = sum(float(np.sum(np.linalg.norm(x * scale, axis=1))) for x, scale in scaled)
-        weights = self._grid.weights()[:, None]
-        self._over_time, self._rows = seeds.over_time, rows
-        self._density = [x / weights for x in rows] if seeds.over_time else rows
-        used = np.any(np.concatenate(rows, axis=1) != 0, axis=1)
-        self.instants = [] if seeds.over_time else [int(i) for i in np.flatnonzero(used)]
+        used = np.any(np.concatenate(self._rows, axis=1) != 0, axis=1)
+        self.instants = [int(i) for i in np.flatnonzero(used)]
+        weights = TimeGrid(solution.t, solution.degree).weights()[:, None]
+        over_time = self.density(solution.t, solution.q, solution.v, solution.lam)
+        scaled = zip(self._rows, over_time, (s.q, s.v, s.lam), strict=True)
+        self.size = sum(
+            float(np.sum(np.linalg.norm(np.hstack([x, weights * H]) * np.tile(scale, 2), axis=1)))
+            for x, H, scale in scaled
+        )
 
-    def density(self, t: float) -> list[Array]:
-        """H_q, H_v and H_lam; zero for values at instants."""
-        if not self._over_time:
-            return [np.zeros(x.shape[1]) for x in self._rows]
-        instants, share = self._grid.interpolation(min(max(t, 0.0), float(self._grid.t[-1])))
-        return [share @ x[instants] for x in self._density]
+    def density(self, t: Array, q: Array, v: Array, lam: Array) -> list[Array]:
+        """H_q, H_v and H_lam at states, one row each."""
+        total = [np.zeros((len(t), x.shape[1])) for x in self._rows]
+        for weight, density in self._densities:
+            for H, own in zip(total, density.partials(t, q, v, lam), strict=True):
+                H += weight * own
+        return total
 
     def values(self, instant: int) -> list[Array]:
         """Return the partials of a value at an instant."""
@@ -72,7 +75,7 @@ class AdjointSeeds:
 
     def time(self, instant: int) -> float:
         """Time of an instant."""
-        return float(self._grid.t[instant])
+        return float(self._t[instant])
 
 
 def pull_back(
@@ -210,9 +213,10 @@ class _Backward:
 
     def _rates(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, Array]:
         """Rates of p, and on_b."""
-        H_q, H_v, H_lam = self._seeds.density(t)
-        n_q = self._problem.system.n_q
-        on = self._at(t, q, v).pull_back(p[n_q:], H_lam)
+        equations, n_q = self._at(t, q, v), self._problem.system.n_q
+        states = (np.array([t]), q[None], v[None], equations.lam[None])
+        H_q, H_v, H_lam = (H[0] for H in self._seeds.density(*states))
+        on = equations.pull_back(p[n_q:], H_lam)
         return np.concatenate([-on.q - H_q, -p[:n_q] - on.v - H_v]), on.b
 
     def _jump(self, instant: int) -> PulledBack:

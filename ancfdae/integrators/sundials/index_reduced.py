@@ -152,17 +152,22 @@ class IndexReduced(abc.ABC):
 
     @final
     def coordinates(self, y: Array) -> tuple[Array, Array]:
-        """Return q and v."""
+        """Return q and v, shape (..., n_q), of unknowns, shape (..., n)."""
         n_q = self._system.n_q
-        x = y[: 2 * n_q] * self._size[: 2 * n_q]
-        return x[:n_q], x[n_q:]
+        x = y[..., : 2 * n_q] * self._size[: 2 * n_q]
+        return x[..., :n_q], x[..., n_q:]
 
     @final
     def coordinates_b(self, Y: Array) -> tuple[Array, Array]:
         """Return q_b and v_b, shape (n_q, n_b)."""
-        n_q = self._system.n_q
-        X = Y[: 2 * n_q] * self._size[: 2 * n_q, None] / self._scales.b
-        return X[:n_q], X[n_q:]
+        q, v = self.coordinates(Y.T)
+        return self.per_design(q), self.per_design(v)
+
+    @final
+    def per_design(self, x: Array) -> Array:
+        """Return derivatives in b, shape (..., n_q, n_b), of those in ln b, (..., n_b, n_q)."""
+        per: Array = np.swapaxes(x, -1, -2) / self._scales.b
+        return per
 
     def _vectors(self, q: Array, v: Array, a: Array, lam: Array) -> tuple[Array, Array]:
         """Pack x and x' at the start; multipliers start with derivative zero."""
