@@ -333,7 +333,7 @@ def test_every_pass_back_counts_its_factorisations_as_direct_differentiation_doe
     objectives = [Integral(custom(lambda t, q, v, lam, b, k=k: q[:, k], "q")) for k in range(2)]
     run = HHT(2.0**-6).integrate(CartesianPendulum(), 1.0).statistics
     methods = [
-        gradients(CartesianPendulum(), objectives, (), 1.0, HHT(2.0**-6), method)
+        gradients(CartesianPendulum(), objectives, 1.0, HHT(2.0**-6), method=method)
         for method in (Adjoint(), Direct(), ContinuousAdjoint())
     ]
     # One per step; a pass back for each objective. The continuous adjoint has one more per step

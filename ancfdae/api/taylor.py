@@ -86,7 +86,8 @@ def taylor_test(
     direction : sequence of float, optional
         Relative change of each design variable (absolute where it is zero); ones by default.
     sizes : sequence of float
-        Perturbation sizes, falling. Too small ones meet round-off instead of curvature.
+        Perturbation sizes, falling. Too large ones meet terms of third order, too small ones
+        round-off; both change the observed order.
 
     Raises
     ------
