@@ -6,6 +6,7 @@ steps have no truncation error: STEP^2 vanishes against one.
 """
 
 import inspect
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -498,6 +499,28 @@ def test_start_b(setting):
     s = setting
     for k in (0, 1):
         s.check_design(s.system.start_b()[k], lambda x, i, e, k=k: x.start()[k], 1.0)
+
+
+def test_start_pull_back_is_the_contraction_of_start_b(setting):
+    x = np.random.default_rng(10).uniform(-1, 1, (2, setting.system.n_q))
+    q_b, v_b = setting.system.start_b()
+    size = np.abs(x[0]) @ np.abs(q_b) + np.abs(x[1]) @ np.abs(v_b)
+    error = setting.system.start_pull_back(*x) - (x[0] @ q_b + x[1] @ v_b)
+    assert np.all(np.abs(error) <= VALUE * size)
+
+
+def test_pulling_back_forms_no_column_of_coordinates_for_every_variable():
+    beam = Beam("b", (0, 0), (1, 0), 200, Rectangle(0.05, 0.05), Material(4000, 1e7, 0.3))
+    scene = Scene([beam], [Pin(beam.at_start)], gravity=(0, -9.81))
+    system = assemble(scene, [f"b.height[{i}]" for i in range(200)])
+    x, lam, t = np.ones((1, system.n_q)), np.ones((1, system.n_lam)), np.zeros(1)
+    tracemalloc.start()
+    system.pull_back(t, (x, x, x, lam), (x, lam))
+    system.start_pull_back(x[0], x[0])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # One such array; the products of all pairs take a third of it.
+    assert peak < system.n_q * system.n_b * 8 / 2, peak
 
 
 def test_lengths_b(setting):

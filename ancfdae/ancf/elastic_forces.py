@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import cached_property
 from typing import final
 
@@ -19,6 +17,9 @@ from ancfdae.elements.packing import packed_gram_direction
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
+
+# Elements whose complex arrays are held at once.
+_TOGETHER = 300
 
 
 @final
@@ -55,7 +56,6 @@ class ElasticForces:
         self._pair_element = mapping.elements[pairs]
         self._pair_variable = mapping.variables[pairs]
         self._pair_weight = mapping.weights[pairs]
-        self._own: tuple[Array, ElementBlock] | None = None
 
     @property
     def damped(self) -> bool:
@@ -83,7 +83,10 @@ class ElasticForces:
 
     def force(self, q: Array, v: Array) -> Array:
         """Q_s for one instant, shape (n_q,)."""
-        return self._assembled(elastic.force, q, None if self._block.tau is None else v)
+        block = self._block
+        Y = self._R(q).reshape(self._shape)
+        V = None if block.tau is None else self._R(v).reshape(self._shape)
+        return -self._R.transposed(elastic.force(block.A, block.g_o, Y, V, block.tau).ravel())
 
     def force_q(self, q: Array, v: Array) -> Array:
         """Values of (Q_s)_q on the pattern, shape (k, nnz)."""
@@ -155,46 +158,37 @@ class ElasticForces:
 
     def force_rate(self, q: Array, v: Array, a: Array) -> Array:
         """d(Q_s)/dt along the motion, shape (n_q,), for one instant."""
-        return self._assembled(elastic.force_rate, q, v, a)
-
-    def _assembled(self, function: Callable[..., Array], *states: Array | None) -> Array:
-        """Minus the sum of R^T function(A, g_o, Y, ..., tau) over all elements."""
         block = self._block
-        Y = [None if x is None else self._R(x).reshape(self._shape) for x in states]
-        if self._own is None:
-            F = function(block.A, block.g_o, *Y, block.tau)
-        else:
-            at, own = self._own
-            F = function(own.A, own.g_o, *(None if y is None else y[at] for y in Y), own.tau)
-            if len(at) < self._shape[0]:
-                rest = function(block.A, block.g_o, *Y, block.tau).astype(complex)
-                rest[at] = F
-                F = rest
+        Y, V, Z = (self._R(x).reshape(self._shape) for x in (q, v, a))
+        F = elastic.force_rate(block.A, block.g_o, Y, V, Z, block.tau)
         return -self._R.transposed(F.ravel())
 
-    def moved(self, i: int) -> ElasticForces:
-        """Return these forces with design variable i moved by an imaginary step.
+    def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
+        """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
+        block, n_b = self._block, self._n_b
+        Y = [self._R(x).reshape(self._shape) for x in states]
+        total = self._pair_map(self._pair_rates(Y).ravel()).reshape(self._numbering.n_q, n_b)
+        Y_b = [self._R.columns(x).T.reshape(n_b, *self._shape) for x in states_b]
+        count = max(1, _TOGETHER // len(Y[0]))
+        for first in range(0, n_b, count):
+            some = slice(first, first + count)
+            y, v, z = (y + 1j * STEP * y_b[some] for y, y_b in zip(Y, Y_b, strict=True))
+            F_b = elastic.force_rate(block.A, block.g_o, y, v, z, block.tau).imag / STEP
+            total[:, some] += self._R.rows_transposed(F_b.reshape(len(F_b), -1)).T
+        return -total
 
-        Only elements that it drives move, along their prepared derivatives; `force` and
-        `force_rate` know.
-        """
-        block, pairs = self._block, np.flatnonzero(self._pair_variable == i)
-        if len(pairs) == 0:
-            return self
-        at, place = np.unique(self._pair_element[pairs], return_inverse=True)
-        A, g_o = (
-            x[np.zeros_like(at) if len(x) == 1 else at].astype(complex)
-            for x in (block.A, block.g_o)
-        )
+    def _pair_rates(self, Y: Sequence[Array]) -> Array:
+        """Partial of the rate of the element force for every pair, shape (n_pairs, n_y, d)."""
+        block, at, stiff = self._block, self._pair_element, slice(self._stiff)
+        A, g_o = (np.broadcast_to(x, (len(Y[0]), *x.shape[1:])) for x in (block.A, block.g_o))
+        A, g_o = A[at].astype(complex), g_o[at].astype(complex)
+        A[stiff] += 1j * STEP * block.A_b
+        g_o[stiff] += 1j * STEP * block.g_ob
         tau = None if block.tau is None else block.tau[at].astype(complex)
-        stiff = pairs < self._stiff
-        np.add.at(g_o, place[stiff], 1j * STEP * block.g_ob[pairs[stiff]])
-        np.add.at(A, place[stiff], 1j * STEP * block.A_b[pairs[stiff]])
         if tau is not None:
-            np.add.at(tau, place[~stiff], 1j * STEP * self._pair_weight[pairs[~stiff]])
-        other = copy.copy(self)
-        other._own = at, replace(block, A=A, g_o=g_o, tau=tau)
-        return other
+            tau[self._stiff :] += 1j * STEP * self._pair_weight[self._stiff :]
+        y, v, z = (x[at] for x in Y)
+        return np.asarray(elastic.force_rate(A, g_o, y, v, z, tau).imag / STEP)
 
     # -- energies ------------------------------------------------------------------------------
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from functools import cached_property
 from typing import final
@@ -12,7 +11,7 @@ import numpy as np
 from ancfdae.ancf.block import ElementBlock
 from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
-from ancfdae.numerics.arrays import STEP, Array, only
+from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
@@ -30,6 +29,8 @@ class Inertia:
 
     Attributes
     ----------
+    values : array
+        M on the pattern.
     weights : array, shape (n_q,)
         Real diagonal of M.
     """
@@ -47,33 +48,12 @@ class Inertia:
         self._pair_element = mapping.elements[block.mass_pairs]
         self._pair_variable = mapping.variables[block.mass_pairs]
         n_q, element = numbering.n_q, numbering.element
-        self._pattern, self._moved_in = pattern, np.zeros(0, dtype=np.int64)
+        rows, columns, values = self._entries(block.m, numbering.vectors)
+        self._pattern, self.values = pattern, np.asarray(pattern.gather(rows, columns) @ values)
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
         self._field = np.zeros((n_q // element.d, element.d))
         if gravity is not None:
             self._field[:: element.n_s] = gravity
-
-    def moved(self, i: int) -> Inertia:
-        """Return the inertia moved in design variable i by an imaginary step."""
-        pairs = np.flatnonzero(self._pair_variable == i)
-        if len(pairs) == 0:
-            return self
-        other = copy.copy(self)
-        for name in ("values", "_M", "_M_b", "gravity", "gravity_b"):
-            other.__dict__.pop(name, None)
-        other._moved_in = pairs
-        return other
-
-    @cached_property
-    def values(self) -> Array:
-        """M on the pattern."""
-        rows, columns, values = self._entries(self._block.m, self._numbering.vectors)
-        M = np.asarray(self._pattern.gather(rows, columns) @ values)
-        if len(self._moved_in) == 0:
-            return M
-        vectors = self._numbering.vectors[self._pair_element[self._moved_in]]
-        rows, columns, values = self._entries(self._block.m_b[self._moved_in], vectors)
-        return np.asarray(M + 1j * STEP * (self._pattern.gather(rows, columns) @ values))
 
     @cached_property
     def _M(self) -> LinearMap:
@@ -99,10 +79,6 @@ class Inertia:
         """Its design partials, shape (n_q, n_b)."""
         return only(self.times_b(self._field.reshape(1, -1)))
 
-    def gravity_pull_back(self, mu: Array) -> Array:
-        """Sum over instants of gravity_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
-        return self.pull_back(self._field.reshape(1, -1), np.sum(mu, axis=0)[None])
-
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
         return self._M.columns(x)
@@ -112,8 +88,8 @@ class Inertia:
         return self._M_b.rows(a).reshape(len(a), self._numbering.n_q, self._n_b)
 
     def pull_back(self, a: Array, x: Array) -> Array:
-        """Sum over instants of ((M a)_b)^T x, shape (n_b,); a and x have shape (k, n_q)."""
-        per_pair = np.sum(self._pair_products(a, x), axis=0)
+        """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""
+        per_pair = np.sum(self._pair_products(a - self._field.ravel(), x), axis=0)
         return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
 
     def quadratic_b(self, v: Array, chosen: Array) -> Array:

@@ -165,6 +165,15 @@ class LoadForces:
             total += item.vectors.matrix.T @ F_b
         return total
 
+    def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
+        """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
+        total = np.zeros((self._n_q, self._n_b))
+        for i in range(self._n_b) if self._moving else ():
+            along = zip(states, states_b, strict=True)
+            rows = ((x + 1j * STEP * x_b[:, i])[None] for x, x_b in along)
+            total[:, i] = self.moved(i).force_rate(*rows)[0].imag / STEP
+        return total
+
     def force_b(self, q: Array, v: Array) -> Array:
         """Q_b, shape (k, n_q, n_b)."""
         result = np.zeros((len(q), self._n_q, self._n_b))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 from typing import final
 
 import numpy as np
 
 from ancfdae.ancf.parameters import ParameterMap
-from ancfdae.bodies import BeamBody
+from ancfdae.bodies import ReferenceShape
 from ancfdae.elements import ElementParameter
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.scene import RigidMotion, Scene
@@ -43,6 +44,7 @@ class StartState:
 
     def __init__(self, scene: Scene, lengths: Array, lengths_b: Array) -> None:
         self._scene, self._lengths, self._lengths_b = scene, lengths, lengths_b
+        self._shapes = [beam.reference() for beam in scene.beams]
         self.active: list[int] = np.flatnonzero(np.any(lengths_b != 0, axis=0)).tolist()
 
     @property
@@ -62,10 +64,10 @@ class StartState:
 
     @cached_property
     def _states(self) -> tuple[Array, Array, Array]:
-        first, parts = self._scene.first_elements(), []
-        for beam in self._scene.beams:
-            chosen = slice(first[beam.name], first[beam.name] + beam.element_count)
-            X = Z = _nodes(beam, self._lengths[chosen])
+        first, parts = 0, []
+        for beam, shape in zip(self._scene.beams, self._shapes, strict=True):
+            X = Z = _nodes(shape, self._lengths[first : first + beam.element_count])
+            first += beam.element_count
             V = np.zeros_like(X)
             for motion in (s for s in self._scene.start if s.beam == beam.name):
                 if isinstance(motion, RigidMotion):
@@ -82,13 +84,15 @@ class StartState:
         """Return them moved in design variable i by an imaginary step."""
         if i not in self.active:
             return self
-        lengths = self._lengths + 1j * STEP * self._lengths_b[:, i]
-        return StartState(self._scene, lengths, self._lengths_b)
+        other = copy.copy(self)
+        other.__dict__.pop("_states", None)
+        other._lengths = self._lengths + 1j * STEP * self._lengths_b[:, i]
+        return other
 
 
-def _nodes(beam: BeamBody, lengths: Array) -> Array:
+def _nodes(shape: ReferenceShape, lengths: Array) -> Array:
     """Node vectors (n + 1, n_s, d) of the reference configuration."""
-    shape, d = beam.reference(), beam.dimension
+    d = len(shape.start)
     X = np.zeros((len(lengths) + 1, d + 1, d), dtype=lengths.dtype)
     X[:, 0] = shape.start
     X[1:, 0] += np.cumsum(lengths[:, None] * shape.chords, axis=0)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -187,17 +185,6 @@ class AncfSystem(MechanicalSystem):
                 self._scene.check_value(variable, new)
         return AncfSystem(self._scene, self._design, self._mapping, b)
 
-    def moved(self, i: int) -> AncfSystem:
-        """Return the scene moved in design variable i; nothing is integrated again."""
-        other = copy.copy(self)
-        other.b = self.b + 1j * STEP * np.eye(self.n_b)[i]
-        lengths = self.naming.lengths + 1j * STEP * self.naming.lengths_b[:, i]
-        other.naming = replace(self.naming, lengths=lengths)
-        other._start, other._constraints = self._start.moved(i), self._constraints.moved(i)
-        other._loads, other._elastic = self._loads.moved(i), self._elastic.moved(i)
-        other._inertia = self._inertia.moved(i)
-        return other
-
     def start(self) -> tuple[Array, Array]:
         """Return the declared start."""
         return self._start.q, self._start.v
@@ -261,6 +248,14 @@ class AncfSystem(MechanicalSystem):
         if self._scene.loads:
             rate = rate + self._loads.force_rate(q[None], v[None], a[None])[0]
         return rate
+
+    def force_rate_total(
+        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
+    ) -> Array:
+        """Total design derivative of `force_rate`."""
+        states, states_b = (q, v, a), (q_b, v_b, a_b)
+        total = self._elastic.force_rate_total(states, states_b)
+        return total + self._loads.force_rate_total(states, states_b)
 
     def constraint(self, q: Array, t: float) -> Array:
         """Phi."""
@@ -363,7 +358,7 @@ class AncfSystem(MechanicalSystem):
         """Contraction over pairs and active variables, without arrays of the size n_q n_b."""
         (q, v, a, lam), (mu, zeta) = states, covectors
         total = self._inertia.pull_back(a, mu) - self._elastic.pull_back(q, v, mu)
-        total = total - self._inertia.gravity_pull_back(mu) - self._loads.pull_back(q, v, mu)
+        total = total - self._loads.pull_back(q, v, mu)
         return np.asarray(total + self._constraints.pull_back(q, lam, t, mu, zeta))
 
     # -- rates for the transpose of the start --------------------------------------------------

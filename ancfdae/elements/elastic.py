@@ -32,7 +32,10 @@ from ancfdae.numerics.arrays import Array
 def apply_invariant(A: Array, x: Array) -> Array:
     """Return A x per element; shapes (n or 1, n_g, n_g) and (..., n, n_g)."""
     product: Array
-    if len(A) == 1:
+    if x.dtype.kind == "c" and A.dtype.kind != "c":
+        # One after the other, so that A is not copied.
+        product = apply_invariant(A, x.real) + 1j * apply_invariant(A, x.imag)
+    elif len(A) == 1:
         product = x @ A[0]
     elif x.ndim == 2:
         product = np.matmul(A, x[..., None])[..., 0]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import final
+from functools import cached_property
+from typing import Any, final
 
 import numpy as np
 from scipy import sparse
@@ -24,9 +25,12 @@ class LinearMap:
     """
 
     def __init__(self, matrix: sparse.csr_array) -> None:
-        small = matrix.shape[0] * matrix.shape[1] <= _DENSE_ENTRIES
-        self._form = matrix.toarray() if small else matrix
-        self._transposed = np.ascontiguousarray(self._form.T) if small else matrix.T.tocsr()
+        self._small = matrix.shape[0] * matrix.shape[1] <= _DENSE_ENTRIES
+        self._form = matrix.toarray() if self._small else matrix
+
+    @cached_property
+    def _transposed(self) -> Any:
+        return np.ascontiguousarray(self._form.T) if self._small else self._form.T.tocsr()
 
     @staticmethod
     def of(rows: Array, columns: Array, values: Array, shape: tuple[int, int]) -> LinearMap:
@@ -35,8 +39,7 @@ class LinearMap:
 
     def __call__(self, x: Array) -> Array:
         """Multiply a vector, shape (m,)."""
-        product: Array = self._form @ x
-        return product
+        return _times(self._form, x)
 
     def columns(self, x: Array) -> Array:
         """Multiply the columns of an array, shape (m, k)."""
@@ -55,5 +58,13 @@ class LinearMap:
 
     def transposed(self, x: Array) -> Array:
         """Multiply with the transposed (not conjugated) matrix."""
-        product: Array = self._transposed @ x
-        return product
+        return _times(self._transposed, x)
+
+
+def _times(matrix: Any, x: Array) -> Array:
+    dense = isinstance(matrix, np.ndarray) and matrix.dtype.kind != "c"
+    if not (dense and x.dtype.kind == "c"):
+        return np.asarray(matrix @ x)
+    # Real and imaginary part as two columns, so that the matrix is not copied.
+    parts = np.ascontiguousarray(x).view(float).reshape(-1, 2)
+    return np.asarray((matrix @ parts).view(complex)[:, 0])

@@ -19,9 +19,10 @@ lost next to imaginary parts of order one. So a derivative F of complex argument
     F(x) + i F_x y,
 
 with F_x y a `_total` along (y, Im b): exact, for y^2 vanishes against one. M, Q and Phi
-themselves are evaluated in complex numbers as written. Only (Phi_q^T lam)_q, which steers
-Newton's method, and what no run asks for at complex states, partials in b and totals, are those
-at the real part. Imaginary parts of q, v or b that are too large for a perturbation are refused.
+themselves are evaluated in complex numbers as written. So the partials in b and the totals that
+the protocol derives by complex steps need nothing of their own. Only tangents that steer Newton's
+method, Q_q, Q_v and (Phi_q^T lam)_q, drop the perturbation.
+Imaginary parts of q, v or b that are too large for a perturbation are refused.
 
 **Radii.** A circle should reach as far as M, Q and Phi are smooth, and no less. How far that is
 in q, v and t is found by trial once per system: of radii that round-off resolves, the one with
