@@ -1,0 +1,234 @@
+"""Integrals of the paths of high order: the tolerance rules them, not the reported instants."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    IDA,
+    IDAS,
+    Adjoint,
+    Beam,
+    Direct,
+    Explicit,
+    FiniteDifference,
+    Integral,
+    Material,
+    NonFiniteObjective,
+    Pin,
+    Rectangle,
+    Scene,
+    SmoothMaximum,
+    Terminal,
+    UnfinishedRun,
+    Verdict,
+    assemble,
+    custom,
+    differentiate,
+    error_bars,
+    gradient,
+    multiplier,
+    position,
+    tradeoff,
+)
+from ancfdae.integrators.integrand import Points
+from ancfdae.integrators.quadrature import KRONROD, SHARES
+from ancfdae.integrators.sundials.step_points import _between, _panels
+from ancfdae.observables import states_of, time
+from validation.scenes import crank_slider
+
+from mechanisms import CartesianPendulum
+
+RTOL = 1e-6
+KINDS = [
+    pytest.param(IDA, id="IDA"),
+    pytest.param(IDAS, id="IDAS", marks=pytest.mark.idas),
+    pytest.param(Explicit, id="Explicit"),
+]
+
+
+ROD = Beam("rod", (0.0, 0.0), (1.2, 0.0), 3, Rectangle(0.05, 0.05), Material(4000, 1e8, 0.3))
+
+
+def soft_pendulum():
+    scene = Scene([ROD], [Pin(ROD.at_start, name="pin")], gravity=(0.0, -9.81))
+    return assemble(scene, ("rod.youngs_modulus", "rod.density"))
+
+
+def crank():
+    return assemble(crank_slider(), ("crank.youngs_modulus",))
+
+
+TIP = position(ROD.at_end, 0)
+SLIDER = position(crank_slider().beams[1].at_end, 0)
+CASES = {
+    "pendulum": (soft_pendulum, Integral((TIP - 0.3) ** 2), 0.05),
+    "crank-slider": (crank, Integral((SLIDER - 1.8) ** 2), 2.0**-7),
+    "smooth maximum": (soft_pendulum, SmoothMaximum(TIP, 30.0), 0.05),
+    "function": (
+        soft_pendulum,
+        Integral(TIP) ** 2 * Terminal(TIP) + SmoothMaximum(-TIP, 5.0),
+        0.05,
+    ),
+    "multipliers": (
+        CartesianPendulum,
+        Integral(custom(lambda t, q, v, lam, b: lam[:, 0] ** 2)),
+        2.0,
+    ),
+}
+
+
+def numbers(found):
+    return np.array([found.value, *found.gradient])
+
+
+def over_panels(system, objective, t_end, integrator):
+    """Value and gradient by quadrature over the instants of a run."""
+    solution = differentiate(system, (), t_end, integrator)
+    partials, s = objective.partials(system, states_of(solution)), solution.sensitivities
+    total = partials.b
+    for rows, x_b in ((partials.q, s.q_b), (partials.v, s.v_b), (partials.lam, s.lam_b)):
+        if rows is not None:
+            total = total + np.tensordot(rows, x_b, axes=2)
+    return np.array([partials.value, *total])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", CASES)
+def test_one_interval_gives_what_a_thousand_panels_give(name, kind):
+    build, objective, t_end = CASES[name]
+    system = build()
+    ours = numbers(gradient(system, objective, (), t_end, kind(RTOL, intervals=1), Direct()))
+    panels = over_panels(system, objective, t_end, kind(RTOL, intervals=256))
+    # Both are integrals of the same steps, each within its own error of the order of RTOL; the
+    # nine instants of one panel alone miss the gradient by 1e-3 to 1.
+    assert np.max(np.abs(ours / panels - 1)) < 10 * RTOL
+
+
+@pytest.mark.idas
+@pytest.mark.parametrize("name", ["pendulum", "function", "multipliers"])
+def test_adjoint_of_idas_takes_densities_at_its_own_states(name):
+    build, objective, t_end = CASES[name]
+    exact = gradient(build(), objective, (), t_end, Explicit(1e-10)).gradient
+    found = gradient(build(), objective, (), t_end, IDAS(1e-8, intervals=1), Adjoint()).gradient
+    # The error of a run is 10 to 200 times the tolerance, and there are two, forward and back.
+    assert np.max(np.abs(found / exact - 1)) < 1e-5
+
+
+def test_differences_of_runs_see_the_same_integral():
+    system, objective = CartesianPendulum(), Integral(custom(lambda t, q, v, lam, b: q[:, 0] ** 2))
+    integrator = Explicit(1e-12, intervals=1)
+    exact = gradient(system, objective, (), 5.0, integrator)
+    found = gradient(system, objective, (), 5.0, integrator, FiniteDifference(1e-4, central=True))
+    assert found.value == pytest.approx(exact.value, rel=1e-10)  # other steps, same tolerance
+    # Central differences of 1e-4 leave 1e-8 times third derivatives, large after some swings.
+    np.testing.assert_allclose(found.gradient, exact.gradient, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [IDA, Explicit])
+@pytest.mark.parametrize("sharpness", [30.0, 3000.0])
+def test_integrands_sharper_than_the_motion_are_resolved(kind, sharpness):
+    # exp(3000 x) has a peak of 1e-2 s, passed in one step or two; the steps of Explicit are 0.1 s.
+    x = custom(lambda t, q, v, lam, b: q[:, 0])
+    objective = SmoothMaximum(x, sharpness)
+    exact = over_panels(CartesianPendulum(), objective, 5.0, Explicit(1e-12, intervals=2000))
+    found = gradient(CartesianPendulum(), objective, (), 5.0, kind(1e-8, intervals=1))
+    assert np.max(np.abs(numbers(found) / exact - 1)) < 200 * 1e-8  # the error of a run
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_error_bars_hold(kind):
+    system, objective, t_end = soft_pendulum(), CASES["pendulum"][1], 0.05
+    exact = numbers(gradient(system, objective, (), t_end, Explicit(1e-11)))
+    found = error_bars(system, objective, (), t_end, kind(1e-5, intervals=1))
+    error, bar = np.abs(numbers(found) - exact), np.array([found.value_bar, *found.gradient_bar])
+    assert np.all(error <= bar + 1e-13 * np.abs(exact)), (error, bar)
+
+
+def test_tradeoff_ranks_by_the_integral_itself():
+    objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0] ** 2))
+    rough, fine, finest = tradeoff(
+        CartesianPendulum(),
+        objective,
+        (),
+        10.0,
+        [HHT(2.0**-6), HHT(2.0**-9), IDA(1e-9, intervals=1)],
+        reference=Explicit(1e-10, intervals=1),
+    ).runs
+    assert finest.gradient < fine.gradient < 0.1 * rough.gradient
+    assert finest.objective < fine.objective < 0.1 * rough.objective
+
+
+# ---- rules
+
+
+def test_the_rule_of_a_panel_is_of_degree_nine_and_its_estimate_of_degree_five():
+    t = SHARES
+    for k in range(10):
+        assert KRONROD.weights @ t**k == pytest.approx(1 / (k + 1), rel=1e-14)
+    assert abs(KRONROD.weights @ t**10 - 1 / 11) > 1e-8
+    for k in range(6):
+        assert abs(KRONROD.error @ t**k) < 1e-15
+    assert abs(KRONROD.error @ t**6) > 1e-5
+
+
+def test_steps_are_joined_by_quintics():
+    t = np.array([0.0, 0.3, 0.4, 1.0])
+    power = np.arange(6)
+
+    def motion(t):
+        q = t[:, None] ** power
+        v = power * t[:, None] ** np.maximum(power - 1, 0)
+        return q, v, power * (power - 1) * t[:, None] ** np.maximum(power - 2, 0)
+
+    q, v, a = (x[:, None] for x in motion(t))
+    times = np.array([0.0, 0.1, 0.3, 0.35, 0.77, 1.0])
+    step = np.array([0, 0, 1, 1, 2, 2])
+    found = _between(times, t, step, q, (np.diff(q, axis=0), v[:-1], v[1:], a[:-1], a[1:]))
+    for ours, exact in zip(found, motion(times), strict=False):
+        np.testing.assert_allclose(ours[:, 0], exact, rtol=1e-13, atol=1e-14)
+
+
+def test_panels_cover_the_steps():
+    t = np.array([0.0, 1.0, 2.0, 4.0])
+    np.testing.assert_array_equal(_panels(t, 0.5), [0.0, 2.0, 4.0])
+    np.testing.assert_array_equal(_panels(t, 1 / 8), [0.0, 4.0])
+    np.testing.assert_array_equal(_panels(t, 2), [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
+
+
+def test_errors_of_panels_do_not_cancel():
+    h, x = np.array([1.0, 1.0]), np.concatenate([SHARES**6, -(SHARES**6)])[:, None]
+    nothing = np.zeros((14, 0))
+    points = Points(KRONROD, h, np.zeros(14), nothing, nothing)
+    assert points.errors(x)[0] == pytest.approx(2 * abs(KRONROD.error @ SHARES**6))
+
+
+# ---- trouble
+
+
+def test_a_value_that_is_not_finite_is_named_with_its_time():
+    objective = Integral(np.sqrt(0.5 - time()))
+    for kind in (IDA, Explicit):
+        with pytest.raises(NonFiniteObjective, match="the observable is not finite") as caught:
+            gradient(CartesianPendulum(), objective, (), 1.0, kind(1e-6))
+        assert caught.value.time == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("kind", [IDA, Explicit])
+def test_an_interrupt_in_an_integrand_keeps_the_run(kind):
+    def x(t, q, v, lam, b):
+        if np.any(t.real > 1.0):
+            raise KeyboardInterrupt
+        return q[:, 0]
+
+    with pytest.raises(UnfinishedRun) as caught:
+        gradient(CartesianPendulum(), Integral(custom(x)), (), 4.0, kind(1e-6))
+    assert caught.value.solution.outcome.verdict is Verdict.INTERRUPTED
+    assert caught.value.solution.t[-1] > 0.0
+
+
+def test_leaves_that_read_multipliers_say_so():
+    # Without the word multipliers are not given: the integral is then not a number.
+    objective = Integral(multiplier("pin", 0) ** 2)
+    found = gradient(soft_pendulum(), objective, (), 0.01, Explicit(1e-6, intervals=1))
+    assert np.all(np.isfinite(numbers(found)))
