@@ -40,6 +40,7 @@ from ancfdae.integrators import (
 )
 from ancfdae.joints import (
     Clamp,
+    Cylindrical,
     Distance,
     Drive,
     Guide,
@@ -50,7 +51,7 @@ from ancfdae.joints import (
     Spherical,
     Uniform,
 )
-from ancfdae.loads import DistributedForce, FollowerForce, PointForce, SpringDamper
+from ancfdae.loads import DistributedForce, FollowerForce, Moment, PointForce, SpringDamper
 from ancfdae.objectives import AtTimes, Integral, NonFiniteObjective, SmoothMaximum, Terminal
 from ancfdae.observables import (
     apply,
@@ -100,6 +101,7 @@ __all__ = [
     "Conformance",
     "ContinuousAdjoint",
     "CurvedBeam",
+    "Cylindrical",
     "DesignVariable",
     "Direct",
     "Distance",
@@ -121,6 +123,7 @@ __all__ = [
     "Material",
     "MechanicalSystem",
     "MissingPackage",
+    "Moment",
     "NodeState",
     "NonFiniteObjective",
     "OneByOneSystem",

@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements.element import BeamElement, ElementParameter
+from ancfdae.elements.element import BeamElement, ElementParameter, Quantity
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
 from ancfdae.numerics.arrays import Array
 
@@ -20,9 +20,7 @@ class Beam3D(BeamElement):
     """The spatial element."""
 
     d = 3
-    n_s = 4
-    n_a = 8
-    n_y = 7
+    quantities = tuple(Quantity)
     voigt = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
     def shape(self, points: Array, parameters: Array) -> Array:

@@ -16,7 +16,17 @@ from __future__ import annotations
 import abc
 from enum import IntEnum
 
+from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
+
+
+class Quantity(IntEnum):
+    """A vector of a material point; slopes are derivatives along the section's axes."""
+
+    POSITION = 0
+    SLOPE_X = 1
+    SLOPE_Y = 2
+    SLOPE_Z = 3
 
 
 class ElementParameter(IntEnum):
@@ -46,8 +56,10 @@ class BeamElement(abc.ABC):
     ----------
     d : int
         Dimension of space.
+    quantities : tuple of Quantity
+        What the vectors of a node are: position and slopes.
     n_s : int
-        Node vectors per node (position and slopes).
+        Node vectors per node.
     n_a : int
         Node vectors per element, 2 n_s.
     n_y : int
@@ -57,10 +69,38 @@ class BeamElement(abc.ABC):
     """
 
     d: int
-    n_s: int
-    n_a: int
-    n_y: int
+    quantities: tuple[Quantity, ...]
     voigt: tuple[tuple[int, int], ...]
+
+    @property
+    def n_s(self) -> int:
+        """Node vectors per node."""
+        return len(self.quantities)
+
+    @property
+    def n_a(self) -> int:
+        """Node vectors per element."""
+        return 2 * self.n_s
+
+    @property
+    def n_y(self) -> int:
+        """Relative node vectors per element."""
+        return self.n_a - 1
+
+    def require(self, where: str, quantity: Quantity) -> None:
+        """Refuse a vector that a point of this element does not have.
+
+        Raises
+        ------
+        InvalidInput
+        """
+        if quantity not in self.quantities:
+            raise InvalidInput(
+                where,
+                f"the element must have the vector {quantity.name}",
+                f"an element of {', '.join(own.name for own in self.quantities)}",
+                "Choose another element for the beam, or another part.",
+            )
 
     @abc.abstractmethod
     def shape(self, points: Array, parameters: Array) -> Array:
