@@ -19,6 +19,7 @@ from ancfdae.api import (
 )
 from ancfdae.bodies import Beam, CurvedBeam, Point
 from ancfdae.design import DesignVariable, distribution
+from ancfdae.elements import BEAM_2D, BEAM_3D, CABLE_2D
 from ancfdae.errors import (
     AncfdaeError,
     InconsistentStart,
@@ -86,6 +87,9 @@ from ancfdae.user_systems import ComplexStepSystem, Conformance, check_system
 __version__ = "0.1.0"
 
 __all__ = [
+    "BEAM_2D",
+    "BEAM_3D",
+    "CABLE_2D",
     "HHT",
     "IDA",
     "IDAS",

@@ -107,7 +107,7 @@ class Part(Designable, abc.ABC):
             raise InvalidInput(where, "is spatial", f"a scene in {d} dimensions", "Use another.")
         for vector in self.vectors(element):
             if not isinstance(vector, CentreLine):
-                element.require(where, vector[1])
+                element.require(where, vector[1], vector[0].y, vector[0].z)
         for name, _ in self.design_fields:
             value = getattr(self, name)
             if np.ndim(value) == 1:

@@ -303,6 +303,11 @@ class Scene:
                 {beam.name: beam.dimension for beam in self.beams},
                 "Give every beam points with the same number of components.",
             )
+        elements = {beam.name: beam.element.name for beam in self.beams}
+        if len(set(elements.values())) > 1:
+            raise InvalidInput(
+                "Scene.beams", "must all be of one element", elements, "Choose the same for all."
+            )
 
     def _check_parts(self) -> None:
         element = self.beams[0].element

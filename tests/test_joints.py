@@ -29,6 +29,7 @@ from test_assembler import (
 )
 
 from ancfdae import (
+    CABLE_2D,
     HHT,
     Beam,
     Clamp,
@@ -50,7 +51,6 @@ from ancfdae import (
     joints,
     simulate,
 )
-from ancfdae.elements import BEAM_2D, BEAM_3D
 from ancfdae.joints import Joint, Law
 from ancfdae.joints.frames import across, slope_weights, unit
 
@@ -88,6 +88,12 @@ def beams(d):
     arm = Beam("arm", (0.9, 0.7, *z), (1.5, 0.4, *(3 * x for x in z)), 1, THICK, STEEL)
     bow = arc("bow", (0.9, 1.7, *z), 1.0, (0.0, 0.6), d, pitch=0.3 if d == 3 else 0.0)
     return rod, arm, bow
+
+
+def cables():
+    """A rod and an arm of cable elements."""
+    rod = Beam("rod", (0.1, 0.2), (0.9, 0.7), 2, FLAT, STEEL, element=CABLE_2D)
+    return rod, Beam("arm", (0.9, 0.7), (1.5, 0.4), 1, FLAT, STEEL, element=CABLE_2D)
 
 
 def planar_joints():
@@ -140,9 +146,12 @@ def spatial_joints():
 
 VARIANTS = {f"planar {name}": joint for name, joint in planar_joints().items()}
 VARIANTS |= {f"spatial {name}": joint for name, joint in spatial_joints().items()}
-for D, SPACE in ((2, "planar"), (3, "spatial")):
-    ENDS = (beams(D)[2].at(0.4, y=0.02), beams(D)[0].at(0.8, y=-0.01))
-    FOUND = all_examples(joints, Joint, beams(D), ENDS)
+ELEMENT_BEAMS = {"planar": beams(2), "spatial": beams(3), "cable": cables()}
+for SPACE, BEAMS in ELEMENT_BEAMS.items():
+    OFF = 0.0 if SPACE == "cable" else 0.01
+    FOUND = all_examples(
+        joints, Joint, BEAMS, (BEAMS[-1].at(0.4, y=2 * OFF), BEAMS[0].at(0.8, y=-OFF))
+    )
     VARIANTS |= {f"{SPACE} {name}": joint for name, joint in FOUND.items()}
 
 
@@ -151,10 +160,9 @@ class JointSetting(Setting):
 
     def __init__(self, name):
         self.joint = VARIANTS[name]
-        d = 2 if name.startswith("planar") else 3
         self.own = [f"{self.joint.name}.{parameter}" for parameter in self.joint.parameters()]
         touched = dict.fromkeys(point.beam for point in self.joint.points)
-        chosen = [beam for beam in beams(d) if beam.name in touched]
+        chosen = [beam for beam in ELEMENT_BEAMS[name.split()[0]] if beam.name in touched]
         design = [*self.own, *(f"{name}.length" for name in touched)]
         super().__init__(Scene(chosen, [self.joint]), design)
         rng = np.random.default_rng(4)
@@ -244,7 +252,7 @@ def equations_by_hand(s, q, t):
         slopes = [
             vector_by_hand(s.system, q, joint.point, k)
             - vector_by_hand(s.system, start, joint.point, k)
-            for k in range(1, d + 1)
+            for k in range(1, s.system.element.n_s)
         ]
         return np.concatenate([gap, *slopes]), None
     if isinstance(joint, Distance):
@@ -712,7 +720,7 @@ def test_revolute_is_refused_in_the_plane():
 def test_points_take_part_by_position_or_slope_as_each_joint_says():
     # The vectors that enter are those of the joint's own points.
     for name, joint in VARIANTS.items():
-        element = BEAM_2D if name.startswith("planar") else BEAM_3D
+        element = ELEMENT_BEAMS[name.split()[0]][0].element
         vectors = joint.vectors(element)
         assert {point for point, _ in vectors} == set(joint.points)
         assert {quantity for _, quantity in vectors} <= set(element.quantities)

@@ -70,7 +70,8 @@ class ElasticForces:
         block = self._block
         R = abs(self._numbering.relative())
         Y = self._R(q.real).reshape(self._shape)
-        K = np.abs(elastic.tangent(block.A.real, block.g_o.real, Y))
+        p_o = None if block.p_o is None else block.p_o.real
+        K = np.abs(elastic.tangent(block.A.real, block.g_o.real, Y, p_o=p_o))
         F = np.matmul(K, (R @ np.abs(q.real)).reshape(len(K), -1, 1))
         Q = np.finfo(float).eps * (R.T @ F.ravel())
         return float(np.sqrt(np.sum(Q * Q / weights)))
@@ -85,13 +86,14 @@ class ElasticForces:
         block = self._block
         Y = self._R(q).reshape(self._shape)
         V = None if block.tau is None else self._R(v).reshape(self._shape)
-        return -self._R.transposed(elastic.force(block.A, block.g_o, Y, V, block.tau).ravel())
+        F = elastic.force(block.A, block.g_o, Y, V, block.tau, block.p_o)
+        return -self._R.transposed(F.ravel())
 
     def force_q(self, q: Array, v: Array) -> Array:
         """Values of (Q_s)_q on the pattern, shape (k, nnz)."""
         block, Y = self._block, self.relative(q)
         V = None if block.tau is None else self.relative(v)
-        K = elastic.tangent(block.A, block.g_o, Y, V, block.tau)
+        K = elastic.tangent(block.A, block.g_o, Y, V, block.tau, block.p_o)
         # Instants as whole rows in memory, as they are read afterwards.
         return np.negative(self._tangent_map.rows(K.reshape(len(q), -1)), order="C")
 
@@ -104,7 +106,7 @@ class ElasticForces:
         VU = None if V is None else (V, self._R.columns(v_b).reshape(shape))
         x = elastic.strain(block.g_o, Y, V, tau)
         p_b = self._stresses_b(x, Y, V)
-        p = elastic.apply_invariant(block.A, x)
+        p = elastic.stress(block.A, x, block.p_o)
         F_b = elastic.force_total(block.A, p, p_b, (Y, U), VU, tau)
         return -self._R.transposed(F_b.reshape(Y.size, self._n_b))
 
@@ -143,7 +145,7 @@ class ElasticForces:
         """d(Q_s)/dt along the motion, shape (n_q,), for one instant."""
         block = self._block
         Y, V, Z = (self._R(x).reshape(self._shape) for x in (q, v, a))
-        F = elastic.force_rate(block.A, block.g_o, Y, V, Z, block.tau)
+        F = elastic.force_rate(block.A, block.g_o, Y, V, Z, block.tau, block.p_o)
         return -self._R.transposed(F.ravel())
 
     def moved(self, variable: int, size: float) -> ElasticForces:
@@ -158,26 +160,32 @@ class ElasticForces:
         g_o = np.repeat(block.g_o, n, axis=0) if len(block.g_o) == 1 else block.g_o
         A, g_o = A.astype(complex), g_o.astype(complex)
         tau = None if block.tau is None else block.tau.astype(complex)
+        p_o = None if block.p_o is None else np.broadcast_to(block.p_o, g_o.shape).astype(complex)
         for pair in np.flatnonzero(self._pair_variable == variable):
             element = self._pair_element[pair]
             if pair < self._stiff:
                 g_o[element] += 1j * size * block.g_ob[pair]
+                if p_o is not None:
+                    p_ob = A[element].real @ block.g_ob[pair] - block.c_b[pair]
+                    p_o[element] += 1j * size * p_ob
                 A[element] += 1j * size * block.A_b[pair]
             elif tau is not None:
                 tau[element] += 1j * size * self._pair_weight[pair]
         other = copy.copy(self)
-        other._block = replace(block, A=A, g_o=g_o, tau=tau)
+        other._block = replace(block, A=A, g_o=g_o, p_o=p_o, tau=tau)
         return other
 
     # -- energies ------------------------------------------------------------------------------
 
     def energies(self, q: Array) -> Array:
         """Strain energy of every element, shape (k, n)."""
-        return elastic.energy(self._block.A, self._block.g_o, self.relative(q))
+        block = self._block
+        return elastic.energy(block.A, block.g_o, self.relative(q), block.p_o)
 
     def energy_q(self, q: Array, chosen: Array) -> Array:
         """Gradient of the energy of the chosen elements, shape (k, n_q)."""
-        F = elastic.force(self._block.A, self._block.g_o, self.relative(q))
+        block = self._block
+        F = elastic.force(block.A, block.g_o, self.relative(q), p_o=block.p_o)
         F = F * chosen[:, None, None]
         return self._R.rows_transposed(F.reshape(len(q), -1))
 
@@ -185,7 +193,8 @@ class ElasticForces:
         """Design partial of the energy of the chosen elements, shape (k, n_b)."""
         block, pairs = self._block, self._pair_element[: self._stiff]
         dg = elastic.strain(block.g_o, self.relative(q))[:, pairs]
-        # d(1/2 dg^T A dg) = 1/2 dg^T A_b dg - dg^T A g_ob
+        # d(1/2 dg^T A dg + p_o^T dg) = 1/2 dg^T A_b dg - dg^T c_b; the reference, which has no
+        # energy whatever its length, has p_o^T g_ob = 0.
         per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(block.A_b, dg) - block.c_b), axis=2)
         result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
         np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)

@@ -86,11 +86,11 @@ def start_state(scene: Scene, lengths: Array, lengths_b: Array) -> StartState:
 def _nodes(beam: BeamBody, lengths: Array, lengths_b: Array) -> tuple[Array, Array]:
     """Node vectors (n + 1, n_s, d) of the reference configuration and their partials."""
     shape = beam.reference()
-    d, n_b = beam.dimension, lengths_b.shape[1]
-    X = np.zeros((len(lengths) + 1, d + 1, d), dtype=lengths.dtype)
+    d, n_s, n_b = beam.dimension, beam.element.n_s, lengths_b.shape[1]
+    X = np.zeros((len(lengths) + 1, n_s, d), dtype=lengths.dtype)
     X[:, 0] = shape.start
     X[1:, 0] += np.cumsum(lengths[:, None] * shape.chords, axis=0)
-    X[:, 1:] = shape.slopes
+    X[:, 1:] = shape.slopes[:, : n_s - 1]
     X_b = np.zeros((*X.shape, n_b), dtype=lengths.dtype)
     X_b[1:, 0] = np.cumsum(shape.chords[..., None] * lengths_b[:, None, :], axis=0)
     return X, X_b

@@ -87,7 +87,7 @@ class AncfSystem(MechanicalSystem):
         self._numbering = number(scene)
         self.element, self.n_q = self._numbering.element, self._numbering.n_q
         lengths = parameters[:, ElementParameter.LENGTH]
-        layout = Layout(self.element.d, self._numbering.beams, ())
+        layout = Layout(self.element.name, self._numbering.beams, ())
         self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
         self._start = start_state(scene, lengths, self.naming.lengths_b)
         self._constraints = self._joint_constraints()
@@ -155,7 +155,7 @@ class AncfSystem(MechanicalSystem):
         self.weights = self._inertia.weights
         self.force_round_off = self._elastic.round_off(self._start.q, self.weights)
         joints = self._constraints.joints
-        layout = Layout(self.element.d, self._numbering.beams, joints)
+        layout = Layout(self.element.name, self._numbering.beams, joints)
         self.naming = Naming(layout, self.naming.lengths, self.naming.lengths_b)
         self.constraint_names = tuple(joint.name for joint in joints for _ in range(joint.rows))
 

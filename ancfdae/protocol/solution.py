@@ -21,7 +21,7 @@ from ancfdae.naming import BeamLayout, JointLayout, Layout, Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 
-_FORMAT = "ancfdae solution 3"
+_FORMAT = "ancfdae solution 4"
 # What reading a file that is no archive, or a damaged one, ends in.
 _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 # Imaginary perturbation of observables: any value whose square underflows against one is exact.
@@ -470,7 +470,7 @@ def _rebuild(arrays: dict[str, Array], meta: dict[str, Any]) -> Solution:
             for beam in meta["layout"]["beams"]
         )
         joints = tuple(JointLayout(**joint) for joint in meta["layout"]["joints"])
-        layout = Layout(meta["layout"]["d"], beams, joints)
+        layout = Layout(meta["layout"]["element_name"], beams, joints)
         naming = Naming(layout, arrays["lengths"], arrays["lengths_b"])
     sensitivities = None
     if meta["names"] is not None:
