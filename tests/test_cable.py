@@ -70,7 +70,7 @@ def test_cantilever_bends_as_in_beam_theory_without_any_locking(n, kind, factor)
 def hanging(n, span=0.8):
     """Sag and horizontal pull of a thin cable of length and weight one between two supports."""
     a = brentq(lambda a: 2 * a * np.sinh(span / (2 * a)) - 1.0, 0.1, 10.0, xtol=1e-15)
-    # Strain 1e-6, bending E h^2/12 = 1e-5 of the pull: both below the discretisation error.
+    # The weight stretches it by 1e-6.
     thin = Rectangle(height=1e-5, width=1.0)
     rope = cable(n, section=thin, material=Material(1e5, 1e11, 0.3))
     ends = [Pin(rope.at_start, ground=(0.0, 0.0)), Pin(rope.at_end, ground=(span, 0.0))]
@@ -82,14 +82,16 @@ def hanging(n, span=0.8):
     q, lam = solved(system, np.stack([place, tangent], axis=1).ravel(), np.zeros(4), 30)
     middle = system.naming.vector(rope.at(0.5), Quantity.POSITION).of(q, 2)
     Q = system.force(q, np.zeros(len(q)), 0.0) - system.constraint_force(q, lam, 0.0)
-    assert np.max(np.abs(Q)) <= 1e-9  # it is an equilibrium
+    assert np.max(np.abs(Q)) <= 1e-7  # an equilibrium to the round-off of E h w = 1e6
     return middle[1] + np.hypot(a, 0.5) - a, abs(lam[0]) - a
 
 
 def test_hanging_cable_is_a_catenary():
-    coarse, fine = (np.abs(hanging(n)) for n in (4, 16))
-    # A cubic of a curve of moderate sag, then finer until strain and bending show.
-    assert np.all(fine <= 5e-5)
+    coarse, fine = (np.abs(hanging(n)) for n in (8, 16))
+    # Bending carries E h^3/12 = 8e-6 of a pull of 0.3 over curvatures of up to 4: 1e-4 of the
+    # pull; it smooths the ends and leaves the sag, where 6e-6 are left of the mesh.
+    assert fine[0] <= 1e-5
+    assert fine[1] <= 2e-4
     assert np.all(fine < coarse / 4)
 
 
@@ -97,17 +99,17 @@ def test_swinging_cable_has_the_exact_gradient_of_its_steps():
     rod = cable()
     scene = Scene([rod], [Pin(rod.at_start)], gravity=(0.0, -9.81))
     names = ["density", "youngs_modulus", "height", "width", "length", "damping_time"]
-    system = assemble(scene, [f"rod.{name}" for name in names])
-    tip = Terminal(position(rod.at_end, 1))
-    exact = gradient(system, tip, 0.1, HHT(2**-8), ComplexStep()).gradient
-    ours = gradient(system, tip, 0.1, HHT(2**-8)).gradient
-    assert ours == pytest.approx(exact, rel=1e-8, abs=1e-10 * np.max(np.abs(exact)))
+    design, tip = [f"rod.{name}" for name in names], Terminal(position(rod.at_end, 1))
+    exact = gradient(scene, tip, design, 0.125, HHT(2**-8), ComplexStep()).gradient
+    # One complex run against a linear pass of 32 steps, both at converged states.
+    ours = gradient(scene, tip, design, 0.125, HHT(2**-8)).gradient
+    assert ours == pytest.approx(exact, rel=1e-9)
     assert np.all(exact != 0)
 
 
 def test_saved_solution_knows_its_element(tmp_path):
     rod = cable()
-    solution = simulate(Scene([rod], [Pin(rod.at_start)], gravity=(0.0, -9.81)), 0.1, HHT(2**-7))
+    solution = simulate(Scene([rod], [Pin(rod.at_start)], gravity=(0.0, -9.81)), 0.125, HHT(2**-7))
     solution.save(tmp_path / "swing.npz")
     again = Solution.load(tmp_path / "swing.npz")
     assert again.naming.layout.element is CABLE_2D
