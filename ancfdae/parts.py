@@ -104,7 +104,9 @@ class Part(Designable, abc.ABC):
         """
         where, d = f"{self.role} {self.name!r}", element.d
         if self.spatial and d != 3:
-            raise InvalidInput(where, "is spatial", f"a scene in {d} dimensions", "Use another.")
+            raise InvalidInput(
+                where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
+            )
         for vector in self.vectors(element):
             if not isinstance(vector, CentreLine):
                 element.require(where, vector[1], vector[0].y, vector[0].z)

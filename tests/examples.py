@@ -9,7 +9,7 @@ from dataclasses import MISSING, fields
 from types import UnionType
 from typing import Union, get_args, get_origin, get_type_hints
 
-from ancfdae import Harmonic, InvalidInput, Point, Scene
+from ancfdae import Harmonic, InvalidInput, Point, Scene, assemble
 from ancfdae.joints import Law
 
 #: Oblique and of no special length.
@@ -59,7 +59,7 @@ def examples(kind, beams, points):
     for arguments in choices:
         try:
             part = kind(**arguments)
-            Scene(beams, **{f"{part.role}s": [part]})
+            assemble(Scene(beams, **{f"{part.role}s": [part]}))
         except InvalidInput:
             continue
         extras = [f.name for f in fields(kind) if f.default is not MISSING and f.name in arguments]

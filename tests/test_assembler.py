@@ -36,7 +36,7 @@ from ancfdae import (
     assemble,
     distribution,
 )
-from ancfdae.elements import BeamElement, ElementParameter
+from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
 from ancfdae.numerics import linear_solvers
@@ -80,6 +80,13 @@ def arc(name, centre, radius, angles, dimension, pitch=0.0, section=FLAT, materi
         frame = np.array([tangent, normal, np.cross(tangent, normal)])
         frames.append(frame[:dimension, :dimension])
     return CurvedBeam(name, np.array(positions), np.array(frames), section, material)
+
+
+def clamped(element):
+    """An oblique beam of any element, clamped away from its nodes."""
+    start, end = ((0.2, 0.1, 0.3)[: element.d], (1.4, 0.6, -0.2)[: element.d])
+    beam = Beam("rod", start, end, 2, FLAT, STEEL, element=element)
+    return Scene([beam], [Clamp(beam.at(0.3))], gravity=(1.3, -9.81, 0.7)[: element.d])
 
 
 def one_planar_beam():
@@ -204,6 +211,8 @@ SCENES = {
         spatial_machine,
     )
 }
+for ELEMENT in ALL_ELEMENTS:
+    SCENES[ELEMENT.name] = lambda element=ELEMENT: clamped(element)
 #: Scenes with bilinear or driven joints, with loads that follow the motion and with damping.
 MACHINES = ("planar_machine", "spatial_machine")
 MATERIAL = ("youngs_modulus", "poisson_ratio", "density")
@@ -293,6 +302,9 @@ CASES = {
         ],
     ),
 }
+
+
+CASES |= {f"{element.name}, all": (element.name, of("rod", *ALL)) for element in ALL_ELEMENTS}
 
 
 class Setting:
@@ -397,10 +409,9 @@ def concrete_subclasses(base):
     return found
 
 
-def test_every_element_appears_in_the_scenes_of_this_file():
+def test_every_element_is_known_and_so_appears_in_the_scenes_of_this_file():
     # Joints and loads: each one alone in test_joints and test_loads.
-    beams = [beam for scene in SCENES.values() for beam in scene().beams]
-    assert concrete_subclasses(BeamElement) == {type(beam.element) for beam in beams}
+    assert concrete_subclasses(BeamElement) == {type(element) for element in ALL_ELEMENTS}
 
 
 def test_every_scene_and_every_parameter_has_a_case():

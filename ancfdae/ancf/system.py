@@ -107,7 +107,7 @@ class AncfSystem(MechanicalSystem):
         d, inputs, points = self.element.d, [], []
         q_o, q_ob = self._start.q_reference, self._start.q_reference_b
         for joint in self._scene.joints:
-            own = [self.naming.vector(*vector) for vector in joint.vectors(self.element)]
+            own = [self._point_vector(vector) for vector in joint.vectors(self.element)]
             vectors = Vectors(own, d, self.n_q, self.n_b)
             reference = vectors.of(q_o[None])[0]
             reference_b = vectors.of_b(q_o[None])[0]
@@ -122,13 +122,13 @@ class AncfSystem(MechanicalSystem):
     def _load_forces(self) -> LoadForces:
         inputs = []
         for load in self._scene.loads:
-            own = [self._load_vector(vector) for vector in load.vectors(self.element)]
+            own = [self._point_vector(vector) for vector in load.vectors(self.element)]
             p, p_b = self._mapping.part(load.name, self.b)
             vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
             inputs.append(LoadInput(load, vectors, p, p_b))
         return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
 
-    def _load_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
+    def _point_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
         if isinstance(vector, CentreLine):
             return self.naming.centre_line(vector.beam)
         return self.naming.vector(*vector)

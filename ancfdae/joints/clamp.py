@@ -8,8 +8,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point
-from ancfdae.elements import BeamElement
-from ancfdae.joints.joint import Coefficients, Joint, PointVectors, empty_coefficients
+from ancfdae.joints.joint import SECTION, Coefficients, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
 
@@ -31,12 +30,9 @@ class Clamp(Joint):
     point: Point
     name: str = ""
 
+    takes_part = SECTION
     kind = "clamp"
     holds_position = True
-
-    def vectors(self, element: BeamElement) -> PointVectors:
-        """Position and slopes of the section."""
-        return self.positions + self.sections(element)
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """U_i - U_i(reference)."""

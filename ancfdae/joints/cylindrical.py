@@ -9,13 +9,12 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point
-from ancfdae.elements import BeamElement
 from ancfdae.errors import require_direction, require_vector
 from ancfdae.joints.frames import across, slope_weights, unit
 from ancfdae.joints.joint import (
+    SECTION,
     Coefficients,
     Joint,
-    PointVectors,
     empty_coefficients,
     place_alignment,
     place_product,
@@ -59,13 +58,10 @@ class Cylindrical(Joint):
     ground: Sequence[float] | None = None
     name: str = ""
 
+    takes_part = SECTION
     kind = "cylindrical"
     design_fields = (("axis", require_direction), ("ground", require_vector))
     spatial = True
-
-    def vectors(self, element: BeamElement) -> PointVectors:
-        """Positions, then the slopes of each section."""
-        return self.positions + self.sections(element)
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """Two equations across the axis and two perpendicularities."""

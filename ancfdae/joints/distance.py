@@ -9,9 +9,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point
-from ancfdae.elements import BeamElement
 from ancfdae.errors import require_positive, require_vector
-from ancfdae.joints.joint import Coefficients, Joint, PointVectors, empty_coefficients
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
 
@@ -50,10 +49,6 @@ class Distance(Joint):
     kind = "link"
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
-
-    def vectors(self, element: BeamElement) -> PointVectors:
-        """Positions of the linked points."""
-        return self.positions
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """(|U_0 - U_1|^2 / L - L) / 2."""

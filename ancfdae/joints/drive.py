@@ -9,10 +9,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point, Quantity
-from ancfdae.elements import BeamElement
 from ancfdae.errors import InvalidInput, require_direction
 from ancfdae.joints.frames import unit
-from ancfdae.joints.joint import Coefficients, Joint, PointVectors, empty_coefficients
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
 from ancfdae.joints.laws import Law, require_law
 from ancfdae.numerics.arrays import Array
 
@@ -47,27 +46,17 @@ class Drive(Joint):
     axis: Sequence[float] | None = None
     name: str = ""
 
+    takes_part = (Quantity.SLOPE_X,)
     kind = "drive"
     design_fields = (("angle", require_law), ("axis", require_direction))
     driven = True
-
-    def vectors(self, element: BeamElement) -> PointVectors:
-        """Return the tangent."""
-        if self.axis is not None and element.d == 2:
-            raise InvalidInput(
-                f"joint {self.name!r}, axis",
-                "is a choice of spatial scenes only",
-                self.axis,
-                "Leave it out: in the plane it is z.",
-            )
-        return ((self.point, Quantity.SLOPE_X),)
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """n(t) and its derivatives, with c = (cos, sin) and s = (-sin, cos) in the (u, w) plane."""
         n, d = reference.shape
         c = empty_coefficients(1, n, d, np.result_type(p, reference))
         law, axis = self.split(p)
-        u, w = self._plane(reference[0], np.array([0.0, 0.0, 1.0]) if axis is None else unit(axis))
+        u, w = self._plane(reference[0], axis)
         theta, theta_1, theta_2, theta_3 = self.angle.derivatives(law, t)
         radial = np.cos(theta) * u + np.sin(theta) * w
         normal = -np.sin(theta) * u + np.cos(theta) * w
@@ -80,10 +69,18 @@ class Drive(Joint):
         )[order]
         return c
 
-    def _plane(self, tangent: Array, axis: Array) -> tuple[Array, Array]:
+    def _plane(self, tangent: Array, axis: Array | None) -> tuple[Array, Array]:
         if len(tangent) == 2:
+            if axis is not None:
+                raise InvalidInput(
+                    f"joint {self.name!r}, axis",
+                    "is a choice of spatial scenes only",
+                    self.axis,
+                    "Leave it out: in the plane it is z.",
+                )
             u = unit(tangent)
             return u, np.array([-u[1], u[0]])
+        axis = np.array([0.0, 0.0, 1.0]) if axis is None else unit(axis)
         u = tangent - np.sum(tangent * axis) * axis
         # Below the square root of round-off what is left of the tangent is noise.
         if np.sum(u.real**2) <= 1e-16 * np.sum(tangent.real**2):
@@ -127,10 +124,6 @@ class Guide(Joint):
     kind = "guide"
     design_fields = (("direction", require_direction), ("travel", require_law))
     driven = True
-
-    def vectors(self, element: BeamElement) -> PointVectors:
-        """Position of the point."""
-        return self.positions
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """Direction . (r - r_o) - x(t)."""

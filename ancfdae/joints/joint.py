@@ -14,18 +14,17 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from typing import ClassVar, TypeAlias, final
+from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity
-from ancfdae.elements import BeamElement
+from ancfdae.elements import BeamElement, Quantity
 from ancfdae.joints.frames import across, slope_weights
 from ancfdae.numerics.arrays import Array
-from ancfdae.parts import Part
+from ancfdae.parts import Part, Vectors
 
-#: Vectors of material points: which points, and position or which slope.
-PointVectors: TypeAlias = tuple[tuple[Point, Quantity], ...]
+#: Position and all slopes that the element has take part.
+SECTION: tuple[Quantity, ...] = ()
 
 
 @final
@@ -51,6 +50,8 @@ class Joint(Part):
 
     Attributes
     ----------
+    takes_part : tuple of Quantity
+        What takes part of every point; its position, or `SECTION`, say.
     driven : bool
         Whether the coefficients depend on time. Bilinear ones never do.
     holds_position : bool
@@ -59,12 +60,16 @@ class Joint(Part):
     """
 
     role = "joint"
+    takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
     driven: ClassVar[bool] = False
     holds_position: ClassVar[bool] = False
 
-    @abc.abstractmethod
-    def vectors(self, element: BeamElement) -> PointVectors:
-        """Return the point vectors that take part; see `Part.vectors`."""
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the vectors that take part: positions first, then slopes point by point."""
+        chosen = self.takes_part or element.quantities
+        positions = [(point, q) for q in chosen if q is Quantity.POSITION for point in self.points]
+        slopes = [(point, q) for point in self.points for q in chosen if q is not Quantity.POSITION]
+        return (*positions, *slopes)
 
     @abc.abstractmethod
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
@@ -80,16 +85,6 @@ class Joint(Part):
         order : int
             0 to 3; above 0 only asked of driven joints.
         """
-
-    @property
-    def positions(self) -> PointVectors:
-        """The positions of the points, as vectors that take part."""
-        return tuple((point, Quantity.POSITION) for point in self.points)
-
-    def sections(self, element: BeamElement) -> PointVectors:
-        """Return the slopes of the points, as vectors that take part."""
-        slopes = element.quantities[1:]
-        return tuple((point, slope) for point in self.points for slope in slopes)
 
 
 def empty_coefficients(rows: int, vectors: int, d: int, dtype: np.dtype) -> Coefficients:
@@ -119,8 +114,7 @@ def place_alignment(c: Coefficients, count: int, reference: Array, axis: Array) 
 
     With e_j across the axis in the reference configuration, b_j is the combination of the
     section's slopes that equals e_j there, and b_j . axis = 0. With two points the axis is the
-    combination of the second section's slopes that equals it there. The vectors are `positions`,
-    then `sections`.
+    combination of the second section's slopes that equals it there.
     """
     own, other = slice(count, count + 3), slice(count + 3, count + 6)
     for row, direction in zip((-2, -1), across(axis), strict=True):

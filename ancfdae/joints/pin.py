@@ -9,12 +9,10 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point
-from ancfdae.elements import BeamElement
 from ancfdae.errors import require_vector
 from ancfdae.joints.joint import (
     Coefficients,
     Joint,
-    PointVectors,
     empty_coefficients,
     place_coincidence,
 )
@@ -48,10 +46,6 @@ class Pin(Joint):
     kind = "pin"
     design_fields = (("ground", require_vector),)
     holds_position = True
-
-    def vectors(self, element: BeamElement) -> PointVectors:
-        """Positions of the joined points."""
-        return self.positions
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """r(point) - r(other), or r(point) - ground."""

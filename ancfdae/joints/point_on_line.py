@@ -9,10 +9,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point
-from ancfdae.elements import BeamElement
 from ancfdae.errors import require_direction, require_vector
 from ancfdae.joints.frames import across
-from ancfdae.joints.joint import Coefficients, Joint, PointVectors, empty_coefficients
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
 
@@ -46,10 +45,6 @@ class PointOnLine(Joint):
 
     kind = "line"
     design_fields = (("direction", require_direction), ("through", require_vector))
-
-    def vectors(self, element: BeamElement) -> PointVectors:
-        """Position of the point."""
-        return self.positions
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """n_j . (r - through)."""
