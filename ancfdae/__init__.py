@@ -19,6 +19,7 @@ from ancfdae.api import (
 )
 from ancfdae.bodies import Beam, CurvedBeam, Point
 from ancfdae.design import DesignVariable, distribution
+from ancfdae.elements import BEAM_2D, BEAM_3D, CABLE_2D
 from ancfdae.errors import (
     AncfdaeError,
     InconsistentStart,
@@ -43,6 +44,7 @@ from ancfdae.integrators import (
 )
 from ancfdae.joints import (
     Clamp,
+    Cylindrical,
     Distance,
     Drive,
     Guide,
@@ -54,7 +56,7 @@ from ancfdae.joints import (
     Spherical,
     Uniform,
 )
-from ancfdae.loads import DistributedForce, FollowerForce, Load, PointForce, SpringDamper
+from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.objectives import (
     AtTimes,
@@ -105,6 +107,9 @@ from ancfdae.user_systems import ComplexStepSystem, Conformance, check_system
 __version__ = "0.1.0"
 
 __all__ = [
+    "BEAM_2D",
+    "BEAM_3D",
+    "CABLE_2D",
     "HHT",
     "IDA",
     "IDAS",
@@ -121,6 +126,7 @@ __all__ = [
     "ContinuousAdjoint",
     "ControlledSteps",
     "CurvedBeam",
+    "Cylindrical",
     "DesignVariable",
     "Direct",
     "Distance",
@@ -146,6 +152,7 @@ __all__ = [
     "Material",
     "MechanicalSystem",
     "MissingPackage",
+    "Moment",
     "NodeState",
     "NonFiniteObjective",
     "Objective",

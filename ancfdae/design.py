@@ -2,51 +2,121 @@
 
 from __future__ import annotations
 
-import abc
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Self, final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self, final
 
-from ancfdae.errors import InvalidInput, require_sequence, require_vector
+import numpy as np
+
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    require_finite,
+    require_sequence,
+    require_vector,
+)
+from ancfdae.numerics.arrays import Array
 
 # The owner may contain dots: joints are named like pin(rod@0.5) by default.
 _TARGET = re.compile(r"(.+)\.([a-z_]+)(?:\[(\d+)\])?")
 
 
-class Parametrised(abc.ABC):
-    """A named part of a scene with numbers that design variables can drive.
+class Designable:
+    """A dataclass with numbers that design variables can drive.
 
     Attributes
     ----------
-    name : str
-        Unique in a scene.
+    design_fields : tuple of (str, callable)
+        The fields that hold them, each with the rule that its value must obey, called with the
+        place for the error and the value. A field holds a number, which is a design target by the
+        name of the field; a vector, by the first word of the name and the axis (``force_vector``
+        gives ``force_x``, ``force_y``); or another `Designable`, by its targets. It may hold None
+        where that is its default.
     """
 
-    name: str
+    design_fields: ClassVar[tuple[tuple[str, Callable[[str, Any], None]], ...]] = ()
 
-    @abc.abstractmethod
     def parameters(self) -> dict[str, float]:
         """Return the numbers that can be design targets, by name; the order is fixed."""
+        found: dict[str, float] = {}
+        for name, value in self._design_values():
+            found |= _numbers(name, value)
+        return found
 
-    @abc.abstractmethod
-    def with_parameter(self, parameter: str, value: float) -> Self:
-        """Return the same part with one of its `parameters` changed."""
+    def with_parameter(self, parameter: str, number: float) -> Self:
+        """Return the same object with one of its `parameters` changed.
+
+        Raises
+        ------
+        UnknownName
+        """
+        for name, value in self._design_values():
+            own = list(_numbers(name, value))
+            if parameter in own:
+                if isinstance(value, Designable):
+                    new: object = value.with_parameter(parameter, number)
+                elif np.ndim(value) == 0:
+                    new = number
+                else:
+                    place = own.index(parameter)
+                    new = (*value[:place], number, *value[place + 1 :])
+                return replace(self, **{name: new})  # type: ignore[type-var]
+        raise UnknownName("design target", parameter, self.parameters())
+
+    def split(self, p: Array) -> list[Any]:
+        """Return the values of the design fields out of those of all `parameters`.
+
+        Parameters
+        ----------
+        p : array, shape (n_p,)
+            Real or complex.
+
+        Returns
+        -------
+        list
+            For every field a number, an array, or None where it holds None.
+        """
+        parts: list[Any] = []
+        for name, value in self._design_values():
+            count = len(_numbers(name, value))
+            single = not isinstance(value, Designable) and np.ndim(value) == 0
+            parts.append(None if value is None else p[0] if single else p[:count])
+            p = p[count:]
+        return parts
+
+    def check_fields(self, where: str) -> None:
+        """Refuse values of design fields that break their rules.
+
+        Raises
+        ------
+        InvalidInput
+        """
+        optional = {field.name for field in fields(self) if field.default is None}  # type: ignore[arg-type]
+        for name, rule in self.design_fields:
+            value = getattr(self, name)
+            if value is not None or name not in optional:
+                rule(f"{where}, {name}", value)
+
+    def _design_values(self) -> list[tuple[str, Any]]:
+        return [(name, getattr(self, name)) for name, _ in self.design_fields]
 
 
-def vector_parameters(prefix: str, vector: Sequence[float] | None) -> dict[str, float]:
-    """Name the components of a vector ``prefix_x``, ``prefix_y``(, ``prefix_z``)."""
-    if vector is None:
+def numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
+    """Return design fields that hold any finite number."""
+    return tuple((name, require_finite) for name in names)
+
+
+def _numbers(name: str, value: Any) -> dict[str, float]:
+    """Return the numbers of a design field by target name."""
+    if value is None:
         return {}
-    return {f"{prefix}_{axis}": value for axis, value in zip("xyz", vector, strict=False)}
-
-
-def replaced_component(
-    prefix: str, vector: Sequence[float], parameter: str, value: float
-) -> tuple[float, ...]:
-    """Return the vector with the component that `parameter` names replaced."""
-    place = "xyz".index(parameter.removeprefix(f"{prefix}_"))
-    return (*vector[:place], value, *vector[place + 1 :])
+    if isinstance(value, Designable):
+        return value.parameters()
+    if np.ndim(value) == 0:
+        return {name: value}
+    prefix = name.partition("_")[0]
+    return {f"{prefix}_{axis}": x for axis, x in zip("xyz", value, strict=False)}
 
 
 @final

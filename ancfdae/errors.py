@@ -229,6 +229,18 @@ def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -
         require_finite(where, component)
 
 
+def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
+    """Refuse anything but a vector, as in `require_vector`, that is not zero.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require_vector(where, value, sizes)
+    if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
+        raise InvalidInput(where, "must not be zero", value, "Give a direction.")
+
+
 def require_array(
     where: str, value: object, shape: tuple[int, ...] | None = None
 ) -> npt.NDArray[np.float64]:

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point, Quantity
-from ancfdae.elements import BEAM_2D, BEAM_3D, BeamElement, ElementParameter
+from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.errors import InvalidInput, UnknownName
 from ancfdae.numerics.arrays import Array
 
@@ -88,20 +88,25 @@ class Layout:
 
     Attributes
     ----------
-    d : int
-        Dimension of space.
+    element_name : str
+        Name of the element of all beams.
     beams : tuple of BeamLayout
     joints : tuple of JointLayout
     """
 
-    d: int
+    element_name: str
     beams: tuple[BeamLayout, ...]
     joints: tuple[JointLayout, ...]
 
     @property
     def element(self) -> BeamElement:
         """The element of every beam."""
-        return BEAM_2D if self.d == 2 else BEAM_3D
+        return next(each for each in ALL_ELEMENTS if each.name == self.element_name)
+
+    @property
+    def d(self) -> int:
+        """Dimension of space."""
+        return self.element.d
 
     @property
     def element_count(self) -> int:
@@ -158,14 +163,16 @@ class Naming:
         ------
         UnknownName
             If there is no such beam.
+        InvalidInput
+            If points of its element have no such vector.
         """
         beam = self.layout.beam(point.beam)
         local, xi = beam.locate(point.fraction)
         element = beam.first_element + local
-        n_s = self.layout.element.n_s
-        s, s_l = vector_weights(
-            self.layout.element, quantity, xi, point.y, point.z, self.lengths[element]
-        )
+        kind, where = self.layout.element, f"point of {point.beam!r}"
+        kind.require(where, quantity, point.y, point.z)
+        n_s = kind.n_s
+        s, s_l = vector_weights(kind, quantity, xi, point.y, point.z, self.lengths[element])
         first = (beam.first_node + local) * n_s
         return PointVector(first + np.arange(2 * n_s), s, s_l[:, None] * self.lengths_b[element])
 

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import PARAMETER_NAMES, BeamBody, Point, require_point
-from ancfdae.design import DesignVariable, Parametrised, Target, parse_target
+from ancfdae.design import DesignVariable, Target, parse_target
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import (
     InvalidInput,
@@ -21,8 +21,9 @@ from ancfdae.errors import (
     require_vector,
 )
 from ancfdae.joints import Joint
-from ancfdae.loads import CentreLine, Load
+from ancfdae.loads import Load
 from ancfdae.numerics.arrays import Array
+from ancfdae.parts import Part
 from ancfdae.text import listed
 
 # Two targets hold the same value up to this relative difference: a length is summed from its n
@@ -120,8 +121,7 @@ class Scene:
         self._freeze("start", (RigidMotion, NodeState), "Add a RigidMotion.")
         self._check_beams()
         self._check_names()
-        self._check_joints()
-        self._check_loads()
+        self._check_parts()
         if self.gravity is not None:
             require_vector("Scene.gravity", self.gravity, (self.dimension,))
         object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
@@ -153,11 +153,11 @@ class Scene:
                 return beam
         raise UnknownName("beam", name, (beam.name for beam in self.beams))
 
-    def parts(self) -> dict[str, Parametrised]:
+    def parts(self) -> dict[str, Part]:
         """Return joints and loads by name; their numbers can be design targets."""
         return {part.name: part for part in (*self.joints, *self.loads)}
 
-    def part(self, target: Target) -> Parametrised:
+    def part(self, target: Target) -> Part:
         """Return the joint or load that a target names, with the parameter checked.
 
         Raises
@@ -275,10 +275,10 @@ class Scene:
         """Return the parameters of all elements, shape (n, 7), columns as `ElementParameter`."""
         return np.concatenate([beam.element_parameters() for beam in self.beams])
 
-    def _all_parts(self) -> tuple[BeamBody | Parametrised, ...]:
+    def _all_parts(self) -> tuple[BeamBody | Part, ...]:
         return (*self.beams, *self.joints, *self.loads)
 
-    def _resolve(self, text: str) -> tuple[Target, BeamBody | Parametrised]:
+    def _resolve(self, text: str) -> tuple[Target, BeamBody | Part]:
         """Read a target and find its part; refuse one that the scene does not have."""
         target = parse_target(text)
         if not self.is_beam(target):
@@ -314,23 +314,21 @@ class Scene:
                 {beam.name: beam.dimension for beam in self.beams},
                 "Give every beam points with the same number of components.",
             )
+        elements = {beam.name: beam.element.name for beam in self.beams}
+        if len(set(elements.values())) > 1:
+            raise InvalidInput(
+                "Scene.beams", "must all be of one element", elements, "Choose the same for all."
+            )
 
-    def _check_joints(self) -> None:
-        for joint in self.joints:
-            for point in joint.points:
-                self._check_point(f"joint {joint.name!r}", point)
-            joint.vectors(self.dimension)
-            _check_components(f"joint {joint.name!r}", joint, self.dimension)
-
-    def _check_loads(self) -> None:
-        for load in self.loads:
-            where = f"load {load.name!r}"
-            for vector in load.vectors():
-                if isinstance(vector, CentreLine):
-                    self._check_beam(where, vector.beam)
-                else:
-                    self._check_point(where, vector[0])
-            _check_components(where, load, self.dimension)
+    def _check_parts(self) -> None:
+        element = self.beams[0].element
+        for part in (*self.joints, *self.loads):
+            where = f"{part.role} {part.name!r}"
+            part.check_space(element)
+            if part.whole_beam is not None:
+                self._check_beam(where, part.whole_beam)
+            for point in part.points:
+                self._check_point(where, point)
 
     def _check_beam(self, where: str, name: str) -> None:
         known = [beam.name for beam in self.beams]
@@ -378,9 +376,7 @@ class Scene:
         return replace(motion, coordinates=coordinates, velocities=velocities)
 
 
-def _with_value(
-    part: BeamBody | Parametrised, target: Target, where: str, value: float
-) -> BeamBody | Parametrised:
+def _with_value(part: BeamBody | Part, target: Target, where: str, value: float) -> BeamBody | Part:
     """Return the part with one number changed; errors name what the user wrote."""
     require_finite(where, value)
     try:
@@ -395,15 +391,3 @@ def _require_unique(where: str, rule: str, names: list[str], repair: str) -> Non
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InvalidInput(where, rule, twice, repair)
-
-
-def _check_components(where: str, part: Parametrised, d: int) -> None:
-    """Refuse vectors of a joint or load that have another number of components than space."""
-    names = part.parameters()
-    prefixes = {name[:-2] for name in names if name.endswith("_x")}
-    for prefix in sorted(prefixes):
-        count = sum(name[:-2] == prefix and name[-2] == "_" for name in names)
-        if count != d:
-            raise InvalidInput(
-                f"{where}, {prefix}", f"must have {d} components", count, f"Give {d} numbers."
-            )

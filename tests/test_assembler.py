@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    CABLE_2D,
     Beam,
     Clamp,
     CurvedBeam,
@@ -36,17 +37,16 @@ from ancfdae import (
     assemble,
     distribution,
 )
-from ancfdae.elements import BeamElement, ElementParameter
+from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
-from ancfdae.joints import Joint, Law
-from ancfdae.loads import Load
 from ancfdae.numerics import linear_solvers
 from ancfdae.numerics.extrapolation import real_derivative
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.patterns import Pattern
 
 from oracle import plain_ancf as ancf
+from oracle import plain_cable
 
 STEP = 1e-40
 # Two evaluations of one derivative differ by round-off: sums over up to 432 quadrature points and
@@ -83,6 +83,13 @@ def arc(name, centre, radius, angles, dimension, pitch=0.0, section=FLAT, materi
     return CurvedBeam(name, np.array(positions), np.array(frames), section, material)
 
 
+def clamped(element):
+    """An oblique beam of any element, clamped away from its nodes."""
+    start, end = ((0.2, 0.1, 0.3)[: element.d], (1.4, 0.6, -0.2)[: element.d])
+    beam = Beam("rod", start, end, 2, FLAT, STEEL, element=element)
+    return Scene([beam], [Clamp(beam.at(0.3))], gravity=(1.3, -9.81, 0.7)[: element.d])
+
+
 def one_planar_beam():
     beam = Beam("rod", (0.2, 0.1), (1.4, 0.1), 2, FLAT, STEEL)
     return Scene([beam], [Pin(beam.at_start)], gravity=(0.0, -9.81))
@@ -110,6 +117,15 @@ def planar_mixed():
     rod = Beam("rod", tuple(tip), tuple(tip + np.array([0.5, 0.2])), 2, THICK, RUBBER)
     joints = [Clamp(bow.at(0.2)), Pin(bow.at(1.0), rod.at(0.3, y=0.01), name="weld")]
     return Scene([bow, rod], joints, project_start=True)
+
+
+def planar_cables():
+    """A clamped cable that carries another one by its middle."""
+    heights = [Rectangle(h, 0.05) for h in (0.05, 0.06)]
+    rope = Beam("rope", (0.0, 0.0), (0.6, 0.8), 2, heights, [STEEL, RUBBER], element=CABLE_2D)
+    rod = Beam("rod", (0.6, 0.8), (1.8, 0.1), 2, FLAT, RUBBER, element=CABLE_2D)
+    joints = [Clamp(rope.at(0.1)), Pin(rope.at_end, rod.at(0.3), name="elbow")]
+    return Scene([rope, rod], joints, gravity=(1.0, -9.81), project_start=True)
 
 
 def one_spatial_beam():
@@ -196,6 +212,7 @@ SCENES = {
         one_planar_beam,
         planar_pair,
         planar_mixed,
+        planar_cables,
         one_spatial_beam,
         spatial_pair,
         spatial_mixed,
@@ -204,6 +221,8 @@ SCENES = {
         spatial_machine,
     )
 }
+for ELEMENT in ALL_ELEMENTS:
+    SCENES[ELEMENT.name] = lambda element=ELEMENT: clamped(element)
 #: Scenes with bilinear or driven joints, with loads that follow the motion or with damping.
 MACHINES = ("damped_pair", "planar_machine", "spatial_machine")
 MATERIAL = ("youngs_modulus", "poisson_ratio", "density")
@@ -245,6 +264,7 @@ CASES = {
             DesignVariable("w", ["bow.width[0]", "bow.width[1]"]),
         ],
     ),
+    "cables": ("planar_cables", [*of("rod", *ALL), "rope.length", *distribution("rope.height", 2)]),
     "spatial, all": ("one_spatial_beam", of("rod", *ALL)),
     "spatial pair": (
         "spatial_pair",
@@ -300,6 +320,9 @@ CASES = {
         ],
     ),
 }
+
+
+CASES |= {f"{element.name}, all": (element.name, of("rod", *ALL)) for element in ALL_ELEMENTS}
 
 
 class Setting:
@@ -404,19 +427,9 @@ def concrete_subclasses(base):
     return found
 
 
-def kinds(parts):
-    return {type(part) for part in parts}
-
-
-def test_every_element_joint_law_and_load_appears_in_the_scenes_of_this_file():
-    scenes = [scene() for scene in SCENES.values()]
-    joints = [joint for s in scenes for joint in s.joints]
-    laws = [joint.angle for joint in joints if isinstance(joint, Drive)]
-    laws += [joint.travel for joint in joints if isinstance(joint, Guide)]
-    assert concrete_subclasses(BeamElement) == kinds(b.element for s in scenes for b in s.beams)
-    assert concrete_subclasses(Joint) == kinds(joints)
-    assert concrete_subclasses(Law) == kinds(laws)
-    assert concrete_subclasses(Load) == kinds(load for s in scenes for load in s.loads)
+def test_every_element_is_known_and_so_appears_in_the_scenes_of_this_file():
+    # Joints and loads: each one alone in test_joints and test_loads.
+    assert concrete_subclasses(BeamElement) == {type(element) for element in ALL_ELEMENTS}
 
 
 def test_every_scene_and_every_parameter_has_a_case():
@@ -731,8 +744,8 @@ def test_arrays_of_the_protocol_have_their_shapes(setting):
 
 def plain_elements(scene):
     """(rows of q, parameters, reference node vectors, oracle rule) of every element."""
-    d = scene.dimension
-    size, node = (d + 1) * d, 0
+    n_s = scene.beams[0].element.n_s
+    size, node = n_s * scene.dimension, 0
     for beam in scene.beams:
         shape, parameters = beam.reference(), beam.element_parameters()
         positions = [np.asarray(shape.start)]
@@ -740,10 +753,16 @@ def plain_elements(scene):
             positions.append(positions[-1] + length * chord)
         rule = {} if shape.straight else {"n_xi": 12, "n_y": 6, "n_z": 6}
         for k in range(beam.element_count):
-            X_o = [positions[k], *shape.slopes[k], positions[k + 1], *shape.slopes[k + 1]]
+            slopes = shape.slopes[:, : n_s - 1]
+            X_o = [positions[k], *slopes[k], positions[k + 1], *slopes[k + 1]]
             rows = np.arange((node + k) * size, (node + k + 2) * size)
             yield rows, dict(zip(ALL_COLUMNS, parameters[k], strict=True)), np.array(X_o), rule
         node += beam.element_count + 1
+
+
+def oracle_of(element):
+    """The oracle of an element."""
+    return plain_cable if element is CABLE_2D else ancf
 
 
 ALL_COLUMNS = ("E", "nu", "rho", "h", "w", "l", "tau")
@@ -752,30 +771,34 @@ ALL_COLUMNS = ("E", "nu", "rho", "h", "w", "l", "tau")
 def test_force_is_the_sum_of_oracle_elements(conservative):
     s, d = conservative, conservative.scene.dimension
     expected = np.zeros(s.system.n_q)
-    g = s.scene.gravity
+    g, oracle = s.scene.gravity, oracle_of(s.system.element)
     for rows, p, X_o, rule in plain_elements(s.scene):
         section = (p["h"], p["w"], p["l"], X_o)
         X = s.q[rows].reshape(-1, d)
-        expected[rows] -= ancf.force(X, p["E"], p["nu"], *section, **rule).ravel()
+        expected[rows] -= oracle.force(X, p["E"], p["nu"], *section, **rule).ravel()
         if g is not None:
-            expected[rows] += ancf.gravity_force(g, p["rho"], *section, **rule).ravel()
+            expected[rows] += oracle.gravity_force(g, p["rho"], *section, **rule).ravel()
     assert_close(s.system.force(s.q, s.v, s.t), expected, VALUE)
 
 
 def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(plain):
     s, d = plain, plain.scene.dimension
-    expected, volumes = np.zeros((s.system.n_q, s.system.n_q)), 0.0
+    expected, volumes, oracle = (
+        np.zeros((s.system.n_q, s.system.n_q)),
+        0.0,
+        oracle_of(s.system.element),
+    )
     for rows, p, X_o, rule in plain_elements(s.scene):
         section = (p["h"], p["w"], p["l"], X_o)
-        expected[np.ix_(rows, rows)] += ancf.mass(d, p["rho"], *section, **rule)
-        dV = [dV for *_, dV in ancf.quadrature_points(d, *section, **rule)]
+        expected[np.ix_(rows, rows)] += oracle.mass(d, p["rho"], *section, **rule)
+        dV = [dV for *_, dV in oracle.quadrature_points(d, *section, **rule)]
         volumes += p["rho"] * np.sum(dV)
     M = s.system.pattern.dense(s.system.mass(s.q))
     assert_close(M, expected, VALUE)
     assert_close(s.system.mass_times(s.q, s.a), M @ s.a, VALUE)
     assert_close(s.system.kinetic_energies(s.v[None]), np.array([0.5 * s.v @ M @ s.v]), VALUE)
     translation = np.zeros((s.system.n_q // d, d))
-    translation[:: d + 1, 0] = 1.0
+    translation[:: s.system.element.n_s, 0] = 1.0
     total = translation.ravel() @ s.system.mass_times(s.q, translation.ravel())
     assert_close(total, volumes, VALUE)
     if all(beam.reference().straight for beam in s.scene.beams):
@@ -794,19 +817,20 @@ def vector_by_hand(system, q, point, quantity):
     k = max(int(np.sum(fractions < point.fraction)) - 1, 0)
     xi = (point.fraction - fractions[k]) / (fractions[k + 1] - fractions[k])
     l = system.naming.lengths[place.first_element + k]
-    size = (d + 1) * d
+    oracle = oracle_of(system.element)
+    size = system.element.n_s * d
     first = (place.first_node + k) * size
     X = q[first : first + 2 * size].reshape(-1, d)
     if quantity == 0:
-        return ancf.shape(d, xi, point.y, point.z, l) @ X
-    return ancf.shape_gradient(d, xi, point.y, point.z, l)[:, quantity - 1] @ X
+        return oracle.shape(d, xi, point.y, point.z, l) @ X
+    return oracle.shape_gradient(d, xi, point.y, point.z, l)[:, quantity - 1] @ X
 
 
 def test_constraints_are_those_of_vectors_by_hand(conservative):
     s, system, expected = conservative, conservative.system, []
     q_o = system.start()[0]  # the reference configuration: these scenes start in it
     for joint in s.scene.joints:
-        quantities = range(s.scene.dimension + 1) if isinstance(joint, Clamp) else [0]
+        quantities = range(system.element.n_s) if isinstance(joint, Clamp) else [0]
         for quantity in quantities:
             here = vector_by_hand(system, s.q, joint.points[0], quantity)
             if len(joint.points) == 2:

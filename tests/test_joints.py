@@ -7,8 +7,11 @@ jerk equations with the derivatives of Phi along a smooth curve q(t). Simulation
 joints hold what they should.
 """
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
+from examples import all_examples, public_classes
 from numpy.polynomial import chebyshev
 from scipy.spatial.transform import Rotation
 from test_assembler import (
@@ -26,9 +29,11 @@ from test_assembler import (
 )
 
 from ancfdae import (
+    CABLE_2D,
     HHT,
     Beam,
     Clamp,
+    Cylindrical,
     Distance,
     Drive,
     Guide,
@@ -44,9 +49,9 @@ from ancfdae import (
     Spherical,
     Uniform,
     assemble,
+    joints,
     simulate,
 )
-from ancfdae.bodies import Quantity
 from ancfdae.joints import Joint, Law
 from ancfdae.joints.frames import across, slope_weights, unit
 
@@ -84,6 +89,12 @@ def beams(d):
     arm = Beam("arm", (0.9, 0.7, *z), (1.5, 0.4, *(3 * x for x in z)), 1, THICK, STEEL)
     bow = arc("bow", (0.9, 1.7, *z), 1.0, (0.0, 0.6), d, pitch=0.3 if d == 3 else 0.0)
     return rod, arm, bow
+
+
+def cables():
+    """A rod and an arm of cable elements."""
+    rod = Beam("rod", (0.1, 0.2), (0.9, 0.7), 2, FLAT, STEEL, element=CABLE_2D)
+    return rod, Beam("arm", (0.9, 0.7), (1.5, 0.4), 1, FLAT, STEEL, element=CABLE_2D)
 
 
 def planar_joints():
@@ -136,6 +147,13 @@ def spatial_joints():
 
 VARIANTS = {f"planar {name}": joint for name, joint in planar_joints().items()}
 VARIANTS |= {f"spatial {name}": joint for name, joint in spatial_joints().items()}
+ELEMENT_BEAMS = {"planar": beams(2), "spatial": beams(3), "cable": cables()}
+for SPACE, BEAMS in ELEMENT_BEAMS.items():
+    OFF = 0.0 if SPACE == "cable" else 0.01
+    FOUND = all_examples(
+        joints, Joint, BEAMS, (BEAMS[-1].at(0.4, y=2 * OFF), BEAMS[0].at(0.8, y=-OFF))
+    )
+    VARIANTS |= {f"{SPACE} {name}": joint for name, joint in FOUND.items()}
 
 
 class JointSetting(Setting):
@@ -143,16 +161,25 @@ class JointSetting(Setting):
 
     def __init__(self, name):
         self.joint = VARIANTS[name]
-        d = 2 if name.startswith("planar") else 3
         self.own = [f"{self.joint.name}.{parameter}" for parameter in self.joint.parameters()]
         touched = dict.fromkeys(point.beam for point in self.joint.points)
-        chosen = [beam for beam in beams(d) if beam.name in touched]
+        chosen = [beam for beam in ELEMENT_BEAMS[name.split()[0]] if beam.name in touched]
         design = [*self.own, *(f"{name}.length" for name in touched)]
         super().__init__(Scene(chosen, [self.joint]), design)
         rng = np.random.default_rng(4)
         self.jerk = rng.uniform(-1, 1, self.system.n_q)
         self.lam_b = rng.uniform(-1, 1, (self.system.n_lam, self.system.n_b))
         self.lam_b /= [self.unit(i) for i in range(self.system.n_b)]
+        self.bilinear = bool(np.any(self.coefficients(0.0, 0).bilinear))
+        self.steady = not (self.bilinear or self.joint.driven)
+
+    def coefficients(self, t, order):
+        """What the joint states, at its own parameters."""
+        q_o = self.system.start()[0]
+        vectors = self.joint.vectors(self.system.element)
+        reference = np.array([vector_by_hand(self.system, q_o, p, int(k)) for p, k in vectors])
+        p = np.array(list(self.joint.parameters().values()))
+        return self.joint.coefficients(p, reference, t, order)
 
     def curve(self, t):
         """Cubic q(t) through the state at self.t, with its velocity."""
@@ -175,21 +202,18 @@ def one(request):
     return JointSetting(request.param)
 
 
-def is_steady(joint):
-    """Whether the equations are linear and independent of time."""
-    return isinstance(joint, Pin | Clamp | PointOnLine) or (
-        isinstance(joint, Revolute) and joint.other is None
-    )
-
-
-def test_every_joint_and_law_has_a_variant_in_each_dimension_it_works_in():
-    laws = [joint.angle for joint in VARIANTS.values() if isinstance(joint, Drive)]
-    laws += [joint.travel for joint in VARIANTS.values() if isinstance(joint, Guide)]
-    assert {type(law) for law in laws} == concrete_subclasses(Law)
+def test_every_public_joint_and_law_has_examples_in_each_dimension_it_works_in():
+    kinds = set(public_classes(joints, Joint).values())
+    assert kinds == concrete_subclasses(Joint)
+    for space in ("planar", "spatial"):
+        here = {type(joint) for name, joint in VARIANTS.items() if name.startswith(space)}
+        assert here == {kind for kind in kinds if space == "spatial" or not kind.spatial}
+    # Every field of every joint is given in one of them.
+    for kind in kinds:
+        given = [vars(joint) for joint in VARIANTS.values() if type(joint) is kind]
+        for field in fields(kind):
+            assert any(values[field.name] is not None for values in given), (kind, field.name)
     assert {type(law) for law in LAWS.values()} == concrete_subclasses(Law)
-    kinds = concrete_subclasses(Joint)
-    assert {type(joint) for joint in spatial_joints().values()} == kinds
-    assert {type(joint) for joint in planar_joints().values()} == kinds - {Revolute}
 
 
 # ---------------------------------------------------------------- equations by hand
@@ -229,7 +253,7 @@ def equations_by_hand(s, q, t):
         slopes = [
             vector_by_hand(s.system, q, joint.point, k)
             - vector_by_hand(s.system, start, joint.point, k)
-            for k in range(1, d + 1)
+            for k in range(1, s.system.element.n_s)
         ]
         return np.concatenate([gap, *slopes]), None
     if isinstance(joint, Distance):
@@ -242,16 +266,21 @@ def equations_by_hand(s, q, t):
     if isinstance(joint, Guide):
         direction = np.array(joint.direction) / np.linalg.norm(joint.direction)
         return np.array([direction @ gap - law_by_hand(joint.travel, t)]), None
-    if isinstance(joint, Revolute):
+    if isinstance(joint, Revolute | Cylindrical):
         axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-        turned = axis if joint.other is None else section_map(s, q, joint.other) @ axis
-        tilt = section_map(s, q, joint.point).T @ turned
-        return gap, np.linalg.norm(tilt - (tilt @ axis) * axis)
-    assert isinstance(joint, Drive)
+        carrier = np.eye(3) if joint.other is None else section_map(s, q, joint.other)
+        tilt = section_map(s, q, joint.point).T @ carrier @ axis
+        tilt = tilt - (tilt @ axis) * axis
+        if isinstance(joint, Revolute):
+            return gap, np.linalg.norm(tilt)
+        gap = carrier.T @ gap
+        return np.zeros(0), np.linalg.norm([*(gap - (gap @ axis) * axis), *tilt])
+    if not isinstance(joint, Drive):
+        pytest.skip(f"what a {type(joint).__name__} means is not written here")
     tangent = vector_by_hand(s.system, q, joint.point, 1)
     was = vector_by_hand(s.system, start, joint.point, 1)
     theta = law_by_hand(joint.angle, t)
-    axis = np.array(joint.axis if d == 3 else (0.0, 0.0, 1.0))
+    axis = np.array((0.0, 0.0, 1.0) if joint.axis is None else joint.axis)
     axis /= np.linalg.norm(axis)
     was, tangent = np.append(was, [0.0] * (3 - d)), np.append(tangent, [0.0] * (3 - d))
     turned = Rotation.from_rotvec(theta * axis).apply(was - (was @ axis) * axis)
@@ -294,15 +323,11 @@ def test_reference_configuration_satisfies_a_joint_that_is_given_no_place(name):
 
 
 def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
-    joint, d = one.joint, one.scene.dimension
-    vectors = joint.vectors(d)
-    q_o = one.system.start()[0]
-    reference = np.array([vector_by_hand(one.system, q_o, p, int(k)) for p, k in vectors])
-    p = np.array(list(joint.parameters().values()))
-    for order in range(4 if joint.driven else 1):
-        c = joint.coefficients(p, reference, 0.3, order)
-        assert c.linear.shape == (one.system.n_lam, len(vectors), d)
-        assert c.bilinear.shape == (one.system.n_lam, len(vectors), len(vectors))
+    d, n = one.scene.dimension, len(one.joint.vectors(one.system.element))
+    for order in range(4 if one.joint.driven else 1):
+        c = one.coefficients(0.3, order)
+        assert c.linear.shape == (one.system.n_lam, n, d)
+        assert c.bilinear.shape == (one.system.n_lam, n, n)
         assert c.offset.shape == (one.system.n_lam,)
         assert np.array_equal(c.bilinear, c.bilinear.transpose(0, 2, 1))
         assert order == 0 or not np.any(c.bilinear)  # the contract: bilinear ones are constant
@@ -332,12 +357,10 @@ def test_curvature_is_the_complex_step_of_the_constraint_force(one):
 
 def test_only_bilinear_joints_have_curvature_and_only_driven_ones_move(one):
     system, joint = one.system, one.joint
-    bilinear = isinstance(joint, Distance) or getattr(joint, "other", None) is not None
-    bilinear = bilinear and not isinstance(joint, Pin)
-    assert system.linear_constraints == (not bilinear)
-    assert joint.driven == isinstance(joint, Drive | Guide)
+    assert system.linear_constraints == (not one.bilinear)
+    assert joint.driven == any(isinstance(value, Law) for value in vars(joint).values())
     assert np.any(system.velocity_side(one.q, one.t)) == joint.driven
-    assert np.any(system.acceleration_side(one.q, one.v, one.t)) == (not is_steady(joint))
+    assert np.any(system.acceleration_side(one.q, one.v, one.t)) == (not one.steady)
     still = np.array_equal(system.constraint(one.q, 0.1), system.constraint(one.q, 0.9))
     assert still == (not joint.driven)
 
@@ -447,8 +470,8 @@ def test_constraint_force_rate_is_the_derivative_along_a_curve_with_multipliers_
     expected = rates_of(lambda t: x.constraint_force(s.curve(t)[0], s.lam, t), s.t)[1]
     rate = x.constraint_force_rate(s.q, s.v, s.lam, s.t)
     assert np.max(np.abs(rate - expected)) <= CURVE * one.size(expected)
-    # A guide is driven by its offset alone, and Phi_q is constant.
-    assert np.any(rate) == (not is_steady(one.joint) and not isinstance(one.joint, Guide))
+    # Where nothing moves Phi_q nothing is left of it: a guide is driven by its offset alone.
+    assert np.any(rate) == (np.max(np.abs(expected)) > CURVE)
 
 
 # ---------------------------------------------------------------- laws and directions
@@ -565,6 +588,48 @@ def test_revolute_between_beams_keeps_the_axis_of_the_other_beam():
     assert np.max(np.abs(carried - axis)) > 0.1  # the axis turns along with the other beam
 
 
+@pytest.mark.parametrize("between", [False, True], ids=["ground", "beams"])
+def test_cylindrical_joint_lets_a_section_turn_about_and_slide_along_its_axis(between):
+    axis = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
+    basis = np.linalg.svd(axis[None])[2][1:]
+    end = np.array([0.5, 0.1, 0.0])
+    rod = Beam("rod", (0.0, 0.0, 0.0), tuple(end), 1, BAR, SOFT)
+    # Somewhere else on the axis, by a point inside.
+    along = np.array([0.3, 0.4, 0.3])
+    first = end + 0.1 * axis - 0.2 * along
+    arm = Beam("arm", tuple(first), tuple(first + along), 1, BAR, SOFT)
+    gravity = tuple(-3.0 * axis + 5.0 * basis[0])
+    if between:
+        held = [Revolute(rod.at_start, (0.0, 1.0, 0.3)), Cylindrical(arm.at(0.2), axis, rod.at_end)]
+        scene = Scene([rod, arm], held, gravity)
+    else:
+        scene = Scene([arm], [Cylindrical(arm.at(0.2), axis)], gravity)
+    solution = simulated(scene)
+    carried = np.broadcast_to(axis, (len(solution.t), 3))
+    across_it = np.broadcast_to(basis, (len(solution.t), 2, 3))
+    apart = solution.position("arm", 0.2)
+    if between:
+        assembled = section_of(solution, rod.at_end) @ np.linalg.inv(reference_frame(rod))
+        carried, across_it = assembled @ axis, np.einsum("tij,kj->tki", assembled, basis)
+        apart = apart - solution.position("rod", 1.0)
+    else:
+        apart = apart - apart[0]
+    assert np.max(np.abs(np.einsum("tki,ti->tk", across_it, apart))) <= 10 * HOLDS
+    frame = section_of(solution, arm.at(0.2)) @ np.linalg.inv(reference_frame(arm))
+    sections = np.einsum("tij,kj->tki", frame, basis)
+    assert np.max(np.abs(np.einsum("tki,ti->tk", sections, carried))) <= 10 * HOLDS
+    travel = np.sum(apart * carried, axis=1)
+    assert np.max(np.abs(travel - travel[0])) > 0.05  # it slides
+    assert (
+        np.min(np.einsum("ti,i->t", sections[:, 0], basis[0])) < 0.96
+    )  # and turns by 16 degrees or more
+
+
+def reference_frame(beam):
+    """Slopes of a straight beam in its reference configuration, as columns."""
+    return beam.reference().slopes[0].T
+
+
 def test_point_on_line_stays_on_the_line():
     rod = Beam("rod", (0.0, 0.0, 0.0), (0.8, 0.3, 0.2), 2, BAR, SOFT)
     direction = np.array([1.0, -0.4, -0.5])
@@ -656,9 +721,7 @@ def test_revolute_is_refused_in_the_plane():
 def test_points_take_part_by_position_or_slope_as_each_joint_says():
     # The vectors that enter are those of the joint's own points.
     for name, joint in VARIANTS.items():
-        d = 2 if name.startswith("planar") else 3
-        vectors = joint.vectors(d)
+        element = ELEMENT_BEAMS[name.split()[0]][0].element
+        vectors = joint.vectors(element)
         assert {point for point, _ in vectors} == set(joint.points)
-        slopes = {quantity for _, quantity in vectors} - {Quantity.POSITION}
-        turning = isinstance(joint, Clamp | Revolute | Drive)
-        assert bool(slopes) == turning
+        assert {quantity for _, quantity in vectors} <= set(element.quantities)

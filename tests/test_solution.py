@@ -509,7 +509,7 @@ def test_files_hold_no_pickled_objects(solution, tmp_path):
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}  # raises for an object array
     assert all(array.dtype.kind in "fcU" for array in arrays.values())
-    assert json.loads(str(arrays["meta"]))["format"] == "ancfdae solution 3"
+    assert json.loads(str(arrays["meta"]))["format"] == "ancfdae solution 4"
 
 
 def test_object_arrays_are_not_written(solution, tmp_path):
@@ -560,7 +560,7 @@ def archive(path, **arrays):
 
 
 def meta(**changes):
-    return np.array(json.dumps({"format": "ancfdae solution 3", **changes}))
+    return np.array(json.dumps({"format": "ancfdae solution 4", **changes}))
 
 
 def of_format(good, name):

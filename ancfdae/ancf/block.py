@@ -9,7 +9,8 @@ import numpy as np
 
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.elements import BeamElement, ElementParameter
-from ancfdae.elements.invariants import Invariants, prepare
+from ancfdae.elements.element import Invariants
+from ancfdae.elements.invariants import joined, prepare
 from ancfdae.numerics.arrays import Array
 from ancfdae.scene import Scene
 
@@ -22,6 +23,8 @@ class ElementBlock:
     Attributes
     ----------
     A, g_o : array, shape (n, ...) or (1, ...) when all elements are alike
+    p_o : array, shape as g_o, or None
+        Linear term of the energy, if the element has one.
     m : array, shape (n, n_a, n_a)
     tau : array, shape (n,), or None
         Damping times; None when no element is damped and no design variable could change that.
@@ -34,6 +37,7 @@ class ElementBlock:
 
     A: Array
     g_o: Array
+    p_o: Array | None
     m: Array
     tau: Array | None
     stiffness_pairs: Array
@@ -94,6 +98,7 @@ def element_block(scene: Scene, mapping: ParameterMap, parameters: Array) -> Ele
     return ElementBlock(
         A=distinct.A[chosen],
         g_o=distinct.g_o[chosen],
+        p_o=None if distinct.p_o is None else distinct.p_o[chosen],
         m=distinct.m[index],
         tau=tau if is_damped else None,
         stiffness_pairs=stiffness,
@@ -123,26 +128,7 @@ def _prepare(
         prepare(element, parameters[k], Y_unit[k], bool(straight[k[0]]), wanted, owners[k])
         for k in (order[:count], order[count:])
     ]
-    back = np.argsort(order)
-
-    def joined(arrays: list[Array]) -> Array:
-        return np.concatenate(arrays)[back]
-
-    partials = {
-        which: type(parts[0].partials[which])(
-            A=joined([part.partials[which].A for part in parts]),
-            g_o=joined([part.partials[which].g_o for part in parts]),
-            c=joined([part.partials[which].c for part in parts]),
-            m=joined([part.partials[which].m for part in parts]),
-        )
-        for which in wanted
-    }
-    return Invariants(
-        A=joined([part.A for part in parts]),
-        g_o=joined([part.g_o for part in parts]),
-        m=joined([part.m for part in parts]),
-        partials=partials,
-    )
+    return joined(parts, np.argsort(order))
 
 
 def _unit_vectors(scene: Scene, element: BeamElement) -> tuple[Array, Array]:
@@ -153,14 +139,16 @@ def _unit_vectors(scene: Scene, element: BeamElement) -> tuple[Array, Array]:
     """
     canonical = np.zeros((element.n_y, element.d))
     canonical[0, 0] = 1.0
-    canonical[1 : element.n_s] = canonical[element.n_s :] = np.eye(element.d)
+    slopes = slice(0, element.n_s - 1)
+    canonical[1 : element.n_s] = canonical[element.n_s :] = np.eye(element.d)[slopes]
     vectors, straight = [], []
     for beam in scene.beams:
         shape, n = beam.reference(), beam.element_count
         if shape.straight:
             Y = np.repeat(canonical[None], n, axis=0)
         else:
-            Y = np.concatenate([shape.chords[:, None], shape.slopes[:-1], shape.slopes[1:]], axis=1)
+            frames = shape.slopes[:, slopes]
+            Y = np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
         vectors.append(Y)
         straight.append(np.full(n, shape.straight))
     return np.concatenate(vectors), np.concatenate(straight)

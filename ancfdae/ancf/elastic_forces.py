@@ -71,7 +71,8 @@ class ElasticForces:
         block = self._block
         R = abs(self._numbering.relative())
         Y = self._R(q.real).reshape(self._shape)
-        K = np.abs(elastic.tangent(block.A.real, block.g_o.real, Y))
+        p_o = None if block.p_o is None else block.p_o.real
+        K = np.abs(elastic.tangent(block.A.real, block.g_o.real, Y, p_o=p_o))
         F = np.matmul(K, (R @ np.abs(q.real)).reshape(len(K), -1, 1))
         Q = np.finfo(float).eps * (R.T @ F.ravel())
         return float(np.sqrt(np.sum(Q * Q / weights)))
@@ -86,13 +87,14 @@ class ElasticForces:
         block = self._block
         Y = self._R(q).reshape(self._shape)
         V = None if block.tau is None else self._R(v).reshape(self._shape)
-        return -self._R.transposed(elastic.force(block.A, block.g_o, Y, V, block.tau).ravel())
+        F = elastic.force(block.A, block.g_o, Y, V, block.tau, block.p_o)
+        return -self._R.transposed(F.ravel())
 
     def force_q(self, q: Array, v: Array) -> Array:
         """Values of (Q_s)_q on the pattern, shape (k, nnz)."""
         block, Y = self._block, self.relative(q)
         V = None if block.tau is None else self.relative(v)
-        K = elastic.tangent(block.A, block.g_o, Y, V, block.tau)
+        K = elastic.tangent(block.A, block.g_o, Y, V, block.tau, block.p_o)
         # Instants as whole rows in memory, as they are read afterwards.
         return np.negative(self._tangent_map.rows(K.reshape(len(q), -1)), order="C")
 
@@ -105,7 +107,7 @@ class ElasticForces:
         VU = None if V is None else (V, self._R.columns(v_b).reshape(shape))
         x = elastic.strain(block.g_o, Y, V, tau)
         p_b = self._stresses_b(x, Y, V)
-        p = elastic.apply_invariant(block.A, x)
+        p = elastic.stress(block.A, x, block.p_o)
         F_b = elastic.force_total(block.A, p, p_b, (Y, U), VU, tau)
         return -self._R.transposed(F_b.reshape(Y.size, self._n_b))
 
@@ -160,7 +162,7 @@ class ElasticForces:
         """d(Q_s)/dt along the motion, shape (n_q,), for one instant."""
         block = self._block
         Y, V, Z = (self._R(x).reshape(self._shape) for x in (q, v, a))
-        F = elastic.force_rate(block.A, block.g_o, Y, V, Z, block.tau)
+        F = elastic.force_rate(block.A, block.g_o, Y, V, Z, block.tau, block.p_o)
         return -self._R.transposed(F.ravel())
 
     def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
@@ -173,7 +175,7 @@ class ElasticForces:
         for first in range(0, n_b, count):
             some = slice(first, first + count)
             y, v, z = (y + 1j * STEP * y_b[some] for y, y_b in zip(Y, Y_b, strict=True))
-            F_b = elastic.force_rate(block.A, block.g_o, y, v, z, block.tau).imag / STEP
+            F_b = elastic.force_rate(block.A, block.g_o, y, v, z, block.tau, block.p_o).imag / STEP
             total[:, some] += self._R.rows_transposed(F_b.reshape(len(F_b), -1)).T
         return -total
 
@@ -184,21 +186,28 @@ class ElasticForces:
         A, g_o = A[at].astype(complex), g_o[at].astype(complex)
         A[stiff] += 1j * STEP * block.A_b
         g_o[stiff] += 1j * STEP * block.g_ob
+        p_o = None
+        if block.p_o is not None:
+            p_o = np.broadcast_to(block.p_o, (len(Y[0]), *block.p_o.shape[1:]))[at].astype(complex)
+            p_ob = elastic.apply_invariant(A[stiff].real, block.g_ob) - block.c_b
+            p_o[stiff] += 1j * STEP * p_ob
         tau = None if block.tau is None else block.tau[at].astype(complex)
         if tau is not None:
             tau[self._stiff :] += 1j * STEP * self._pair_weight[self._stiff :]
         y, v, z = (x[at] for x in Y)
-        return np.asarray(elastic.force_rate(A, g_o, y, v, z, tau).imag / STEP)
+        return np.asarray(elastic.force_rate(A, g_o, y, v, z, tau, p_o).imag / STEP)
 
     # -- energies ------------------------------------------------------------------------------
 
     def energies(self, q: Array) -> Array:
         """Strain energy of every element, shape (k, n)."""
-        return elastic.energy(self._block.A, self._block.g_o, self.relative(q))
+        block = self._block
+        return elastic.energy(block.A, block.g_o, self.relative(q), block.p_o)
 
     def energy_q(self, q: Array, chosen: Array) -> Array:
         """Gradient of the energy of the chosen elements, shape (k, n_q)."""
-        F = elastic.force(self._block.A, self._block.g_o, self.relative(q))
+        block = self._block
+        F = elastic.force(block.A, block.g_o, self.relative(q), p_o=block.p_o)
         F = F * chosen[:, None, None]
         return self._R.rows_transposed(F.reshape(len(q), -1))
 
@@ -206,7 +215,8 @@ class ElasticForces:
         """Design partial of the energy of the chosen elements, shape (k, n_b)."""
         block, pairs = self._block, self._pair_element[: self._stiff]
         dg = elastic.strain(block.g_o, self.relative(q))[:, pairs]
-        # d(1/2 dg^T A dg) = 1/2 dg^T A_b dg - dg^T A g_ob
+        # d(1/2 dg^T A dg + p_o^T dg) = 1/2 dg^T A_b dg - dg^T c_b; the reference, which has no
+        # energy whatever its length, has p_o^T g_ob = 0.
         per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(block.A_b, dg) - block.c_b), axis=2)
         result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
         np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)

@@ -66,7 +66,8 @@ class StartState:
     def _states(self) -> tuple[Array, Array, Array]:
         first, parts = 0, []
         for beam, shape in zip(self._scene.beams, self._shapes, strict=True):
-            X = Z = _nodes(shape, self._lengths[first : first + beam.element_count])
+            own = self._lengths[first : first + beam.element_count]
+            X = Z = _nodes(shape, own, beam.element.n_s)
             first += beam.element_count
             V = np.zeros_like(X)
             for motion in (s for s in self._scene.start if s.beam == beam.name):
@@ -90,13 +91,12 @@ class StartState:
         return other
 
 
-def _nodes(shape: ReferenceShape, lengths: Array) -> Array:
+def _nodes(shape: ReferenceShape, lengths: Array, n_s: int) -> Array:
     """Node vectors (n + 1, n_s, d) of the reference configuration."""
-    d = len(shape.start)
-    X = np.zeros((len(lengths) + 1, d + 1, d), dtype=lengths.dtype)
+    X = np.zeros((len(lengths) + 1, n_s, len(shape.start)), dtype=lengths.dtype)
     X[:, 0] = shape.start
     X[1:, 0] += np.cumsum(lengths[:, None] * shape.chords, axis=0)
-    X[:, 1:] = shape.slopes
+    X[:, 1:] = shape.slopes[:, : n_s - 1]
     return X
 
 

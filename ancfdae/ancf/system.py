@@ -85,7 +85,7 @@ class AncfSystem(MechanicalSystem):
         self._numbering = number(scene)
         self.element, self.n_q = self._numbering.element, self._numbering.n_q
         lengths = parameters[:, ElementParameter.LENGTH]
-        layout = Layout(self.element.d, self._numbering.beams, ())
+        layout = Layout(self.element.name, self._numbering.beams, ())
         self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
         self._start = StartState(scene, lengths, self.naming.lengths_b)
         self._constraints = self._joint_constraints()
@@ -112,7 +112,7 @@ class AncfSystem(MechanicalSystem):
         q_o, active = self._start.q_reference, self._start.active
         q_ob = [self._start.moved(i).q_reference.imag / STEP for i in active]
         for joint in self._scene.joints:
-            own = [self.naming.vector(*vector) for vector in joint.vectors(d)]
+            own = [self._point_vector(vector) for vector in joint.vectors(self.element)]
             vectors = Vectors(own, d, self.n_q, self.n_b)
             reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
             if active:
@@ -128,13 +128,13 @@ class AncfSystem(MechanicalSystem):
     def _load_forces(self) -> LoadForces:
         inputs = []
         for load in self._scene.loads:
-            own = [self._load_vector(vector) for vector in load.vectors()]
+            own = [self._point_vector(vector) for vector in load.vectors(self.element)]
             p, p_b = self._mapping.part(load.name, self.b)
             vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
             inputs.append(LoadInput(load, vectors, p, p_b))
         return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
 
-    def _load_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
+    def _point_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
         if isinstance(vector, CentreLine):
             return self.naming.centre_line(vector.beam)
         return self.naming.vector(*vector)
@@ -161,7 +161,7 @@ class AncfSystem(MechanicalSystem):
         self.weights = self._inertia.weights
         self.force_round_off = self._elastic.round_off(self._start.q, self.weights)
         joints = self._constraints.joints
-        layout = Layout(self.element.d, self._numbering.beams, joints)
+        layout = Layout(self.element.name, self._numbering.beams, joints)
         self.naming = Naming(layout, self.naming.lengths, self.naming.lengths_b)
         self.constraint_names = tuple(joint.name for joint in joints for _ in range(joint.rows))
 

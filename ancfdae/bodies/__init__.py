@@ -3,7 +3,8 @@
 from ancfdae.bodies.beam import Beam
 from ancfdae.bodies.body import PARAMETER_NAMES, BeamBody, ReferenceShape
 from ancfdae.bodies.curved_beam import CurvedBeam
-from ancfdae.bodies.point import Point, Quantity, name_at, require_point
+from ancfdae.bodies.point import Point, require_point
+from ancfdae.elements import Quantity
 
 __all__ = [
     "PARAMETER_NAMES",
@@ -13,6 +14,5 @@ __all__ = [
     "Point",
     "Quantity",
     "ReferenceShape",
-    "name_at",
     "require_point",
 ]

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies.body import BeamBody, ReferenceShape
+from ancfdae.elements import BeamElement
 from ancfdae.errors import (
     InvalidInput,
     require_count,
@@ -38,6 +39,9 @@ class Beam(BeamBody):
         Spatial beams: direction of the section's height; its part along the beam is removed.
         By default the direction that makes (beam, height, width) right-handed with the width
         along global z, or along global y if the beam itself runs along z.
+    element : BeamElement, optional
+        By default the beam of the dimension, BEAM_2D or BEAM_3D; CABLE_2D has no shear and no
+        deformation of the section.
 
     Raises
     ------
@@ -53,6 +57,7 @@ class Beam(BeamBody):
     section: Rectangle | Sequence[Rectangle]
     material: Material | Sequence[Material]
     height_axis: Sequence[float] | None = None
+    element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
 
     def __post_init__(self) -> None:
         """Validate."""

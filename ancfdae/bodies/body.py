@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies.point import Point
-from ancfdae.elements import BEAM_2D, BEAM_3D, BeamElement, ElementParameter
+from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.errors import (
     InvalidInput,
     UnknownName,
@@ -66,9 +66,12 @@ class BeamBody(abc.ABC):
         One for the beam or one per element.
     material : Material or sequence of Material
         One for the beam or one per element.
+    element : BeamElement
+        The element that models it.
     """
 
     name: str
+    element: BeamElement
     section: Rectangle | Sequence[Rectangle]
     material: Material | Sequence[Material]
 
@@ -95,11 +98,6 @@ class BeamBody(abc.ABC):
         self, section: Rectangle | Sequence[Rectangle], material: Material | Sequence[Material]
     ) -> BeamBody:
         """Return the same beam with another section and material."""
-
-    @property
-    def element(self) -> BeamElement:
-        """The element that models this beam."""
-        return BEAM_2D if self.dimension == 2 else BEAM_3D
 
     @property
     def at_start(self) -> Point:
@@ -191,6 +189,18 @@ class BeamBody(abc.ABC):
                 "must be a non-empty string without '.' and '['",
                 repr(name),
                 "Names appear in design targets such as 'rod.height[2]'.",
+            )
+        given: object = self.element
+        if given is None:
+            given = next(each for each in ALL_ELEMENTS if each.d == self.dimension)
+            object.__setattr__(self, "element", given)
+        names = ", ".join(each.name for each in ALL_ELEMENTS if each.d == self.dimension)
+        if not isinstance(given, BeamElement) or given.d != self.dimension:
+            raise InvalidInput(
+                f"beam {self.name!r}, element",
+                f"must be one of {self.dimension} dimensions",
+                repr(given),
+                f"Leave it out, or choose among {names}.",
             )
         self._check_part(self.section, Rectangle)
         self._check_part(self.material, Material)

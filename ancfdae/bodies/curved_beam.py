@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies.body import BeamBody, ReferenceShape
+from ancfdae.elements import BeamElement
 from ancfdae.elements.hermite import end_weight_xi, slope_weights_xi
 from ancfdae.errors import (
     InvalidInput,
@@ -39,6 +40,8 @@ class CurvedBeam(BeamBody):
     element_lengths : sequence of float, optional
         Range of the axial coordinate of each element. By default the arc length of the cubic
         through its nodes, so that unit tangents stay unit tangents.
+    element : BeamElement, optional
+        By default the beam of the dimension, BEAM_2D or BEAM_3D.
 
     Raises
     ------
@@ -52,6 +55,7 @@ class CurvedBeam(BeamBody):
     section: Rectangle | Sequence[Rectangle]
     material: Material | Sequence[Material]
     element_lengths: Sequence[float] | None = None
+    element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
 
     def __post_init__(self) -> None:
         """Validate."""

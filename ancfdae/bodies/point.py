@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import final
 
 from ancfdae.errors import (
@@ -11,15 +10,6 @@ from ancfdae.errors import (
     require_finite,
     require_kind,
 )
-
-
-class Quantity(IntEnum):
-    """A vector of a material point; slopes are derivatives along the section's axes."""
-
-    POSITION = 0
-    SLOPE_X = 1
-    SLOPE_Y = 2
-    SLOPE_Z = 3
 
 
 @final
@@ -72,15 +62,3 @@ def require_point(where: str, point: object, dimension: int = 3) -> None:
     assert isinstance(point, Point)
     if dimension == 2 and point.z != 0.0:
         raise InvalidInput(where, "a planar beam has no z axis", f"z = {point.z}", "Leave z out.")
-
-
-def name_at(kind: str, point: Point) -> str:
-    """Return the default name of a joint or load on a point, ``kind(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If `point` is no point.
-    """
-    require_point(kind, point)
-    return f"{kind}({point.beam}@{point.fraction:g})"

@@ -1,7 +1,19 @@
-"""ANCF beam elements: shape functions, invariant matrices, batched elastic forces."""
+"""ANCF elements: shape functions, invariant matrices, batched elastic forces; one a file."""
 
 from ancfdae.elements.beam2d import BEAM_2D
 from ancfdae.elements.beam3d import BEAM_3D
-from ancfdae.elements.element import BeamElement, ElementParameter
+from ancfdae.elements.cable2d import CABLE_2D
+from ancfdae.elements.element import BeamElement, ElementParameter, Quantity
 
-__all__ = ["BEAM_2D", "BEAM_3D", "BeamElement", "ElementParameter"]
+#: Every element, the default one of a dimension before others of it.
+ALL_ELEMENTS: tuple[BeamElement, ...] = (BEAM_2D, BEAM_3D, CABLE_2D)
+
+__all__ = [
+    "ALL_ELEMENTS",
+    "BEAM_2D",
+    "BEAM_3D",
+    "CABLE_2D",
+    "BeamElement",
+    "ElementParameter",
+    "Quantity",
+]

@@ -10,19 +10,19 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements.element import BeamElement, ElementParameter
+from ancfdae.elements.continuum import ContinuumBeam
+from ancfdae.elements.element import ElementParameter, Quantity
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
 from ancfdae.numerics.arrays import Array
 
 
 @final
-class Beam2D(BeamElement):
+class Beam2D(ContinuumBeam):
     """The planar element."""
 
+    name = "BEAM_2D"
     d = 2
-    n_s = 3
-    n_a = 6
-    n_y = 5
+    quantities = tuple(Quantity)[:3]
     voigt = ((0, 0), (1, 1), (0, 1))
 
     def shape(self, points: Array, parameters: Array) -> Array:

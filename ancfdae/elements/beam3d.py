@@ -10,19 +10,19 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements.element import BeamElement, ElementParameter
+from ancfdae.elements.continuum import ContinuumBeam
+from ancfdae.elements.element import ElementParameter, Quantity
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
 from ancfdae.numerics.arrays import Array
 
 
 @final
-class Beam3D(BeamElement):
+class Beam3D(ContinuumBeam):
     """The spatial element."""
 
+    name = "BEAM_3D"
     d = 3
-    n_s = 4
-    n_a = 8
-    n_y = 7
+    quantities = tuple(Quantity)
     voigt = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
     def shape(self, points: Array, parameters: Array) -> Array:

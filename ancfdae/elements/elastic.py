@@ -3,15 +3,15 @@
 Everything is a product of the invariant A with the packed Gram matrix of the
 relative node vectors Y (docs/theory.md, section 2):
 
-    U = 1/2 dg^T A dg,   dg = g(Y) - g_o,
-    force   = W(p) Y,    p = A (dg + tau g'),   g' = dg/dt     (eqs. 13, 17)
+    U = 1/2 dg^T A dg + p_o^T dg,   dg = g(Y) - g_o,
+    force   = W(p) Y,    p = A (dg + tau g') + p_o,   g' = dg/dt     (eqs. 13, 17)
     tangent = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V))        (eq. 19)
     damping tangent = tau G(Y)^T A G(Y),        G(Y) = dg/dY
 
 tau is the retardation time of Kelvin-Voigt damping, stress = C (E + tau E').
 Y and V have shape (..., n, n_y, d): leading axes are instants. A has shape
 (n, n_g, n_g), or (1, n_g, n_g) when all elements share it. Undamped calls
-leave V and tau out and pay nothing for them.
+leave V and tau out and pay nothing for them; most elements have no p_o.
 """
 
 from __future__ import annotations
@@ -54,18 +54,30 @@ def strain(g_o: Array, Y: Array, V: Array | None = None, tau: Array | None = Non
     return dg
 
 
-def energy(A: Array, g_o: Array, Y: Array) -> Array:
+def stress(A: Array, x: Array, p_o: Array | None) -> Array:
+    """Return p = A x + p_o of strains x, shape (..., n, n_g)."""
+    p = apply_invariant(A, x)
+    return p if p_o is None else p + p_o
+
+
+def energy(A: Array, g_o: Array, Y: Array, p_o: Array | None = None) -> Array:
     """Return the strain energy of each element, shape (..., n)."""
     dg = strain(g_o, Y)
-    U: Array = 0.5 * np.sum(dg * apply_invariant(A, dg), axis=-1)
+    p = 0.5 * apply_invariant(A, dg)
+    U: Array = np.sum(dg * (p if p_o is None else p + p_o), axis=-1)
     return U
 
 
 def force(
-    A: Array, g_o: Array, Y: Array, V: Array | None = None, tau: Array | None = None
+    A: Array,
+    g_o: Array,
+    Y: Array,
+    V: Array | None = None,
+    tau: Array | None = None,
+    p_o: Array | None = None,
 ) -> Array:
     """Return the elastic force in Y; undamped, the gradient of the energy. Shape as Y."""
-    return stressed(apply_invariant(A, strain(g_o, Y, V, tau)), Y)
+    return stressed(stress(A, strain(g_o, Y, V, tau), p_o), Y)
 
 
 def stressed(p: Array, Y: Array) -> Array:
@@ -75,11 +87,16 @@ def stressed(p: Array, Y: Array) -> Array:
 
 
 def tangent(
-    A: Array, g_o: Array, Y: Array, V: Array | None = None, tau: Array | None = None
+    A: Array,
+    g_o: Array,
+    Y: Array,
+    V: Array | None = None,
+    tau: Array | None = None,
+    p_o: Array | None = None,
 ) -> Array:
     """Return the derivative of `force` in Y, shape (..., n, n_y d, n_y d)."""
     n_y, d = Y.shape[-2:]
-    W = unpacked_stress(apply_invariant(A, strain(g_o, Y, V, tau)), n_y)
+    W = unpacked_stress(stress(A, strain(g_o, Y, V, tau), p_o), n_y)
     G = gram_jacobian(Y)
     H = G if V is None or tau is None else G + tau[:, None, None] * gram_jacobian(V)
     K: Array = np.matmul(np.swapaxes(G, -1, -2), np.matmul(A, H))
@@ -97,7 +114,13 @@ def damping_tangent(A: Array, Y: Array, tau: Array) -> Array:
 
 
 def force_rate(
-    A: Array, g_o: Array, Y: Array, V: Array, acceleration: Array, tau: Array | None = None
+    A: Array,
+    g_o: Array,
+    Y: Array,
+    V: Array,
+    acceleration: Array,
+    tau: Array | None = None,
+    p_o: Array | None = None,
 ) -> Array:
     """Return d(force)/dt along the motion: W(p') Y + W(p) V. Shape as Y.
 
@@ -107,7 +130,7 @@ def force_rate(
     if tau is not None:
         curvature = packed_gram_direction(Y, acceleration) + packed_gram_direction(V, V)
         rate = rate + tau[:, None] * curvature
-    p = apply_invariant(A, strain(g_o, Y, V, tau))
+    p = stress(A, strain(g_o, Y, V, tau), p_o)
     return stressed(apply_invariant(A, rate), Y) + stressed(p, V)
 
 
@@ -142,7 +165,7 @@ def force_total(
     ----------
     A : array, shape (n or 1, n_g, n_g)
     p : array, shape (n, n_g)
-        Stresses A (dg + tau g').
+        Stresses A (dg + tau g') + p_o.
     p_b : array, shape (n, n_g, n_b)
         Partial of p at fixed Y and V.
     YU, VU : pair of array, shape (n, n_y, d) and (n, n_y d, n_b)

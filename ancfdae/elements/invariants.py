@@ -1,90 +1,28 @@
 """Invariant matrices of a block of elements and their exact design derivatives.
 
 With Y the relative node vectors, g the packed Y Y^T and g_o its value in the
-reference configuration, every Green-Lagrange strain component is P (g - g_o)
-with P independent of the coordinates, so that
+reference configuration, every element states
 
-    U = 1/2 (g - g_o)^T A (g - g_o),      A = int P^T C P dV_o,
+    U = 1/2 (g - g_o)^T A (g - g_o) + p_o^T (g - g_o),
     m_ab = int rho s_a s_b dV_o            (eq. 10; M_e = m (x) I_d).
 
 A (15 x 15 planar, 28 x 28 spatial) and m carry everything that eqs. (15), (18)
-and (10) carry. The linear term c = A g_o of docs/theory.md needs no integral of
-its own because the strain vanishes in the reference configuration pointwise.
-
-Derivation of P. With D = N J_o^{-1}, J_o = Y_o^T N = d r_o/dx (eq. 16), the
-deformation gradient is F = Y^T D and 2 E_ij = sum_yz D_yi D_zj Y_y . Y_z - delta_ij.
-The derivative of A in a parameter b follows from the product rule:
-d(J_o^{-1}) = -J_o^{-1} dJ_o J_o^{-1}, d(det J_o) = det J_o tr(J_o^{-1} dJ_o).
+and (10) carry. The linear term p_o exists only for elements with a strain
+measure that is no difference to the reference; the reference must be in
+balance under it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ancfdae.elements.element import GEOMETRIC, BeamElement, ElementParameter
-from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
-from ancfdae.errors import InvalidInput
+from ancfdae.elements.element import BeamElement, ElementParameter, InvariantPartial, Invariants
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.quadrature import box_rule
 
-# Straight reference: the integrand of A has degree 8 in xi and 4 across the section, that
-# of m degree 6 and 2; 5 and 3 Gauss points are exact.
-_STRAIGHT_POINTS = (5, 3)
-# Curved reference: the integrand is rational. With a radius of curvature R the error of A falls
-# like (height / 4R)^(2 n) across the section: measured with 6 points, 1e-15 at height = R / 10,
-# 6e-14 at R / 5, 4e-9 at R / 2. Along it, 12 points leave 3e-15 when the element turns by 0.5 rad,
-# 4e-13 at 1 rad and 3e-9 at a right angle.
-_CURVED_POINTS = (12, 6)
 # Elements handled at once, so that the preparation of 10,000 of them stays within memory.
 _CHUNK = 256
-
-
-@final
-@dataclass(frozen=True)
-class InvariantPartial:
-    """Derivatives of the invariants in one element parameter.
-
-    Attributes
-    ----------
-    A : array, shape (n, n_g, n_g)
-    g_o : array, shape (n, n_g)
-    c : array, shape (n, n_g)
-        A (dg_o/db): what the moving reference configuration adds to the stress.
-    m : array, shape (n, n_a, n_a)
-    """
-
-    A: Array
-    g_o: Array
-    c: Array
-    m: Array
-
-
-@final
-@dataclass(frozen=True)
-class Invariants:
-    """Invariants of n elements.
-
-    Attributes
-    ----------
-    A : array, shape (n, n_g, n_g)
-        Elastic invariant.
-    g_o : array, shape (n, n_g)
-        Packed Gram matrix of the reference configuration.
-    m : array, shape (n, n_a, n_a)
-        Mass invariant.
-    partials : dict
-        Derivatives by element parameter, only those asked for; none for the damping time,
-        which no invariant depends on.
-    """
-
-    A: Array
-    g_o: Array
-    m: Array
-    partials: dict[ElementParameter, InvariantPartial]
 
 
 def prepare(
@@ -122,138 +60,30 @@ def prepare(
         owners = np.full(len(parameters), "reference configuration")
     chunks = [slice(k, k + _CHUNK) for k in range(0, len(parameters), _CHUNK)]
     pieces = [
-        _prepare_chunk(element, parameters[k], Y_unit[k], straight, wanted, owners[k])
-        for k in chunks
+        element.invariants(parameters[k], Y_unit[k], straight, wanted, owners[k]) for k in chunks
     ]
+    return joined(pieces)
+
+
+def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invariants:
+    """Put the invariants of several blocks of one element into one, optionally reordered."""
+
+    def together(arrays: list[Array]) -> Array:
+        whole = np.concatenate(arrays)
+        return whole if order is None else whole[order]
+
+    def fields(parts: Sequence[Invariants | InvariantPartial], *names: str) -> dict[str, Array]:
+        return {name: together([getattr(part, name) for part in parts]) for name in names}
+
     partials = {
         which: InvariantPartial(
-            A=np.concatenate([piece.partials[which].A for piece in pieces]),
-            g_o=np.concatenate([piece.partials[which].g_o for piece in pieces]),
-            c=np.concatenate([piece.partials[which].c for piece in pieces]),
-            m=np.concatenate([piece.partials[which].m for piece in pieces]),
+            **fields([piece.partials[which] for piece in pieces], "A", "g_o", "c", "m")
         )
-        for which in wanted
+        for which in pieces[0].partials
     }
+    linear = [piece.p_o for piece in pieces if piece.p_o is not None]
     return Invariants(
-        A=np.concatenate([piece.A for piece in pieces]),
-        g_o=np.concatenate([piece.g_o for piece in pieces]),
-        m=np.concatenate([piece.m for piece in pieces]),
+        **fields(pieces, "A", "g_o", "m"),
+        p_o=together(linear) if linear else None,
         partials=partials,
     )
-
-
-def constitutive_matrix(element: BeamElement, E: Array, nu: Array) -> Array:
-    """St. Venant-Kirchhoff C, shape (n, n_v, n_v), engineering shear strains."""
-    kappa = E * nu / ((1 + nu) * (1 - 2 * nu))
-    G = E / (2 * (1 + nu))
-    return _isotropic(element, kappa, G)
-
-
-def _isotropic(element: BeamElement, kappa: Array, G: Array) -> Array:
-    d, n_v = element.d, len(element.voigt)
-    normal, shear = np.arange(d), np.arange(d, n_v)
-    C = np.zeros((len(kappa), n_v, n_v), dtype=np.result_type(kappa, G))
-    C[:, :d, :d] = kappa[:, None, None]
-    C[:, normal, normal] += 2 * G[:, None]
-    C[:, shear, shear] = G[:, None]
-    return C
-
-
-def _constitutive_partial(
-    element: BeamElement, E: Array, nu: Array, which: ElementParameter
-) -> Array:
-    if which is ElementParameter.YOUNGS_MODULUS:
-        return constitutive_matrix(element, np.ones_like(E), nu)
-    kappa_nu = E * (1 + 2 * nu**2) / ((1 + nu) * (1 - 2 * nu)) ** 2
-    return _isotropic(element, kappa_nu, -E / (2 * (1 + nu) ** 2))
-
-
-def _prepare_chunk(
-    element: BeamElement,
-    parameters: Array,
-    Y_unit: Array,
-    straight: bool,
-    wanted: tuple[ElementParameter, ...],
-    owners: Array,
-) -> Invariants:
-    E, nu, rho, h, w, l = parameters.T[:6]
-    along, across = _STRAIGHT_POINTS if straight else _CURVED_POINTS
-    points, rule = box_rule((along,) + (across,) * (element.d - 1))
-    N, s = element.gradient(points, parameters), element.shape(points, parameters)
-    Y_o = Y_unit.astype(np.result_type(Y_unit, parameters))
-    Y_o[:, 0] *= l[:, None]
-    J_inv, det_J = _reference_gradient(Y_o, N, owners)
-    C, D = constitutive_matrix(element, E, nu), N @ J_inv
-    P = _strain_operator(element, D, D)
-    dV = rule * det_J * (l * h * w)[:, None]
-    A, m = _quadratic(P, C, dV, P), _mass(rho, dV, s, s)
-    partials = {}
-    for which in wanted:
-        A_b, m_b = np.zeros_like(A), np.zeros_like(m)
-        Y_ob = np.zeros_like(Y_o)
-        if which is ElementParameter.DENSITY:
-            m_b = m / rho[:, None, None]
-        elif which not in GEOMETRIC:
-            A_b = _quadratic(P, _constitutive_partial(element, E, nu, which), dV, P)
-        else:
-            if which is ElementParameter.LENGTH:
-                Y_ob[:, 0] = Y_unit[:, 0]
-            N_b = element.gradient_partial(points, parameters, which)
-            s_b = element.shape_partial(points, parameters, which)
-            J_b = Y_ob.transpose(0, 2, 1)[:, None] @ N + Y_o.transpose(0, 2, 1)[:, None] @ N_b
-            D_b = (N_b - D @ J_b) @ J_inv
-            P_b = _strain_operator(element, D_b, D) + _strain_operator(element, D, D_b)
-            trace = np.einsum("npij,npji->np", J_inv, J_b)
-            dV_b = dV * (trace + 1.0 / parameters[:, which, None])
-            cross, cross_m = _quadratic(P_b, C, dV, P), _mass(rho, dV, s_b, s)
-            A_b = _quadratic(P, C, dV_b, P) + cross + cross.transpose(0, 2, 1)
-            m_b = _mass(rho, dV_b, s, s) + cross_m + cross_m.transpose(0, 2, 1)
-        g_ob = packed_gram_direction(Y_o, Y_ob)
-        c_b = np.einsum("nij,nj->ni", A, g_ob)
-        partials[which] = InvariantPartial(A=A_b, g_o=g_ob, c=c_b, m=m_b)
-    return Invariants(A=A, g_o=packed_gram(Y_o), m=m, partials=partials)
-
-
-def _reference_gradient(Y_o: Array, N: Array, owners: Array) -> tuple[Array, Array]:
-    """Inverse and determinant of dr_o/dx (eq. 16), shapes (n, n_p, d, d) and (n, n_p)."""
-    J = Y_o.transpose(0, 2, 1)[:, None] @ N
-    det_J = np.linalg.det(J)
-    worst = np.min(det_J.real, axis=1)
-    if not np.all(worst > 0):
-        k = int(np.argmin(worst))
-        raise InvalidInput(
-            str(owners[k]),
-            "dr_o/dx of the reference configuration must have a positive determinant everywhere",
-            f"{float(worst[k]):.3g} at the worst point",
-            "Use right-handed node frames, more elements along the curve or a thinner section.",
-        )
-    return np.linalg.inv(J), det_J
-
-
-def _strain_operator(element: BeamElement, D_1: Array, D_2: Array) -> Array:
-    """Coefficients of the strains in g, bilinear in (D_1, D_2), shape (n, n_p, n_v, n_g)."""
-    rows, columns = upper_triangle(element.n_y)
-    i = np.array([pair[0] for pair in element.voigt])[:, None]
-    j = np.array([pair[1] for pair in element.voigt])[:, None]
-    product = D_1[..., rows, i] * D_2[..., columns, j] + D_1[..., columns, i] * D_2[..., rows, j]
-    # 1/2 from 2 E = ..., doubled for engineering shear, halved where both terms are one entry.
-    shear = np.where(i == j, 0.5, 1.0)
-    twice = np.where(rows == columns, 0.5, 1.0)
-    # Gram is symmetric: only the part symmetric in (i, j) counts.
-    swapped = D_1[..., rows, j] * D_2[..., columns, i] + D_1[..., columns, j] * D_2[..., rows, i]
-    P: Array = 0.5 * (product + swapped) * (shear * twice)
-    return P
-
-
-def _quadratic(P_1: Array, C: Array, dV: Array, P_2: Array) -> Array:
-    """Integral of P_1^T C P_2 over the reference volume."""
-    n, n_p, n_v, n_g = P_1.shape
-    weighted = dV[..., None, None] * (C[:, None] @ P_2)
-    left = P_1.reshape(n, n_p * n_v, n_g).transpose(0, 2, 1)
-    return np.asarray(left @ weighted.reshape(n, n_p * n_v, n_g))
-
-
-def _mass(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
-    """Integral of rho s_1 s_2^T (eq. 10)."""
-    weighted = (rho[:, None] * dV)[..., None] * s_2
-    return np.asarray(s_1.transpose(0, 2, 1) @ weighted)

@@ -1,6 +1,7 @@
 """Joints: holonomic constraints between points of beams, and to ground; one a file."""
 
 from ancfdae.joints.clamp import Clamp
+from ancfdae.joints.cylindrical import Cylindrical
 from ancfdae.joints.distance import Distance
 from ancfdae.joints.drive import Drive, Guide
 from ancfdae.joints.joint import Coefficients, Joint
@@ -12,6 +13,7 @@ from ancfdae.joints.revolute import Revolute
 __all__ = [
     "Clamp",
     "Coefficients",
+    "Cylindrical",
     "Distance",
     "Drive",
     "Guide",

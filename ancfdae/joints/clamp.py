@@ -7,9 +7,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity, name_at
-from ancfdae.errors import InvalidInput
-from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
+from ancfdae.bodies import Point
+from ancfdae.joints.joint import SECTION, Coefficients, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
 
@@ -31,31 +30,9 @@ class Clamp(Joint):
     point: Point
     name: str = ""
 
+    takes_part = SECTION
+    kind = "clamp"
     holds_position = True
-
-    def __post_init__(self) -> None:
-        """Name."""
-        if not self.name:
-            object.__setattr__(self, "name", name_at("clamp", self.point))
-
-    @property
-    def points(self) -> tuple[Point, ...]:
-        """The held point."""
-        return (self.point,)
-
-    def parameters(self) -> dict[str, float]:
-        """None."""
-        return {}
-
-    def with_parameter(self, parameter: str, value: float) -> Clamp:
-        """Refuse: a clamp has no parameters."""
-        raise InvalidInput(
-            f"joint {self.name!r}", "has no parameters", parameter, "Choose another."
-        )
-
-    def vectors(self, d: int) -> tuple[tuple[Point, Quantity], ...]:
-        """Position and slopes of the section."""
-        return tuple((self.point, quantity) for quantity in list(Quantity)[: d + 1])
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """U_i - U_i(reference)."""

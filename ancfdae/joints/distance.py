@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity, name_at
-from ancfdae.design import replaced_component, vector_parameters
-from ancfdae.errors import InvalidInput, require_positive, require_vector
+from ancfdae.bodies import Point
+from ancfdae.errors import require_positive, require_vector
 from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
@@ -47,52 +46,18 @@ class Distance(Joint):
     ground: Sequence[float] | None = None
     name: str = ""
 
-    def __post_init__(self) -> None:
-        """Validate and name."""
-        if not self.name:
-            object.__setattr__(self, "name", name_at("link", self.point))
-        require_positive(f"joint {self.name!r}, length", self.length)
-        if (self.other is None) == (self.ground is None):
-            raise InvalidInput(
-                f"joint {self.name!r}",
-                "links a point either to another one or to the ground",
-                "both" if self.other is not None else "neither",
-                "Give `other` or `ground`.",
-            )
-        if self.ground is not None:
-            require_vector(f"joint {self.name!r}, ground", self.ground)
-
-    @property
-    def points(self) -> tuple[Point, ...]:
-        """The linked points."""
-        return (self.point,) if self.other is None else (self.point, self.other)
-
-    def parameters(self) -> dict[str, float]:
-        """Length and components of `ground`."""
-        return {"length": self.length} | vector_parameters("ground", self.ground)
-
-    def with_parameter(self, parameter: str, value: float) -> Distance:
-        """Change the length or move the ground point."""
-        if parameter == "length":
-            return replace(self, length=value)
-        assert self.ground is not None
-        return replace(self, ground=replaced_component("ground", self.ground, parameter, value))
-
-    def vectors(self, d: int) -> tuple[tuple[Point, Quantity], ...]:
-        """Positions of the linked points."""
-        return tuple((point, Quantity.POSITION) for point in self.points)
+    kind = "link"
+    design_fields = (("length", require_positive), ("ground", require_vector))
+    needs_other_end = True
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """(|U_0 - U_1|^2 / L - L) / 2."""
         n, d = reference.shape
         c = empty_coefficients(1, n, d, np.result_type(p, reference))
-        L, ground = p[0], p[1:]
-        c.bilinear[0, 0, 0] = 1 / L
+        L, ground = self.split(p)
+        c.bilinear[0] = np.array([[1, -1], [-1, 1]])[:n, :n] / L
         c.offset[0] = L / 2
-        if n == 2:
-            c.bilinear[0, 1, 1] = 1 / L
-            c.bilinear[0, 0, 1] = c.bilinear[0, 1, 0] = -1 / L
-        else:
+        if ground is not None:
             c.linear[0, 0] = -ground / L
             c.offset[0] -= np.sum(ground * ground) / (2 * L)
         return c

@@ -14,13 +14,17 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity
-from ancfdae.design import Parametrised
+from ancfdae.elements import BeamElement, Quantity
+from ancfdae.joints.frames import across, slope_weights
 from ancfdae.numerics.arrays import Array
+from ancfdae.parts import Part, Vectors
+
+#: Position and all slopes that the element has take part.
+SECTION: tuple[Quantity, ...] = ()
 
 
 @final
@@ -41,13 +45,13 @@ class Coefficients:
     offset: Array
 
 
-class Joint(Parametrised):
-    """A joint between points of beams or to ground.
+class Joint(Part):
+    """A joint between points of beams or to ground; fields and names as in `Part`.
 
     Attributes
     ----------
-    name : str
-        Unique in a scene; reactions are asked for by it.
+    takes_part : tuple of Quantity
+        What takes part of every point; its position, or `SECTION`, say.
     driven : bool
         Whether the coefficients depend on time. Bilinear ones never do.
     holds_position : bool
@@ -55,17 +59,17 @@ class Joint(Parametrised):
         reaction force on the first point.
     """
 
-    driven: bool = False
-    holds_position: bool = False
+    role = "joint"
+    takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
+    driven: ClassVar[bool] = False
+    holds_position: ClassVar[bool] = False
 
-    @property
-    @abc.abstractmethod
-    def points(self) -> tuple[Point, ...]:
-        """The points that the joint touches, the one that reactions act on first."""
-
-    @abc.abstractmethod
-    def vectors(self, d: int) -> tuple[tuple[Point, Quantity], ...]:
-        """Return the point vectors that take part in space of dimension d."""
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the vectors that take part: positions first, then slopes point by point."""
+        chosen = self.takes_part or element.quantities
+        positions = [(point, q) for q in chosen if q is Quantity.POSITION for point in self.points]
+        slopes = [(point, q) for point in self.points for q in chosen if q is not Quantity.POSITION]
+        return (*positions, *slopes)
 
     @abc.abstractmethod
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
@@ -74,7 +78,7 @@ class Joint(Parametrised):
         Parameters
         ----------
         p : array
-            Values of `parameters`, in their order; may be complex, and must go through.
+            Values of `parameters`, as `split` takes them; may be complex, and must go through.
         reference : array, shape (n_vectors, d)
             The vectors in the reference configuration; may be complex.
         t : float
@@ -92,12 +96,36 @@ def empty_coefficients(rows: int, vectors: int, d: int, dtype: np.dtype) -> Coef
     )
 
 
-def place_coincidence(c: Coefficients, count: int, ground: Array) -> None:
-    """Enter d first equations, U_0 - U_1 = 0 for two points, U_0 - ground = 0 for one."""
-    d = c.linear.shape[2]
-    rows = np.arange(d)
+def place_coincidence(c: Coefficients, count: int, reference: Array, ground: Array | None) -> None:
+    """Enter d first equations, U_0 - U_1 = 0 for two points, U_0 - ground = 0 for one.
+
+    A ground that is not given is where U_0 is in the reference configuration.
+    """
+    rows = np.arange(c.linear.shape[2])
     c.linear[rows, 0, rows] = 1.0
     if count == 2:
         c.linear[rows, 1, rows] = -1.0
     else:
-        c.offset[:d] = ground
+        c.offset[rows] = reference[0] if ground is None else ground
+
+
+def place_alignment(c: Coefficients, count: int, reference: Array, axis: Array) -> None:
+    """Enter two last equations: directions b_j of the first section stay across an axis.
+
+    With e_j across the axis in the reference configuration, b_j is the combination of the
+    section's slopes that equals e_j there, and b_j . axis = 0. With two points the axis is the
+    combination of the second section's slopes that equals it there.
+    """
+    own, other = slice(count, count + 3), slice(count + 3, count + 6)
+    for row, direction in zip((-2, -1), across(axis), strict=True):
+        beta = slope_weights(reference[own], direction)
+        if count == 1:
+            c.linear[row, own] = beta[:, None] * axis
+        else:
+            place_product(c, row, own, other, np.outer(beta, slope_weights(reference[other], axis)))
+
+
+def place_product(c: Coefficients, row: int, i: slice, j: slice, weights: Array) -> None:
+    """Enter sum_ij weights_ij U_i . U_j, i and j different vectors, into an equation."""
+    c.bilinear[row, i, j] = weights
+    c.bilinear[row, j, i] = weights.T

@@ -8,16 +8,17 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import require_finite
+from ancfdae.design import Designable, numbers
+from ancfdae.errors import require_kind
 from ancfdae.numerics.arrays import Array
 
 
-class Law(abc.ABC):
+class Law(Designable, abc.ABC):
     """A function of time with parameters that design variables can drive."""
 
-    @abc.abstractmethod
-    def parameters(self) -> dict[str, float]:
-        """Return the parameters by name, in a fixed order."""
+    def __post_init__(self) -> None:
+        """Validate."""
+        self.check_fields(type(self).__name__)
 
     @abc.abstractmethod
     def derivatives(self, p: Array, t: float) -> tuple[Array, Array, Array, Array]:
@@ -39,14 +40,7 @@ class Uniform(Law):
     offset: float = 0.0
     acceleration: float = 0.0
 
-    def __post_init__(self) -> None:
-        """Validate."""
-        for name, value in self.parameters().items():
-            require_finite(f"Uniform.{name}", value)
-
-    def parameters(self) -> dict[str, float]:
-        """Speed, offset, acceleration."""
-        return {"speed": self.speed, "offset": self.offset, "acceleration": self.acceleration}
+    design_fields = numbers("speed", "offset", "acceleration")
 
     def derivatives(self, p: Array, t: float) -> tuple[Array, Array, Array, Array]:
         """Polynomial of degree two."""
@@ -74,19 +68,7 @@ class Harmonic(Law):
     phase: float = 0.0
     offset: float = 0.0
 
-    def __post_init__(self) -> None:
-        """Validate."""
-        for name, value in self.parameters().items():
-            require_finite(f"Harmonic.{name}", value)
-
-    def parameters(self) -> dict[str, float]:
-        """Amplitude, frequency, phase, offset."""
-        return {
-            "amplitude": self.amplitude,
-            "frequency": self.frequency,
-            "phase": self.phase,
-            "offset": self.offset,
-        }
+    design_fields = numbers("amplitude", "frequency", "phase", "offset")
 
     def derivatives(self, p: Array, t: float) -> tuple[Array, Array, Array, Array]:
         """Sine and cosine."""
@@ -98,3 +80,13 @@ class Harmonic(Law):
             -amplitude * frequency**2 * s,
             -amplitude * frequency**3 * c,
         )
+
+
+def require_law(where: str, value: object) -> None:
+    """Refuse what is no law.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require_kind(where, value, (Law,), "For example Uniform(speed=2).")

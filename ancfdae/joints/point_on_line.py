@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity, name_at
-from ancfdae.design import replaced_component, vector_parameters
-from ancfdae.errors import InvalidInput, require_vector
+from ancfdae.bodies import Point
+from ancfdae.errors import require_direction, require_vector
 from ancfdae.joints.frames import across
 from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
@@ -44,49 +43,14 @@ class PointOnLine(Joint):
     through: Sequence[float] | None = None
     name: str = ""
 
-    def __post_init__(self) -> None:
-        """Validate and name."""
-        if not self.name:
-            object.__setattr__(self, "name", name_at("line", self.point))
-        require_vector(f"joint {self.name!r}, direction", self.direction)
-        if not any(self.direction):
-            raise InvalidInput(
-                f"joint {self.name!r}, direction",
-                "must not be zero",
-                tuple(self.direction),
-                "Give the direction of the line.",
-            )
-        if self.through is not None:
-            size = len(tuple(self.direction))
-            require_vector(f"joint {self.name!r}, through", self.through, (size,))
-
-    @property
-    def points(self) -> tuple[Point, ...]:
-        """The sliding point."""
-        return (self.point,)
-
-    def parameters(self) -> dict[str, float]:
-        """Components of `direction` and `through`."""
-        line = vector_parameters("direction", self.direction)
-        return line | vector_parameters("through", self.through)
-
-    def with_parameter(self, parameter: str, value: float) -> PointOnLine:
-        """Turn or move the line."""
-        if parameter.startswith("direction"):
-            direction = replaced_component("direction", self.direction, parameter, value)
-            return replace(self, direction=direction)
-        assert self.through is not None
-        return replace(self, through=replaced_component("through", self.through, parameter, value))
-
-    def vectors(self, d: int) -> tuple[tuple[Point, Quantity], ...]:
-        """Position of the point."""
-        return ((self.point, Quantity.POSITION),)
+    kind = "line"
+    design_fields = (("direction", require_direction), ("through", require_vector))
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """n_j . (r - through)."""
         n, d = reference.shape
         c = empty_coefficients(d - 1, n, d, np.result_type(p, reference))
-        normals = across(p[:d])
-        c.linear[:, 0] = normals
-        c.offset[:] = normals @ (p[d:] if self.through is not None else reference[0])
+        direction, through = self.split(p)
+        c.linear[:, 0] = across(direction)
+        c.offset[:] = c.linear[:, 0] @ (reference[0] if through is None else through)
         return c

@@ -10,50 +10,35 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Collection
-from dataclasses import dataclass
-from typing import final
+from typing import ClassVar
 
-from ancfdae.bodies import Point, Quantity
-from ancfdae.design import Parametrised
+import numpy as np
+
 from ancfdae.numerics.arrays import Array
+from ancfdae.parts import Part
 
 
-@final
-@dataclass(frozen=True)
-class CentreLine:
-    """The integral of the position along the centre line of a beam, as a vector for loads.
-
-    Parameters
-    ----------
-    beam : str
-    """
-
-    beam: str
-
-
-class Load(Parametrised):
-    """A load on points of beams.
+class Load(Part):
+    """A load on points of beams; fields and names as in `Part`.
 
     Arrays have any leading axes (instants, perturbations) before (n_vectors, d); complex
     numbers must go through.
 
     Attributes
     ----------
-    name : str
-        Unique in a scene.
     constant : bool
         Whether the force depends neither on positions nor on velocities.
+    damping_fields : tuple of str
+        Numbers among the design fields without which the force does not depend on velocities.
     """
 
-    constant: bool = False
+    role = "load"
+    constant: ClassVar[bool] = False
+    damping_fields: ClassVar[tuple[str, ...]] = ()
 
-    @abc.abstractmethod
     def uses_velocity(self, driven: Collection[str]) -> bool:
         """Whether the force depends on velocities, given the parameters that are design targets."""
-
-    @abc.abstractmethod
-    def vectors(self) -> tuple[tuple[Point, Quantity] | CentreLine, ...]:
-        """Return the vectors that the load depends on or works on."""
+        return any(name in driven or getattr(self, name) != 0 for name in self.damping_fields)
 
     @abc.abstractmethod
     def force(self, U: Array, V: Array, p: Array) -> Array:
@@ -64,7 +49,7 @@ class Load(Parametrised):
         U, V : array, shape (..., n_vectors, d)
             The vectors and their time derivatives.
         p : array, shape (n_p,)
-            Values of `parameters`, in their order.
+            Values of `parameters`, as `split` takes them.
 
         Returns
         -------
@@ -74,3 +59,17 @@ class Load(Parametrised):
     @abc.abstractmethod
     def force_rate(self, U: Array, V: Array, Z: Array, p: Array) -> Array:
         """Return d(force)/dt along a motion with second derivatives Z; shape as `force`."""
+
+
+class ConstantLoad(Load):
+    """A load of constant force on one vector, its only design field."""
+
+    constant = True
+
+    def force(self, U: Array, V: Array, p: Array) -> Array:
+        """F = p."""
+        return np.broadcast_to(p, np.broadcast_shapes(U.shape, p.shape))
+
+    def force_rate(self, U: Array, V: Array, Z: Array, p: Array) -> Array:
+        """Zero."""
+        return np.zeros_like(U)

@@ -19,7 +19,7 @@ from ancfdae.naming import BeamLayout, JointLayout, Layout, Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 
-_FORMAT = "ancfdae solution 3"
+_FORMAT = "ancfdae solution 4"
 _STATES = ("t", "q", "v", "a", "lam")
 _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
 # Exceptions raised on reading a file that is damaged or not an archive.
@@ -114,4 +114,4 @@ def _unpacked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str,
 
 def _layout(meta: Mapping[str, Any]) -> Layout:
     beams = (BeamLayout(**{**x, "fractions": tuple(x["fractions"])}) for x in meta["beams"])
-    return Layout(meta["d"], tuple(beams), tuple(JointLayout(**x) for x in meta["joints"]))
+    return Layout(meta["element_name"], tuple(beams), tuple(JointLayout(**x) for x in meta["joints"]))

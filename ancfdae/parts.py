@@ -1,0 +1,132 @@
+"""What joints and loads share: a name, points of beams or the ground, and design targets."""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, TypeAlias, final
+
+import numpy as np
+
+from ancfdae.bodies import Point, require_point
+from ancfdae.design import Designable
+from ancfdae.elements import BeamElement, Quantity
+from ancfdae.errors import InvalidInput, require_vector
+
+
+@final
+@dataclass(frozen=True)
+class CentreLine:
+    """The integral of the position along the centre line of a beam, as a vector for loads.
+
+    Parameters
+    ----------
+    beam : str
+    """
+
+    beam: str
+
+
+#: Vectors of material points (which point, and position or which slope), or of whole beams.
+Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine, ...]
+
+
+class Part(Designable, abc.ABC):
+    """A named joint or load.
+
+    A part is a frozen dataclass. Its fields of these names mean the same in every part: `point`,
+    the point that it acts on, or `beam`, the name of a beam that it acts on as a whole; `other`,
+    a point, or `ground`, a place, that it joins `point` to; and `name`.
+
+    Attributes
+    ----------
+    name : str
+        Unique in a scene; by default ``kind(beam@fraction)``.
+    role, kind : str
+        "joint" or "load", and the word for this one.
+    needs_other_end : bool
+        Whether one of `other` and `ground` must be given.
+    spatial : bool
+        Whether it exists in space only.
+    """
+
+    role: ClassVar[str]
+    kind: ClassVar[str]
+    needs_other_end: ClassVar[bool] = False
+    spatial: ClassVar[bool] = False
+
+    name: str
+
+    def __post_init__(self) -> None:
+        """Name and validate."""
+        name: object = self.name
+        if not isinstance(name, str):
+            raise InvalidInput(
+                f"{self.role} {self.kind!r}, name",
+                "must be a string",
+                repr(name),
+                "It joins no second point here." if isinstance(name, Point) else "Give a name.",
+            )
+        given = self._given()
+        where = f"{self.role} {name!r}" if name else self.kind
+        at = given.get("beam")
+        if "point" in given:
+            require_point(where, given["point"])
+            at = f"{given['point'].beam}@{given['point'].fraction:g}"
+        if not name:
+            object.__setattr__(self, "name", f"{self.kind}({at})")
+        where = f"{self.role} {self.name!r}"
+        self._check_ends(where, given)
+        self.check_fields(where)
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """The points that the part touches, the one that it acts on first."""
+        return tuple(value for value in self._given().values() if isinstance(value, Point))
+
+    @property
+    def whole_beam(self) -> str | None:
+        """Name of the beam that the part acts on as a whole."""
+        return self._given().get("beam")
+
+    @abc.abstractmethod
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the vectors that the part depends on or works on, of beams of this element."""
+
+    def check_space(self, element: BeamElement) -> None:
+        """Refuse a part that does not fit the space of the scene.
+
+        Raises
+        ------
+        InvalidInput
+            If it is spatial and the scene planar, the element lacks a vector that it needs, or a
+            vector of its own has another number of components.
+        """
+        where, d = f"{self.role} {self.name!r}", element.d
+        if self.spatial and d != 3:
+            raise InvalidInput(
+                where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
+            )
+        for vector in self.vectors(element):
+            if not isinstance(vector, CentreLine):
+                element.require(where, vector[1], vector[0].y, vector[0].z)
+        for name, _ in self.design_fields:
+            value = getattr(self, name)
+            if np.ndim(value) == 1:
+                require_vector(f"{where}, {name}", value, (d,))
+
+    def _given(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+    def _check_ends(self, where: str, given: dict[str, Any]) -> None:
+        other, ground = given.get("other"), given.get("ground")
+        if other is not None:
+            require_point(f"{where}, other", other)
+        ends = (other is not None) + (ground is not None)
+        if ends == 2 or (ends == 0 and self.needs_other_end):
+            raise InvalidInput(
+                where,
+                "goes from a point either to another one or to the ground",
+                "both" if ends else "neither",
+                "Give one of `other` and `ground`.",
+            )

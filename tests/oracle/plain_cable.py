@@ -1,0 +1,94 @@
+"""Plain, slow reference for one planar gradient-deficient cable: the oracle of the tests.
+
+Written from the equations, independently of ``ancfdae``; it must never import it. Functions,
+arguments and signs are those of ``plain_ancf``, whose `dim`, `X_o` and rules are accepted
+and not used: a cable is planar and straight. X has the rows [r1, rx1, r2, rx2], r = sum_a s_a X_a.
+
+    U = int 1/2 E h w ((r_x . r_x - 1)/2)^2 + 1/2 E w h^3/12 r_xx . r_xx dx
+
+Five Gauss points are exact: r_x has degree 2, and the energy is a quartic of it.
+"""
+
+import numpy as np
+
+
+def shape(dim, xi, y, z, l):
+    """Shape functions s_a, shape (4,)."""
+    return np.array(
+        [
+            1 - 3 * xi**2 + 2 * xi**3,
+            l * (xi - 2 * xi**2 + xi**3),
+            3 * xi**2 - 2 * xi**3,
+            l * (xi**3 - xi**2),
+        ]
+    )
+
+
+def shape_gradient(dim, xi, y, z, l):
+    """Partials of s_a in x, shape (4, 1)."""
+    s_x = [(6 * xi**2 - 6 * xi) / l, 1 - 4 * xi + 3 * xi**2, (6 * xi - 6 * xi**2) / l]
+    return np.array([*s_x, 3 * xi**2 - 2 * xi])[:, None]
+
+
+def shape_curvature(xi, l):
+    """Second partials of s_a in x, shape (4,)."""
+    return np.array(
+        [(12 * xi - 6) / l**2, (6 * xi - 4) / l, (6 - 12 * xi) / l**2, (6 * xi - 2) / l]
+    )
+
+
+def points(l):
+    """(xi, weight of dx) of five Gauss points."""
+    places, weights = np.polynomial.legendre.leggauss(5)
+    return [((1 + x) / 2, w * l / 2) for x, w in zip(places, weights, strict=True)]
+
+
+def quadrature_points(dim, h, w, l, X_o=None, **rule):
+    """(s, None, dV) at the Gauss points."""
+    return [(shape(2, xi, 0, 0, l), None, h * w * dx) for xi, dx in points(l)]
+
+
+def energy(X, E, nu, h, w, l, X_o=None, **rule):
+    """Elastic energy."""
+    U = 0
+    for xi, dx in points(l):
+        r_x, r_xx = shape_gradient(2, xi, 0, 0, l)[:, 0] @ X, shape_curvature(xi, l) @ X
+        strain = (np.sum(r_x * r_x) - 1) / 2
+        U = U + dx * E * (h * w * strain**2 + w * h**3 / 12 * np.sum(r_xx * r_xx)) / 2
+    return U
+
+
+def force(X, E, nu, h, w, l, X_o=None, **rule):
+    """dU/dX."""
+    result = 0
+    for xi, dx in points(l):
+        s_x, s_xx = shape_gradient(2, xi, 0, 0, l)[:, 0], shape_curvature(xi, l)
+        r_x = s_x @ X
+        strain = (np.sum(r_x * r_x) - 1) / 2
+        result = result + dx * E * h * w * strain * np.outer(s_x, r_x)
+        result = result + dx * E * w * h**3 / 12 * np.outer(s_xx, s_xx @ X)
+    return result
+
+
+def tangent(X, E, nu, h, w, l, X_o=None, **rule):
+    """d force / dX, shape (8, 8)."""
+    result = 0
+    for xi, dx in points(l):
+        s_x, s_xx = shape_gradient(2, xi, 0, 0, l)[:, 0], shape_curvature(xi, l)
+        r_x = s_x @ X
+        strain = (np.sum(r_x * r_x) - 1) / 2
+        stretched = np.kron(np.outer(s_x, s_x), strain * np.eye(2) + np.outer(r_x, r_x))
+        bent = np.kron(np.outer(s_xx, s_xx), np.eye(2))
+        result = result + dx * E * (h * w * stretched + w * h**3 / 12 * bent)
+    return result
+
+
+def mass(dim, rho, h, w, l, X_o=None, **rule):
+    """Mass matrix, shape (8, 8)."""
+    parts = [rho * dV * np.outer(s, s) for s, _, dV in quadrature_points(2, h, w, l)]
+    return np.kron(sum(parts), np.eye(2))
+
+
+def gravity_force(g, rho, h, w, l, X_o=None, **rule):
+    """Applied force of the acceleration vector g, shape (4, 2)."""
+    return sum(rho * dV * np.outer(s, np.asarray(g)) for s, _, dV in quadrature_points(2, h, w, l))

@@ -1,0 +1,141 @@
+"""The planar cable: beam theory, the catenary, and what a cable does not have."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from ancfdae import (
+    CABLE_2D,
+    HHT,
+    Beam,
+    Clamp,
+    ComplexStep,
+    CurvedBeam,
+    FollowerForce,
+    InvalidInput,
+    Material,
+    Moment,
+    Pin,
+    PointForce,
+    Rectangle,
+    Scene,
+    Solution,
+    Terminal,
+    assemble,
+    gradient,
+    position,
+    simulate,
+    slope,
+)
+from ancfdae.bodies import Quantity
+from ancfdae.elements import ALL_ELEMENTS
+
+STRIP = Rectangle(height=0.02, width=0.05)
+SOFT = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.3)
+
+
+def cable(n=2, **changes):
+    arguments = {"start": (0.0, 0.0), "end": (1.0, 0.0), "section": STRIP, "material": SOFT}
+    return Beam("rod", elements=n, element=CABLE_2D, **(arguments | changes))
+
+
+def solved(system, q, lam, sweeps):
+    """Newton's method for the equilibrium under constraints, from a state nearby."""
+    zero = np.zeros(system.n_q)
+    for _ in range(sweeps):
+        K = -system.pattern.dense(system.force_q(q, zero, 0.0))
+        B = system.constraint_pattern.dense(system.constraint_q(q, 0.0))
+        right = np.concatenate([system.force(q, zero, 0.0) - B.T @ lam, -system.constraint(q, 0.0)])
+        change = np.linalg.solve(np.block([[K, B.T], [B, np.zeros((len(B),) * 2)]]), right)
+        q, lam = q + change[: system.n_q], lam + change[system.n_q :]
+    return q, lam
+
+
+@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize(("kind", "factor"), [(PointForce, 1 / 3), (Moment, 1 / 2)])
+def test_cantilever_bends_as_in_beam_theory_without_any_locking(n, kind, factor):
+    # Cubic deflections are exact, whatever the number of elements and Poisson's ratio.
+    rod, F = cable(n), 1e-7
+    load = kind(rod.at_end, (0.0, F) if kind is PointForce else F)
+    system = assemble(Scene([rod], [Clamp(rod.at_start)], loads=[load]))
+    q, _ = solved(system, system.start()[0], np.zeros(system.n_lam), 1)
+    tip = system.naming.vector(rod.at_end, Quantity.POSITION).of(q, 2)
+    # The force stiffens by F L / (E h w) = 1e-11; the stiffest direction is (L/h)^2 n^4 times
+    # as stiff as the softest: 1e6 eps.
+    bending = SOFT.youngs_modulus * STRIP.width * STRIP.height**3 / 12
+    assert tip[1] == pytest.approx(factor * F / bending, rel=1e-8)
+    assert abs(tip[0] - 1.0) <= 1e-12
+
+
+def hanging(n, span=0.8):
+    """Sag and horizontal pull of a thin cable of length and weight one between two supports."""
+    a = brentq(lambda a: 2 * a * np.sinh(span / (2 * a)) - 1.0, 0.1, 10.0, xtol=1e-15)
+    # The weight stretches it by 1e-6.
+    thin = Rectangle(height=1e-5, width=1.0)
+    rope = cable(n, section=thin, material=Material(1e5, 1e11, 0.3))
+    ends = [Pin(rope.at_start, ground=(0.0, 0.0)), Pin(rope.at_end, ground=(span, 0.0))]
+    system = assemble(Scene([rope], ends, gravity=(0.0, -1.0)))
+    s = np.linspace(-0.5, 0.5, n + 1)
+    u = np.arcsinh(s / a)
+    place = np.stack([a * u + span / 2, a * np.cosh(u) - np.hypot(a, 0.5)], axis=1)
+    tangent = np.stack([1 / np.cosh(u), np.tanh(u)], axis=1)
+    q, lam = solved(system, np.stack([place, tangent], axis=1).ravel(), np.zeros(4), 30)
+    middle = system.naming.vector(rope.at(0.5), Quantity.POSITION).of(q, 2)
+    Q = system.force(q, np.zeros(len(q)), 0.0) - system.constraint_force(q, lam, 0.0)
+    assert np.max(np.abs(Q)) <= 1e-7  # an equilibrium to the round-off of E h w = 1e6
+    return middle[1] + np.hypot(a, 0.5) - a, abs(lam[0]) - a
+
+
+def test_hanging_cable_is_a_catenary():
+    coarse, fine = (np.abs(hanging(n)) for n in (8, 16))
+    # Bending carries E h^3/12 = 8e-6 of a pull of 0.3 over curvatures of up to 4: 1e-4 of the
+    # pull; it smooths the ends and leaves the sag, where 6e-6 are left of the mesh.
+    assert fine[0] <= 1e-5
+    assert fine[1] <= 2e-4
+    assert np.all(fine < coarse / 4)
+
+
+def test_swinging_cable_has_the_exact_gradient_of_its_steps():
+    rod = cable()
+    scene = Scene([rod], [Pin(rod.at_start)], gravity=(0.0, -9.81))
+    names = ["density", "youngs_modulus", "height", "width", "length", "damping_time"]
+    design, tip = [f"rod.{name}" for name in names], Terminal(position(rod.at_end, 1))
+    exact = gradient(scene, tip, design, 0.125, HHT(2**-8), ComplexStep()).gradient
+    # One complex run against a linear pass of 32 steps, both at converged states.
+    ours = gradient(scene, tip, design, 0.125, HHT(2**-8)).gradient
+    assert ours == pytest.approx(exact, rel=1e-9)
+    assert np.all(exact != 0)
+
+
+def test_saved_solution_knows_its_element(tmp_path):
+    rod = cable()
+    solution = simulate(Scene([rod], [Pin(rod.at_start)], gravity=(0.0, -9.81)), 0.125, HHT(2**-7))
+    solution.save(tmp_path / "swing.npz")
+    again = Solution.load(tmp_path / "swing.npz")
+    assert again.naming.layout.element is CABLE_2D
+    assert np.array_equal(again.nodes("rod"), solution.nodes("rod"))
+    assert again.nodes("rod").shape == (len(solution.t), 3, 2, 2)
+
+
+def test_names_of_elements_are_their_own():
+    assert len({element.name for element in ALL_ELEMENTS}) == len(ALL_ELEMENTS)
+
+
+def test_what_a_cable_does_not_have_is_refused_in_words():
+    rod = cable()
+    beam = Beam("beam", (0.0, 0.0), (1.0, 0.0), 1, STRIP, SOFT)
+    arc = (np.array([[0.0, 0.0], [1.0, 0.2]]), np.repeat(np.eye(2)[None], 2, axis=0))
+    bow = CurvedBeam("bow", *arc, STRIP, SOFT, element=CABLE_2D)
+    space = {"start": (0.0,) * 3, "end": (1.0, 0.0, 0.0)}
+    for action, words in (
+        (lambda: Scene([rod], loads=[FollowerForce(rod.at_end, (0.0, 1.0))]), "SLOPE_Y"),
+        (lambda: Scene([rod], [Pin(rod.at(0.5, y=0.01))]), "no section"),
+        (lambda: assemble(Scene([bow])), "straight"),
+        (lambda: Scene([rod, beam]), "one element"),
+        (lambda: cable(**space), "3 dimensions"),
+        (lambda: cable().with_length("x"), "rod.length"),
+        (lambda: Beam("b", (0, 0), (1, 0), 1, STRIP, SOFT, element="cable"), "'cable'"),
+        (lambda: slope(rod.at_end, 1, 0).check(assemble(Scene([rod]))), "SLOPE_Y"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            action()
