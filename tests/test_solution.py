@@ -567,7 +567,7 @@ def of_format(good, name):
     """Arrays of a good file that says another format and is right otherwise."""
     with np.load(io.BytesIO(good)) as file:
         arrays = dict(file)
-    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 3", name))
+    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 4", name))
     return arrays
 
 
