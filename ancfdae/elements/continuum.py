@@ -22,6 +22,12 @@ from ancfdae.elements.element import (
     InvariantPartial,
     Invariants,
 )
+from ancfdae.elements.hermite import (
+    end_weight,
+    end_weight_xi,
+    slope_weights,
+    slope_weights_xi,
+)
 from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
@@ -47,6 +53,63 @@ class ContinuumBeam(BeamElement):
     """
 
     voigt: tuple[tuple[int, int], ...]
+
+    def shape(self, points: Array, parameters: Array) -> Array:
+        """Eq. (8), and in space with the terms of the width (docs/theory.md, section 1)."""
+        xi, l = points[:, 0], parameters[:, ElementParameter.LENGTH, None]
+        s5, (p2, p6), one = end_weight(xi), slope_weights(xi), np.ones_like(l)
+        offsets = self._offsets(points, parameters)
+        first = [one * (1 - s5), l * p2, *(y * (1 - xi) for y in offsets)]
+        second = [one * s5, l * p6, *(y * xi for y in offsets)]
+        return np.stack(first + second, axis=-1)
+
+    def shape_partial(self, points: Array, parameters: Array, which: ElementParameter) -> Array:
+        """Return the derivative of `shape`."""
+        xi, second = points[:, 0], self.n_s
+        partial = np.zeros((1, len(points), self.n_a))
+        if which is ElementParameter.LENGTH:
+            partial[..., 1], partial[..., second + 1] = slope_weights(xi)
+        elif which in self._extents:
+            k = 2 + self._extents.index(which)
+            eta = points[:, k - 1]
+            partial[..., k], partial[..., second + k] = eta * (1 - xi), eta * xi
+        return np.repeat(partial, len(parameters), axis=0)
+
+    def gradient(self, points: Array, parameters: Array) -> Array:
+        """Gradient of `shape` in x, y(, z)."""
+        xi, l, second = points[:, 0], parameters[:, ElementParameter.LENGTH, None], self.n_s - 1
+        N = np.zeros((len(parameters), len(points), self.n_y, self.d), dtype=parameters.dtype)
+        N[..., 0, 0] = end_weight_xi(xi) / l
+        N[..., 1, 0], N[..., second + 1, 0] = slope_weights_xi(xi)
+        for k, y in enumerate(self._offsets(points, parameters), start=2):
+            N[..., k, 0], N[..., second + k, 0] = -y / l, y / l
+            N[..., k, k - 1], N[..., second + k, k - 1] = 1 - xi, xi
+        return N
+
+    def gradient_partial(self, points: Array, parameters: Array, which: ElementParameter) -> Array:
+        """Return the derivative of `gradient`; only the x column depends on the parameters."""
+        l, second = parameters[:, ElementParameter.LENGTH, None], self.n_s - 1
+        shape = (len(parameters), len(points), self.n_y, self.d)
+        partial = np.zeros(shape, dtype=parameters.dtype)
+        if which is ElementParameter.LENGTH:
+            partial[..., 0, 0] = -end_weight_xi(points[:, 0]) / l**2
+            for k, y in enumerate(self._offsets(points, parameters), start=2):
+                partial[..., k, 0], partial[..., second + k, 0] = y / l**2, -y / l**2
+        elif which in self._extents:
+            k = 2 + self._extents.index(which)
+            eta = points[:, k - 1]
+            partial[..., k, 0], partial[..., second + k, 0] = -eta / l, eta / l
+        return partial
+
+    @property
+    def _extents(self) -> list[ElementParameter]:
+        """What the section extends over in y(, z)."""
+        return [ElementParameter.HEIGHT, ElementParameter.WIDTH][: self.d - 1]
+
+    def _offsets(self, points: Array, parameters: Array) -> list[Array]:
+        """y(, z) at the points, shape (n, n_p) each."""
+        extents = enumerate(self._extents, start=1)
+        return [parameters[:, extent, None] * points[:, k] for k, extent in extents]
 
     def invariants(
         self,

@@ -1,4 +1,4 @@
-"""Polynomials in xi that the planar and the spatial beam element share (eq. 8)."""
+"""Polynomials in xi that the elements share (eq. 8)."""
 
 from __future__ import annotations
 
