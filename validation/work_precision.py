@@ -324,8 +324,6 @@ _LIMITS = """
 - An error below that of the reference means nothing. References of high order are good to 1e-7 or
   better, those of the damped pendulums of larger modulus are HHT at 2⁻¹⁴ of the end time, good to
   about 1e-6.
-- IDA and IDAS report Gauss-Lobatto instants in 64 intervals; where waves are faster than an
-  interval their integrals are limited by the quadrature, not by their tolerance.
 - Processor times are of NumPy code with small matrices, on a shared machine.
 - Derivatives with error control are those at frozen steps. What the choice of steps itself would
   contribute is below the tolerance.

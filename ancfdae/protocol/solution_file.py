@@ -114,4 +114,6 @@ def _unpacked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str,
 
 def _layout(meta: Mapping[str, Any]) -> Layout:
     beams = (BeamLayout(**{**x, "fractions": tuple(x["fractions"])}) for x in meta["beams"])
-    return Layout(meta["element_name"], tuple(beams), tuple(JointLayout(**x) for x in meta["joints"]))
+    return Layout(
+        meta["element_name"], tuple(beams), tuple(JointLayout(**x) for x in meta["joints"])
+    )
