@@ -156,7 +156,6 @@ def test_tradeoff_ranks_by_the_integral_itself():
     rough, fine, finest = tradeoff(
         CartesianPendulum(),
         objective,
-        (),
         5.0,
         [HHT(2.0**-5), HHT(2.0**-8), IDA(1e-9, intervals=1)],
         reference=Explicit(1e-10, intervals=1),
