@@ -55,7 +55,7 @@ class Progress:
     def stalls(self, t: float) -> bool:
         """Take note of a step to t; return whether the last hundred led nowhere.
 
-        So end a blow-up, a jump too large to integrate, and noise.
+        This ends runs that diverge, meet a jump too large to integrate, or integrate noise.
         """
         self._taken += 1
         if self._taken < _STEPS:

@@ -186,7 +186,7 @@ class HHT(AdjointIntegrator):
         return self._estimated(replace(solution, statistics=statistics), scales)
 
     def _derivatives_along(self, system: MechanicalSystem) -> bool:
-        """Whether the derivatives go along with the motion, to be controlled."""
+        """Whether derivatives are integrated with the motion and controlled."""
         if not (isinstance(self.steps, ControlledSteps) and self.steps.sensitivities):
             return False
         if np.iscomplexobj(system.b):
@@ -212,13 +212,13 @@ class HHT(AdjointIntegrator):
         return replace(solution, estimated_errors=estimated_errors(scales, delta, delta_b, own))
 
     def _rough(self) -> HHT:
-        """Return the integrator of the run that tells the sizes of the derivatives."""
+        """Return the integrator of the run from which the sizes of the derivatives are read."""
         assert isinstance(self.steps, ControlledSteps)
         tolerance = max(self.newton_tolerance, _LOOSEST)
         return self._changed(steps=self.steps.rough(), newton_tolerance=tolerance)
 
     def _changed(self, **changes: Any) -> HHT:
-        """Return a copy with other settings; what these are warned about was said before."""
+        """Return a copy with other settings, without repeating their warnings."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)
             return replace(self, **changes)

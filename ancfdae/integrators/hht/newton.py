@@ -117,7 +117,7 @@ class StepSolver:
             x = jacobian.solve(R)
             a, lam = a - x[: system.n_q], lam - x[system.n_q :]
             now = self._motion(a, reaction, Q)
-            # An iterate that runs away has huge forces; measured against those any correction
+            # A diverging iterate has huge forces; measured against those any correction
             # looks small. So the smallest motion met counts, and no more than a jump from the
             # last accepted step.
             motion = min(motion, now)

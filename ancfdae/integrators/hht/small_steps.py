@@ -45,7 +45,7 @@ def motion_size(system: MechanicalSystem, a: Array, reaction: Array, Q: Array) -
 
 
 def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion: float) -> float:
-    """Return chi: 1, or less where Phi_n is all round-off and a step of size h would feel it."""
+    """Return chi: 1, or less where Phi_n is round-off that would disturb a step of size h."""
     noise = _EPS * real_norm(q, system.weights)
     allowed = _QUIET * motion * c.beta * c.h**2
     return 1.0 if noise <= allowed else allowed / noise
@@ -70,7 +70,7 @@ class ConstraintRow:
     def of(
         system: MechanicalSystem, c: Coefficients, before: Node, after: Node
     ) -> ConstraintRow | None:
-        """Return the row; None where the step is not small and eq. (23) serves."""
+        """Return the row; None where the step is not small, so that eq. (23) is accurate."""
         floor = _EPS * real_norm(before.q, system.weights)
         unit = _QUIET_DERIVATIVES * c.beta * c.h**2
         # The inertia alone mostly decides; that of both ends, since it may pass through zero.
@@ -111,7 +111,7 @@ def constraint_increment(
 @final
 @dataclass(frozen=True)
 class Nodes:
-    """What the recurrence knew at the instants of a finished run.
+    """States of the recurrence at the instants of a finished run.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Nodes:
     def maybe_small(self, system: MechanicalSystem) -> Array:
         """Return for every instant whether the step that ends there may be small, shape (n_t,)."""
         root, h, beta = np.sqrt(system.weights), self.steps.h, self.steps.first.beta
-        # What blew up overflows, and is no small motion.
+        # A run that diverged overflows; its motion is not small.
         with np.errstate(over="ignore"):
             q, A = (np.linalg.norm(root * x.real, axis=1) for x in (self.run.q, self.run.a))
         # As in `ConstraintRow.of`, for all steps at once.

@@ -1,4 +1,4 @@
-"""A step of HHT-I3: of the motion and, where they go along, of its design derivatives.
+"""A step of HHT-I3: of the motion and, if asked for, of its design derivatives.
 
 **Error of a step** (Negrut, Rampalli, Ottarsson & Sajdak 2007, section 3). Inserting the smooth
 solution in eq. (2), with a_n standing for q'' at t_n + alpha h, the position update misses
@@ -37,7 +37,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 
-# What the recurrence knows at an instant; of the derivatives where they go along.
+# State of the recurrence at an instant, and of its derivatives if they are integrated.
 State = tuple[Node, NodeSensitivity | None]
 
 
@@ -51,7 +51,7 @@ class Stepper(OneStepMethod[State]):
     matrices : SaddlePoint
     initial : InitialState
     derivative : InitialSensitivity or None
-        Where the derivatives go along.
+        Where derivatives are integrated too.
     alpha : float
     newton : tuple of float and int
         Tolerance and most iterations of Newton's method.
@@ -146,7 +146,7 @@ class Stepper(OneStepMethod[State]):
         increment_b: Array | None = None,
         size_b: Array | None = None,
     ) -> float:
-        """Return the larger e; of one that is not a number nothing is known, no step passes."""
+        """Return the larger e; NaN, which no step passes, if one of them is NaN."""
         if self._tolerance is None:
             return 0.0
         scale = constraint_error(Coefficients.of(h, self._alpha))

@@ -13,7 +13,7 @@ from ancfdae.numerics.arrays import Array
 
 # What a method knows at an instant.
 State = TypeVar("State")
-# Time, q, v, a, lam and, where they go along, q_b, v_b, a_b, lam_b.
+# Time, q, v, a, lam and, where derivatives are integrated too, q_b, v_b, a_b, lam_b.
 Record = tuple[float, Array, Array, Array, Array, tuple[Array, ...]]
 
 

@@ -48,7 +48,7 @@ _CHANGE = 0.2
 _RESTART = 10
 # So many last steps change linearly, and their number is fixed, to meet the end without a jump.
 _LAST_STEPS = 10
-# Smaller steps than this part of the run, or of the time reached, are a dead end.
+# A run ends where the step falls below this part of its length, or of the time reached.
 _SMALLEST = 1e-13
 
 
@@ -70,8 +70,8 @@ class ControlledSteps(StepControl):
         Steps, repeated ones included, before a run ends with an outcome.
     sensitivities : bool
         Whether the tolerance also bounds the errors of the design derivatives q_b, each relative
-        to its largest size in the run. They then go along with the motion, whatever is asked for,
-        after a run that tells their sizes. Without it gradients of undamped waves can be wrong
+        to its largest size in the run. They are then integrated with
+        the motion, whatever is asked for, after a run that tells their sizes. Without it gradients of undamped waves can be wrong
         by any factor of the tolerance (docs/reports/work-precision).
 
     Raises
@@ -97,7 +97,7 @@ class ControlledSteps(StepControl):
         require_kind(where, self.sensitivities, (bool,), "True or False.")
 
     def rough(self) -> ControlledSteps:
-        """Return the control of the run that tells the sizes of the derivatives."""
+        """Return the control of the run from which the sizes of the derivatives are read."""
         return replace(self, rtol=max(self.rtol, _ROUGH), atol=None, sensitivities=False)
 
     def count(self, t_end: float) -> int:
@@ -180,7 +180,8 @@ class _Filter(Controller):
         if not error <= 1.0:
             factor = _root(_AIM / error, self._order) if error < math.inf else 0.0
             return self._reject(n, t, h * min(0.9, max(0.2, factor)), Verdict.ERROR_TEST)
-        # What the error estimates passes through zero: without memory the step would leap there.
+        # What the error estimates passes through zero; without memory the step would grow far too
+        # much there.
         self._memory = max(error / h**self._order, _MEMORY * self._memory)
         wish = _MOST
         if self._memory > 0:

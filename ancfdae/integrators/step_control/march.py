@@ -20,7 +20,7 @@ def march(
     t_end: float,
     progress: bool,
 ) -> Solution:
-    """Step to the end; the solution says how that went, and keeps what an interrupt leaves."""
+    """Step to the end; after a failure or an interrupt the solution holds the steps so far."""
     recorder.record(*method.consistent())
     with tqdm(total=t_end, disable=not progress, unit="s") as bar:
         try:
@@ -39,7 +39,7 @@ def _to_end(
     n, t, last, now = 0, 0.0, 0.0, None
     while not isinstance(planned := controller.plan(n, t), Verdict):
         h, t_next = planned
-        # A run that blows up overflows; its outcome tells so, not NumPy's warnings.
+        # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             before = method.start(h) if now is None else method.resized(now, h / last)
             after = method.advance(h, before, t_next)

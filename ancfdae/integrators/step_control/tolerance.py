@@ -8,7 +8,7 @@ that is what the tolerance bounds (error per unit step):
 with T the length of the run and Q_i the size of coordinate i (`Scales`). A step is accepted if
 e <= 1.
 
-Where the derivatives go along, each design variable j has its own e, from the derivative of delta
+Where derivatives are integrated too, each design variable j has its own e, from the derivative of delta
 in the design, with
 
     rtol |q_b,ij| + atol S_j Q_i
@@ -30,7 +30,7 @@ from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import EstimatedErrors, Sensitivities
 
-# Errors of the motion feed into those of the derivatives as much again (docs/theory.md, 5).
+# Errors of the motion add as much to the derivatives' errors as their own (docs/theory.md, 5).
 _FED = 2.0
 
 
@@ -77,7 +77,7 @@ def estimated_errors(
 
     Shapes (n, n_q) and (n, n_q, n_b); `own` are the derivatives that `delta_b` belongs to.
     """
-    # What blew up overflows, and its error is infinite.
+    # A run that diverged overflows; its error counts as infinite.
     with np.errstate(over="ignore", invalid="ignore"):
         motion = float(_added_up(delta / scales.q))
         if delta_b is None or own is None:

@@ -63,7 +63,7 @@ class Bindings:
         return vector
 
     def array(self, vector: Any) -> Any:
-        """Return a view; it dangles once the vector is gone."""
+        """Return a view; it is invalid once the vector is freed."""
         return self.core.N_VGetNumpyArray(vector)
 
     def check(self, flag: int) -> None:

@@ -4,7 +4,7 @@ Sensitivities are appended to the system and error-controlled with it. The itera
 exact for the states; the blocks that couple the sensitivities to them are one-sided differences
 of that matrix along the sensitivities, which affects the convergence of Newton's method only.
 
-What the wrapper does not guard against is guarded here (shared/ida-notes.md): steps are taken one
+What the wrapper does not guard against is guarded here: steps are taken one
 by one and counted, a solver that has not factorised is never freed, views are copied, residuals
 that are not finite end the run.
 """
@@ -175,7 +175,7 @@ class _IdaMarch(March):
             pattern = sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
             options = {"linsolver": "sparse", "sparsity": pattern}
         with warnings.catch_warnings():
-            # It says that the pattern will not be used for difference quotients.
+            # The warning says that the pattern is not used for difference quotients, rightly.
             warnings.filterwarnings("ignore", message="Custom sparse Jacobian")
             return sksundae.ida.IDA(
                 self._fill_residual,
@@ -235,7 +235,7 @@ def _keep(solver: Any) -> None:
 
 
 def _release(solver: Any) -> None:
-    """Take that reference back, after a step that succeeded."""
+    """Remove the extra reference after a successful step."""
     ctypes.pythonapi.Py_DecRef(ctypes.py_object(solver))
 
 

@@ -58,7 +58,7 @@ class IdasEquations:
             )
         flag, self.context = core.SUNContext_Create(0)
         check(flag)
-        # Messages of the C code would go to the terminal; outcomes tell what happened.
+        # Outcomes report failures, so messages of the C code are kept off the terminal.
         check(core.SUNContext_ClearErrHandlers(self.context))
         # The view owns the memory: it must live as long as the memory is used.
         self._view = idas.IDACreate(self.context)

@@ -1,4 +1,4 @@
-"""Keeps error messages of SUNDIALS off the terminal: the outcome of a run tells what they tell.
+"""Keeps error messages of SUNDIALS off the terminal: the outcome of a run reports the same.
 
 scikit-sundae prints them from its error handler and has no switch for it.
 """
