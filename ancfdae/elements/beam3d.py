@@ -6,20 +6,6 @@ extends over `height` in y and `width` in z.
 
 from __future__ import annotations
 
-from typing import final
-
 from ancfdae.elements.continuum import ContinuumBeam
-from ancfdae.elements.element import Quantity
 
-
-@final
-class Beam3D(ContinuumBeam):
-    """The spatial element."""
-
-    name = "BEAM_3D"
-    d = 3
-    quantities = tuple(Quantity)
-    voigt = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-
-
-BEAM_3D = Beam3D()
+BEAM_3D = ContinuumBeam("BEAM_3D", 3, voigt=((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)))

@@ -44,7 +44,11 @@ class Cable2D(BeamElement):
 
     name = "CABLE_2D"
     d = 2
-    quantities = (Quantity.POSITION, Quantity.SLOPE_X)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Position and tangent."""
+        return (Quantity.POSITION, Quantity.SLOPE_X)
 
     def shape(self, points: Array, parameters: Array) -> Array:
         """Cubic Hermite polynomials; the same at every y."""

@@ -13,6 +13,9 @@ d(J_o^{-1}) = -J_o^{-1} dJ_o J_o^{-1}, d(det J_o) = det J_o tr(J_o^{-1} dJ_o).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import final
+
 import numpy as np
 
 from ancfdae.elements.element import (
@@ -21,6 +24,7 @@ from ancfdae.elements.element import (
     ElementParameter,
     InvariantPartial,
     Invariants,
+    Quantity,
 )
 from ancfdae.elements.hermite import (
     end_weight,
@@ -43,16 +47,28 @@ _STRAIGHT_POINTS = (5, 3)
 _CURVED_POINTS = (12, 6)
 
 
+@final
+@dataclass(frozen=True)
 class ContinuumBeam(BeamElement):
-    """A beam of St. Venant-Kirchhoff material.
+    """A beam of St. Venant-Kirchhoff material with linearly interpolated section slopes.
 
     Attributes
     ----------
+    name : str
+    d : int
+        Dimension of space.
     voigt : tuple of (int, int)
         Index pairs of the strain components, normal components first.
     """
 
+    name: str
+    d: int
     voigt: tuple[tuple[int, int], ...]
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Position and d slopes."""
+        return tuple(Quantity)[: self.d + 1]
 
     def shape(self, points: Array, parameters: Array) -> Array:
         """Eq. (8), and in space with the terms of the width (docs/theory.md, section 1)."""

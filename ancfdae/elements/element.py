@@ -105,8 +105,6 @@ class BeamElement(abc.ABC):
     ----------
     d : int
         Dimension of space.
-    quantities : tuple of Quantity
-        What the vectors of a node are: position and slopes.
     n_s : int
         Node vectors per node.
     n_a : int
@@ -119,7 +117,11 @@ class BeamElement(abc.ABC):
 
     name: str
     d: int
-    quantities: tuple[Quantity, ...]
+
+    @property
+    @abc.abstractmethod
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What the vectors of a node are: position and slopes."""
 
     @property
     def n_s(self) -> int:
