@@ -41,6 +41,9 @@ _USED = np.flatnonzero(DOP853.B)
 _STAGES = Rule(DOP853.B[_USED], DOP853.E5[_USED], DOP853.E3[_USED])
 # Panels of a step whose stages are too few.
 _PANELS = (1, 4, 16)
+# Steps that are taken into the integrals together: an evaluation of observables costs half a step.
+# Where stages are too few, these steps are repeated.
+_TOGETHER = 8
 
 
 @final
@@ -100,6 +103,17 @@ class _Stage:
 
 
 @final
+@dataclass(frozen=True)
+class _Step:
+    """A step from left to right, the vector before it, and its stages that carry weight."""
+
+    left: float
+    right: float
+    y: Array
+    stages: list[_Stage]
+
+
+@final
 class _ExplicitMarch(March):
     """One run; the vector y holds the columns (q, v) and (q_b, v_b) of every variable, scaled."""
 
@@ -119,14 +133,8 @@ class _ExplicitMarch(March):
         if b is not None:
             start = State(first.q, first.v, b.q_b, b.v_b)
         self._between: DenseOutput | None = None
-        self._solver = DOP853(
-            self._rate,
-            0.0,
-            self._vector(start),
-            1.0,
-            rtol=settings.rtol,
-            atol=_SMALL * settings.rtol,
-        )
+        self._rtol, self._steps = settings.rtol, list[_Step]()
+        self._solver = self._new_solver(0.0, self._vector(start), 1.0)
         self._first = self._stages[0]
 
     def to(self, t: float) -> State | Verdict:
@@ -137,6 +145,7 @@ class _ExplicitMarch(March):
                 return Verdict.STEP_LIMIT
             self._trouble = Verdict.ERROR_TEST
             self._stages.clear()
+            y = solver.y
             solver.step()
             if solver.status == "failed":
                 return self._trouble
@@ -148,7 +157,10 @@ class _ExplicitMarch(March):
             stages = [self._first, *self._stages[-12:]]
             self._first = stages[-1]
             if self._quadrature.wanted:
-                self._quadrature.add(self._points(stages))
+                used = [stages[i] for i in _USED]
+                self._steps.append(_Step(solver.t_old, solver.t, y, used))
+                if len(self._steps) == _TOGETHER:
+                    self.finish()
             if self._problem.system.n_lam:
                 solver.y = self._vector(self._projected(solver.t, solver.y))
                 solver.f = self._rate(solver.t, solver.y)
@@ -160,26 +172,40 @@ class _ExplicitMarch(March):
         return self._projected(s, self._between(s))
 
     def finish(self) -> None:
-        """Do nothing: every step was taken in at once."""
+        """Take the last steps into the integrals."""
+        if self._steps:
+            self._quadrature.add(self._points(self._steps))
+            self._steps = []
 
-    def _points(self, stages: list[_Stage]) -> Iterator[Points]:
-        """Points within the last step: its stages, then its dense output on ever more panels."""
-        solver, t_end = self._solver, self._t_end
-        h = (solver.t - solver.t_old) * t_end
-        used = [stages[i] for i in _USED]
-        points = _stacked(_STAGES, np.array([h]), [x.t for x in used], [x.state for x in used])
+    def _points(self, steps: list[_Step]) -> Iterator[Points]:
+        """Points within steps: their stages, then their dense output on ever more panels."""
+        t_end, h = self._t_end, np.array([x.right - x.left for x in steps]) * self._t_end
+        used = [stage for x in steps for stage in x.stages]
+        points = _stacked(_STAGES, h, [x.t for x in used], [x.state for x in used])
         lam_b = [x.lam_b for x in used if x.lam_b is not None]
         yield replace(
             points,
             lam=np.array([x.lam for x in used]),
             lam_b=np.array(lam_b) if lam_b else None,
         )
-        between, left = solver.dense_output(), solver.t_old
+        dense = [self._repeated(x) for x in steps]
         for n in _PANELS:
-            shares = (np.arange(n)[:, None] + SHARES).ravel() / n
-            s = np.minimum(left + shares * (solver.t - left), solver.t)
-            states = [self._point(between(x)) for x in s]
-            yield _stacked(KRONROD, np.full(n, h / n), s * t_end, states)
+            shares, states, times = (np.arange(n)[:, None] + SHARES).ravel() / n, [], []
+            for x, between in zip(steps, dense, strict=True):
+                s = np.minimum(x.left + shares * (x.right - x.left), x.right)
+                states += [self._point(between(each)) for each in s]
+                times += list(s * t_end)
+            yield _stacked(KRONROD, np.repeat(h / n, n), times, states)
+
+    def _repeated(self, step: _Step) -> DenseOutput:
+        """Return the dense output of a step that was accepted before."""
+        solver = self._new_solver(step.left, step.y, step.right, step.right - step.left)
+        solver.step()
+        return solver.dense_output()
+
+    def _new_solver(self, s: float, y: Array, end: float, first: float | None = None) -> DOP853:
+        rtol = self._rtol
+        return DOP853(self._rate, s, y, end, first_step=first, rtol=rtol, atol=_SMALL * rtol)
 
     def residual(self) -> float:
         """Return zero: an explicit step has no equations left over."""
