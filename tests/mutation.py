@@ -19,13 +19,14 @@ import scipy.interpolate
 import scipy.sparse.linalg  # noqa: F401
 
 PASSES = ["tests/test_adjoint.py", "-k", "dot_product or complex_step_of_the_run or pass"]
+TINY = ["tests/test_extremes.py", "-k", "tiny_steps"]
 # From the path of a module, without ancfdae/, to the tests that are to kill its mutants: quick
 # ones first.
 TESTS = {
     "elements/": [["tests/test_invariants.py"], ["tests/test_assembler.py"]],
     "joints/": [["tests/test_joints.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "loads/": [["tests/test_loads.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
-    "integrators/hht/": [["tests/test_newton.py"], PASSES, ["tests/test_order.py"]],
+    "integrators/hht/": [["tests/test_newton.py"], PASSES, TINY, ["tests/test_order.py"]],
     "sensitivity/adjoint": [PASSES, ["tests/test_high_order_runs.py", "-k", "adjoint"]],
     "sensitivity/continuous": [
         ["tests/test_adjoint_end.py"],
