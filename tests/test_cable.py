@@ -100,9 +100,9 @@ def test_swinging_cable_has_the_exact_gradient_of_its_steps():
     scene = Scene([rod], [Pin(rod.at_start)], gravity=(0.0, -9.81))
     names = ["density", "youngs_modulus", "height", "width", "length", "damping_time"]
     design, tip = [f"rod.{name}" for name in names], Terminal(position(rod.at_end, 1))
-    exact = gradient(scene, tip, design, 0.125, HHT(2**-8), ComplexStep()).gradient
+    exact = gradient(scene, tip, 0.125, HHT(2**-8), design=design, method=ComplexStep()).gradient
     # One complex run against a linear pass of 32 steps, both at converged states.
-    ours = gradient(scene, tip, design, 0.125, HHT(2**-8)).gradient
+    ours = gradient(scene, tip, 0.125, HHT(2**-8), design=design).gradient
     assert ours == pytest.approx(exact, rel=1e-9)
     assert np.all(exact != 0)
 

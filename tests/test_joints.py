@@ -607,11 +607,11 @@ def test_cylindrical_joint_lets_a_section_turn_about_and_slide_along_its_axis(be
     solution = simulated(scene)
     carried = np.broadcast_to(axis, (len(solution.t), 3))
     across_it = np.broadcast_to(basis, (len(solution.t), 2, 3))
-    apart = solution.position("arm", 0.2)
+    apart = solution.position(Point("arm", 0.2))
     if between:
         assembled = section_of(solution, rod.at_end) @ np.linalg.inv(reference_frame(rod))
         carried, across_it = assembled @ axis, np.einsum("tij,kj->tki", assembled, basis)
-        apart = apart - solution.position("rod", 1.0)
+        apart = apart - solution.position(Point("rod", 1.0))
     else:
         apart = apart - apart[0]
     assert np.max(np.abs(np.einsum("tki,ti->tk", across_it, apart))) <= 10 * HOLDS

@@ -87,9 +87,10 @@ class Inertia:
         """(M a)_b for rows of a, shape (k, n_q, n_b)."""
         return self._M_b.rows(a).reshape(len(a), self._numbering.n_q, self._n_b)
 
-    def pull_back(self, a: Array, x: Array) -> Array:
+    def pull_back(self, a: Array, x: Array, gravity: bool = True) -> Array:
         """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""
-        per_pair = np.sum(self._pair_products(a - self._field.ravel(), x), axis=0)
+        a = a - self._field.ravel() if gravity else a
+        per_pair = np.sum(self._pair_products(a, x), axis=0)
         return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
 
     def quadratic_b(self, v: Array, chosen: Array) -> Array:

@@ -388,7 +388,7 @@ class AncfSystem(MechanicalSystem):
         """Contract masses pair by pair, joints for the variables they depend on."""
         none = np.zeros((1, len(lam)))
         reaction = self._constraints.pull_back(q[None], lam[None], np.array([t]), mu[None], none)
-        return self._inertia.pull_back(a[None], mu[None]) + reaction
+        return self._inertia.pull_back(a[None], mu[None], gravity=False) + reaction
 
     def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
         """Contract forces pair by pair, the rest for the variables it depends on."""
