@@ -8,8 +8,8 @@ that is what the tolerance bounds (error per unit step):
 with T the length of the run and Q_i the size of coordinate i (`Scales`). A step is accepted if
 e <= 1.
 
-Where derivatives are integrated too, each design variable j has its own e, from the derivative of delta
-in the design, with
+Where derivatives are integrated too, each design variable j has its own e, from the derivative of
+delta in the design, with
 
     rtol |q_b,ij| + atol S_j Q_i
 
