@@ -39,6 +39,8 @@ from ancfdae import (
 )
 from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.errors import InvalidInput, SingularMatrix
+from ancfdae.integrators.hht.equations import Coefficients
+from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
 from ancfdae.numerics import linear_solvers
 from ancfdae.numerics.extrapolation import real_derivative
@@ -886,15 +888,37 @@ def test_start_sensitivity_is_the_complex_step_of_the_consistent_start(setting):
             moved_states[i] = consistent_start(x, saddle_point(x, 0.0), 0.0)
         return moved_states[i]
 
-    for name in ("q", "v", "a", "lam", "jerk"):
+    for name in ("q", "v", "a", "lam"):
         values = getattr(state, name)
 
         def moved(x, i, e, name=name):
             return getattr(start_of(x, i), name)
 
-        # Solves with a scaled matrix whose condition is below 1e4 come on top of DERIVATIVE; the
-        # rates are products of two such solves.
+        # Solves with a scaled matrix whose condition is below 1e4 come on top of DERIVATIVE.
         s.check_design(getattr(partials, f"{name}_b"), moved, np.max(np.abs(values)), 1e-9)
+
+
+def test_start_of_the_recurrence_is_differentiated_exactly(setting):
+    s, c = setting, Coefficients.of(0.01, -0.3)
+
+    def start(x):
+        matrices = saddle_point(x, 0.0)
+        return RecurrenceStart.of(x, matrices, c, consistent_start(x, matrices, 0.0))
+
+    first, moved_nodes = start(s.system), {}
+    matrices = saddle_point(s.system, 0.0)
+    partials = first.sensitivity(start_sensitivity(s.system, matrices, first.initial))
+    for name in ("v", "a"):
+
+        def moved(x, i, e, name=name):
+            if i not in moved_nodes:
+                moved_nodes[i] = start(x).node
+            return getattr(moved_nodes[i], name)
+
+        size = np.max(np.abs(getattr(first.node, name)))
+        # Damping 1e7 times the mass stands in the matrix of the third derivative: 1e7 eps, and ten
+        # times as much for the products.
+        s.check_design(getattr(partials, f"{name}_b"), moved, size, 2e-8)
 
 
 def test_cases_contain_projected_starts():

@@ -1,15 +1,13 @@
 """Consistent initial conditions and their design derivatives.
 
 1. Positions: the nearest configuration on the constraints in the norm of M,
-       M (q - q_start) + Phi_q^T nu = 0,   Phi(q) = 0,   M at q_start.
-2. Velocities likewise: M (v - v_start) + Phi_q^T kappa = 0, Phi_q v = nu(q).
+       M (q - q_start) + Phi_q^T sigma_q = 0,   Phi(q) = 0,   M at q_start.
+2. Velocities likewise: M (v - v_start) + Phi_q^T sigma_v = 0, Phi_q v = nu(q).
 3. Accelerations and multipliers: M a + Phi_q^T lam = Q, Phi_q a = gamma(q, v).
-4. Their rates, which a second-order start of HHT-I3 needs:
-       M q''' + Phi_q^T lam' = dQ/dt - (dPhi_q^T/dt) lam - (dM/dt) a,   Phi_q q''' = S.
 
 A start that is declared consistent (`project_start` false) is refused if it
 violates a constraint by more than round-off can explain; 1 and 2 then only
-remove that round-off. The design derivatives differentiate 1 to 4 as they
+remove that round-off. The design derivatives differentiate 1 to 3 as they
 stand, so they are exact for projected starts too.
 """
 
@@ -50,8 +48,6 @@ class InitialState:
     t : float
     q, v, a : array, shape (n_q,)
     lam : array, shape (n_lam,)
-    jerk : array, shape (n_q,)
-        q''' on the constraints.
     """
 
     t: float
@@ -59,7 +55,6 @@ class InitialState:
     v: Array
     a: Array
     lam: Array
-    jerk: Array
 
 
 @final
@@ -71,7 +66,6 @@ class InitialSensitivity:
     v_b: Array
     a_b: Array
     lam_b: Array
-    jerk_b: Array
 
 
 def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
@@ -89,7 +83,7 @@ def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
 
 
 def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) -> InitialState:
-    """Solve steps 1 to 4 of the module description.
+    """Solve steps 1 to 3 of the module description.
 
     Raises
     ------
@@ -124,10 +118,7 @@ def _solve_start(
             "forces at the start", "must be finite", "NaN or infinity", "Check forces and start."
         )
     a, lam = solve(factors, Q, zero + system.acceleration_side(q, v, t))
-    state = InitialState(t, q, v, a, lam, a)
-    rate = force_rates(system, state, a)
-    jerk, _ = solve(factors, rate, zero + system.jerk_side(q, v, a, t))
-    return InitialState(t, q, v, a, lam, jerk)
+    return InitialState(t, q, v, a, lam)
 
 
 def start_sensitivity(
@@ -137,41 +128,29 @@ def start_sensitivity(
     t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
     q_start, v_start = system.start()
     q_sb, v_sb = system.start_b()
-    nu = _project_position(system, matrices, q_start, t)[1]
+    sigma_q = _project_position(system, matrices, q_start, t)[1]
 
-    # 1. (M + (Phi_q^T nu)_q) q_b + Phi_q^T nu_b = M q_sb - M_total (q - q_start) - (Phi_q^T nu)_b
+    # 1. With s = sigma_q,
+    # (M + (Phi_q^T s)_q) q_b + Phi_q^T s_b = M q_sb - M_total (q - q_start) - (Phi_q^T s)_b
     K, B = system.mass(q_start), system.constraint_q(q, t)
     if not system.linear_constraints:
-        K = K + system.constraint_force_q(q, nu, t)
+        K = K + system.constraint_force_q(q, sigma_q, t)
     right = system.mass_times(q_start, q_sb)
     right = right - inertia_total(system, q_start, q - q_start, q_sb)
-    right = right - system.constraint_force_b(q, nu, t)
+    right = right - system.constraint_force_b(q, sigma_q, t)
     q_b, _ = solve(matrices.factor(K, B), right, -system.constraint_b(q, t))
 
-    # 2. M v_b + Phi_q^T kappa_b = M v_sb - M_total (v - v_start) - (Phi_q^T kappa)_total
+    # 2. M v_b + Phi_q^T s_b = M v_sb - M_total (v - v_start) - (Phi_q^T s)_total, s = sigma_v
     factors = _factor_mass(system, matrices, q, t)
-    kappa = solve(factors, system.mass_times(q, v_start - v), np.zeros(system.n_lam))[1]
+    sigma_v = solve(factors, system.mass_times(q, v_start - v), np.zeros(system.n_lam))[1]
     right = system.mass_times(q, v_sb) - inertia_total(system, q, v - v_start, q_b)
-    right = right - constraint_force_total(system, q, kappa, t, q_b)
+    right = right - constraint_force_total(system, q, sigma_v, t, q_b)
     side = system.velocity_side_total(q, t, q_b) - system.constraint_q_times_total(q, v, t, q_b)
     v_b, _ = solve(factors, right, side)
 
     # 3. The same for the accelerations.
     a_b, lam_b = solve(factors, *acceleration_totals(system, t, (q, v, a, lam), q_b, v_b))
-
-    # 4. And for the rates.
-    jerk = state.jerk
-    rate = force_rates(system, state, a)
-    lam_rate = solve(factors, rate, system.jerk_side(q, v, a, t))[1]
-    right = system.force_rate_total(q, v, a, t, q_b, v_b, a_b)
-    right = right - system.constraint_force_rate_total(q, v, lam, t, q_b, v_b, lam_b)
-    if not system.constant_mass:
-        right = right - system.inertia_rate_total(q, v, a, q_b, v_b, a_b)
-    right = right - inertia_total(system, q, jerk, q_b)
-    right = right - constraint_force_total(system, q, lam_rate, t, q_b)
-    side = system.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
-    jerk_b, _ = solve(factors, right, side - system.constraint_q_times_total(q, jerk, t, q_b))
-    return InitialSensitivity(q_b, v_b, a_b, lam_b, jerk_b)
+    return InitialSensitivity(q_b, v_b, a_b, lam_b)
 
 
 @final
@@ -229,23 +208,23 @@ def pull_back_start(
     on_b = on_b - system.pull_back(at, states, (m[None], none[None]))
 
     m, z = solve_transposed(factors, on_v, none)
-    kappa = solve(factors, system.mass_times(q, v_start - v), none)[1]
-    on_q = on_q - curvature(system, t, q, v - v_start, kappa, m) - B(rate, z)
+    sigma_v = solve(factors, system.mass_times(q, v_start - v), none)[1]
+    on_q = on_q - curvature(system, t, q, v - v_start, sigma_v, m) - B(rate, z)
     on_b = on_b - z @ system.constraint_rate_b(t, q, v)
-    on_b = on_b - system.pull_back_inertia(t, q, v - v_start, kappa, m)
+    on_b = on_b - system.pull_back_inertia(t, q, v - v_start, sigma_v, m)
     on_v_start = system.mass_times(q, m)
 
-    nu = _project_position(system, matrices, q_start, t)[1]
-    K_nu = system.mass(q_start)
+    sigma_q = _project_position(system, matrices, q_start, t)[1]
+    K_start = system.mass(q_start)
     if not system.linear_constraints:
-        K_nu = K_nu + system.constraint_force_q(q, nu, t)
-    m, z = solve_transposed(matrices.factor(K_nu, system.constraint_q(q, t)), on_q, none)
+        K_start = K_start + system.constraint_force_q(q, sigma_q, t)
+    m, z = solve_transposed(matrices.factor(K_start, system.constraint_q(q, t)), on_q, none)
     moved = q - q_start
     on_q_start = system.mass_times(q_start, m)
     on_q_start = on_q_start - curvature(system, t, q_start, moved, none, m)
     on_b = on_b - z @ system.constraint_b(q, t)
     on_b = on_b - system.pull_back_inertia(t, q_start, moved, none, m)
-    on_b = on_b - system.pull_back_inertia(t, q, np.zeros_like(q), nu, m)
+    on_b = on_b - system.pull_back_inertia(t, q, np.zeros_like(q), sigma_q, m)
     gradient: Array = on_b + system.start_pull_back(on_q_start, on_v_start)
     return gradient
 
@@ -260,18 +239,6 @@ def curvature(
     if not system.constant_mass:
         total = total + system.pattern.dot_transposed(system.inertia_q(q, a), m)
     return total
-
-
-def force_rates(system: MechanicalSystem, state: InitialState, a: Array) -> Array:
-    """Return the right side of the first line of 4, with Q_v times the given acceleration.
-
-    (dM/dt) a = (M a)_q v takes that of the state.
-    """
-    t, q, v = state.t, state.q, state.v
-    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, state.lam, t)
-    if system.constant_mass:
-        return rate
-    return rate - system.pattern.dot(system.inertia_q(q, state.a), v)
 
 
 def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
@@ -303,31 +270,31 @@ def _factor_mass(
 def _project_position(
     system: MechanicalSystem, matrices: SaddlePoint, q_start: Array, t: float
 ) -> tuple[Array, Array]:
-    """Newton's method for step 1; returns q and nu.
+    """Newton's method for step 1; returns q and sigma_q.
 
     The last correction is applied, so the error left is the square of the tolerance.
     """
-    q, nu = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
+    q, sigma_q = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
     scale, settled = real_norm(q_start, system.weights), 0
     for _ in range(_PROJECTION_ITERATIONS):
         K = system.mass(q_start)
         if not system.linear_constraints:
-            K = K + system.constraint_force_q(q, nu, t)
-        force = system.mass_times(q_start, q_start - q) - system.constraint_force(q, nu, t)
+            K = K + system.constraint_force_q(q, sigma_q, t)
+        force = system.mass_times(q_start, q_start - q) - system.constraint_force(q, sigma_q, t)
         try:
             factors = matrices.factor(K, system.constraint_q(q, t))
         except SingularMatrix:
             _refuse_redundant(system, system.constraint_q(q, t))
             break
-        dq, dnu = solve(factors, force, -system.constraint(q, t))
-        q, nu = q + dq, nu + dnu
+        dq, change = solve(factors, force, -system.constraint(q, t))
+        q, sigma_q = q + dq, sigma_q + change
         if not is_finite(q):
             break
         if real_norm(dq, system.weights) <= 1e-12 * scale:
             # A complex perturbation lags the real part by one sweep.
             settled += 1
             if q.dtype.kind != "c" or settled == 3:
-                return q, nu
+                return q, sigma_q
     raise InconsistentStart(
         "start",
         "must be close enough to the constraints to be projected",

@@ -1,7 +1,7 @@
 """The discrete equations of HHT-I3, written once (eqs. 2-6).
 
 Forward run, direct differentiation and complex step all read them from here.
-With f = Phi_q^T lam - Q, unknowns (a, lam) at t_{n+1}, and
+With f = M A + Phi_q^T lam - Q, unknowns (a, lam) at t_{n+1}, and
 
     q = q~ + beta h^2 a,   q~ = q_n + h v_n + h^2 (1/2 - beta) a_n      (2)
     v = v~ + gamma h a,    v~ = v_n + h (1 - gamma) a_n                 (3)
@@ -9,20 +9,20 @@ With f = Phi_q^T lam - Q, unknowns (a, lam) at t_{n+1}, and
 
 the residual is
 
-    R_1 = M(q) A + f                                                    (4)
+    R_1 = f = M(q) A + Phi_q^T lam - Q                                  (4)
     R_2 = Phi / (beta h^2)                                              (5)
 
 and its Jacobian
 
-    J = [ M/(1 + alpha) + beta h^2 (f_q + (M A)_q) - gamma h Q_v    Phi_q^T ]   (6)
-        [ Phi_q                                                     0       ].
+    J = [ M/(1 + alpha) + beta h^2 f_q + gamma h f_v    Phi_q^T ]               (6)
+        [ Phi_q                                         0       ].
 
 With small steps Phi is formed from its increment (`small_steps`).
 
 A is the acceleration at t_{n+1}; the algorithm's a stands for t_{n+1} + alpha h. For a constant
-mass f_n = -M A_n turns R_1 into the paper's (4), M a/(1+alpha) + f - alpha/(1+alpha) f_n. Where
-the mass depends on q, the paper's form would multiply M at one instant with an acceleration at
-another and drop to first order; this one stays second order.
+mass (Phi_q^T lam - Q)_n = -M A_n turns R_1 into the paper's (4). Where the mass depends on q, the
+paper's form would multiply M at one instant with an acceleration at another and drop to first
+order; this one stays second order.
 
 The start of the recurrence has a module of its own (`start`).
 """
@@ -184,10 +184,10 @@ def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
 
 
 def residual(
-    system: MechanicalSystem, c: Coefficients, q: Array, A: Array, f: Array, Phi: Array
+    system: MechanicalSystem, c: Coefficients, q: Array, A: Array, force: Array, Phi: Array
 ) -> Array:
-    """Eqs. (4) and (5), shape (n_q + n_lam,)."""
-    return np.concatenate([system.mass_times(q, A) + f, Phi / (c.beta * c.h**2)])
+    """Eqs. (4) and (5), shape (n_q + n_lam,); the force is Phi_q^T lam - Q."""
+    return np.concatenate([system.mass_times(q, A) + force, Phi / (c.beta * c.h**2)])
 
 
 def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:

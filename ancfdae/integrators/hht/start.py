@@ -40,7 +40,6 @@ from ancfdae.integrators.start import (
     InitialSensitivity,
     InitialState,
     curvature,
-    force_rates,
     solve,
     solve_transposed,
 )
@@ -71,10 +70,10 @@ class _Jerk:
     ) -> _Jerk:
         """Solve for it; the factors are those of M - s Q_v."""
         side = system.jerk_side(x.q, x.v, a, x.t)
-        jerk, lam_rate = solve(factors, force_rates(system, x, a), side)
+        jerk, lam_rate = solve(factors, _force_rates(system, x, a), side)
         if jerk.dtype.kind == "c":
             # Q_v is that of the real part; what its imaginary part does comes by one more sweep.
-            force = force_rates(system, x, a + s * jerk) - system.mass_times(x.q, jerk)
+            force = _force_rates(system, x, a + s * jerk) - system.mass_times(x.q, jerk)
             force = force - system.constraint_force(x.q, lam_rate, x.t)
             moved = system.constraint_pattern.dot(system.constraint_q(x.q, x.t), jerk)
             more, lam_more = solve(factors, force, side - moved)
@@ -148,10 +147,10 @@ class RecurrenceStart:
         system, x, s = self.system, self.initial, self.s
         t, q, v, q_b, v_b = x.t, x.q, x.v, derivative.q_b, derivative.v_b
         a_b = derivative.a_b
-        j_b = self._jerk_total(self.jerks[0], derivative, a_b)
+        j_b = self.jerk_total(self.jerks[0], derivative, a_b)
         for jerk in self.jerks[1:]:
             a_b = a_b + s * j_b
-            j_b = self._jerk_total(jerk, derivative, a_b)
+            j_b = self.jerk_total(jerk, derivative, a_b)
         # M dv_b + Phi_q^T eta_b = -(M dv)_total - (Phi_q^T eta)_total
         # Phi_q dv_b = C h^2 S_total - (Phi_q dv)_total
         right = -inertia_total(system, q, self.dv, q_b)
@@ -162,7 +161,7 @@ class RecurrenceStart:
         a_0b = a_b - len(self.jerks) * s * j_b
         return NodeSensitivity(q_b, v_b + dv_b, a_0b, derivative.lam_b, derivative.a_b)
 
-    def _jerk_total(self, jerk: _Jerk, derivative: InitialSensitivity, a_b: Array) -> Array:
+    def jerk_total(self, jerk: _Jerk, derivative: InitialSensitivity, a_b: Array) -> Array:
         """Differentiate a third derivative along a_b of the acceleration that it is taken at.
 
         Q_v (a + s j) has the derivative s Q_v j_b, which stands in the matrix.
@@ -234,3 +233,15 @@ class RecurrenceStart:
         on_b = on_b + system.pull_back_rate(t, states, later, m)
         on_lam = system.constraint_pattern.dot(first, m)
         return Covectors(-on_q, -on_v, -on_a, -on_lam, -on_b), -on_same
+
+
+def _force_rates(system: MechanicalSystem, state: InitialState, a: Array) -> Array:
+    """Return the right side of the equation for j, with Q_v times the given acceleration.
+
+    (dM/dt) a = (M a)_q v takes that of the state.
+    """
+    t, q, v = state.t, state.q, state.v
+    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, state.lam, t)
+    if system.constant_mass:
+        return rate
+    return rate - system.pattern.dot(system.inertia_q(q, state.a), v)

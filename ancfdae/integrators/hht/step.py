@@ -132,11 +132,13 @@ class Stepper(OneStepMethod[State]):
 
     def start_error(self) -> float:
         """Return e of a first step of size 1, from the third derivative at the start."""
-        initial, own = self._initial, self._derivative
-        motion = initial.jerk.real, np.abs(initial.q.real)
+        initial, own, still = self._initial, self._derivative, Coefficients.of(0.0, self._alpha)
+        start = RecurrenceStart.of(self._system, self._matrices, still, initial)
+        motion = start.jerks[0].jerk.real, np.abs(initial.q.real)
         if own is None:
             return self._error(1.0, *motion)
-        return self._error(1.0, *motion, own.jerk_b, np.abs(own.q_b))
+        jerk_b = start.jerk_total(start.jerks[0], own, own.a_b)
+        return self._error(1.0, *motion, jerk_b, np.abs(own.q_b))
 
     def _error(
         self,
