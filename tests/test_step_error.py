@@ -4,15 +4,11 @@ import numpy as np
 import pytest
 
 from ancfdae.integrators.characteristic_sizes import Scales
-from ancfdae.integrators.hht.equations import Node, NodeSensitivity
+from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
+from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import (
-    InitialSensitivity,
-    InitialState,
-    consistent_start,
-    saddle_point,
-)
+from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
 from ancfdae.integrators.step_control import ControlledSteps
 from ancfdae.integrators.step_control.derivative_sizes import (
     derivative_sizes,
@@ -29,9 +25,9 @@ INCREMENTS = np.array([[0.3, 9.0, -0.1], [-0.2, 9.0, 0.7]])
 VALUES = np.array([[0.0, 1.0, -4.0], [0.5, 1.0, 3.0]])
 
 
-def stepper(initial=None, derivative=None, alpha=-0.3):
+def stepper(initial=None, derivative=None, alpha=-0.3, sizes_b=SIZES_B):
     system = CartesianPendulum()
-    tolerance, matrices = STEPS.tolerance(T_END, SIZES, SIZES_B), saddle_point(system, 0.0)
+    tolerance, matrices = STEPS.tolerance(T_END, SIZES, sizes_b), saddle_point(system, 0.0)
     recorder = Recorder(system, 1)
     return Stepper(system, matrices, initial, derivative, alpha, (1.0, 1), tolerance, recorder)
 
@@ -52,15 +48,30 @@ def test_error_of_a_step_is_the_formula_of_its_module(alone):
     before = NodeSensitivity(9 * VALUES, none, none, none, none)
     increments = np.where(chosen | (SIZES_B == 0), INCREMENTS, 0.0)
     after = NodeSensitivity(VALUES, none, increments, none, 7 * INCREMENTS)
-    initial = InitialState(0.0, zero, zero, zero, np.zeros(1), zero)
-    derivative = InitialSensitivity(VALUES, none, none, none, increments / H)
-    method = stepper(initial, derivative, alpha)
-    error = method.error(H, (node, before), (node, after))
+    error = stepper(alpha=alpha).error(H, (node, before), (node, after))
     assert error == pytest.approx(expected_error(alone, alpha), rel=1e-14)
-    # At the start the third derivative tells the increment; e goes with the square of the step.
-    assert method.start_error() * H**2 == pytest.approx(error, rel=1e-14)
+
+
+def test_error_at_the_start_follows_from_the_third_derivative():
+    system, alpha, sizes_b = CartesianPendulum(0.3, 1.0), -0.3, np.array([3.0, 10.0])
+    matrices = saddle_point(system, 0.0)
+    initial = consistent_start(system, matrices, 0.0)
+    derivative = start_sensitivity(system, matrices, initial)
+    # Without velocity forces it is the same for every first step.
+    start = RecurrenceStart.of(system, matrices, Coefficients.of(0.7, alpha), initial)
+    jerk = start.jerks[0]
+    jerk_b = start.jerk_total(jerk, derivative, derivative.a_b)
+    C = (1 + 3 * alpha**2) / 12
+    motion = T_END * C * jerk.jerk / (RTOL * np.abs(initial.q) + ATOL * SIZES)
+    allowed = RTOL * np.abs(derivative.q_b) + ATOL * sizes_b * SIZES[:, None]
+    own = 2 * T_END * C * jerk_b / allowed
+    expected = np.sqrt(max(np.mean(motion**2), *np.mean(own**2, axis=0)))
+    method = stepper(initial, derivative, alpha, sizes_b)
+    assert expected > 0
+    assert method.start_error() == pytest.approx(expected, rel=1e-12)
+    # The first step is tried at a quarter; e goes with the square of the step.
     tried, _ = STEPS.controller(T_END, method).plan(0, 0.0)
-    assert tried == pytest.approx(H * np.sqrt(0.25 / error), rel=1e-14)
+    assert tried == pytest.approx(min(np.sqrt(0.25 / expected), T_END / 20), rel=1e-12)
 
 
 def test_the_larger_error_counts_whether_of_motion_or_derivatives():
