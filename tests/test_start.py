@@ -11,6 +11,8 @@ from ancfdae import (
     Clamp,
     ComplexStep,
     Direct,
+    Drive,
+    Harmonic,
     Material,
     Pin,
     PointForce,
@@ -102,6 +104,13 @@ def resolved():
     return Scene([rod], [Pin(rod.at_start)], (0, -9.81), start=spin)
 
 
+def driven():
+    """A rod whose middle is turned by a sine: the third time derivative of Phi_q is not zero."""
+    rod = Beam("rod", (0, 0), (1, 0), 1, Rectangle(0.1, 0.1), Material(1000, 1e5, 0.0))
+    joints = [Pin(rod.at_start), Drive(rod.at(0.5), Harmonic(0.5, 4.0), name="drive")]
+    return Scene([rod], joints, start=[RigidMotion("rod", 2.0, (0, 0))])
+
+
 def test_a_moving_damped_start_is_of_second_order():
     runs = [simulate(resolved(), 0.05, HHT(0.05 / 2**k)) for k in (8, 9, 10, 14)]
     exact = runs[-1]
@@ -134,8 +143,9 @@ def test_gradients_through_a_damped_start_are_exact(step):
         assemble(resolved(), ["rod.damping_time", "rod.height", "rod.length", "rod.density"]),
         assemble(crank_slider(), ["crank.length", "rod.height"]),
         CartesianPendulum(),
+        assemble(driven(), ["rod.length", "drive.frequency"]),
     ],
-    ids=["damped", "spatial", "curved constraint"],
+    ids=["damped", "spatial", "curved constraint", "driven"],
 )
 def test_the_start_is_pulled_back_by_its_transpose(system):
     matrices = saddle_point(system, 0.0)
