@@ -19,7 +19,15 @@ from ancfdae.api import (
 )
 from ancfdae.bodies import Beam, CurvedBeam, Point
 from ancfdae.design import DesignVariable, distribution
-from ancfdae.elements import BEAM_2D, BEAM_3D, CABLE_2D
+from ancfdae.elements import (
+    BEAM_2D,
+    BEAM_3D,
+    CABLE_2D,
+    EnhancedContinuum,
+    PlaneStress,
+    SaintVenantKirchhoff,
+    StrainEnergy,
+)
 from ancfdae.errors import (
     AncfdaeError,
     InconsistentStart,
@@ -57,6 +65,7 @@ from ancfdae.joints import (
     Uniform,
 )
 from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
+from ancfdae.material import Material
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.objectives import (
     AtTimes,
@@ -92,7 +101,16 @@ from ancfdae.protocol import (
     Statistics,
 )
 from ancfdae.scene import NodeState, RigidMotion, Scene
-from ancfdae.sections import Material, Rectangle
+from ancfdae.sections import (
+    Box,
+    Circle,
+    ISection,
+    MomentSection,
+    PointSection,
+    Rectangle,
+    Section,
+    Tube,
+)
 from ancfdae.sensitivity import (
     Adjoint,
     ComplexStep,
@@ -119,6 +137,8 @@ __all__ = [
     "AncfdaeError",
     "AtTimes",
     "Beam",
+    "Box",
+    "Circle",
     "Clamp",
     "ComplexStep",
     "ComplexStepSystem",
@@ -132,6 +152,7 @@ __all__ = [
     "Distance",
     "DistributedForce",
     "Drive",
+    "EnhancedContinuum",
     "ErrorBars",
     "EstimatedErrors",
     "Explicit",
@@ -142,6 +163,7 @@ __all__ = [
     "Gradient",
     "Guide",
     "Harmonic",
+    "ISection",
     "InconsistentStart",
     "IndexReduction",
     "Integral",
@@ -153,6 +175,7 @@ __all__ = [
     "MechanicalSystem",
     "MissingPackage",
     "Moment",
+    "MomentSection",
     "NodeState",
     "NonFiniteObjective",
     "Objective",
@@ -160,14 +183,18 @@ __all__ = [
     "Outcome",
     "Pattern",
     "Pin",
+    "PlaneStress",
     "Point",
     "PointForce",
     "PointOnLine",
+    "PointSection",
     "Rectangle",
     "RedundantConstraints",
     "Revolute",
     "RigidMotion",
+    "SaintVenantKirchhoff",
     "Scene",
+    "Section",
     "Sensitivities",
     "Setting",
     "SmoothMaximum",
@@ -176,10 +203,12 @@ __all__ = [
     "SpringDamper",
     "StabilityWarning",
     "Statistics",
+    "StrainEnergy",
     "TargetNotReached",
     "TaylorTest",
     "Terminal",
     "Tradeoff",
+    "Tube",
     "UnfinishedRun",
     "Uniform",
     "UnknownName",

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point, Quantity
-from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
+from ancfdae.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.errors import InvalidInput, UnknownName
 from ancfdae.numerics.arrays import Array
 
@@ -172,7 +172,9 @@ class Naming:
         kind, where = self.layout.element, f"point of {point.beam!r}"
         kind.require(where, quantity, point.y, point.z)
         n_s = kind.n_s
-        s, s_l = vector_weights(kind, quantity, xi, point.y, point.z, self.lengths[element])
+        w, p = kind.vector_weights(quantity, xi, point.y, point.z)
+        l = self.lengths[element]
+        s, s_l = w * l**p, w * p * l ** (p - 1)
         first = (beam.first_node + local) * n_s
         return PointVector(first + np.arange(2 * n_s), s, s_l[:, None] * self.lengths_b[element])
 
@@ -224,45 +226,3 @@ class PointVector:
         X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
         result: Array = np.einsum("a,...ad->...d", self.weights, X)
         return result
-
-
-def vector_weights(
-    element: BeamElement, quantity: Quantity, xi: float, y: float, z: float, length: Array
-) -> tuple[Array, Array]:
-    """Weights of the node vectors in a vector of a material point, and their length derivative.
-
-    Parameters
-    ----------
-    element : BeamElement
-    quantity : Quantity
-    xi, y, z : float
-        Place in the element.
-    length : array, shape ()
-        Element length.
-
-    Returns
-    -------
-    s, s_l : array, shape (n_a,)
-    """
-    # Unit height and width, so that the reference coordinates eta and zeta are y and z.
-    parameters = np.ones((1, 6), dtype=np.result_type(length, float))
-    parameters[0, ElementParameter.LENGTH] = length
-    point = np.array([[xi, y, z][: element.d]])
-    l = ElementParameter.LENGTH
-    if quantity is Quantity.POSITION:
-        s = element.shape(point, parameters)
-        s_l = element.shape_partial(point, parameters, l)
-        return s[0, 0], s_l[0, 0].astype(s.dtype)
-    axis = int(quantity) - 1
-    N = element.gradient(point, parameters)[0, 0, :, axis]
-    N_l = element.gradient_partial(point, parameters, l)[0, 0, :, axis]
-    return _absolute(element, N), _absolute(element, N_l)
-
-
-def _absolute(element: BeamElement, relative: Array) -> Array:
-    """Weights of node vectors X from weights of relative node vectors Y."""
-    weights = np.zeros(element.n_a, dtype=relative.dtype)
-    weights[0], weights[element.n_s] = -relative[0], relative[0]
-    weights[1 : element.n_s] = relative[1 : element.n_s]
-    weights[element.n_s + 1 :] = relative[element.n_s :]
-    return weights

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import PARAMETER_NAMES, BeamBody, Point, require_point
+from ancfdae.bodies import BeamBody, Point, require_point
 from ancfdae.design import DesignVariable, Target, parse_target
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import (
@@ -245,7 +245,8 @@ class Scene:
                 values.append(float(self.part(target).parameters()[target.parameter]))
                 continue
             beam = self.beam(target.owner)
-            rows, which = self.target_elements(target), PARAMETER_NAMES[target.parameter]
+            rows = self.target_elements(target)
+            which = beam.parameter_names()[target.parameter]
             if which is ElementParameter.LENGTH:
                 values.append(float(np.sum(beam.reference().lengths)))
             else:
@@ -272,7 +273,7 @@ class Scene:
         return elements if target.element is None else elements[[target.element]]
 
     def element_parameters(self) -> Array:
-        """Return the parameters of all elements, shape (n, 7), columns as `ElementParameter`."""
+        """Return the parameters of all elements, shape (n, 9), columns as `ElementParameter`."""
         return np.concatenate([beam.element_parameters() for beam in self.beams])
 
     def _all_parts(self) -> tuple[BeamBody | Part, ...]:
@@ -339,14 +340,13 @@ class Scene:
         """Refuse a point outside the sections of the element, or the two elements, it lies in."""
         require_point(where, point, self.dimension)
         self._check_beam(where, point.beam)
-        parameters = self.beam(point.beam).element_parameters()
-        ends = np.cumsum(parameters[:, ElementParameter.LENGTH])
+        beam = self.beam(point.beam)
+        ends = np.cumsum(beam.reference().lengths)
         ends /= ends[-1]
         starts = np.concatenate([[0.0], ends[:-1]])
         # Widened by round-off, so that nodes belong to both elements and the surface to the beam.
         touched = (starts <= point.fraction + 1e-12) & (point.fraction - 1e-12 <= ends)
-        sizes = parameters[touched][:, [ElementParameter.HEIGHT, ElementParameter.WIDTH]]
-        half = 0.5 * sizes.max(axis=0) * (1 + 1e-12)
+        half = [extent * (1 + 1e-12) for extent in beam.half_extents(np.flatnonzero(touched))]
         if abs(point.y) > half[0] or abs(point.z) > half[1]:
             raise InvalidInput(
                 where,

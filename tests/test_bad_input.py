@@ -189,7 +189,7 @@ def test_admissible_extremes_are_accepted():
         ({"name": "a.b"}, "Beam.name", "'a.b'"),
         ({"name": "a[0"}, "Beam.name", "'a[0'"),
         ({"name": 3}, "Beam.name", "3"),
-        ({"section": 0.05}, "beam 'rod'", "one Rectangle or a sequence of 2"),
+        ({"section": 0.05}, "beam 'rod'", "one Section or a sequence of 2"),
         ({"section": [SECTION]}, "beam 'rod'", "sequence of 2"),
         ({"section": [SECTION] * 3}, "beam 'rod'", "sequence of 2"),
         ({"material": [MATERIAL, SECTION]}, "beam 'rod'", "one Material"),

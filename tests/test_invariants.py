@@ -12,11 +12,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ancfdae.elements import ALL_ELEMENTS, CABLE_2D, ElementParameter, elastic, invariants
-from ancfdae.elements.element import GEOMETRIC
+from ancfdae.elements import (
+    ALL_ELEMENTS,
+    CABLE_2D,
+    ElementParameter,
+    ElementType,
+    SaintVenantKirchhoff,
+    elastic,
+    invariants,
+)
 from ancfdae.elements.invariants import prepare
 from ancfdae.elements.packing import packed_gram_direction
 from ancfdae.errors import InvalidInput
+from ancfdae.sections import Rectangle
 
 from oracle import plain_ancf as ancf
 from oracle import plain_cable
@@ -27,10 +35,18 @@ CLOSE = 1e-13
 # terms of the product rule on top of CLOSE: a factor of ten.
 DERIVATIVE = 1e-12
 STEP = 1e-40
-VALUES = np.array([2.1e6, 0.3, 2770.0, 0.06, 0.04, 0.7, 0.02])
+#: E, nu, rho, l, tau, height, width.
+VALUES = np.array([2.1e6, 0.3, 2770.0, 0.7, 0.02, 0.06, 0.04, 0.0, 0.0])
+HEIGHT, WIDTH = ElementParameter.SIZE_1, ElementParameter.SIZE_2
+GEOMETRIC = (HEIGHT, WIDTH, ElementParameter.LENGTH)
 ELEMENTS = {element.name: element for element in ALL_ELEMENTS}
 #: What invariants depend on, and what the elastic one does.
-INVARIANT = [which for which in ElementParameter if which is not ElementParameter.DAMPING_TIME]
+INVARIANT = [
+    ElementParameter.YOUNGS_MODULUS,
+    ElementParameter.POISSON_RATIO,
+    ElementParameter.DENSITY,
+    *GEOMETRIC,
+]
 ELASTIC = [which for which in INVARIANT if which is not ElementParameter.DENSITY]
 LENGTH = VALUES[ElementParameter.LENGTH]
 TAU = VALUES[[ElementParameter.DAMPING_TIME]]
@@ -77,13 +93,15 @@ class Case:
         self.element = ELEMENTS[name.split()[0]]
         self.oracle = ORACLES.get(self.element.name, ancf)
         self.straight = name.endswith("straight")
+        energy = SaintVenantKirchhoff() if self.element.default_energy else None
+        self.kind = ElementType(Rectangle(0.06, 0.04), energy, self.straight)
         self.Y_unit = self.relative(self.X_o)
         self.Y_unit[:, 0] /= LENGTH
         self.inv = self.prepare(VALUES, INVARIANT)
         self.rule = {} if self.straight else {"n_xi": 12, "n_y": 6, "n_z": 6}
 
     def prepare(self, values, wanted=()):
-        return prepare(self.element, values[None], self.Y_unit, self.straight, wanted)
+        return prepare(self.element, self.kind, values[None], self.Y_unit, wanted)
 
     def relative(self, X):
         """Relative node vectors of one element, with the leading axis of a block."""
@@ -110,11 +128,11 @@ class Case:
         return ancf.random_state(self.dim, np.random.default_rng(seed), LENGTH, self.X_o)
 
     def elastic_arguments(self):
-        E, nu, _, h, w, l = VALUES[:6]
+        E, nu, _, l, _, h, w = VALUES[:7]
         return (E, nu, h, w, l, self.X_o)
 
     def inertial_arguments(self):
-        _, _, rho, h, w, l = VALUES[:6]
+        _, _, rho, l, _, h, w = VALUES[:7]
         return (rho, h, w, l, self.X_o)
 
     def compare_partial(self, value, expected, which):
@@ -263,8 +281,9 @@ def test_each_parameter_moves_what_it_should(case):
 
 
 def test_damping_time_changes_no_invariant(case):
-    others = (VALUES[:6], np.append(VALUES[:6], 0.0), np.append(VALUES[:6], 7.0))
-    for values in others:
+    for damping_time in (0.0, 7.0):
+        values = VALUES.copy()
+        values[ElementParameter.DAMPING_TIME] = damping_time
         inv = case.prepare(values)
         assert np.array_equal(inv.A, case.inv.A)
         assert np.array_equal(inv.g_o, case.inv.g_o)
@@ -274,7 +293,7 @@ def test_damping_time_changes_no_invariant(case):
 @pytest.mark.parametrize("which", ELASTIC)
 def test_force_partial_is_the_complex_step_of_the_oracle(case, which):
     X, (values, size) = case.state(11), perturbed(which)
-    E, nu, _, h, w, l = values[:6]
+    E, nu, _, l, _, h, w = values[:7]
     X_o = case.moved_reference(values)
     by_step = case.oracle.force(X.astype(complex), E, nu, h, w, l, X_o, **case.rule).imag / size
     partial, Y = case.inv.partials[which], case.relative(X)
@@ -304,7 +323,7 @@ def test_force_partial_in_the_damping_time_is_the_stress_of_the_strain_rate(case
 def test_mass_partials_are_the_complex_step_of_the_oracle(case):
     for which in (ElementParameter.DENSITY, *GEOMETRIC):
         values, size = perturbed(which)
-        _, _, rho, h, w, l = values[:6]
+        _, _, rho, l, _, h, w = values[:7]
         X_o = case.moved_reference(values)
         by_step = case.oracle.mass(case.dim, rho, h, w, l, X_o, **case.rule).imag / size
         value = np.kron(case.inv.partials[which].m[0], np.eye(case.dim))
@@ -471,21 +490,21 @@ def test_zero_damping_time_gives_bitwise_the_undamped_force(case):
 # ---------------------------------------------------------------- blocks of elements
 
 
-@pytest.mark.parametrize(("chunk", "n"), [(2, 5), (256, 300)], ids=["small", "default"])
-def test_preparation_in_chunks_is_the_preparation_of_each(case, chunk, n, monkeypatch):
-    if chunk == 256 and not case.straight:
-        n = 257  # the fine rule makes the block expensive; one element more than a chunk will do
-    assert invariants._CHUNK == 256
-    monkeypatch.setattr(invariants, "_CHUNK", chunk)
+@pytest.mark.parametrize("small", [True, False], ids=["small", "default"])
+def test_preparation_in_chunks_is_the_preparation_of_each(case, small, monkeypatch):
+    name = "_STRAIGHT_CHUNK" if case.straight else "_CURVED_CHUNK"
+    assert getattr(invariants, name) == (256 if case.straight else 32)
+    if small:
+        monkeypatch.setattr(invariants, name, 2)
+    chunk = getattr(invariants, name)
+    n = 5 if small else chunk + 1
     rng = np.random.default_rng(51)
     parameters = VALUES * (1 + 0.1 * rng.uniform(-1, 1, (n, len(VALUES))))
     wanted = (ElementParameter.LENGTH,)
-    whole = prepare(
-        case.element, parameters, np.repeat(case.Y_unit, n, axis=0), case.straight, wanted
-    )
+    whole = prepare(case.element, case.kind, parameters, np.repeat(case.Y_unit, n, axis=0), wanted)
     assert len(whole.A) == n > chunk
     for k in (0, chunk - 1, chunk, n - 1):
-        one = prepare(case.element, parameters[k : k + 1], case.Y_unit, case.straight, wanted)
+        one = prepare(case.element, case.kind, parameters[k : k + 1], case.Y_unit, wanted)
         # The same sums, possibly in another order of the linear algebra library.
         for a, b in (
             (whole.A[k], one.A[0]),
@@ -515,7 +534,7 @@ def test_leading_axes_are_instants(case):
     Y, V, Z = np.array(states).reshape(3, k, n, *case.Y_unit.shape[1:])
     A = case.inv.A * np.array([1.0, 1.1, 0.9])[:, None, None]
     g_o = case.inv.g_o * np.array([1.0, 0.9, 1.1])[:, None]
-    tau, A_b = np.array([0.0, 0.02, 0.03]), case.inv.partials[ElementParameter.WIDTH].A
+    tau, A_b = np.array([0.0, 0.02, 0.03]), case.inv.partials[WIDTH].A
     functions = {
         "energy": lambda e, y, v, z: elastic.energy(A[e], g_o[e], y),
         "force": lambda e, y, v, z: elastic.force(A[e], g_o[e], y),
@@ -546,7 +565,7 @@ def test_folded_reference_is_refused(name):
     values = VALUES.copy()
     # The centre of curvature of the arc lies 0.54 m away, of the helix 0.58 m; half of 1.4 m is
     # beyond both.
-    values[ElementParameter.HEIGHT] = 1.4
+    values[HEIGHT] = 1.4
     with pytest.raises(InvalidInput, match="determinant") as error:
         case.prepare(values)
     assert "reference configuration" in error.value.where

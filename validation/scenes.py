@@ -16,6 +16,7 @@ from ancfdae import (
     Rectangle,
     Revolute,
     RigidMotion,
+    SaintVenantKirchhoff,
     Scene,
     Solution,
     Spherical,
@@ -44,6 +45,7 @@ def pendulum(
         elements=elements,
         section=Rectangle(height=0.05, width=0.05),
         material=Material(4000, youngs_modulus, 0.3, damping_time),
+        energy=SaintVenantKirchhoff(),
     )
     gravity = (0.0, -9.81, 0.0)[:dimension]
     return Scene([beam], [Pin(beam.at_start)], gravity=gravity, start=start)
@@ -71,8 +73,10 @@ def crank_slider() -> Scene:
     heights in the plane of motion, gravity along -y, massless slider.
     """
     section = Rectangle(height=0.05, width=0.05)
-    crank = Beam("crank", (0, 0, 0), (0.9, 0, 0), 2, section, Material(2770, 1e9, 0.3))
-    rod = Beam("rod", (0.9, 0, 0), (2.7, 0, 0), 4, section, Material(2770, 1e8, 0.3))
+    paper = SaintVenantKirchhoff()
+    stiff, soft = Material(2770, 1e9, 0.3), Material(2770, 1e8, 0.3)
+    crank = Beam("crank", (0, 0, 0), (0.9, 0, 0), 2, section, stiff, energy=paper)
+    rod = Beam("rod", (0.9, 0, 0), (2.7, 0, 0), 4, section, soft, energy=paper)
     joints = [
         Revolute(crank.at_start, axis=(0, 0, 1), name="bearing"),
         Spherical(crank.at_end, rod.at_start, name="elbow"),

@@ -8,8 +8,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf.parameters import ParameterMap
-from ancfdae.elements import BeamElement, ElementParameter
-from ancfdae.elements.element import Invariants
+from ancfdae.elements import BeamElement, ElementParameter, ElementType
 from ancfdae.elements.invariants import joined, prepare
 from ancfdae.numerics.arrays import Array
 from ancfdae.scene import Scene
@@ -59,23 +58,25 @@ _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 
 
 def element_block(scene: Scene, mapping: ParameterMap, parameters: Array) -> ElementBlock:
-    """Prepare the invariants at the given element parameters, shape (n, 7)."""
+    """Prepare the invariants at the given element parameters, shape (n, 9)."""
     element = scene.beams[0].element
-    Y_unit, straight = _unit_vectors(scene, element)
+    kinds, kind = _kinds(scene)
+    Y_unit = _unit_vectors(scene, element)
     owners = np.concatenate(
         [np.repeat(f"beam {beam.name!r}", beam.element_count) for beam in scene.beams]
     )
-    key = np.concatenate(
-        [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), straight[:, None]],
-        axis=1,
-    )
+    numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
+    key = np.concatenate(numbers, axis=1)
     _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
     index = index.ravel()
     damped = ElementParameter.DAMPING_TIME
     wanted = tuple(which for which in mapping.driven() if which is not damped)
-    distinct = _prepare(
-        element, parameters[kept], Y_unit[kept], straight[kept], wanted, owners[kept]
-    )
+    order, parts = [], []
+    for number, each in enumerate(kinds):
+        own = kept[kind[kept] == number]
+        order.append(np.flatnonzero(kind[kept] == number))
+        parts.append(prepare(element, each, parameters[own], Y_unit[own], wanted, owners[own]))
+    distinct = joined(parts, np.argsort(np.concatenate(order)))
     chosen = np.zeros(1, dtype=np.int64) if len(kept) == 1 else index
     stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
     mass = np.flatnonzero(~np.isin(mapping.parameters, _WEIGHTLESS))
@@ -111,27 +112,19 @@ def element_block(scene: Scene, mapping: ParameterMap, parameters: Array) -> Ele
     )
 
 
-def _prepare(
-    element: BeamElement,
-    parameters: Array,
-    Y_unit: Array,
-    straight: Array,
-    wanted: tuple[ElementParameter, ...],
-    owners: Array,
-) -> Invariants:
-    """Prepare straight and curved elements with their own quadrature rules."""
-    if np.all(straight) or not np.any(straight):
-        return prepare(element, parameters, Y_unit, bool(straight[0]), wanted, owners)
-    order = np.argsort(~straight, kind="stable")
-    count = int(np.sum(straight))
-    parts = [
-        prepare(element, parameters[k], Y_unit[k], bool(straight[k[0]]), wanted, owners[k])
-        for k in (order[:count], order[count:])
-    ]
-    return joined(parts, np.argsort(order))
+def _kinds(scene: Scene) -> tuple[list[ElementType], Array]:
+    """Return the distinct types of elements, and the place of each element's among them."""
+    kinds: dict[tuple[object, ...], ElementType] = {}
+    places = []
+    for beam in scene.beams:
+        own = beam.element_type()
+        key = (own.section.form(), own.energy, own.straight)
+        kinds.setdefault(key, own)
+        places.append(np.full(beam.element_count, list(kinds).index(key)))
+    return list(kinds.values()), np.concatenate(places)
 
 
-def _unit_vectors(scene: Scene, element: BeamElement) -> tuple[Array, Array]:
+def _unit_vectors(scene: Scene, element: BeamElement) -> Array:
     """Return reference relative node vectors of all elements, the chord per unit length.
 
     The material is isotropic, so a straight element of any orientation has the invariants of
@@ -141,7 +134,7 @@ def _unit_vectors(scene: Scene, element: BeamElement) -> tuple[Array, Array]:
     canonical[0, 0] = 1.0
     slopes = slice(0, element.n_s - 1)
     canonical[1 : element.n_s] = canonical[element.n_s :] = np.eye(element.d)[slopes]
-    vectors, straight = [], []
+    vectors = []
     for beam in scene.beams:
         shape, n = beam.reference(), beam.element_count
         if shape.straight:
@@ -150,5 +143,4 @@ def _unit_vectors(scene: Scene, element: BeamElement) -> tuple[Array, Array]:
             frames = shape.slopes[:, slopes]
             Y = np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
         vectors.append(Y)
-        straight.append(np.full(n, shape.straight))
-    return np.concatenate(vectors), np.concatenate(straight)
+    return np.concatenate(vectors)

@@ -8,7 +8,6 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import PARAMETER_NAMES
 from ancfdae.design import DesignVariable, parse_target
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput
@@ -26,7 +25,7 @@ class ParameterMap:
 
     Attributes
     ----------
-    base : array, shape (n, 7)
+    base : array, shape (n, 9)
         Parameters of the scene as declared.
     elements, parameters, variables : array of int, shape (n_pairs,)
     weights : array, shape (n_pairs,)
@@ -56,7 +55,7 @@ class ParameterMap:
         return p, p_b
 
     def values(self, b: Array) -> Array:
-        """Return element parameters at design values b, shape (n, 7), in the dtype of b."""
+        """Return element parameters at design values b, shape (n, 9), in the dtype of b."""
         P = self.base.astype(np.result_type(self.base, b))
         P[self.elements, self.parameters] = self.weights * b[self.variables]
         return P
@@ -91,9 +90,8 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
                 part = scene.part(target)
                 slots.append((part.name, list(part.parameters()).index(target.parameter), index))
                 continue
-            which = PARAMETER_NAMES.get(target.parameter)
             rows = scene.target_elements(target)
-            assert which is not None  # target_elements refuses unknown parameters
+            which = scene.beam(target.owner).parameter_names()[target.parameter]
             share = np.ones(len(rows))
             if which is ElementParameter.LENGTH:
                 share = base[rows, which] / np.sum(base[rows, which])

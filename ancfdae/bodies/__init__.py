@@ -1,13 +1,12 @@
 """Beams and points on them."""
 
 from ancfdae.bodies.beam import Beam
-from ancfdae.bodies.body import PARAMETER_NAMES, BeamBody, ReferenceShape
+from ancfdae.bodies.body import BeamBody, ReferenceShape
 from ancfdae.bodies.curved_beam import CurvedBeam
 from ancfdae.bodies.point import Point, require_point
 from ancfdae.elements import Quantity
 
 __all__ = [
-    "PARAMETER_NAMES",
     "Beam",
     "BeamBody",
     "CurvedBeam",

@@ -9,15 +9,16 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies.body import BeamBody, ReferenceShape
-from ancfdae.elements import BeamElement
+from ancfdae.elements import BeamElement, StrainEnergy
 from ancfdae.errors import (
     InvalidInput,
     require_count,
     require_positive,
     require_vector,
 )
+from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
-from ancfdae.sections import Material, Rectangle
+from ancfdae.sections import Section
 
 
 @final
@@ -33,7 +34,8 @@ class Beam(BeamBody):
         scene; m.
     elements : int
         Number of equal elements.
-    section : Rectangle or sequence of Rectangle
+    section : Section or sequence of Section
+        One for the beam or one per element, which may differ in their sizes.
     material : Material or sequence of Material
     height_axis : sequence of float, optional
         Spatial beams: direction of the section's height; its part along the beam is removed.
@@ -42,6 +44,8 @@ class Beam(BeamBody):
     element : BeamElement, optional
         By default the beam of the dimension, BEAM_2D or BEAM_3D; CABLE_2D has no shear and no
         deformation of the section.
+    energy : StrainEnergy, optional
+        By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
 
     Raises
     ------
@@ -54,10 +58,11 @@ class Beam(BeamBody):
     start: Sequence[float]
     end: Sequence[float]
     elements: int
-    section: Rectangle | Sequence[Rectangle]
+    section: Section | Sequence[Section]
     material: Material | Sequence[Material]
     height_axis: Sequence[float] | None = None
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
+    energy: StrainEnergy | None = None
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -108,7 +113,7 @@ class Beam(BeamBody):
         return replace(self, end=tuple((start + length * self._frame()[0]).tolist()))
 
     def with_parts(
-        self, section: Rectangle | Sequence[Rectangle], material: Material | Sequence[Material]
+        self, section: Section | Sequence[Section], material: Material | Sequence[Material]
     ) -> Beam:
         """Return the same beam with another section and material."""
         return replace(self, section=section, material=material)

@@ -10,21 +10,23 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies.point import Point
-from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
-from ancfdae.errors import (
-    InvalidInput,
-    UnknownName,
+from ancfdae.elements import (
+    ALL_ELEMENTS,
+    BeamElement,
+    ElementParameter,
+    ElementType,
+    StrainEnergy,
 )
+from ancfdae.errors import InvalidInput, UnknownName, require_kind
+from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
-from ancfdae.sections import Material, Rectangle
+from ancfdae.sections import Section
 
-#: Parameter names of a beam as a user writes them, e.g. ``"rod.height"``.
-PARAMETER_NAMES = {
+# Parameters of every beam as a user writes them; the sizes of its section follow.
+_PARAMETERS = {
     "youngs_modulus": ElementParameter.YOUNGS_MODULUS,
     "poisson_ratio": ElementParameter.POISSON_RATIO,
     "density": ElementParameter.DENSITY,
-    "height": ElementParameter.HEIGHT,
-    "width": ElementParameter.WIDTH,
     "length": ElementParameter.LENGTH,
     "damping_time": ElementParameter.DAMPING_TIME,
 }
@@ -62,17 +64,20 @@ class BeamBody(abc.ABC):
     Attributes
     ----------
     name : str
-    section : Rectangle or sequence of Rectangle
-        One for the beam or one per element.
+    section : Section or sequence of Section
+        One for the beam or one per element, which may differ in their sizes.
     material : Material or sequence of Material
         One for the beam or one per element.
     element : BeamElement
         The element that models it.
+    energy : StrainEnergy or None
+        How it resists strain; None for elements with a law of their own.
     """
 
     name: str
     element: BeamElement
-    section: Rectangle | Sequence[Rectangle]
+    energy: StrainEnergy | None
+    section: Section | Sequence[Section]
     material: Material | Sequence[Material]
 
     @property
@@ -95,7 +100,7 @@ class BeamBody(abc.ABC):
 
     @abc.abstractmethod
     def with_parts(
-        self, section: Rectangle | Sequence[Rectangle], material: Material | Sequence[Material]
+        self, section: Section | Sequence[Section], material: Material | Sequence[Material]
     ) -> BeamBody:
         """Return the same beam with another section and material."""
 
@@ -113,14 +118,33 @@ class BeamBody(abc.ABC):
         """Return the point at an arc-length fraction, offset in the section by y and z."""
         return Point(self.name, fraction, y, z)
 
+    def parameter_names(self) -> dict[str, ElementParameter]:
+        """Return what can be a design target, e.g. ``"rod.height"``, and its column."""
+        sizes = (each for each in ElementParameter if each.is_size)
+        return _PARAMETERS | dict(zip(self._section().size_names(), sizes, strict=False))
+
     def element_parameters(self) -> Array:
-        """Parameters of every element, shape (n, 7), columns as in `ElementParameter`."""
+        """Parameters of every element, shape (n, 9), columns as in `ElementParameter`."""
         sections, materials = self._per_element()
-        rows = [
-            (m.youngs_modulus, m.poisson_ratio, m.density, s.height, s.width, l, m.damping_time)
-            for s, m, l in zip(sections, materials, self.reference().lengths, strict=True)
-        ]
-        return np.array(rows, dtype=float)
+        parameters = np.zeros((self.element_count, len(ElementParameter)))
+        parameters[:, ElementParameter.LENGTH] = self.reference().lengths
+        for name, which in _PARAMETERS.items():
+            if which is not ElementParameter.LENGTH:
+                parameters[:, which] = [getattr(material, name) for material in materials]
+        sizes = np.array([section.sizes() for section in sections])
+        first = ElementParameter.SIZE_1
+        parameters[:, first : first + sizes.shape[1]] = sizes
+        return parameters
+
+    def element_type(self) -> ElementType:
+        """Return what all elements of the beam share."""
+        return ElementType(self._section(), self.energy, self.reference().straight)
+
+    def half_extents(self, elements: Array) -> tuple[float, float]:
+        """Half of the height and of the width that enclose the sections of some elements; m."""
+        sections = [self._per_element()[0][k].half_extents for k in elements]
+        y, z = np.max(sections, axis=0)
+        return float(y), float(z)
 
     def with_value(self, parameter: str, element: int | None, value: float) -> BeamBody:
         """Return the same beam with one parameter changed, everywhere or in one element.
@@ -133,14 +157,14 @@ class BeamBody(abc.ABC):
             If there is no such parameter.
         """
         self.check_target(parameter, element)
-        which = PARAMETER_NAMES[parameter]
+        which = self.parameter_names()[parameter]
         if which is ElementParameter.LENGTH:
             return self.with_length(value)
         sections, materials = self._per_element()
         chosen = range(self.element_count) if element is None else [element]
         for k in chosen:
-            if which in (ElementParameter.HEIGHT, ElementParameter.WIDTH):
-                sections[k] = replace(sections[k], **{parameter: value})
+            if which.is_size:
+                sections[k] = sections[k].with_size(parameter, value)
             else:
                 materials[k] = replace(materials[k], **{parameter: value})
         return self.with_parts(tuple(sections), tuple(materials))
@@ -152,8 +176,9 @@ class BeamBody(abc.ABC):
         ------
         InvalidInput, UnknownName
         """
-        if parameter not in PARAMETER_NAMES:
-            known = (f"{self.name}.{name}" for name in PARAMETER_NAMES)
+        names = self.parameter_names()
+        if parameter not in names:
+            known = (f"{self.name}.{name}" for name in names)
             raise UnknownName("design target", f"{self.name}.{parameter}", known)
         if element is None:
             return
@@ -165,7 +190,7 @@ class BeamBody(abc.ABC):
                 element,
                 "Name an element that exists.",
             )
-        if PARAMETER_NAMES[parameter] is ElementParameter.LENGTH:
+        if names[parameter] is ElementParameter.LENGTH:
             raise InvalidInput(
                 where,
                 "length is a property of the whole beam",
@@ -173,9 +198,12 @@ class BeamBody(abc.ABC):
                 f"Use {self.name}.length.",
             )
 
-    def _per_element(self) -> tuple[list[Rectangle], list[Material]]:
+    def _section(self) -> Section:
+        return self.section if isinstance(self.section, Section) else self.section[0]
+
+    def _per_element(self) -> tuple[list[Section], list[Material]]:
         n = self.element_count
-        sections = [self.section] * n if isinstance(self.section, Rectangle) else list(self.section)
+        sections = [self.section] * n if isinstance(self.section, Section) else list(self.section)
         materials = (
             [self.material] * n if isinstance(self.material, Material) else list(self.material)
         )
@@ -202,8 +230,10 @@ class BeamBody(abc.ABC):
                 repr(given),
                 f"Leave it out, or choose among {names}.",
             )
-        self._check_part(self.section, Rectangle)
+        self._check_part(self.section, Section)
         self._check_part(self.material, Material)
+        self._check_sections()
+        self._check_energy()
 
     def _check_part(self, part: object, kind: type) -> None:
         if isinstance(part, kind):
@@ -216,3 +246,28 @@ class BeamBody(abc.ABC):
                 repr(part),
                 f"Give one {kind.__name__}, or as many as there are elements.",
             )
+
+    def _check_sections(self) -> None:
+        forms = {section.form() for section in self._per_element()[0]}
+        if len(forms) > 1:
+            raise InvalidInput(
+                f"beam {self.name!r}, section",
+                "the sections of a beam must differ in their sizes only",
+                repr(self.section),
+                "Join two beams with a Clamp instead.",
+            )
+
+    def _check_energy(self) -> None:
+        where, default = f"beam {self.name!r}, energy", self.element.default_energy
+        given: object = self.energy
+        if given is None:
+            object.__setattr__(self, "energy", default)
+            return
+        if default is None:
+            rule, repair = f"{self.element.name} has a law of its own", "Leave it out."
+            raise InvalidInput(where, rule, repr(given), repair)
+        require_kind(where, given, (StrainEnergy,), "For example EnhancedContinuum().")
+        assert isinstance(given, StrainEnergy)
+        if self.dimension not in given.dimensions:
+            rule = f"must be an energy for {self.dimension} dimensions"
+            raise InvalidInput(where, rule, repr(given), "Use EnhancedContinuum().")

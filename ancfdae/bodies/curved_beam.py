@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies.body import BeamBody, ReferenceShape
-from ancfdae.elements import BeamElement
+from ancfdae.elements import BeamElement, StrainEnergy
 from ancfdae.elements.hermite import end_weight_xi, slope_weights_xi
 from ancfdae.errors import (
     InvalidInput,
@@ -17,9 +17,10 @@ from ancfdae.errors import (
     require_positive,
     require_sequence,
 )
+from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
-from ancfdae.sections import Material, Rectangle
+from ancfdae.sections import Section
 
 
 @final
@@ -35,13 +36,16 @@ class CurvedBeam(BeamBody):
     frames : array, shape (n + 1, d, d)
         Slope vectors of the nodes, row k along the section's k-th axis (tangent first);
         right-handed.
-    section : Rectangle or sequence of Rectangle
+    section : Section or sequence of Section
+        One for the beam or one per element, which may differ in their sizes.
     material : Material or sequence of Material
     element_lengths : sequence of float, optional
         Range of the axial coordinate of each element. By default the arc length of the cubic
         through its nodes, so that unit tangents stay unit tangents.
     element : BeamElement, optional
         By default the beam of the dimension, BEAM_2D or BEAM_3D.
+    energy : StrainEnergy, optional
+        By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
 
     Raises
     ------
@@ -52,10 +56,11 @@ class CurvedBeam(BeamBody):
     name: str
     positions: Array
     frames: Array
-    section: Rectangle | Sequence[Rectangle]
+    section: Section | Sequence[Section]
     material: Material | Sequence[Material]
     element_lengths: Sequence[float] | None = None
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
+    energy: StrainEnergy | None = None
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -125,7 +130,7 @@ class CurvedBeam(BeamBody):
         )
 
     def with_parts(
-        self, section: Rectangle | Sequence[Rectangle], material: Material | Sequence[Material]
+        self, section: Section | Sequence[Section], material: Material | Sequence[Material]
     ) -> CurvedBeam:
         """Return the same beam with another section and material."""
         return replace(self, section=section, material=material)

@@ -3,7 +3,13 @@
 from ancfdae.elements.beam2d import BEAM_2D
 from ancfdae.elements.beam3d import BEAM_3D
 from ancfdae.elements.cable2d import CABLE_2D
-from ancfdae.elements.element import BeamElement, ElementParameter, Quantity
+from ancfdae.elements.element import BeamElement, ElementParameter, ElementType, Quantity
+from ancfdae.elements.energy import (
+    EnhancedContinuum,
+    PlaneStress,
+    SaintVenantKirchhoff,
+    StrainEnergy,
+)
 
 #: Every element, the default one of a dimension before others of it.
 ALL_ELEMENTS: tuple[BeamElement, ...] = (BEAM_2D, BEAM_3D, CABLE_2D)
@@ -15,5 +21,10 @@ __all__ = [
     "CABLE_2D",
     "BeamElement",
     "ElementParameter",
+    "ElementType",
+    "EnhancedContinuum",
+    "PlaneStress",
     "Quantity",
+    "SaintVenantKirchhoff",
+    "StrainEnergy",
 ]

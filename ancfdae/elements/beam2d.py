@@ -8,4 +8,4 @@ from __future__ import annotations
 
 from ancfdae.elements.continuum import ContinuumBeam
 
-BEAM_2D = ContinuumBeam("BEAM_2D", 2, voigt=((0, 0), (1, 1), (0, 1)))
+BEAM_2D = ContinuumBeam("BEAM_2D", 2)

@@ -8,4 +8,4 @@ from __future__ import annotations
 
 from ancfdae.elements.continuum import ContinuumBeam
 
-BEAM_3D = ContinuumBeam("BEAM_3D", 3, voigt=((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)))
+BEAM_3D = ContinuumBeam("BEAM_3D", 3)

@@ -1,14 +1,13 @@
 """What an element has to state so that everything else can be built from it.
 
 An element of node vectors X (n_a x d: position and slopes of both nodes)
-declares its shape functions, r = sum_a s_a X_a, and the position gradient in
-terms of the *relative* node vectors
+declares the vectors of its points, r = sum_a s_a X_a and the slopes, and its
+invariants in terms of the *relative* node vectors
 
-    Y = [r_2 - r_1, slopes of node 1, slopes of node 2]     (n_y x d),
-    dr/dx_alpha = sum_y N_{y alpha} Y_y,
+    Y = [r_2 - r_1, slopes of node 1, slopes of node 2]     (n_y x d)
 
-with the partial derivatives of both in height, width and length. Invariants,
-forces, tangents and all their design derivatives follow from these facts.
+with their derivatives in every parameter. Forces, tangents and all their
+design derivatives follow from these facts.
 """
 
 from __future__ import annotations
@@ -18,8 +17,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import final
 
+from ancfdae.elements.energy import StrainEnergy
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
+from ancfdae.sections import Section
 
 
 class Quantity(IntEnum):
@@ -32,19 +33,48 @@ class Quantity(IntEnum):
 
 
 class ElementParameter(IntEnum):
-    """Column of each design parameter in a block's parameter array, shape (n, 7)."""
+    """Column of each design parameter in a block's parameter array, shape (n, 9)."""
 
     YOUNGS_MODULUS = 0
     POISSON_RATIO = 1
     DENSITY = 2
-    HEIGHT = 3
-    WIDTH = 4
-    LENGTH = 5
-    DAMPING_TIME = 6
+    LENGTH = 3
+    DAMPING_TIME = 4
+    # Sizes of the section, in its order.
+    SIZE_1 = 5
+    SIZE_2 = 6
+    SIZE_3 = 7
+    SIZE_4 = 8
+
+    @property
+    def is_size(self) -> bool:
+        """Whether it is a size of the section."""
+        return self >= ElementParameter.SIZE_1
 
 
-#: Parameters that shape functions depend on.
-GEOMETRIC = (ElementParameter.HEIGHT, ElementParameter.WIDTH, ElementParameter.LENGTH)
+@final
+@dataclass(frozen=True)
+class ElementType:
+    """What elements share that differ in numbers only.
+
+    Attributes
+    ----------
+    section : Section
+        One of theirs; its sizes do not count.
+    energy : StrainEnergy or None
+        None for elements with a law of their own.
+    straight : bool
+        Whether dr_o/dx is the same at every point of an element, so that a low-order rule is exact.
+    """
+
+    section: Section
+    energy: StrainEnergy | None
+    straight: bool
+
+    def sizes(self, parameters: Array) -> Array:
+        """Return the sizes of the section out of parameters of shape (n, 9)."""
+        first = ElementParameter.SIZE_1
+        return parameters[:, first : first + len(self.section.size_names())]
 
 
 @final
@@ -158,45 +188,35 @@ class BeamElement(abc.ABC):
             )
 
     @abc.abstractmethod
-    def shape(self, points: Array, parameters: Array) -> Array:
-        """Shape functions s_a at reference points (eq. 8).
+    def vector_weights(
+        self, quantity: Quantity, xi: float, y: float, z: float
+    ) -> tuple[Array, Array]:
+        """Return how a vector of a point is made of the node vectors: sum_a w_a l^p_a X_a.
 
         Parameters
         ----------
-        points : array, shape (n_p, d)
-            Reference coordinates (xi, y/height[, z/width]).
-        parameters : array, shape (n, 6 or 7)
-            Columns as in `ElementParameter`.
+        quantity : Quantity
+            A position (the weights are the shape functions of eq. 8) or a slope.
+        xi, y, z : float
+            Place in the element; y and z in m.
 
         Returns
         -------
-        array, shape (n, n_p, n_a)
+        w, p : array, shape (n_a,)
+            Weights at unit length, and the power of the length l that each goes with.
         """
 
+    @property
     @abc.abstractmethod
-    def shape_partial(self, points: Array, parameters: Array, which: ElementParameter) -> Array:
-        """Partial derivative of `shape` in a geometric parameter, points held; same shape."""
-
-    @abc.abstractmethod
-    def gradient(self, points: Array, parameters: Array) -> Array:
-        """Coefficients N of the position gradient.
-
-        Returns
-        -------
-        array, shape (n, n_p, n_y, d)
-            N[..., y, alpha], so that dr/dx_alpha = sum_y N[y, alpha] Y_y.
-        """
-
-    @abc.abstractmethod
-    def gradient_partial(self, points: Array, parameters: Array, which: ElementParameter) -> Array:
-        """Partial derivative of `gradient` in a geometric parameter, points held; same shape."""
+    def default_energy(self) -> StrainEnergy | None:
+        """Energy of beams that declare none; None if the element has a law of its own."""
 
     @abc.abstractmethod
     def invariants(
         self,
+        kind: ElementType,
         parameters: Array,
         Y_unit: Array,
-        straight: bool,
         wanted: tuple[ElementParameter, ...],
         owners: Array,
     ) -> Invariants:

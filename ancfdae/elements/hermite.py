@@ -23,3 +23,8 @@ def end_weight_xi(xi: Array) -> Array:
 def slope_weights_xi(xi: Array) -> tuple[Array, Array]:
     """Return the derivatives of `slope_weights` in xi."""
     return (1.0 - xi) * (1.0 - 3.0 * xi), xi * (3.0 * xi - 2.0)
+
+
+def curvature_weights(xi: Array) -> tuple[Array, Array, Array]:
+    """Return the second derivatives of `end_weight` and of both `slope_weights`."""
+    return 6.0 - 12.0 * xi, 6.0 * xi - 4.0, 6.0 * xi - 2.0

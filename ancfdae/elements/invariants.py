@@ -18,18 +18,25 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ancfdae.elements.element import BeamElement, ElementParameter, InvariantPartial, Invariants
+from ancfdae.elements.element import (
+    BeamElement,
+    ElementParameter,
+    ElementType,
+    InvariantPartial,
+    Invariants,
+)
 from ancfdae.numerics.arrays import Array
 
-# Elements handled at once, so that the preparation of 10,000 of them stays within memory.
-_CHUNK = 256
+# Elements handled at once, so that the preparation of 10,000 of them stays within memory; curved
+# ones have more points.
+_STRAIGHT_CHUNK, _CURVED_CHUNK = 256, 32
 
 
 def prepare(
     element: BeamElement,
+    kind: ElementType,
     parameters: Array,
     Y_unit: Array,
-    straight: bool,
     wanted: Iterable[ElementParameter] = (),
     owners: Array | None = None,
 ) -> Invariants:
@@ -38,13 +45,13 @@ def prepare(
     Parameters
     ----------
     element : BeamElement
-    parameters : array, shape (n, 6 or 7)
+    kind : ElementType
+        What all these elements share.
+    parameters : array, shape (n, 9)
         Columns as in `ElementParameter`; real or complex.
     Y_unit : array, shape (n, n_y, d)
         Relative node vectors of the reference configuration, the first one, r_2 - r_1,
         divided by the element length.
-    straight : bool
-        Whether dr_o/dx is the same at every point, so that a low-order rule is exact.
     wanted : iterable of ElementParameter
         Parameters whose derivatives are prepared.
     owners : array of str, shape (n,), optional
@@ -58,10 +65,9 @@ def prepare(
     wanted = tuple(wanted)
     if owners is None:
         owners = np.full(len(parameters), "reference configuration")
-    chunks = [slice(k, k + _CHUNK) for k in range(0, len(parameters), _CHUNK)]
-    pieces = [
-        element.invariants(parameters[k], Y_unit[k], straight, wanted, owners[k]) for k in chunks
-    ]
+    count = _STRAIGHT_CHUNK if kind.straight else _CURVED_CHUNK
+    chunks = [slice(k, k + count) for k in range(0, len(parameters), count)]
+    pieces = [element.invariants(kind, parameters[k], Y_unit[k], wanted, owners[k]) for k in chunks]
     return joined(pieces)
 
 

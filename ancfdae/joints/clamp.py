@@ -1,4 +1,4 @@
-"""Clamp: position and all slopes of a section are held."""
+"""Clamp: position and orientation of a section are held."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point
-from ancfdae.joints.joint import SECTION, Coefficients, Joint, empty_coefficients
+from ancfdae.elements import BeamElement, Quantity
+from ancfdae.joints.frames import unit
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
+from ancfdae.parts import Vectors
 
 
 @final
 @dataclass(frozen=True)
 class Clamp(Joint):
-    """Hold a section of a beam to ground as it is in the reference configuration.
+    """Hold a section of a beam to ground where and as it stands in the reference configuration.
 
-    The constraints are r = r_o and r_k = r_ok for every slope vector: the section neither
-    moves, nor turns, nor deforms.
+    The section neither moves nor turns. It may still deform, and the centre line may leave it
+    obliquely: a beam that is stretched contracts there, and one that is sheared shears, as right
+    behind a wall. With n the normal of the section, y and z orthonormal in it and r^k the dual
+    slopes, all of them of the reference: r = r_o, r_y . n = r_z . n = 0 and
+    sum_k [(r^k . y) z - (r^k . z) y] . r_k = 0, the turn about n; in the plane r_y . n = 0. An
+    element without a section holds its tangent instead.
 
     Parameters
     ----------
@@ -30,15 +37,27 @@ class Clamp(Joint):
     point: Point
     name: str = ""
 
-    takes_part = SECTION
     kind = "clamp"
     holds_position = True
 
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the position and the slopes that span the section."""
+        section = [q for q in element.quantities if q > Quantity.SLOPE_X] or [Quantity.SLOPE_X]
+        return tuple((self.point, q) for q in (Quantity.POSITION, *section))
+
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
-        """U_i - U_i(reference)."""
-        n, d = reference.shape
-        c = empty_coefficients(n * d, n, d, reference.dtype)
-        rows, axes = np.arange(n * d), np.arange(n * d) % d
-        c.linear[rows, rows // d, axes] = 1.0
-        c.offset[:] = reference.ravel()
+        """Coincidence, and one equation for every turn."""
+        (n, d), slopes = reference.shape, reference[1:]
+        c = empty_coefficients(d + d * (d - 1) // 2, n, d, reference.dtype)
+        place_coincidence(c, 1, reference, None)
+        if d == 2:
+            across = np.array([-slopes[0, 1], slopes[0, 0]])
+            c.linear[2, 1] = unit(across)
+            return c
+        normal = unit(np.cross(*slopes))
+        y = unit(slopes[0])
+        z = np.cross(normal, y)
+        c.linear[3, 1] = c.linear[4, 2] = normal
+        dual = np.linalg.inv(slopes @ np.stack([y, z], axis=1))
+        c.linear[5, 1:] = dual[0][:, None] * z - dual[1][:, None] * y
         return c

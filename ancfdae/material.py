@@ -1,4 +1,4 @@
-"""Cross-sections and materials: what a beam is made of."""
+"""What a beam is made of."""
 
 from __future__ import annotations
 
@@ -6,33 +6,6 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.errors import InvalidInput, require_finite, require_positive
-
-
-@final
-@dataclass(frozen=True)
-class Rectangle:
-    """Rectangular cross-section.
-
-    Parameters
-    ----------
-    height : float
-        Extent along the section's y axis (in the plane of a planar scene); m.
-    width : float
-        Extent along the section's z axis (the thickness of a planar scene); m.
-
-    Raises
-    ------
-    InvalidInput
-        If an extent is not finite and positive.
-    """
-
-    height: float
-    width: float
-
-    def __post_init__(self) -> None:
-        """Validate."""
-        require_positive("Rectangle.height", self.height)
-        require_positive("Rectangle.width", self.width)
 
 
 @final

@@ -1,0 +1,251 @@
+"""Where a continuum beam's energy is integrated: fibres of the section times points along the axis.
+
+Lengths are divided by the element length l, and the chord r_2 - r_1 with them (`strain_fields`), so
+that the length enters through the fibres only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.elements.element import ElementParameter, ElementType
+from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
+from ancfdae.elements.strain_fields import (
+    axial_functions,
+    components,
+    section_functions,
+    section_functions_partial,
+)
+from ancfdae.errors import InvalidInput
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.quadrature import box_rule
+
+
+@final
+@dataclass(frozen=True)
+class Fibres:
+    """Fibres of n elements, or their derivative in a parameter.
+
+    Attributes
+    ----------
+    offsets : array, shape (n, n_s, 2)
+        y and z over l.
+    volume : array, shape (n, n_s)
+        Area that a fibre stands for, times l.
+    factors : array, shape (n, 3)
+        Square roots of the shear factors along y and z and of what the torsion constant is to the
+        polar moment: strains are multiplied by them.
+    gyration : array, shape (n, 2)
+        Squared radii of gyration over l^2.
+    """
+
+    offsets: Array
+    volume: Array
+    factors: Array
+    gyration: Array
+
+    def any(self) -> bool:
+        """Whether anything differs from zero."""
+        parts = (self.offsets, self.volume, self.factors, self.gyration)
+        return any(bool(np.any(part)) for part in parts)
+
+    def axis(self) -> Fibres:
+        """All of the section in one fibre on the axis."""
+        offsets, volume = np.zeros_like(self.offsets[:, :1]), self.volume.sum(axis=1)
+        return Fibres(offsets, volume[:, None], self.factors, self.gyration)
+
+
+def fibres(kind: ElementType, parameters: Array) -> Fibres:
+    """Return the fibres of elements of one type, parameters of shape (n, 9)."""
+    l, nu = parameters[:, ElementParameter.LENGTH], parameters[:, ElementParameter.POISSON_RATIO]
+    sizes = kind.sizes(parameters)
+    y, z, dA = kind.section.points(sizes, not kind.straight)
+    factors = np.ones((len(l), 3), dtype=parameters.dtype)
+    if kind.energy is not None and kind.energy.corrected:
+        k_y, k_z, J = kind.section.properties(sizes, nu)
+        polar = np.sum(dA * (y**2 + z**2), axis=1)
+        factors = np.sqrt(np.stack([k_y, k_z, J / polar], axis=1))
+    offsets = np.stack([y, z], axis=-1) / l[:, None, None]
+    gyration = np.sum(offsets**2 * dA[..., None], axis=1) / np.sum(dA, axis=1)[:, None]
+    return Fibres(offsets, dA * l[:, None], factors, gyration)
+
+
+def fibres_partial(kind: ElementType, parameters: Array, which: ElementParameter) -> Fibres:
+    """Return the derivative of `fibres` in a parameter."""
+    at, moved = fibres(kind, parameters), fibres(kind, shifted(parameters, which))
+    return Fibres(
+        change(moved.offsets, at.offsets),
+        change(moved.volume, at.volume),
+        change(moved.factors, at.factors),
+        change(moved.gyration, at.gyration),
+    )
+
+
+def shifted(parameters: Array, which: ElementParameter) -> Array:
+    """Return parameters with one of them moved by a complex step."""
+    moved = parameters.astype(complex)
+    moved[:, which] += 1j * STEP
+    return moved
+
+
+def change(moved: Array, at: Array) -> Array:
+    """Return the derivative out of a value at `shifted` parameters and at the parameters.
+
+    What is imaginary already, in a complex-step run, does not count.
+    """
+    return np.asarray((np.imag(moved) - np.imag(at)) / STEP)
+
+
+@final
+class Region:
+    """Strains and volume at the points where an energy is integrated.
+
+    Parameters
+    ----------
+    d : int
+    kind : ElementType
+    fibres : Fibres
+    Y_unit : array, shape (n, n_y, d)
+        Relative node vectors of the reference configuration, the chord divided by l.
+    along : int
+        Points along the axis.
+    owners : array of str, shape (n,)
+        What each element belongs to, for the error.
+
+    Attributes
+    ----------
+    P : array, shape (n, n_p, n_v, n_g)
+        Strains in the Gram matrix of the scaled node vectors.
+    dV : array, shape (n, n_p)
+
+    Raises
+    ------
+    InvalidInput
+        If the reference configuration folds (det dr_o/dx <= 0 somewhere).
+    """
+
+    def __init__(
+        self,
+        d: int,
+        kind: ElementType,
+        fibres: Fibres,
+        Y_unit: Array,
+        along: int,
+        owners: Array,
+    ) -> None:
+        corner, self._rule = box_rule((along,))
+        self._d, self._xi, self._fibres = d, corner[:, 0], fibres
+        assert kind.energy is not None
+        assumed = kind.energy.assumed_strains
+        self._beta = axial_functions(d, tuple(self._xi.tolist()), assumed, kind.straight)
+        self._B = self._metric(section_functions(fibres.offsets, fibres.factors, fibres.gyration))
+        self._J_inv: Array | None = None
+        self.dV = self._measure(fibres.volume)
+        if not kind.straight:
+            J = self._gradient(Y_unit, fibres.offsets, 1.0)
+            det_J = np.linalg.det(J)
+            _refuse_folds(det_J, owners)
+            self._Y, self._axes = Y_unit, _section_axes(J)
+            self._J_inv = np.linalg.inv(self._axes @ J)
+            self.dV = self.dV * det_J
+        self.P = self._transform(self._J_inv, self._J_inv, 1.0) @ self._B
+
+    def partial(self, fibres_b: Fibres) -> tuple[Array, Array]:
+        """Return the derivatives of P and dV."""
+        own = self._fibres
+        phi_b = section_functions_partial(
+            own.offsets, own.factors, fibres_b.offsets, fibres_b.factors, fibres_b.gyration
+        )
+        P_b = self._transform(self._J_inv, self._J_inv, 1.0) @ self._metric(phi_b)
+        dV_b = self._measure(fibres_b.volume)
+        if self._J_inv is None:
+            return P_b, dV_b
+        # The section slopes of the reference, and so its axes, depend on no parameter.
+        J_b = self._axes @ self._gradient(self._Y, fibres_b.offsets, 0.0)
+        K_b = -self._J_inv @ J_b @ self._J_inv
+        T_b = self._transform(K_b, self._J_inv, 0.0) + self._transform(self._J_inv, K_b, 0.0)
+        trace = np.einsum("npij,npji->np", self._J_inv, J_b)
+        det_J = self.dV / self._measure(own.volume)
+        return P_b + T_b @ self._B, dV_b * det_J + self.dV * trace
+
+    def shape(self, offsets: Array, one: float) -> Array:
+        """Scaled shape functions, shape (n, n_p, n_a); `one` is zero for their derivative."""
+        xi, n_s = self._xi, self._d + 1
+        s5, (p2, p6) = end_weight(xi), slope_weights(xi)
+        s = np.zeros((*offsets.shape[:2], len(xi), 2 * n_s), dtype=offsets.dtype)
+        s[..., 0], s[..., n_s] = one * (1 - s5), one * s5
+        s[..., 1], s[..., n_s + 1] = one * p2, one * p6
+        for k in range(self._d - 1):
+            y = offsets[..., None, k]
+            s[..., 2 + k], s[..., n_s + 2 + k] = y * (1 - xi), y * xi
+        return s.reshape(len(s), -1, 2 * n_s)
+
+    def _metric(self, phi: Array) -> Array:
+        """B at all points, shape (n, n_p, n_v, n_g)."""
+        n_phi, _, n_v, n_g = self._beta.shape
+        B = phi.reshape(-1, n_phi) @ self._beta.reshape(n_phi, -1)
+        return B.reshape(len(phi), -1, n_v, n_g)
+
+    def _measure(self, volume: Array) -> Array:
+        measure: Array = volume[:, :, None] * self._rule
+        return measure.reshape(len(volume), -1)
+
+    def _gradient(self, Y: Array, offsets: Array, one: float) -> Array:
+        """dr_o/dx (eq. 16), shape (n, n_p, d, d); `one` is zero for its derivative."""
+        d, xi = self._d, self._xi
+        N = np.zeros((*offsets.shape[:2], len(xi), 2 * d + 1, d), dtype=offsets.dtype)
+        N[..., 0, 0] = one * end_weight_xi(xi)
+        N[..., 1, 0], N[..., 1 + d, 0] = (one * s for s in slope_weights_xi(xi))
+        for k in range(1, d):
+            y = offsets[..., None, k - 1]
+            N[..., 1 + k, 0], N[..., 1 + d + k, 0] = -y, y
+            N[..., 1 + k, k], N[..., 1 + d + k, k] = one * (1 - xi), one * xi
+        J: Array = Y.transpose(0, 2, 1)[:, None] @ N.reshape(len(N), -1, 2 * d + 1, d)
+        return J
+
+    def _transform(self, K_1: Array | None, K_2: Array | None, turn: float) -> Array:
+        """T of the module `continuum`, bilinear in (K_1, K_2), both J_o^-1; (..., n_v, n_v)."""
+        pairs = np.array(components(self._d))
+        i, j = pairs.T[:, :, None]
+        alpha, beta = pairs.T[:, None]
+        if K_1 is None or K_2 is None:
+            K_1 = K_2 = np.eye(self._d)
+        product = K_1[..., alpha, i] * K_2[..., beta, j] + K_1[..., beta, i] * K_2[..., alpha, j]
+        # 1/2 from 2 E = ..., doubled for engineering shear, halved where both terms are one entry.
+        T = product * np.where(i == j, 0.5, 1.0) * np.where(alpha == beta, 0.5, 1.0)
+        n_v, all_rows = len(pairs), self._beta.shape[2]
+        # Turns are the same in all axes.
+        padded = np.zeros((*T.shape[:-2], all_rows, all_rows), dtype=T.dtype)
+        padded[..., :n_v, :n_v] = T
+        turns = np.arange(n_v, all_rows)
+        padded[..., turns, turns] = turn
+        return padded
+
+
+def _section_axes(J: Array) -> Array:
+    """Rows: the normal of the section, r_y over its length, and what is across both in space.
+
+    Shear factors, and C without Poisson's effect, belong to these axes.
+    """
+    r_y = J[..., 1] / np.sqrt(np.sum(J[..., 1] ** 2, axis=-1, keepdims=True))
+    if J.shape[-1] == 2:
+        normal = np.stack([r_y[..., 1], -r_y[..., 0]], axis=-1)
+        return np.stack([normal, r_y], axis=-2)
+    normal = np.cross(r_y, J[..., 2])
+    normal = normal / np.sqrt(np.sum(normal**2, axis=-1, keepdims=True))
+    return np.stack([normal, r_y, np.cross(normal, r_y)], axis=-2)
+
+
+def _refuse_folds(det_J: Array, owners: Array) -> None:
+    worst = np.min(det_J.real, axis=1)
+    if not np.all(worst > 0):
+        k = int(np.argmin(worst))
+        raise InvalidInput(
+            str(owners[k]),
+            "dr_o/dx of the reference configuration must have a positive determinant everywhere",
+            f"{float(worst[k]):.3g} at the worst point",
+            "Use right-handed node frames, more elements along the curve or a thinner section.",
+        )

@@ -1,0 +1,133 @@
+"""Cross-sections given by their moments or by points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_array
+from ancfdae.numerics.arrays import Array
+from ancfdae.sections.section import Section, SectionPoints
+
+
+@final
+@dataclass(frozen=True)
+class MomentSection(Section):
+    """A doubly symmetric section of which only the moments are known.
+
+    Modelled by four points; higher moments than the second, which only count for large curvatures,
+    are those of these points.
+
+    Parameters
+    ----------
+    area : float
+        m^2.
+    second_moment_y : float
+        Integral of y^2, which resists bending along the height; m^4.
+    second_moment_z : float
+        Integral of z^2, which resists bending along the width; m^4.
+    torsion_moment : float
+        J in the torque G J kappa; m^4. Without meaning in the plane.
+    shear_factors : (float, float), optional
+        1 by default.
+
+    Raises
+    ------
+    InvalidInput
+        If a moment is not finite and positive.
+    """
+
+    area: float
+    second_moment_y: float
+    second_moment_z: float
+    torsion_moment: float
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """Those of the rectangle of these moments."""
+        moments = (self.second_moment_y, self.second_moment_z)
+        return tuple(float(np.sqrt(3 * I / self.area)) for I in moments)  # type: ignore[return-value]
+
+    def points(self, sizes: Array, fine: bool) -> SectionPoints:
+        """Four points at the radii of gyration."""
+        area, I_y, I_z, _ = sizes.T[..., None]
+        y, z = (np.sqrt(I / area) for I in (I_y, I_z))
+        sign = np.array([-1.0, 1.0])
+        return y * np.repeat(sign, 2), z * np.tile(sign, 2), area * np.full(4, 0.25)
+
+    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
+        """None known: 1."""
+        return np.ones_like(nu), np.ones_like(nu)
+
+    def torsion(self, sizes: Array) -> Array:
+        """As declared."""
+        return sizes[:, 3]
+
+
+@final
+@dataclass(frozen=True)
+class PointSection(Section):
+    """Any section, given by a quadrature rule; its sizes stretch it along y and z.
+
+    Parameters
+    ----------
+    height_factor, width_factor : float
+        What the coordinates y and z of the points are multiplied by; areas by the product.
+    places : sequence of (float, float)
+        Coordinates y and z of the points from the beam's axis; m.
+    areas : sequence of float
+        Area that each stands for; m^2.
+    shear_factors : (float, float), optional
+        1 by default.
+    torsion_constant : float, optional
+        By default the polar moment, as if the section did not warp; m^4.
+
+    Raises
+    ------
+    InvalidInput
+        If numbers are missing, not finite, or the area or a factor is not positive.
+    """
+
+    height_factor: float = 1.0
+    width_factor: float = 1.0
+    places: Sequence[Sequence[float]] = field(kw_only=True)
+    areas: Sequence[float] = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Validate and freeze."""
+        super().__post_init__()
+        areas = require_array("PointSection.areas", self.areas)
+        if areas.ndim != 1 or not np.sum(areas) > 0:
+            raise InvalidInput(
+                "PointSection.areas",
+                "must be a list of numbers with a positive sum",
+                self.areas,
+                "Give the area of every point.",
+            )
+        places = require_array("PointSection.places", self.places, (len(areas), 2))
+        object.__setattr__(self, "areas", tuple(areas.tolist()))
+        object.__setattr__(self, "places", tuple(map(tuple, places.tolist())))
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """Distance of the farthest point."""
+        y, z = np.max(np.abs(self.places), axis=0)
+        return float(self.height_factor * y), float(self.width_factor * z)
+
+    def points(self, sizes: Array, fine: bool) -> SectionPoints:
+        """Stretch the points."""
+        (y, z), f = np.transpose(self.places), sizes[:, :, None]
+        return f[:, 0] * y, f[:, 1] * z, f[:, 0] * f[:, 1] * np.asarray(self.areas)
+
+    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
+        """None known: 1."""
+        return np.ones_like(nu), np.ones_like(nu)
+
+    def torsion(self, sizes: Array) -> Array:
+        """Polar moment."""
+        y, z, dA = self.points(sizes, False)
+        J: Array = np.sum(dA * (y**2 + z**2), axis=1)
+        return J

@@ -1,0 +1,87 @@
+"""Rectangular cross-section, and sums of rectangles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.quadrature import box_rule
+from ancfdae.sections.section import Section, SectionPoints
+
+# Points a side: 3 integrate the degree 5 of straight beams. Curved ones have a rational integrand;
+# with a radius of curvature R the error of A falls like (height / 4R)^(2 n): measured with 6
+# points, 1e-15 at height = R / 10, 6e-14 at R / 5, 4e-9 at R / 2.
+_COARSE, _FINE = 3, 6
+
+
+@final
+@dataclass(frozen=True)
+class Rectangle(Section):
+    """Rectangular cross-section.
+
+    Parameters
+    ----------
+    height : float
+        Extent along y (in the plane of a planar scene); m.
+    width : float
+        Extent along z (the thickness of a planar scene); m.
+
+    Raises
+    ------
+    InvalidInput
+        If an extent is not finite and positive.
+    """
+
+    height: float
+    width: float
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """Half of height and width."""
+        return self.height / 2, self.width / 2
+
+    def points(self, sizes: Array, fine: bool) -> SectionPoints:
+        """Gauss points."""
+        h, w = sizes.T
+        return rectangles_points([(h, w, 0.0 * h, 0.0 * h)], fine)
+
+    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
+        """Cowper (1966)."""
+        factor = 10 * (1 + nu) / (12 + 11 * nu)
+        return factor, factor
+
+    def torsion(self, sizes: Array) -> Array:
+        """Saint-Venant's series."""
+        return rectangle_torsion(*sizes.T)
+
+
+def rectangles_points(
+    rectangles: Sequence[tuple[Array, Array, Array, Array]], fine: bool
+) -> SectionPoints:
+    """Gauss points of rectangles (height, width, y and z of the centre), shape (n,) each."""
+    corner, rule = box_rule((1,) + 2 * (_FINE if fine else _COARSE,))
+    eta, zeta = corner[:, 1], corner[:, 2]
+    y = [h[:, None] * eta + y_c[:, None] for h, _, y_c, _ in rectangles]
+    z = [w[:, None] * zeta + z_c[:, None] for _, w, _, z_c in rectangles]
+    dA = [(h * w)[:, None] * rule for h, w, _, _ in rectangles]
+    return np.concatenate(y, axis=1), np.concatenate(z, axis=1), np.concatenate(dA, axis=1)
+
+
+def rectangle_torsion(h: Array, w: Array) -> Array:
+    """Torsion constant of rectangles.
+
+    J = a b^3 (1/3 - (64/pi^5) (b/a) sum_{n odd} tanh(n pi a / 2b) / n^5), b the shorter side
+    (Timoshenko & Goodier, Theory of Elasticity, sec. 109). With tanh x = 1 - 2/(e^{2x} + 1) and
+    sum 1/n^5 = 31/32 zeta(5) what is summed falls like e^{-n pi}: below round-off after n = 11.
+    """
+    a, b = np.where(h.real >= w.real, (h, w), (w, h))
+    n = np.arange(1, 13, 2)[:, None]
+    # e^{-2x} instead of e^{2x}, which overflows for thin strips.
+    decay = np.exp(-n * np.pi * a / b)
+    series = 31 / 32 * 1.0369277551433699 - np.sum(2 * decay / (1 + decay) / n**5, axis=0)
+    J: Array = a * b**3 * (1 / 3 - 64 / np.pi**5 * (b / a) * series)
+    return J

@@ -1,0 +1,117 @@
+"""What a cross-section has to state: where its area lies, how it shears and how it twists."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_positive, require_vector
+from ancfdae.numerics.arrays import Array
+
+#: Points of a section: y, z and the area that each stands for, shape (n, n_p) each.
+SectionPoints = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Section(abc.ABC):
+    """A cross-section in its axes y (height) and z (width), the beam's axis at y = z = 0.
+
+    Positional fields are its sizes, each a design variable of the beam; at most four. Methods take
+    sizes of many sections, shape (n, number of sizes), real or complex, and keep their dtype, so
+    that complex steps through them are derivatives.
+
+    Parameters
+    ----------
+    shear_factors : (float, float), optional
+        Ratio of the area that carries shear along y and along z; by default a formula of the
+        section. Read by `EnhancedContinuum` only, as is the next.
+    torsion_constant : float, optional
+        J in the torque G J kappa; m^4. By default a formula of the section.
+
+    Raises
+    ------
+    InvalidInput
+        If a size or a property is not finite and positive.
+    """
+
+    shear_factors: Sequence[float] | None = field(default=None, kw_only=True)
+    torsion_constant: float | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        where = type(self).__name__
+        for name in self.size_names():
+            require_positive(f"{where}.{name}", getattr(self, name))
+        if self.shear_factors is not None:
+            require_vector(f"{where}.shear_factors", self.shear_factors, (2,))
+            for factor in self.shear_factors:
+                require_positive(f"{where}.shear_factors", factor)
+        if self.torsion_constant is not None:
+            require_positive(f"{where}.torsion_constant", self.torsion_constant)
+
+    @classmethod
+    def size_names(cls) -> tuple[str, ...]:
+        """Return the names of the sizes."""
+        return tuple(each.name for each in fields(cls) if not each.kw_only)
+
+    def sizes(self) -> tuple[float, ...]:
+        """Return the sizes; m, unless the section says otherwise."""
+        return tuple(getattr(self, name) for name in self.size_names())
+
+    def with_size(self, name: str, value: float) -> Self:
+        """Return the same section with one size changed."""
+        return replace(self, **{name: value})  # type: ignore[arg-type]  # sizes are numbers
+
+    def form(self) -> tuple[object, ...]:
+        """Return what sections must share to differ in their sizes only."""
+        own = (getattr(self, each.name) for each in fields(self) if each.kw_only)
+        return (type(self), *(tuple(x) if isinstance(x, Sequence) else x for x in own))
+
+    @property
+    @abc.abstractmethod
+    def half_extents(self) -> tuple[float, float]:
+        """Half of the height and half of the width that enclose the section; m."""
+
+    @abc.abstractmethod
+    def points(self, sizes: Array, fine: bool) -> SectionPoints:
+        """Quadrature points of sections, exact for polynomials of degree 5.
+
+        Parameters
+        ----------
+        sizes : array, shape (n, n_sizes)
+        fine : bool
+            Whether the integrand is no polynomial (curved beams), so that more points are needed.
+        """
+
+    @abc.abstractmethod
+    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
+        """Shear factors along y and z for Poisson's ratio nu, shape (n,) each."""
+
+    @abc.abstractmethod
+    def torsion(self, sizes: Array) -> Array:
+        """Torsion constants J, shape (n,)."""
+
+    def properties(self, sizes: Array, nu: Array) -> tuple[Array, Array, Array]:
+        """Shear factors along y and z and the torsion constant, those declared or by formula."""
+        k_y, k_z = self.shear(sizes, nu)
+        J = self.torsion(sizes)
+        if self.shear_factors is not None:
+            k_y, k_z = (np.full_like(J, factor) for factor in self.shear_factors)
+        if self.torsion_constant is not None:
+            J = np.full_like(J, self.torsion_constant)
+        return k_y, k_z, J
+
+
+def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
+    """Refuse walls that leave no hole.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if not wall < outer:
+        raise InvalidInput(where, rule, f"{wall} against {outer}", "Use a thinner wall.")

@@ -1,0 +1,143 @@
+"""Cross-sections of straight walls: rectangular box and I section."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.numerics.arrays import Array
+from ancfdae.sections.rectangle import rectangle_torsion, rectangles_points
+from ancfdae.sections.section import Section, SectionPoints, require_smaller
+
+
+@dataclass(frozen=True)
+class _Walled(Section):
+    """Two flanges of the full width, joined by webs."""
+
+    height: float
+    width: float
+    web_thickness: float
+    flange_thickness: float
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        super().__post_init__()
+        for name, walls, outer, extent in (
+            ("flange_thickness", 2 * self.flange_thickness, self.height, "height"),
+            ("web_thickness", self._webs * self.web_thickness, self.width, "width"),
+        ):
+            rule = f"the walls together must be thinner than the {extent}"
+            require_smaller(f"{type(self).__name__}.{name}", walls, outer, rule)
+
+    @property
+    def _webs(self) -> int:
+        """Number of webs."""
+        return 2
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """Half of height and width."""
+        return self.height / 2, self.width / 2
+
+
+@final
+@dataclass(frozen=True)
+class Box(_Walled):
+    """Rectangular box, webs at both sides.
+
+    Parameters
+    ----------
+    height, width : float
+        Outer extents along y and z; m.
+    web_thickness : float
+        Of each wall along y; m.
+    flange_thickness : float
+        Of each wall along z; m.
+
+    Raises
+    ------
+    InvalidInput
+        If a size is not finite and positive, or the walls leave no hole.
+    """
+
+    def points(self, sizes: Array, fine: bool) -> SectionPoints:
+        """Gauss points of flanges and webs."""
+        h, w, t_w, t_f = sizes.T
+        y, z, inner, none = (h - t_f) / 2, (w - t_w) / 2, h - 2 * t_f, 0.0 * h
+        walls = [(t_f, w, s * y, none) for s in (-1, 1)]
+        walls += [(inner, t_w, none, s * z) for s in (-1, 1)]
+        return rectangles_points(walls, fine)
+
+    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
+        """Cowper (1966) for thin walls, either pair of them as the webs."""
+        h, w, t_w, t_f = sizes.T
+        return _box_shear(h, w, t_w, t_f, nu), _box_shear(w, h, t_f, t_w, nu)
+
+    def torsion(self, sizes: Array) -> Array:
+        """Bredt's formula 4 A^2 / int ds/t on the middle line, A the area that it encloses."""
+        h, w, t_w, t_f = sizes.T
+        a, b = h - t_f, w - t_w
+        J: Array = 2 * (a * b) ** 2 / (a / t_w + b / t_f)
+        return J
+
+
+@final
+@dataclass(frozen=True)
+class ISection(_Walled):
+    """I section, one web in the middle.
+
+    Parameters
+    ----------
+    height, width : float
+        Outer extents along y and z; m.
+    web_thickness : float
+        Of each wall along y; m.
+    flange_thickness : float
+        Of each wall along z; m.
+
+    Raises
+    ------
+    InvalidInput
+        If a size is not finite and positive, or the walls leave no hole.
+    """
+
+    @property
+    def _webs(self) -> int:
+        """One web."""
+        return 1
+
+    def points(self, sizes: Array, fine: bool) -> SectionPoints:
+        """Gauss points of flanges and web."""
+        h, w, t_w, t_f = sizes.T
+        y, none = (h - t_f) / 2, 0.0 * h
+        walls = [(t_f, w, s * y, none) for s in (-1, 1)]
+        return rectangles_points([*walls, (h - 2 * t_f, t_w, none, none)], fine)
+
+    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
+        """Along y Cowper (1966) for thin walls; along z the flanges as two rectangles."""
+        h, w, t_w, t_f = sizes.T
+        a = h - t_f
+        m, n = 2 * w * t_f / (a * t_w), w / a
+        bottom = _cowper(m, nu) + 30 * n**2 * (m + m**2) + 5 * nu * n**2 * (8 * m + 9 * m**2)
+        flanges = 2 * w * t_f / (2 * w * t_f + (h - 2 * t_f) * t_w)
+        return 10 * (1 + nu) * (1 + 3 * m) ** 2 / bottom, 10 * (1 + nu) / (12 + 11 * nu) * flanges
+
+    def torsion(self, sizes: Array) -> Array:
+        """Sum of the three rectangles; warping is free."""
+        h, w, t_w, t_f = sizes.T
+        return 2 * rectangle_torsion(w, t_f) + rectangle_torsion(h - 2 * t_f, t_w)
+
+
+def _box_shear(h: Array, w: Array, t_w: Array, t_f: Array, nu: Array) -> Array:
+    a, b = h - t_f, w - t_w
+    m, n = b * t_f / (a * t_w), b / a
+    bottom = _cowper(m, nu) + 10 * n**2 * ((3 + nu) * m + 3 * m**2)
+    factor: Array = 10 * (1 + nu) * (1 + 3 * m) ** 2 / bottom
+    return factor
+
+
+def _cowper(m: Array, nu: Array) -> Array:
+    """Return what shear factors of boxes and I sections have in common in the denominator."""
+    plain = 12 + 72 * m + 150 * m**2 + 90 * m**3
+    bottom: Array = plain + nu * (11 + 66 * m + 135 * m**2 + 90 * m**3)
+    return bottom

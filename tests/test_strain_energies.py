@@ -1,0 +1,379 @@
+"""Strain energies against beam theory: what bends, stretches, shears and twists how far.
+
+Tolerances: where an element is exact for small loads, what is left is the square of the load
+(1e-5 of the length, so 1e-10 relative) and the condition number of the static system, up to 1e10,
+times round-off: 1e-6. Elsewhere the comment says what discretisation error is expected.
+"""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    BEAM_2D,
+    BEAM_3D,
+    Beam,
+    Box,
+    Circle,
+    Clamp,
+    CurvedBeam,
+    EnhancedContinuum,
+    InvalidInput,
+    ISection,
+    Material,
+    Moment,
+    MomentSection,
+    PlaneStress,
+    PointForce,
+    PointSection,
+    Rectangle,
+    SaintVenantKirchhoff,
+    Scene,
+    Tube,
+    assemble,
+)
+from ancfdae.elements import ElementParameter, ElementType
+from ancfdae.elements.invariants import prepare
+
+E, NU = 1e9, 0.3
+PLACES = [(0.006, 0.004), (-0.006, 0.004), (0.006, -0.004), (-0.006, -0.004)]
+SECTIONS = {
+    "rectangle": Rectangle(0.02, 0.01),
+    "circle": Circle(0.01),
+    "tube": Tube(0.01, 0.002),
+    "box": Box(0.02, 0.03, 0.001, 0.002),
+    "I": ISection(0.04, 0.03, 0.002, 0.003),
+    "moments": MomentSection(1e-4, 2e-9, 1e-9, 3e-9),
+    "points": PointSection(places=PLACES, areas=[2e-5] * 4, shear_factors=(0.8, 0.9)),
+}
+ENERGIES = {
+    "SVK": SaintVenantKirchhoff(),
+    "SVK assumed": SaintVenantKirchhoff(True),
+    "plane stress": PlaneStress(),
+    "plane stress assumed": PlaneStress(True),
+    "enhanced exact strains": EnhancedContinuum(False),
+    "enhanced": EnhancedContinuum(),
+}
+
+
+def rest(scene, steps=1):
+    """Static equilibrium by plain Newton steps with dense matrices, loads grown in steps."""
+    system = assemble(scene)
+    q, v = system.start()
+    n, n_lam, pattern = system.n_q, system.n_lam, system.pattern
+    load = system.force(q, v, 0.0)
+    lam = np.zeros(n_lam)
+    for k in range(1, steps + 1):
+        for _ in range(60):
+            K, B = np.zeros((n, n)), np.zeros((n_lam, n))
+            K[pattern.rows, pattern.columns] = -system.force_q(q, v, 0.0)
+            own = system.constraint_pattern
+            B[own.rows, own.columns] = system.constraint_q(q, 0.0)
+            residual = system.force(q, v, 0.0) - B.T @ lam - (1 - k / steps) * load
+            matrix = np.block([[K, B.T], [B, np.zeros((n_lam, n_lam))]])
+            step = np.linalg.solve(matrix, np.append(residual, -system.constraint(q, 0.0)))
+            q, lam = q + step[:n], lam + step[n:]
+            if np.max(np.abs(step[:n])) < 1e-13 * np.max(np.abs(q)):
+                break
+    return system, q.reshape(-1, system.element.n_s, system.element.d)
+
+
+def moments(section):
+    sizes = np.array([section.sizes()])
+    y, z, dA = section.points(sizes, False)
+    k_y, k_z, J = section.properties(sizes, np.array([NU]))
+    A, I = dA.sum(), (np.sum(dA * y * y), np.sum(dA * z * z))
+    return A, I, (k_y[0], k_z[0]), J[0]
+
+
+def cantilever(section, n, load, length=1.0, energy=None, nu=NU, moment=None):
+    d = len(load) if load is not None else 3 if np.ndim(moment) else 2
+    end = (length,) + (0.0,) * (d - 1)
+    beam = Beam("beam", (0.0,) * d, end, n, section, Material(1000.0, E, nu), energy=energy)
+    tip = Moment(beam.at_end, moment) if load is None else PointForce(beam.at_end, load)
+    return Scene([beam], [Clamp(beam.at_start)], loads=[tip])
+
+
+# ---------------------------------------------------------------- sections
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_sections_bend_stretch_and_twist_as_beams_of_their_properties(name):
+    section = SECTIONS[name]
+    A, I, k, J = moments(section)
+    G, F = E / (2 * (1 + NU)), 1e-7 * E * min(I)
+    for axis in (1, 2):
+        load = np.eye(3)[axis] * F
+        X = rest(cantilever(section, 2, tuple(load)))[1]
+        expected = F / (3 * E * I[axis - 1]) + F / (k[axis - 1] * G * A)
+        assert abs(X[-1, 0, axis] / expected - 1) < 1e-6
+    X = rest(cantilever(section, 2, (1e-6 * E * A, 0.0, 0.0)))[1]
+    # F = E A eps (1 + 3/2 eps) with the strain of Green and Lagrange, eps = 1e-6; digits of 1 m.
+    assert abs((X[-1, 0, 0] - 1) / 1e-6 - 1) < 5e-6
+    X = rest(cantilever(section, 2, None, moment=(1e-5 * G * J, 0.0, 0.0)))[1]
+    turn = np.arctan2(X[-1, 2, 2], X[-1, 2, 1])
+    # What turns is the skew part of the slopes; the free end of a section of unequal axes may shear
+    # in its plane besides, a part that the torsion constant does not know.
+    assert abs(turn / 1e-5 - 1) < 1e-3
+
+
+def test_torsion_constants_of_rectangles():
+    # Timoshenko & Goodier, table 7: J/(a b^3) for b <= a, printed to three digits.
+    published = {1: 0.1406, 1.2: 0.166, 1.5: 0.196, 2: 0.229, 2.5: 0.249, 3: 0.263, 4: 0.281}
+    published |= {5: 0.291, 10: 0.312}
+    for ratio, expected in published.items():
+        for sizes in ([ratio, 1.0], [1.0, ratio]):
+            J = Rectangle(1, 1).torsion(np.array([sizes]))[0] / ratio
+            assert abs(J - expected) < 6e-4  # half of the last digit printed
+    # A thin strip: b^3 a / 3 (1 - 0.63 b/a).
+    J = Rectangle(1, 1).torsion(np.array([[1000.0, 1.0]]))[0]
+    assert abs(J / (1000 / 3 * (1 - 0.630249e-3)) - 1) < 1e-8
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_points_of_sections_have_their_moments(name):
+    section = SECTIONS[name]
+    sizes = np.array([section.sizes()])
+    exact = {
+        "rectangle": (2e-4, 0.01 * 0.02**3 / 12, 0.02 * 0.01**3 / 12),
+        "circle": (np.pi * 1e-4, np.pi / 4 * 1e-8, np.pi / 4 * 1e-8),
+        "tube": 2 * (np.pi / 4 * (1e-8 - 0.008**4),),
+        "box": (
+            0.02 * 0.03 - 0.016 * 0.028,
+            (0.03 * 0.02**3 - 0.028 * 0.016**3) / 12,
+            (0.02 * 0.03**3 - 0.016 * 0.028**3) / 12,
+        ),
+        "I": (
+            0.04 * 0.03 - 0.034 * 0.028,
+            (0.03 * 0.04**3 - 0.028 * 0.034**3) / 12,
+            (0.006 * 0.03**3 + 0.034 * 0.002**3) / 12,
+        ),
+        "moments": (1e-4, 2e-9, 1e-9),
+        "points": (8e-5, 8e-5 * 0.006**2, 8e-5 * 0.004**2),
+    }[name]
+    for fine in (False, True):
+        y, z, dA = section.points(sizes, fine)
+        found = (dA.sum(), np.sum(dA * y * y), np.sum(dA * z * z))[-len(exact) :]
+        np.testing.assert_allclose(found, exact, rtol=1e-13)
+        for odd in (y, z, y * z, y**3, y * y * z):  # all of them are doubly symmetric
+            assert abs(np.sum(dA * odd)) < 1e-15 * np.sum(dA)
+    y, z = np.max(np.abs(y)), np.max(np.abs(z))
+    assert y <= section.half_extents[0] * (1 + 1e-12)
+    assert z <= section.half_extents[1] * (1 + 1e-12)
+
+
+def test_fourth_moments_of_round_sections():
+    # Circle: int y^4 = pi R^6 / 8 is of degree 4, exact in both rules; an annulus the difference.
+    for fine in (False, True):
+        y, z, dA = Tube(0.01, 0.002).points(np.array([[0.01, 0.002]]), fine)
+        expected = np.pi / 8 * (0.01**6 - 0.008**6)
+        assert abs(np.sum(dA * y**4) / expected - 1) < 1e-13
+        assert abs(np.sum(dA * y**2 * z**2) / (expected / 3) - 1) < 1e-13
+
+
+def test_shear_factors_meet_in_their_limits():
+    nu = np.array([NU])
+    solid = 6 * (1 + NU) / (7 + 6 * NU)
+    thick = Tube(1.0, 0.99).shear(np.array([[1.0, 1 - 1e-9]]), nu)[0][0]
+    assert abs(thick / solid - 1) < 1e-8
+    thin = Tube(1.0, 0.1).shear(np.array([[1.0, 1e-9]]), nu)[0][0]
+    assert abs(thin / (2 * (1 + NU) / (4 + 3 * NU)) - 1) < 1e-8  # Cowper's thin tube
+    # Flanges that vanish leave webs, a rectangle.
+    alone = Rectangle(1, 1).shear(np.array([[1.0, 0.1]]), nu)[0][0]
+    for section in (Box(1, 1, 0.1, 0.1), ISection(1, 1, 0.1, 0.1)):
+        bare = section.shear(np.array([[1.0, 0.1, 0.01, 1e-9]]), nu)[0][0]
+        assert abs(bare / alone - 1) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: Tube(0.01, 0.01), "less than the radius"),
+        (lambda: Box(0.02, 0.03, 0.015, 0.002), "thinner than the width"),
+        (lambda: Box(0.02, 0.03, 0.001, 0.010), "thinner than the height"),
+        (lambda: ISection(0.02, 0.03, 0.03, 0.001), "thinner than the width"),
+        (lambda: Circle(-1.0), "positive"),
+        (lambda: Rectangle(0.1, 0.1, shear_factors=(1.0, 0.0)), "positive"),
+        (lambda: Rectangle(0.1, 0.1, shear_factors=(1.0,)), "2 components"),
+        (lambda: Rectangle(0.1, 0.1, torsion_constant=-1.0), "positive"),
+        (lambda: MomentSection(1.0, 1.0, 1.0, 0.0), "positive"),
+        (lambda: PointSection(places=[(0, 0)], areas=[1.0, 1.0]), "shape"),
+        (lambda: PointSection(places=[(0, 0)], areas=[-1.0]), "positive sum"),
+        (lambda: Beam("b", (0, 0, 0), (1, 0, 0), 1, Circle(0.1), STEEL, energy=PlaneStress()), "3"),
+        (lambda: Beam("b", (0, 0), (1, 0), 1, Circle(0.1), STEEL, energy="beam"), "StrainEnergy"),
+        (lambda: Beam("b", (0, 0), (1, 0), 2, (Circle(0.1), Tube(0.1, 0.01)), STEEL), "sizes only"),
+        (lambda: Beam("b", (0, 0), (1, 0), 1, Circle(0.1), Material(1.0, 1.0, 0.5)), "0.5"),
+    ],
+)
+def test_nonsense_is_refused(make, text):
+    with pytest.raises(InvalidInput, match=text):
+        make()
+
+
+STEEL = Material(7850.0, 2.1e11, 0.3)
+
+
+# ---------------------------------------------------------------- elements
+
+
+def kind_of(d, energy, section=None, straight=True):
+    return ElementType(section or Rectangle(0.06, 0.04), energy, straight)
+
+
+@pytest.mark.parametrize("name", ENERGIES)
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("length", [0.02, 1.0])
+def test_only_rigid_motions_cost_nothing(name, d, length):
+    energy = ENERGIES[name]
+    if d not in energy.dimensions:
+        pytest.skip("an energy of the plane")
+    beam = Beam("b", (0,) * d, (length,) + (0,) * (d - 1), 1, SECTIONS["box"], STEEL, energy=energy)
+    system = assemble(Scene([beam]))
+    q, v = system.start()
+    K = np.zeros((system.n_q, system.n_q))
+    K[system.pattern.rows, system.pattern.columns] = -system.force_q(q, v, 0.0)
+    # In coordinates of one unit and size: slopes times the height.
+    unit = np.where(np.arange(system.n_q) % (d * (d + 1)) < d, 1.0, 1 / 0.02)
+    values = np.linalg.eigvalsh(K * unit * unit[:, None])
+    rigid = d * (d + 1) // 2
+    # Round-off against the smallest stiffness, bending: (h/L)^2 / 10 of the largest.
+    assert np.all(np.abs(values[:rigid]) < 1e-13 * values[-1])
+    assert values[rigid] > 1e-6 * values[-1]
+
+
+@pytest.mark.parametrize("name", ENERGIES)
+@pytest.mark.parametrize("d", [2, 3])
+def test_small_pure_bending_is_exact_where_poisson_does_not_lock(name, d):
+    energy = ENERGIES[name]
+    if d not in energy.dimensions:
+        pytest.skip("an energy of the plane")
+    section, k = Rectangle(0.02, 0.01), 1e-5
+    moment = k * E * 0.01 * 0.02**3 / 12
+    scene = cantilever(
+        section, 3, None, energy=energy, nu=NU, moment=moment if d == 2 else (0.0, 0.0, moment)
+    )
+    turn = -rest(scene)[1][-1, 2, 0]
+    locked = {"SVK": 1.346153846, "plane stress": 1 / (1 - NU**2)}
+    factor = locked.get(name.removesuffix(" assumed"), 1.0)
+    assert abs(turn / k * factor - 1) < 1e-6
+
+
+def test_large_pure_bending_is_that_of_a_rod():
+    # A quarter circle, phi = 0.39 and 0.2 per element: error of fourth order, phi^4/64. What is
+    # left of the finite strain is (h kappa)^2/28 = 1e-5 at most.
+    section, turn, errors = Rectangle(0.01, 0.01), np.pi / 2, []
+    for n in (4, 8):
+        scene = cantilever(section, n, None, moment=turn * E * 0.01**4 / 12)
+        X = rest(scene, 12)[1]
+        errors.append(abs(np.arctan2(-X[-1, 2, 0], X[-1, 2, 1]) / turn - 1))
+        np.testing.assert_allclose(X[-1, 0], [2 / np.pi, 2 / np.pi], rtol=1e-3)
+    assert errors[0] < 5e-4
+    assert errors[1] < errors[0] / 12
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3])
+@pytest.mark.parametrize("slenderness", [0.1, 0.01, 0.001])
+def test_one_element_is_a_cantilever(slenderness, nu):
+    h, F = slenderness, 1e-7 * E * slenderness**4
+    X = rest(cantilever(Rectangle(h, h), 1, (0.0, -F), nu=nu))[1]
+    k = 10 * (1 + nu) / (12 + 11 * nu)
+    expected = F * 4 / (E * h**4) + F * 2 * (1 + nu) / (k * E * h**2)
+    # Deflection 3e-8, of which the condition number 1e8 at h = 0.001 takes digits.
+    assert abs(-X[-1, 0, 1] / expected - 1) < 1e-6
+
+
+def test_thin_cantilever_needs_few_elements():
+    # Large deflection, h/L = 0.01, load 3 E I/L^2: 16 elements against 64.
+    tips = []
+    for n in (16, 64):
+        load = (0.0, -3 * E * 0.01**4 / 12)
+        tips.append(rest(cantilever(Rectangle(0.01, 0.01), n, load), 8)[1][-1, 0])
+    np.testing.assert_allclose(tips[0], tips[1], atol=1e-4)
+
+
+# ---------------------------------------------------------------- derivatives
+
+
+def arc(d):
+    """Relative node vectors of an arc of 0.5 rad, in space a helix."""
+    rows = []
+    for theta in (0.0, 0.5):
+        tangent = np.array([np.cos(theta), np.sin(theta), 0.3]) / np.sqrt(1.09)
+        normal = np.array([-np.sin(theta), np.cos(theta), 0.0])
+        rows += [tangent, normal, np.cross(tangent, normal)][:d]
+    chord = np.array([np.sin(0.5), 1 - np.cos(0.5), 0.15]) / (0.5 * np.sqrt(1.09))
+    return np.array([chord, *rows])[None, :, :d]
+
+
+def straight(d):
+    return np.concatenate([np.eye(d)[:1], np.eye(d), np.eye(d)])[None]
+
+
+@pytest.mark.parametrize("form", ["straight", "curved"])
+@pytest.mark.parametrize("name", ENERGIES)
+@pytest.mark.parametrize("section", SECTIONS)
+@pytest.mark.parametrize("element", [BEAM_2D, BEAM_3D], ids=lambda e: e.name)
+def test_partials_are_complex_steps_and_differences(element, section, name, form):
+    energy, own = ENERGIES[name], SECTIONS[section]
+    if element.d not in energy.dimensions:
+        pytest.skip("an energy of the plane")
+    if form == "curved" and section not in ("rectangle", "tube"):
+        pytest.skip("the sections differ in their points only")
+    Y = (straight if form == "straight" else arc)(element.d)
+    kind = kind_of(element.d, energy, own, form == "straight")
+    values = np.zeros(len(ElementParameter))
+    values[:5] = E, NU, 1000.0, 0.3, 0.0
+    values[5 : 5 + len(own.sizes())] = own.sizes()
+    wanted = [w for w in ElementParameter if values[w] != 0]
+    inv = prepare(element, kind, values[None], Y, wanted)
+    for which in wanted:
+        moved = values.astype(complex)
+        moved[which] *= 1 + 1e-30j
+        by_step = prepare(element, kind, moved[None], Y)
+        near = [values.copy(), values.copy()]
+        for sign, x in zip((1, -1), near, strict=True):
+            x[which] *= 1 + sign * 1e-5
+        ends = [prepare(element, kind, x[None], Y) for x in near]
+        for part in ("A", "m"):
+            scale = np.max(np.abs(getattr(inv, part)))
+            found = getattr(inv.partials[which], part) * values[which]
+            exact = getattr(by_step, part).imag / 1e-30
+            # Two evaluations of one derivative: round-off of sums of some hundred terms.
+            assert np.max(np.abs(found - exact)) < 1e-11 * scale
+            # Central differences with 1e-5: error of a power p of the parameter p^3/6 1e-10,
+            # p up to 6, and round-off 1e-14/1e-5.
+            slope = (getattr(ends[0], part) - getattr(ends[1], part)) / 2e-5
+            assert np.max(np.abs(found - slope)) < 2e-8 * scale
+
+
+def test_curved_and_straight_rules_agree():
+    # The two terms of the assumed strains that a curved reference changes are left out.
+    for d, element in ((2, BEAM_2D), (3, BEAM_3D)):
+        values = np.zeros((1, len(ElementParameter)))
+        values[0, :7] = E, NU, 1000.0, 0.3, 0.0, 0.06, 0.04
+        for energy in ENERGIES.values():
+            if d in energy.dimensions and not energy.assumed_strains:
+                one, other = (
+                    prepare(element, kind_of(d, energy, None, flag), values, straight(d))
+                    for flag in (True, False)
+                )
+                assert np.max(np.abs(one.A - other.A)) < 1e-13 * np.max(np.abs(one.A))
+                assert np.max(np.abs(one.m - other.m)) < 1e-13 * np.max(np.abs(one.m))
+
+
+def test_a_curved_beam_is_free_of_stress_and_bends_about_its_shape():
+    # A quarter circle opened by an end moment turns by M L/(E I) (1 + O(h/R)^2), here h/R = 0.02;
+    # eight elements, phi = 0.2, error of fourth order in phi.
+    n, h = 8, 0.02
+    angle = np.linspace(0, np.pi / 2, n + 1)
+    places = np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1)
+    tangents = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    frames = np.stack([tangents, np.stack([-np.sin(angle), np.cos(angle)], axis=1)], axis=1)
+    beam = CurvedBeam("arch", places, frames, Rectangle(h, h), Material(1000.0, E, NU))
+    system = assemble(Scene([beam], [Clamp(beam.at_start)]))
+    q, v = system.start()
+    assert np.max(np.abs(system.force(q, v, 0.0))) < 1e-12 * E * h * h
+    turn = 1e-5
+    moment = turn * E * h**4 / 12 / (np.pi / 2)
+    X = rest(Scene([beam], [Clamp(beam.at_start)], loads=[Moment(beam.at_end, moment)]))[1]
+    found = -X[-1, 2] @ tangents[-1] / turn
+    assert abs(found - 1) < 1e-4
