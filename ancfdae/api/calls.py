@@ -14,7 +14,7 @@ from ancfdae.protocol.solution import Solution
 from ancfdae.scene import Scene
 from ancfdae.sensitivity.adjoint import Adjoint
 from ancfdae.sensitivity.direct import Direct
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Method
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run
 
 _INTEGRATOR = "For example HHT(step=0.01)."
 
@@ -81,7 +81,7 @@ def differentiate(
     method = Direct() if method is None else method
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
-    return method.differentiate(differentiable(model, design), t_end, integrator, progress)
+    return method.differentiate(Run(differentiable(model, design), t_end, integrator, progress))
 
 
 def gradient(
@@ -144,7 +144,7 @@ def gradients(
     require_objectives(system, objectives, t_end)
     chosen = _follow(integrator, system.n_b, len(objectives)) if method is None else method
     require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
-    return chosen.gradients(system, objectives, t_end, integrator, progress)
+    return chosen.gradients(Run(system, t_end, integrator, progress), objectives)
 
 
 def require_objectives(

@@ -34,7 +34,7 @@ import numpy as np
 from scipy.interpolate import BarycentricInterpolator
 
 from ancfdae.errors import InvalidInput
-from ancfdae.integrators import HHT, Integrator
+from ancfdae.integrators import HHT
 from ancfdae.integrators.hht.equations import acceleration, correct, predict
 from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.start import (
@@ -49,7 +49,7 @@ from ancfdae.objectives import Objective, ObjectivePartials
 from ancfdae.observables import states_of
 from ancfdae.protocol import Linearisation, MechanicalSystem
 from ancfdae.protocol.solution import Solution
-from ancfdae.sensitivity.method import Gradient, GradientMethod, finished, keeping
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 
 # Steps needed for the one-sided differences at the end.
 _LEAST_STEPS = 4
@@ -64,22 +64,16 @@ class ContinuousAdjoint(GradientMethod):
     `Adjoint` costs the same and is exact for the discrete run.
     """
 
-    def gradients(
-        self,
-        system: MechanicalSystem,
-        objectives: Sequence[Objective],
-        t_end: float,
-        integrator: Integrator,
-        progress: bool,
-    ) -> list[Gradient]:
+    def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """One run for all objectives, one backward run for each.
 
         Raises
         ------
         InvalidInput
-            If the integrator is another one, the run has fewer than four steps, or an objective
-            is not a function of time integrals.
+            If the integrator is not HHT, the run has fewer than four steps, or an objective is
+            not a function of time integrals.
         """
+        system, integrator = run.system, run.integrator
         if not isinstance(integrator, HHT):
             raise InvalidInput(
                 "ContinuousAdjoint", "runs with HHT", repr(integrator), "Use HHT, or Adjoint."
@@ -92,7 +86,7 @@ class ContinuousAdjoint(GradientMethod):
                     repr(objective),
                     "Use Adjoint for values at given times.",
                 )
-        solution = finished(integrator.integrate(system, t_end, progress=progress))
+        solution = finished(run.solution())
         if len(solution.t) <= _LEAST_STEPS:
             raise InvalidInput(
                 "ContinuousAdjoint", "needs four steps", len(solution.t) - 1, "Use Adjoint."

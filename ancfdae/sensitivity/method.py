@@ -8,9 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import final
 
-import numpy as np
-
-from ancfdae.errors import AncfdaeError, Outcome, PassFailed, SingularMatrix, Verdict
+from ancfdae.errors import AncfdaeError, PassFailed, SingularMatrix, Verdict
 from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
@@ -18,8 +16,9 @@ from ancfdae.objectives.objective import NO_TOTALS, Totals
 from ancfdae.objectives.totals import totals_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
-from ancfdae.protocol.solution_parts import Sensitivities
 from ancfdae.text import columns
+
+_BREAKS = {KeyboardInterrupt: Verdict.INTERRUPTED, SingularMatrix: Verdict.SINGULAR}
 
 
 @final
@@ -74,18 +73,68 @@ class Gradient:
         return f"{head}\n{columns(rows)}\n{self.solution.outcome}"
 
 
+@final
+@dataclass(frozen=True)
+class Run:
+    """What is integrated: a system from t = 0 to `t_end`.
+
+    Attributes
+    ----------
+    system : MechanicalSystem
+    t_end : float
+    integrator : Integrator
+    progress : bool
+        Whether to show a progress bar.
+    """
+
+    system: MechanicalSystem
+    t_end: float
+    integrator: Integrator
+    progress: bool = False
+
+    def solution(self, *, sensitivities: bool = False) -> Solution:
+        """Integrate."""
+        return self.integrator.integrate(
+            self.system, self.t_end, sensitivities=sensitivities, progress=self.progress
+        )
+
+    def integrals(
+        self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
+    ) -> tuple[Solution, Totals]:
+        """Return a finished run and the integrals that the integrator took beside the motion.
+
+        Raises
+        ------
+        UnfinishedRun
+        """
+        if not isinstance(self.integrator, QuadratureIntegrator):
+            return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
+        totals = totals_of(self.system, objectives, differentiated)
+        run = self.integrator.integrate_with(
+            self.system,
+            self.t_end,
+            list(totals.values()),
+            sensitivities=sensitivities,
+            progress=self.progress,
+        )
+        return finished(run), totals
+
+    def at(self, b: Array) -> Run:
+        """Return the run at other design values."""
+        return replace(self, system=self.system.with_values(b))
+
+    def repeating(self, solution: Solution) -> Run:
+        """Return the run at the steps of a solution, as far as that got."""
+        done = solution.outcome.success or len(solution.t) < 2
+        t_end = self.t_end if done else float(solution.t[-1])
+        return replace(self, integrator=self.integrator.frozen(solution), t_end=t_end)
+
+
 class GradientMethod(abc.ABC):
     """Frozen settings of a method that differentiates objectives of a run."""
 
     @abc.abstractmethod
-    def gradients(
-        self,
-        system: MechanicalSystem,
-        objectives: Sequence[Objective],
-        t_end: float,
-        integrator: Integrator,
-        progress: bool,
-    ) -> list[Gradient]:
+    def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """Return value and gradient of every objective from as few runs as possible.
 
         Raises
@@ -94,6 +143,8 @@ class GradientMethod(abc.ABC):
             If a run ends before `t_end`.
         NonFiniteObjective
             If an objective is not finite.
+        InvalidInput
+            If the method does not fit the integrator, the objectives or the design.
         """
 
 
@@ -101,9 +152,7 @@ class Method(GradientMethod):
     """A method that differentiates the whole trajectory, and so any objective."""
 
     @abc.abstractmethod
-    def differentiate(
-        self, system: MechanicalSystem, t_end: float, integrator: Integrator, progress: bool
-    ) -> Solution:
+    def differentiate(self, run: Run) -> Solution:
         """Return the solution with the design derivatives of its trajectory.
 
         A run that ends early yields derivatives up to the last instant that all runs reached.
@@ -120,16 +169,10 @@ def keeping(solution: Solution) -> Iterator[None]:
     """
     try:
         yield
-    except KeyboardInterrupt as error:
-        raise _without_gradient(solution, Verdict.INTERRUPTED) from error
-    except SingularMatrix as error:
-        raise _without_gradient(solution, Verdict.SINGULAR) from error
-    except PassFailed as error:
-        raise _without_gradient(solution, error.verdict) from error
-
-
-def _without_gradient(solution: Solution, verdict: Verdict) -> UnfinishedRun:
-    return UnfinishedRun(replace(solution, outcome=replace(solution.outcome, verdict=verdict)))
+    except (KeyboardInterrupt, SingularMatrix, PassFailed) as error:
+        verdict = error.verdict if isinstance(error, PassFailed) else _BREAKS[type(error)]
+        outcome = replace(solution.outcome, verdict=verdict)
+        raise UnfinishedRun(replace(solution, outcome=outcome)) from error
 
 
 def finished(solution: Solution) -> Solution:
@@ -142,66 +185,3 @@ def finished(solution: Solution) -> Solution:
     if solution.outcome.verdict is not Verdict.FINISHED:
         raise UnfinishedRun(solution)
     return solution
-
-
-def run_for(
-    system: MechanicalSystem,
-    objectives: Sequence[Objective],
-    t_end: float,
-    integrator: Integrator,
-    progress: bool,
-    *,
-    differentiated: bool,
-    sensitivities: bool = False,
-) -> tuple[Solution, Totals]:
-    """Return a finished run and the integrals that the integrator took beside the motion.
-
-    Raises
-    ------
-    UnfinishedRun
-    """
-    if not isinstance(integrator, QuadratureIntegrator):
-        run = integrator.integrate(system, t_end, sensitivities=sensitivities, progress=progress)
-        return finished(run), NO_TOTALS
-    totals = totals_of(system, objectives, differentiated)
-    run = integrator.integrate_with(
-        system, t_end, list(totals.values()), sensitivities=sensitivities, progress=progress
-    )
-    return finished(run), totals
-
-
-def with_columns(
-    system: MechanicalSystem,
-    solution: Solution,
-    columns: Sequence[tuple[Array, Array, Array, Array]],
-    outcomes: Sequence[Outcome],
-) -> Solution:
-    """Attach derivatives given as columns (q_b, v_b, a_b, lam_b), one per design variable.
-
-    Everything is cut to the shortest column; the outcome is that of the run that ended first.
-    """
-    rows = min([len(solution.t), *(len(column[0]) for column in columns)])
-    first = min([solution.outcome, *outcomes], key=lambda outcome: outcome.step)
-    parts = [
-        np.stack([column[k][:rows] for column in columns], axis=-1)
-        if columns
-        else np.zeros((rows, n, 0))
-        for k, n in enumerate((system.n_q, system.n_q, system.n_q, system.n_lam))
-    ]
-    own = Sensitivities(system.design_names, system.b, parts[0], parts[1], parts[2], parts[3])
-    return replace(
-        solution,
-        t=solution.t[:rows],
-        q=solution.q[:rows],
-        v=solution.v[:rows],
-        a=solution.a[:rows],
-        lam=solution.lam[:rows],
-        outcome=first,
-        sensitivities=own,
-    )
-
-
-def repeated(integrator: Integrator, solution: Solution, t_end: float) -> tuple[Integrator, float]:
-    """Return the integrator at the steps of a run, and the time to which it can repeat them."""
-    done = solution.outcome.success or len(solution.t) < 2
-    return integrator.frozen(solution), t_end if done else float(solution.t[-1])
