@@ -55,20 +55,11 @@ class Pattern:
             self._flat, np.asarray(rows, dtype=np.int64) * self.shape[1] + columns
         )
 
-    def gather(self, rows: Array, columns: Array, signs: Array | None = None) -> sparse.csr_array:
-        """Constant matrix that sums raw contributions, one per position, into the values.
-
-        Parameters
-        ----------
-        rows, columns : array of int, shape (n_raw,)
-        signs : array, shape (n_raw,), optional
-            Factor of each contribution.
-        """
-        data = np.ones(len(rows)) if signs is None else signs
-        raw = np.arange(len(rows))
-        return sparse.csr_array(
-            (data, (self.index(rows, columns), raw)), shape=(self.size, len(rows))
-        )
+    def gather(self, rows: Array, columns: Array, contributions: Array) -> Array:
+        """Return the values that sum contributions at the given positions."""
+        values = np.zeros(self.size, dtype=contributions.dtype)
+        np.add.at(values, self.index(rows, columns), contributions)
+        return values
 
     def dense(self, values: Array) -> Array:
         """Return the matrix as a two-dimensional array."""
