@@ -372,7 +372,7 @@ def test_observables_and_objectives_do_not_mix():
         with pytest.raises(InvalidInput, match=r"Integral\(observable\)"):
             action()
     for kind in (Integral, Terminal, lambda x: AtTimes(x, 0.1), lambda x: SmoothMaximum(x, 1.0)):
-        with pytest.raises(InvalidInput, match="must be an Observable"):
+        with pytest.raises(InvalidInput, match="must be of type Observable"):
             kind(Integral(X))
 
 

@@ -20,6 +20,7 @@ from ancfdae.observables.expression import (
     leaf_weights,
     leaves,
 )
+from ancfdae.observables.functions import Function
 from ancfdae.protocol import MechanicalSystem
 
 
@@ -97,18 +98,13 @@ class Objective(Expression["Objective"]):
     numbers into objectives.
     """
 
-    def of(self, operation: Operation) -> Objective:
-        """Return an operation on objectives as an objective."""
-        return Combination(operation)
+    def of(self, function: Function, operands: tuple[object, ...]) -> Objective:
+        """Return a function of objectives."""
+        return Combination(function, operands)
 
     def accepts(self, other: object) -> bool:
         """Whether the other expression is an objective."""
         return isinstance(other, Objective)
-
-    @property
-    @abc.abstractmethod
-    def over_time(self) -> bool:
-        """Whether it is a function of time integrals only, as eq. (20) has it."""
 
     @abc.abstractmethod
     def check(self, system: MechanicalSystem, t_end: float) -> None:
@@ -154,20 +150,8 @@ class Objective(Expression["Objective"]):
 
 @final
 @dataclass(frozen=True, eq=False)
-class Combination(Objective):
+class Combination(Operation, Objective):
     """A function of objectives."""
-
-    operation: Operation
-
-    @property
-    def tree(self) -> object:
-        """The operation."""
-        return self.operation
-
-    @property
-    def over_time(self) -> bool:
-        """Whether every objective in it is."""
-        return all(objective.over_time for objective in self._leaves())
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:
         """Check every objective in it."""
@@ -176,7 +160,7 @@ class Combination(Objective):
 
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
         """Evaluate every objective in it once."""
-        nodes = evaluated(self.tree, lambda leaf: np.asarray(leaf.value(system, states, totals)))
+        nodes = evaluated(self, lambda leaf: np.asarray(leaf.value(system, states, totals)))
         value = list(nodes.values())[-1]
         _require_finite_number("the value", value)
         return value.item()
@@ -186,7 +170,7 @@ class Combination(Objective):
     ) -> ObjectivePartials:
         """Chain rule over the objectives in it."""
         parts = {leaf: leaf.partials(system, states, totals) for leaf in self._leaves()}
-        nodes = evaluated(self.tree, lambda leaf: np.asarray(parts[leaf].value))
+        nodes = evaluated(self, lambda leaf: np.asarray(parts[leaf].value))
         value = list(nodes.values())[-1]
         _require_finite_number("the value", value)
         total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
@@ -204,7 +188,7 @@ class Combination(Objective):
         return ObjectivePartials(float(value), *rows, b, tuple(densities))
 
     def _leaves(self) -> list[Objective]:
-        return cast("list[Objective]", leaves(self.tree))
+        return cast("list[Objective]", leaves(self))
 
 
 def _require_finite_number(what: str, x: Array) -> None:

@@ -15,7 +15,7 @@ from typing import Any, cast, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_finite, require_positive
+from ancfdae.errors import InvalidInput, require_finite, require_kind, require_positive
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.objectives.objective import (
@@ -39,10 +39,14 @@ class Reduction(Objective):
 
     observable: Observable
 
-    @property
-    def tree(self) -> object:
-        """The objective itself."""
-        return self
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_kind(
+            "objective, observable",
+            self.observable,
+            (Observable,),
+            "Build one from position(...), strain_energy(...) and so on.",
+        )
 
     @abc.abstractmethod
     def check_times(self, t_end: float) -> None:
@@ -116,11 +120,6 @@ class OverTime(Reduction):
     The reductions of parts of a run, reduced with the durations, are the reduction of the whole.
     """
 
-    @property
-    def over_time(self) -> bool:
-        """True."""
-        return True
-
     def check_times(self, t_end: float) -> None:
         """Accept every run."""
 
@@ -162,10 +161,6 @@ class Integral(OverTime):
 
     observable: Observable
 
-    def __post_init__(self) -> None:
-        """Validate."""
-        _require_observable(self.observable)
-
     def reduce(self, x: Array, w: Array) -> Array:
         """Return the sum."""
         return np.asarray(w @ x)
@@ -194,15 +189,6 @@ class Terminal(WeightedSum):
     """
 
     observable: Observable
-
-    def __post_init__(self) -> None:
-        """Validate."""
-        _require_observable(self.observable)
-
-    @property
-    def over_time(self) -> bool:
-        """False."""
-        return False
 
     def check_times(self, t_end: float) -> None:
         """Accept every run."""
@@ -239,7 +225,7 @@ class AtTimes(WeightedSum):
 
     def __post_init__(self) -> None:
         """Validate."""
-        _require_observable(self.observable)
+        super().__post_init__()
         given = cast(Any, self.times)
         times = tuple(given) if np.ndim(given) else (given,)
         for time in times:
@@ -249,11 +235,6 @@ class AtTimes(WeightedSum):
                 "AtTimes, times", "must be one or more times from 0 on", times, "Give such times."
             )
         object.__setattr__(self, "times", tuple(float(time) for time in times))
-
-    @property
-    def over_time(self) -> bool:
-        """False."""
-        return False
 
     def check_times(self, t_end: float) -> None:
         """Refuse times after the end."""
@@ -306,7 +287,7 @@ class SmoothMaximum(OverTime):
 
     def __post_init__(self) -> None:
         """Validate."""
-        _require_observable(self.observable)
+        super().__post_init__()
         require_positive("SmoothMaximum, sharpness", self.sharpness)
 
     def reduce(self, x: Array, w: Array) -> Array:
@@ -325,13 +306,3 @@ class SmoothMaximum(OverTime):
     def integrand_slope(self, x: Array, near: float) -> Array:
         """exp(k (x - near)): at the smooth maximum its mean is one."""
         return np.asarray(np.exp(self.sharpness * (x - near)))
-
-
-def _require_observable(observable: object) -> None:
-    if not isinstance(observable, Observable):
-        raise InvalidInput(
-            "objective, observable",
-            "must be an Observable",
-            repr(observable),
-            "Build one from position(...), strain_energy(...) and so on.",
-        )

@@ -135,7 +135,7 @@ def totals_of(
     system: MechanicalSystem, objectives: Sequence[Objective], differentiated: bool
 ) -> dict[object, Total]:
     """Return a collector for each integral that the objectives are made of."""
-    found = [leaf for objective in objectives for leaf in leaves(objective.tree)]
+    found = [leaf for objective in objectives for leaf in leaves(objective)]
     return {x: Total(system, x, differentiated) for x in found if isinstance(x, OverTime)}
 
 

@@ -18,7 +18,7 @@ from ancfdae.observables.expression import (
     leaves,
     operands_of,
 )
-from ancfdae.observables.functions import require_derivative
+from ancfdae.observables.functions import Function, require_derivative
 from ancfdae.observables.states import Named, States
 from ancfdae.protocol import MechanicalSystem
 
@@ -92,9 +92,9 @@ class Observable(Expression["Observable"]):
     numbers into observables.
     """
 
-    def of(self, operation: Operation) -> Observable:
-        """Return an operation on observables as an observable."""
-        return Composite(operation)
+    def of(self, function: Function, operands: tuple[object, ...]) -> Observable:
+        """Return a function of observables."""
+        return Composite(function, operands)
 
     def accepts(self, other: object) -> bool:
         """Whether the other expression is an observable."""
@@ -115,7 +115,7 @@ class Observable(Expression["Observable"]):
 
     def leaves(self) -> list[Leaf]:
         """Return the distinct leaves."""
-        return cast("list[Leaf]", leaves(self.tree))
+        return cast("list[Leaf]", leaves(self))
 
     def value(self, system: Named, states: States) -> Array:
         """Return the values, shape (k,); complex if a state or a design variable is."""
@@ -123,7 +123,7 @@ class Observable(Expression["Observable"]):
 
     def node_values(self, system: Named, states: States) -> dict[object, Array]:
         """Return the values of all nodes of the tree, the observable last."""
-        return evaluated(self.tree, lambda leaf: leaf.leaf_value(system, states))
+        return evaluated(self, lambda leaf: leaf.leaf_value(system, states))
 
     def partials(self, system: MechanicalSystem, states: States) -> ObservablePartials:
         """Return values and partials at real states."""
@@ -133,16 +133,9 @@ class Observable(Expression["Observable"]):
     def weighted_partials(
         self, system: MechanicalSystem, states: States, values: dict[object, Array], weight: Array
     ) -> ObservablePartials:
-        """Return the partials times a weight per instant.
+        """Return the partials times a weight per instant, shape (k,).
 
-        Parameters
-        ----------
-        system : MechanicalSystem
-        states : States
-            Real.
-        values : dict
-            The values of all nodes at these states, from `node_values`.
-        weight : array, shape (k,)
+        `values` are those of all nodes at these states, from `node_values`.
 
         Raises
         ------
@@ -183,11 +176,6 @@ class Leaf(Observable):
 
     multipliers: ClassVar[bool] = False
 
-    @property
-    def tree(self) -> object:
-        """The leaf itself."""
-        return self
-
     @abc.abstractmethod
     def check_leaf(self, system: Named) -> None:
         """Refuse a leaf that the system does not have; see `Observable.check`."""
@@ -203,15 +191,8 @@ class Leaf(Observable):
 
 @final
 @dataclass(frozen=True, eq=False)
-class Composite(Observable):
+class Composite(Operation, Observable):
     """A function of observables."""
-
-    operation: Operation
-
-    @property
-    def tree(self) -> object:
-        """The operation."""
-        return self.operation
 
 
 def _require_derivatives(values: dict[object, Array]) -> None:

@@ -7,8 +7,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity
-from ancfdae.errors import InvalidInput
+from ancfdae.bodies import Point, Quantity, require_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.functions import Function
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
@@ -91,21 +90,7 @@ def _continuous_angle(x: Array, y: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class Component(Leaf):
-    """A component of a position or slope vector, or of its rate.
-
-    Parameters
-    ----------
-    point : Point
-    quantity : Quantity
-    axis : int
-    rate : bool
-        Whether it is the time derivative.
-
-    Raises
-    ------
-    InvalidInput
-        If the axis is not 0, 1 or 2, or `point` is no point.
-    """
+    """A component of a position or slope vector, or of its time derivative if `rate`."""
 
     point: Point
     quantity: Quantity
@@ -114,7 +99,7 @@ class Component(Leaf):
 
     def __post_init__(self) -> None:
         """Validate."""
-        _require_point(self.point)
+        require_point("observable, point", self.point)
         require_index("observable, axis", self.axis)
 
     def check_leaf(self, system: Named) -> None:
@@ -147,19 +132,13 @@ class Component(Leaf):
 @final
 @dataclass(frozen=True)
 class AxialStrain(Leaf):
-    """(r_x . r_x - 1)/2 at a material point.
-
-    Raises
-    ------
-    InvalidInput
-        If `point` is no point.
-    """
+    """(r_x . r_x - 1)/2 at a material point."""
 
     point: Point
 
     def __post_init__(self) -> None:
         """Validate."""
-        _require_point(self.point)
+        require_point("observable, point", self.point)
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist."""
@@ -194,10 +173,3 @@ def _combination(system: Named, point: Point, quantity: Quantity) -> tuple[Array
     # A weight is a power of the length times a number, and vanishes with its derivative.
     used = vector.weights != 0
     return vector.vectors[used] * naming.layout.d, vector.weights[used], vector.weights_b[used]
-
-
-def _require_point(point: object) -> None:
-    if not isinstance(point, Point):
-        raise InvalidInput(
-            "observable, point", "must be a Point", repr(point), "Use beam.at_end or beam.at(0.5)."
-        )

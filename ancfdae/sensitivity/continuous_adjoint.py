@@ -46,7 +46,9 @@ from ancfdae.integrators.start import (
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.objectives import Objective, ObjectivePartials
+from ancfdae.objectives.reductions import OverTime
 from ancfdae.observables import states_of
+from ancfdae.observables.expression import leaves
 from ancfdae.protocol import Linearisation, MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
@@ -79,7 +81,7 @@ class ContinuousAdjoint(GradientMethod):
                 "ContinuousAdjoint", "runs with HHT", repr(integrator), "Use HHT, or Adjoint."
             )
         for objective in objectives:
-            if not objective.over_time:
+            if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):
                 raise InvalidInput(
                     "ContinuousAdjoint",
                     "takes functions of time integrals (eq. 20)",
