@@ -26,7 +26,7 @@ from scipy import sparse
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.joints import Coefficients, Joint
 from ancfdae.naming import JointLayout
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
@@ -177,20 +177,9 @@ class JointConstraints:
         index = self.pattern.index(rows, spread.col)
         self._to_values = LinearMap.of(index, spread.row, spread.data, (self.pattern.size, count))
         self._to_force = LinearMap.of(spread.col, spread.row, spread.data, (n_q, count))
-        self._row_map = LinearMap.of(
-            self._a_row,
-            np.arange(len(self._a_row)),
-            np.ones(len(self._a_row)),
-            (self.n_lam, len(self._a_row)),
-        )
-        self._s_row_map = LinearMap.of(
-            self._s_row,
-            np.arange(len(self._s_row)),
-            np.ones(len(self._s_row)),
-            (self.n_lam, len(self._s_row)),
-        )
-        self._raw_row_map = LinearMap.of(
-            self._raw_row, np.arange(count), np.ones(count), (self.n_lam, count)
+        self._row_map, self._s_row_map, self._raw_row_map = (
+            LinearMap.of(at, np.arange(len(at)), np.ones(len(at)), (self.n_lam, len(at)))
+            for at in (self._a_row, self._s_row, self._raw_row)
         )
         self._simple = self.linear and not self.driven
         if self._simple:
@@ -237,6 +226,14 @@ class JointConstraints:
         if order == 0:
             self._cache = (t, values)
         return values
+
+    def _series(self, t: float, count: int) -> list[_Values]:
+        """Coefficients and their time derivatives."""
+        return [self._at(t, order) for order in range(count)]
+
+    def _U(self, x: Array) -> Array:
+        """Vectors of one instant."""
+        return only(self._vectors.of(x[None]))
 
     @cached_property
     def _zero(self) -> _Values:
@@ -302,21 +299,19 @@ class JointConstraints:
         """Phi, one instant."""
         if self._simple:
             return self._B(q) - self._constant.offset
-        U = self._vectors.of(q[None])[0]
-        return self._phi(self._at(t), U)
+        return self._phi(self._at(t), self._U(q))
 
     def constraint_q(self, q: Array, t: float) -> Array:
         """Values of Phi_q, one instant."""
         if self._simple:
             return self._B_values
-        return self._to_values(self._raw(self._at(t), self._vectors.of(q[None])[0]))
+        return self._to_values(self._raw(self._at(t), self._U(q)))
 
     def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
         """Phi_q^T lam, one instant."""
         if self._simple:
             return self._B.transposed(lam)
-        raw = self._raw(self._at(t), self._vectors.of(q[None])[0])
-        return self._to_force(raw * lam[self._raw_row])
+        return self._to_force(self._raw(self._at(t), self._U(q)) * lam[self._raw_row])
 
     def constraint_force_q(self, lam: Array) -> Array:
         """Values of (Phi_q^T lam)_q for rows of lam, shape (k, nnz); independent of q."""
@@ -388,42 +383,31 @@ class JointConstraints:
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
-        if self._simple:
-            return np.zeros(self.n_lam)
-        U = self._vectors.of(q[None])[0]
-        return self._velocity_side([self._at(t, n) for n in range(2)], U)
+        return self._side(t, q)
 
     def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of `velocity_side`."""
-        if self._simple:
-            return np.zeros((self.n_lam, self._n_b))
-        return self._total(self._velocity_side, t, 2, (q,), (q_b,))
+        return self._side_total(t, (q,), (q_b,))
 
     def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
         """-(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
-        if self._simple:
-            return np.zeros(self.n_lam)
-        U, V = self._vectors.of(np.stack([q, v]))
-        return self._acceleration_side([self._at(t, n) for n in range(3)], U, V)
+        return self._side(t, q, v)
 
     def acceleration_side_total(
         self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
     ) -> Array:
         """Total design derivative of `acceleration_side`."""
-        if self._simple:
-            return np.zeros((self.n_lam, self._n_b))
-        return self._total(self._acceleration_side, t, 3, (q, v), (q_b, v_b))
+        return self._side_total(t, (q, v), (q_b, v_b))
 
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Right side of Phi_q q''' = S."""
-        U, V, Z = self._vectors.of(np.stack([q, v, a]))
-        return self._jerk_side([self._at(t, n) for n in range(4)], U, V, Z)
+        return self._side(t, q, v, a)
 
     def jerk_side_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
         """Total design derivative of `jerk_side`."""
-        return self._total(self._jerk_side, t, 4, (q, v, a), (q_b, v_b, a_b))
+        return self._side_total(t, (q, v, a), (q_b, v_b, a_b))
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of Phi_q x with x held."""
@@ -433,32 +417,28 @@ class JointConstraints:
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
         """(dPhi_q^T/dt) lam."""
-        V = self._vectors.of(v[None])[0]
-        return self._to_force(
-            self._raw_rate([self._at(t, n) for n in range(2)], V) * lam[self._raw_row]
-        )
+        return self._to_force(self._raw_rate(self._series(t, 2), self._U(v)) * lam[self._raw_row])
 
     def constraint_force_rate_total(
         self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
     ) -> Array:
         """Total design derivative of `constraint_force_rate`."""
-        series = [self._at(t, n) for n in range(2)]
-        V = self._vectors.of(v[None])[0]
-        raw = self._raw_rate(series, V)
-        raw_b = self._total(self._raw_rate, t, 2, (v,), (v_b,))
-        loads, loads_b = lam[self._raw_row], lam_b[self._raw_row]
-        total = self._to_force.columns(raw_b * loads[:, None] + raw[:, None] * loads_b)
+        loads = (lam + 1j * STEP * lam_b.T)[:, self._raw_row]
+
+        def entries(series: Sequence[_Values], V: Array) -> Array:
+            return self._raw_rate(series, V) * loads
+
+        total = self._to_force.columns(self._total(entries, t, 2, (v,), (v_b,)))
+        still = self._raw_rate(self._series(t, 2), self._U(v)) * lam[self._raw_row]
         for i in np.flatnonzero(self._vectors.moves):
-            total[:, i] += self.moved(int(i))._to_force(raw * loads).imag / STEP
+            total[:, i] += self.moved(int(i))._to_force(still).imag / STEP
         return total
 
     # -- polynomials ---------------------------------------------------------------------------
 
     def _phi(self, c: _Values, U: Array) -> Array:
-        flat = _flat(U)
         products = np.sum(U[..., self._s_i, :] * U[..., self._s_j, :], axis=-1)
-        linear = _sum_rows(self._row_map, c.a * flat[..., self._a_at])
-        return linear + _sum_rows(self._s_row_map, c.s * products) - c.offset
+        return self._linear(c, U) + self._s_row_map.rows(c.s * products) - c.offset
 
     def _raw(self, c: _Values, U: Array) -> Array:
         """Nonzero entries of Phi_U."""
@@ -470,25 +450,23 @@ class JointConstraints:
     def _rate_values(self, x: Array, t: float, order: int) -> Array:
         """Bilinear entries at the time derivative x of q, linear ones differentiated."""
         rate = _Values(self._at(t, order).a, self._at(t).s, self._at(t).offset)
-        return self._to_values(self._raw(rate, self._vectors.of(x[None])[0]))
+        return self._to_values(self._raw(rate, self._U(x)))
 
     def _raw_rate(self, series: Sequence[_Values], V: Array) -> Array:
         """Time derivative of `_raw`."""
         return self._raw(_Values(series[1].a, series[0].s, series[1].offset), V)
 
     def _jacobian_times(self, series: Sequence[_Values], U: Array, X: Array) -> Array:
-        flat = _flat(X)
-        return _sum_rows(self._raw_row_map, self._raw(series[0], U) * flat[..., self._raw_at])
+        return self._raw_row_map.rows(self._raw(series[0], U) * _flat(X)[..., self._raw_at])
 
     def _linear(self, c: _Values, U: Array) -> Array:
-        flat = _flat(U)
-        return _sum_rows(self._row_map, c.a * flat[..., self._a_at])
+        return self._row_map.rows(c.a * _flat(U)[..., self._a_at])
 
     def _product(self, c: _Values, U: Array, V: Array) -> Array:
         """Sum of s (U_i . V_j + V_i . U_j)."""
         i, j = self._s_i, self._s_j
         products = np.sum(U[..., i, :] * V[..., j, :] + V[..., i, :] * U[..., j, :], axis=-1)
-        return _sum_rows(self._s_row_map, c.s * products)
+        return self._s_row_map.rows(c.s * products)
 
     def _velocity_side(self, series: Sequence[_Values], U: Array) -> Array:
         return series[1].offset - self._linear(series[1], U)
@@ -504,12 +482,31 @@ class JointConstraints:
         side: Array = series[3].offset - 3 * moving - self._linear(series[3], U)
         return side
 
+    def _sides(self, order: int) -> Callable[..., Array]:
+        """Right side of Phi_q times the time derivative of q of this order."""
+        return (self._velocity_side, self._acceleration_side, self._jerk_side)[order - 1]
+
+    def _side(self, t: float, *states: Array) -> Array:
+        if self._simple:
+            return np.zeros(self.n_lam)
+        order = len(states)
+        U = self._vectors.of(np.stack(states))
+        return self._sides(order)(self._series(t, order + 1), *U)
+
+    def _side_total(
+        self, t: float, states: tuple[Array, ...], states_b: tuple[Array, ...]
+    ) -> Array:
+        if self._simple:
+            return np.zeros((self.n_lam, self._n_b))
+        order = len(states)
+        return self._total(self._sides(order), t, order + 1, states, states_b)
+
     def _rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Time derivative of Phi, of the order of the number of rates."""
-        series = [self._at(t, n) for n in range(len(rates) + 1)]
-        U, *V = self._vectors.of(np.stack([q, *rates]))
-        side = (self._velocity_side, self._acceleration_side, self._jerk_side)[len(V) - 1]
-        return self._jacobian_times(series, U, V[-1]) - side(series, U, *V[:-1])
+        order, (U, *V) = len(rates), self._vectors.of(np.stack([q, *rates]))
+        series = self._series(t, order + 1)
+        side = self._sides(order)(series, U, *V[:-1])
+        return self._jacobian_times(series, U, V[-1]) - side
 
     def _total(
         self,
@@ -533,7 +530,3 @@ class JointConstraints:
 def _flat(U: Array) -> Array:
     """Join the last two axes; also where a leading axis is empty."""
     return U.reshape(*U.shape[:-2], U.shape[-2] * U.shape[-1])
-
-
-def _sum_rows(rows: LinearMap, x: Array) -> Array:
-    return rows(x) if x.ndim == 1 else rows.rows(x)
