@@ -5,8 +5,9 @@ Plain numbers only, so that a saved solution can be read without its scene.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 
@@ -43,13 +44,7 @@ class BeamLayout:
         return len(self.fractions) - 1
 
     def locate(self, fraction: float) -> tuple[int, float]:
-        """Element of the beam and its xi at an arc-length fraction.
-
-        Raises
-        ------
-        InvalidInput
-            If the fraction lies outside [0, 1].
-        """
+        """Element of the beam and its xi at an arc-length fraction; refuse one beyond [0, 1]."""
         if not 0.0 <= fraction <= 1.0:
             raise InvalidInput(
                 f"point of {self.name!r}",
@@ -84,15 +79,7 @@ class JointLayout:
 @final
 @dataclass(frozen=True)
 class Layout:
-    """Places of all beams and joints of a scene.
-
-    Attributes
-    ----------
-    element_name : str
-        Name of the element of all beams.
-    beams : tuple of BeamLayout
-    joints : tuple of JointLayout
-    """
+    """Places of all beams and joints of a scene, and the name of the element of all beams."""
 
     element_name: str
     beams: tuple[BeamLayout, ...]
@@ -114,28 +101,22 @@ class Layout:
         return sum(beam.element_count for beam in self.beams)
 
     def beam(self, name: str) -> BeamLayout:
-        """Return the beam of this name.
-
-        Raises
-        ------
-        UnknownName
-        """
-        for beam in self.beams:
-            if beam.name == name:
-                return beam
-        raise UnknownName("beam", name, (beam.name for beam in self.beams))
+        """Return the beam of this name, or raise UnknownName."""
+        return _named("beam", name, self.beams)
 
     def joint(self, name: str) -> JointLayout:
-        """Return the joint of this name.
+        """Return the joint of this name, or raise UnknownName."""
+        return _named("joint", name, self.joints)
 
-        Raises
-        ------
-        UnknownName
-        """
-        for joint in self.joints:
-            if joint.name == name:
-                return joint
-        raise UnknownName("joint", name, (joint.name for joint in self.joints))
+
+_Place = TypeVar("_Place", BeamLayout, JointLayout)
+
+
+def _named(kind: str, name: str, places: Sequence[_Place]) -> _Place:
+    for place in places:
+        if place.name == name:
+            return place
+    raise UnknownName(kind, name, (place.name for place in places))
 
 
 @final
@@ -180,11 +161,6 @@ class Naming:
         """Return the integral of the position along the centre line of a beam.
 
         Per element int r dx = l (r_1 + r_2)/2 + l^2 (r_x1 - r_x2)/12.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such beam.
         """
         place, n_s = self.layout.beam(beam), self.layout.element.n_s
         count = place.element_count
@@ -231,18 +207,8 @@ def vector_weights(
 ) -> tuple[Array, Array]:
     """Weights of the node vectors in a vector of a material point, and their length derivative.
 
-    Parameters
-    ----------
-    element : BeamElement
-    quantity : Quantity
-    xi, y, z : float
-        Place in the element.
-    length : array, shape ()
-        Element length.
-
-    Returns
-    -------
-    s, s_l : array, shape (n_a,)
+    The point is at xi, y, z in an element of this length, an array of shape (); the weights have
+    shape (n_a,).
     """
     # Unit height and width, so that the reference coordinates eta and zeta are y and z.
     parameters = np.ones((1, 6), dtype=np.result_type(length, float))

@@ -11,8 +11,8 @@ show both of their colours.
 
 import math
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -79,8 +79,7 @@ class Series:
     Raises
     ------
     InvalidInput
-        If `x` and `y` are not real vectors of equal length with at least one finite pair, if the
-        label is empty or starts with an underscore, or if there is neither line nor marker.
+        If there is nothing to see, or nothing to call it by.
     """
 
     label: str
@@ -92,20 +91,12 @@ class Series:
 
     def __post_init__(self) -> None:
         if not self.label.strip() or self.label.startswith("_"):
-            raise InvalidInput(
-                "Series.label",
-                "must be visible in the legend",
-                repr(self.label),
-                "Give it a name that does not start with an underscore.",
-            )
+            rule, repair = "must be visible in the legend", "Let it not start with an underscore."
+            raise InvalidInput("Series.label", rule, repr(self.label), repair)
         where = f"Series {self.label!r}"
         if not (self.line or self.marker):
-            raise InvalidInput(
-                where,
-                "must have a line or markers",
-                "neither",
-                "Set line=True or marker=True.",
-            )
+            repair = "Set line=True or marker=True."
+            raise InvalidInput(where, "must have a line or markers", "neither", repair)
         if not np.isfinite(self.points()).all(axis=0).any():
             raise InvalidInput(
                 where, "at least one point must be finite", "none", "Leave the series out."
@@ -142,8 +133,7 @@ class Panel:
     Raises
     ------
     InvalidInput
-        If a text is missing, a label has no unit, a scale is unknown, there is no series, a label
-        occurs twice, or a series has no point that its axes can show.
+        If a text or unit is missing, or a series has no point that its axes can show.
     """
 
     title: str
@@ -209,16 +199,10 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
     title : str
         Title of the whole figure; empty for none.
 
-    Returns
-    -------
-    Figure
-        To be passed to `save`.
-
     Raises
     ------
     InvalidInput
-        If there is no panel, `columns` is below 1, or one label is asked to look differently in
-        two panels.
+        If there is no panel, or one label is asked to look differently in two panels.
     """
     if not panels or columns < 1:
         raise InvalidInput(
@@ -247,12 +231,7 @@ def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
     """Write a figure as SVG and PNG and return the two paths in that order.
 
     The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
-    folders are created.
-
-    Raises
-    ------
-    InvalidInput
-        If the path already ends with .svg or .png.
+    folders are created; a path that ends with .svg or .png is refused.
     """
     path = Path(path_without_suffix)
     if path.suffix in (".svg", ".png"):
@@ -270,11 +249,9 @@ def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
     return svg, png
 
 
-@contextmanager
-def _settings() -> Iterator[None]:
+def _settings() -> AbstractContextManager[None]:
     """Shield a figure from the user's matplotlibrc, and the user's settings from the figure."""
-    with matplotlib.style.context(["default", _SETTINGS]):
-        yield
+    return matplotlib.style.context(["default", _SETTINGS])
 
 
 def _places(panels: Sequence[Panel]) -> dict[str, int]:
@@ -306,9 +283,7 @@ def _draw_panel(
     axes: Axes, panel: Panel, places: dict[str, int], entries: dict[str, Line2D]
 ) -> None:
     """Draw one panel; note in `entries` the first line of each label for the legend."""
-    axes.set_title(panel.title)
-    axes.set_xlabel(panel.x_label)
-    axes.set_ylabel(panel.y_label)
+    axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     axes.set_xscale(panel.x_scale, **_gaps(panel.x_scale))
     axes.set_yscale(panel.y_scale, **_gaps(panel.y_scale))
     for series in panel.series:
@@ -344,9 +319,8 @@ def _draw_series(axes: Axes, series: Series, place: int) -> Line2D:
         zorder=2.0 + 0.01 * place,
     )
     if series.marker:
-        line.set_marker(_MARKERS[place % len(_MARKERS)])
-        line.set_markerfacecolor("white")
-        line.set_markevery(max(1, x.size // _MARKERS_ON_LINE) if series.line else 1)
+        every = max(1, x.size // _MARKERS_ON_LINE) if series.line else 1
+        line.set(marker=_MARKERS[place % len(_MARKERS)], markerfacecolor="white", markevery=every)
     return line
 
 

@@ -26,18 +26,12 @@ class Distance(Joint):
     ----------
     point : Point
     length : float
-        Length L of the link.
+        Length L of the link; positive.
     other : Point, optional
-        Point of another beam.
     ground : sequence of float, optional
-        Place on the ground; one of `other` and `ground` must be given.
+        Place on the ground; just one of `other` and `ground` must be given.
     name : str, optional
         By default ``link(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If the length is not positive, or not exactly one of `other` and `ground` is given.
     """
 
     point: Point

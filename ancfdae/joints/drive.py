@@ -31,14 +31,9 @@ class Drive(Joint):
     point : Point
     angle : Law
     axis : sequence of float, optional
-        Axis of the turning in space; z by default. Not in the plane.
+        Axis of the turning in space, not zero; z by default. Not in the plane.
     name : str, optional
         By default ``drive(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If the axis is zero.
     """
 
     point: Point
@@ -106,14 +101,10 @@ class Guide(Joint):
     ----------
     point : Point
     direction : sequence of float
+        Not zero.
     travel : Law
     name : str, optional
         By default ``guide(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If the direction is zero.
     """
 
     point: Point

@@ -19,7 +19,6 @@ from typing import ClassVar, final
 import numpy as np
 
 from ancfdae.elements import BeamElement, Quantity
-from ancfdae.joints.frames import across, slope_weights
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Part, Vectors
 
@@ -107,25 +106,3 @@ def place_coincidence(c: Coefficients, count: int, reference: Array, ground: Arr
         c.linear[rows, 1, rows] = -1.0
     else:
         c.offset[rows] = reference[0] if ground is None else ground
-
-
-def place_alignment(c: Coefficients, count: int, reference: Array, axis: Array) -> None:
-    """Enter two last equations: directions b_j of the first section stay across an axis.
-
-    With e_j across the axis in the reference configuration, b_j is the combination of the
-    section's slopes that equals e_j there, and b_j . axis = 0. With two points the axis is the
-    combination of the second section's slopes that equals it there.
-    """
-    own, other = slice(count, count + 3), slice(count + 3, count + 6)
-    for row, direction in zip((-2, -1), across(axis), strict=True):
-        beta = slope_weights(reference[own], direction)
-        if count == 1:
-            c.linear[row, own] = beta[:, None] * axis
-        else:
-            place_product(c, row, own, other, np.outer(beta, slope_weights(reference[other], axis)))
-
-
-def place_product(c: Coefficients, row: int, i: slice, j: slice, weights: Array) -> None:
-    """Enter sum_ij weights_ij U_i . U_j, i and j different vectors, into an equation."""
-    c.bilinear[row, i, j] = weights
-    c.bilinear[row, j, i] = weights.T

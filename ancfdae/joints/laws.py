@@ -17,7 +17,6 @@ class Law(Designable, abc.ABC):
     """A function of time with parameters that design variables can drive."""
 
     def __post_init__(self) -> None:
-        """Validate."""
         self.check_fields(type(self).__name__)
 
     @abc.abstractmethod
@@ -83,10 +82,5 @@ class Harmonic(Law):
 
 
 def require_law(where: str, value: object) -> None:
-    """Refuse what is no law.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Raise InvalidInput for what is no law."""
     require_kind(where, value, (Law,), "For example Uniform(speed=2).")

@@ -10,12 +10,7 @@ import numpy as np
 
 from ancfdae.bodies import Point
 from ancfdae.errors import require_vector
-from ancfdae.joints.joint import (
-    Coefficients,
-    Joint,
-    empty_coefficients,
-    place_coincidence,
-)
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 

@@ -27,15 +27,11 @@ class PointOnLine(Joint):
     ----------
     point : Point
     direction : sequence of float
+        Not zero.
     through : sequence of float, optional
         A point of the line; by default where `point` is in the reference configuration.
     name : str, optional
         By default ``line(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If the direction is zero.
     """
 
     point: Point

@@ -38,14 +38,9 @@ class SpringDamper(Load):
         l_0; m.
     other : Point, optional
     ground : sequence of float, optional
-        One of `other` and `ground` must be given.
+        Just one of `other` and `ground` must be given.
     name : str, optional
         By default ``spring(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If a number is not finite, or not exactly one of `other` and `ground` is given.
     """
 
     point: Point
