@@ -34,10 +34,7 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class _Values:
-    """Flat coefficients of all joints at one instant: linear, bilinear, offset.
-
-    Those that are moved in every design variable have a leading axis n_b.
-    """
+    """Flat coefficients of all joints at one instant; moved in every variable, (n_b, ...)."""
 
     a: Array
     s: Array
@@ -47,15 +44,9 @@ class _Values:
 @final
 @dataclass(frozen=True)
 class JointInput:
-    """One joint with its parameter values and reference vectors, and their design partials.
+    """One joint with its parameters, (n_p,), reference vectors, (n_vectors, d), and partials.
 
-    Attributes
-    ----------
-    joint : Joint
-    p : array, shape (n_p,); p_b : array, shape (n_p, n_b)
-    reference : array, shape (n_vectors, d)
-    reference_b : dict from int to array, shape (n_vectors, d)
-        For the design variables that move it.
+    `reference_b` has those of the design variables that move the reference.
     """
 
     joint: Joint
@@ -97,17 +88,10 @@ class JointInput:
 
 @final
 class JointConstraints:
-    """Phi and all that follows from it.
+    """Phi and all that follows from it, from joints and their vectors in the same order.
 
     Arrays of states have instants as leading axis, (k, n_q); methods that take one instant say
     so.
-
-    Parameters
-    ----------
-    inputs : sequence of JointInput
-    vectors : Vectors
-        The vectors of all joints, in the order of the inputs.
-    n_b, d : int
     """
 
     def __init__(self, inputs: Sequence[JointInput], vectors: Vectors, n_b: int, d: int) -> None:

@@ -23,14 +23,7 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class LoadInput:
-    """One load with its vectors and parameter values.
-
-    Attributes
-    ----------
-    load : Load
-    vectors : Vectors
-    p : array, shape (n_p,); p_b : array, shape (n_p, n_b)
-    """
+    """One load with its vectors and parameters, (n_p,)."""
 
     load: Load
     vectors: Vectors
@@ -61,13 +54,7 @@ class LoadInput:
 
 @final
 class LoadForces:
-    """Sum of all loads; states have instants as leading axis, (k, n_q).
-
-    Parameters
-    ----------
-    inputs : sequence of LoadInput
-    n_q, n_b, d : int
-    """
+    """Sum of all loads; states have instants as leading axis, (k, n_q)."""
 
     def __init__(self, inputs: Sequence[LoadInput], n_q: int, n_b: int, d: int) -> None:
         self._inputs, self._n_q, self._n_b, self._d = inputs, n_q, n_b, d

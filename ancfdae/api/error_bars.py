@@ -128,9 +128,7 @@ def error_bars(
 
     Raises
     ------
-    InvalidInput
-        If the input makes no sense; before anything is integrated.
-    UnfinishedRun, NonFiniteObjective
+    InvalidInput, UnfinishedRun, NonFiniteObjective
         As `gradient`.
     """
     if isinstance(levels, bool) or levels not in (2, 3):

@@ -45,22 +45,15 @@ class Coefficients:
 
 
 class Joint(Part):
-    """A joint between points of beams or to ground; fields and names as in `Part`.
-
-    Attributes
-    ----------
-    takes_part : tuple of Quantity
-        What takes part of every point; its position, or `SECTION`, say.
-    driven : bool
-        Whether the coefficients depend on time. Bilinear ones never do.
-    holds_position : bool
-        Whether the first d equations equate positions: their multipliers are then minus the
-        reaction force on the first point.
-    """
+    """A joint between points of beams or to ground; fields and names as in `Part`."""
 
     role = "joint"
+    #: What takes part of every point; its position, or `SECTION`, say.
     takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
+    #: Whether the coefficients depend on time. Bilinear ones never do.
     driven: ClassVar[bool] = False
+    #: Whether the first d equations equate positions: their multipliers are then minus the reaction
+    #: force on the first point.
     holds_position: ClassVar[bool] = False
 
     def vectors(self, element: BeamElement) -> Vectors:

@@ -23,17 +23,12 @@ class Load(Part):
 
     Arrays have any leading axes (instants, perturbations) before (n_vectors, d); complex
     numbers must go through.
-
-    Attributes
-    ----------
-    constant : bool
-        Whether the force depends neither on positions nor on velocities.
-    damping_fields : tuple of str
-        Numbers among the design fields without which the force does not depend on velocities.
     """
 
     role = "load"
+    #: Whether the force depends neither on positions nor on velocities.
     constant: ClassVar[bool] = False
+    #: Numbers among the design fields without which the force does not depend on velocities.
     damping_fields: ClassVar[tuple[str, ...]] = ()
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
@@ -42,18 +37,10 @@ class Load(Part):
 
     @abc.abstractmethod
     def force(self, U: Array, V: Array, p: Array) -> Array:
-        """Return the generalised forces on the vectors.
+        """Return the generalised forces on the vectors, shape (..., n_vectors, d).
 
-        Parameters
-        ----------
-        U, V : array, shape (..., n_vectors, d)
-            The vectors and their time derivatives.
-        p : array, shape (n_p,)
-            Values of `parameters`, as `split` takes them.
-
-        Returns
-        -------
-        array, shape (..., n_vectors, d)
+        U and V, of the same shape, are the vectors and their time derivatives; p has the values of
+        `parameters`, as `split` takes them.
         """
 
     @abc.abstractmethod

@@ -17,12 +17,7 @@ _DENSE_ENTRIES = 30_000
 
 @final
 class LinearMap:
-    """A constant matrix that is only ever multiplied with.
-
-    Parameters
-    ----------
-    matrix : sparse array, shape (n, m)
-    """
+    """A constant matrix, shape (n, m), that is only ever multiplied with."""
 
     def __init__(self, matrix: sparse.csr_array) -> None:
         self._small = matrix.shape[0] * matrix.shape[1] <= _DENSE_ENTRIES
@@ -43,18 +38,15 @@ class LinearMap:
 
     def columns(self, x: Array) -> Array:
         """Multiply the columns of an array, shape (m, k)."""
-        product: Array = self._form @ x
-        return product
+        return np.asarray(self._form @ x)
 
     def rows(self, x: Array) -> Array:
         """Multiply each row of an array, shape (k, m) to (k, n)."""
-        product: Array = (self._form @ x.T).T
-        return product
+        return np.asarray((self._form @ x.T).T)
 
     def rows_transposed(self, x: Array) -> Array:
         """Multiply each row with the transposed matrix, shape (k, n) to (k, m)."""
-        product: Array = (self._transposed @ x.T).T
-        return product
+        return np.asarray((self._transposed @ x.T).T)
 
     def transposed(self, x: Array) -> Array:
         """Multiply with the transposed (not conjugated) matrix."""

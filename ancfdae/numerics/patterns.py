@@ -21,14 +21,7 @@ _DENSE_ENTRIES = 40_000
 
 @final
 class Pattern:
-    """Sorted, duplicate-free positions of the entries of a matrix.
-
-    Parameters
-    ----------
-    shape : (int, int)
-    rows, columns : array of int
-        Positions in any order, duplicates allowed; they are merged.
-    """
+    """Positions of the entries of a matrix, sorted; duplicates in `rows`, `columns` are merged."""
 
     def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
         self.shape = shape
@@ -86,12 +79,7 @@ class Pattern:
 
 @final
 class Stack:
-    """Two matrices with the same columns, one above the other, multiplied in one product.
-
-    Parameters
-    ----------
-    upper, lower : Pattern
-    """
+    """Two matrices with the same columns, one above the other, multiplied in one product."""
 
     def __init__(self, upper: Pattern, lower: Pattern) -> None:
         self._upper, self._lower = upper, lower

@@ -28,11 +28,8 @@ from ancfdae.protocol import MechanicalSystem
 class NonFiniteObjective(AncfdaeError):
     """An objective, or its derivative, that is not a finite number.
 
-    Attributes
-    ----------
-    time : float or None
-        First instant at which its observable is not finite; None if every observable is finite
-        but a function of objectives is not.
+    `time` is the first instant at which its observable is not finite; None if every observable is
+    finite but a function of objectives is not.
     """
 
     def __init__(self, objective: str, what: str, time: float | None) -> None:
@@ -108,44 +105,21 @@ class Objective(Expression["Objective"]):
 
     @abc.abstractmethod
     def check(self, system: MechanicalSystem, t_end: float) -> None:
-        """Refuse, before anything is integrated, what a run to `t_end` cannot yield.
-
-        Raises
-        ------
-        UnknownName
-            If an observable names what does not exist.
-        InvalidInput
-            If an instant lies outside the run, or an axis does not exist.
-        """
+        """Refuse, before anything is integrated, what a run to `t_end` cannot yield."""
 
     @abc.abstractmethod
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
         """Return the value: a float, or a complex number for complex states or design values.
 
-        Parameters
-        ----------
-        system : MechanicalSystem
-        states : States
-        totals : mapping of objectives to Integrated
-            Those whose integrals the integrator took; the others are sums over the states.
-
-        Raises
-        ------
-        NonFiniteObjective
-            If it is not finite.
+        `totals` has the objectives whose integrals the integrator took; the others are sums over
+        the states. Raises NonFiniteObjective.
         """
 
     @abc.abstractmethod
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> ObjectivePartials:
-        """Return value and partials at real states.
-
-        Raises
-        ------
-        NonFiniteObjective
-            If the value is not finite, or there is no derivative.
-        """
+        """Return value and partials at real states, or raise NonFiniteObjective."""
 
 
 @final

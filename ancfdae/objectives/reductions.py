@@ -30,17 +30,11 @@ from ancfdae.protocol import MechanicalSystem
 
 
 class Reduction(Objective):
-    """A number made of the values of one observable at the instants of a run.
-
-    Attributes
-    ----------
-    observable : Observable
-    """
+    """A number made of the values of one observable at the instants of a run."""
 
     observable: Observable
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_kind(
             "objective, observable",
             self.observable,
@@ -181,12 +175,7 @@ class Integral(OverTime):
 @final
 @dataclass(frozen=True)
 class Terminal(WeightedSum):
-    """Value of an observable at the last instant.
-
-    Parameters
-    ----------
-    observable : Observable
-    """
+    """Value of an observable at the last instant."""
 
     observable: Observable
 
@@ -212,19 +201,13 @@ class AtTimes(WeightedSum):
     ----------
     observable : Observable
     times : float or sequence of float
-        One time or several; s.
-
-    Raises
-    ------
-    InvalidInput
-        If there is no time, or one is negative or not finite.
+        One time or several, none negative; s.
     """
 
     observable: Observable
     times: float | Sequence[float]
 
     def __post_init__(self) -> None:
-        """Validate."""
         super().__post_init__()
         given = cast(Any, self.times)
         times = tuple(given) if np.ndim(given) else (given,)
@@ -241,13 +224,7 @@ class AtTimes(WeightedSum):
         self._require_reached(t_end, "End the run later.")
 
     def weights(self, grid: TimeGrid) -> Array:
-        """Weights of the interpolation, summed over the times.
-
-        Raises
-        ------
-        InvalidInput
-            If a run that ended early did not reach one of the times.
-        """
+        """Weights of the interpolation, summed over the times; refuse a run that ended before."""
         self._require_reached(float(grid.t[-1]), "The run ended before.")
         w = np.zeros(len(grid.t))
         for time in cast("tuple[float, ...]", self.times):
@@ -274,19 +251,13 @@ class SmoothMaximum(OverTime):
     ----------
     observable : Observable
     sharpness : float
-        k, in the inverse unit of the observable.
-
-    Raises
-    ------
-    InvalidInput
-        If the sharpness is not positive.
+        k, in the inverse unit of the observable; positive.
     """
 
     observable: Observable
     sharpness: float
 
     def __post_init__(self) -> None:
-        """Validate."""
         super().__post_init__()
         require_positive("SmoothMaximum, sharpness", self.sharpness)
 

@@ -60,13 +60,7 @@ class Expression(abc.ABC, Generic[K]):
         """Whether the other expression is of this kind."""
 
     def combined(self, function: Function, operands: Sequence[object]) -> K:
-        """Return a function of expressions and numbers.
-
-        Raises
-        ------
-        InvalidInput
-            If an operand is neither an expression of this kind nor a finite number.
-        """
+        """Return a function of expressions of this kind and finite numbers; refuse others."""
         return self.of(function, tuple(self._operand(x) for x in operands))
 
     def _operand(self, operand: object) -> object:

@@ -58,14 +58,8 @@ _FAILURES = (TypeError, ValueError, AttributeError, ArithmeticError, IndexError)
 class Function:
     """A function of arrays, element by element.
 
-    Attributes
-    ----------
-    name : str
-    call : callable
-    edged : bool
-        Whether it may be real on a part of the real line only.
-    own : bool
-        Whether a user wrote it, so that its derivative is checked.
+    `edged` if it may be real on a part of the real line only; `own` if a user wrote it, so that
+    its derivative is checked.
     """
 
     name: str
@@ -103,18 +97,8 @@ _FUNCTIONS = {
 def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> Function:
     """Return a NumPy function that may stand in an expression.
 
-    Parameters
-    ----------
-    ufunc : numpy.ufunc
-    method : str
-        How NumPy was asked for it.
-    plain : bool
-        Whether it was called without options such as ``where``.
-
-    Raises
-    ------
-    InvalidInput
-        If it is not analytic, or was not simply called.
+    Refused are functions that are not analytic, methods such as ``reduce``, and calls that are not
+    `plain` but have options such as ``where``.
     """
     name = f"numpy.{ufunc.__name__}"
     if ufunc not in _FUNCTIONS:
@@ -135,18 +119,9 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
 def require_derivative(where: str, along: Callable[[complex], Array]) -> None:
     """Refuse a function whose complex step is not its derivative.
 
-    Parameters
-    ----------
-    where : str
-        Name of the function.
-    along : callable
-        Its values at x + s dx for a number s; dx of the size of x.
-
-    Raises
-    ------
-    InvalidInput
-        If it fails on complex numbers, or its complex step agrees with no central difference of
-        six sizes. Where no difference is finite, the function is accepted.
+    `along` gives its values at x + s dx for a number s, dx of the size of x. Refused is a function
+    that fails on complex numbers, or whose complex step agrees with no central difference of six
+    sizes; where no difference is finite, it is accepted.
     """
     try:
         base, moved = np.asarray(along(0.0)), np.asarray(along(1j * STEP))
@@ -171,18 +146,7 @@ def require_derivative(where: str, along: Callable[[complex], Array]) -> None:
 def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -> None:
     """Refuse a function that does not work instant by instant on whole arrays.
 
-    Parameters
-    ----------
-    where : str
-        Name of the function.
-    rows : callable
-        Its values at a slice of the instants.
-    count : int
-        Number of instants.
-
-    Raises
-    ------
-    InvalidInput
+    `rows` gives its values at a slice of the `count` instants.
     """
     repair = "Return one number per instant, from that instant alone."
     try:

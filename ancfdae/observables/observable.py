@@ -26,14 +26,9 @@ from ancfdae.protocol import MechanicalSystem
 @final
 @dataclass(frozen=True)
 class Rows:
-    """Partials of one number per instant that vanish outside a few columns.
+    """Partials of one number per instant that vanish outside a few columns, none of them twice.
 
-    Attributes
-    ----------
-    columns : array of int, shape (m,), or slice
-        Columns, none twice.
-    values : array, shape (k, m) or (1, m)
-        One row if all instants share it.
+    The values have shape (k, m), or (1, m) if all instants share them.
     """
 
     columns: Array | slice
@@ -49,14 +44,7 @@ class Rows:
 @final
 @dataclass(frozen=True)
 class LeafGradient:
-    """Partials of a leaf; None where it does not depend on the argument.
-
-    Attributes
-    ----------
-    q, v, lam : Rows or None
-    b : array, shape (k, n_b), or None
-        Partials in the design variables with the states held.
-    """
+    """Partials of a leaf, in b with the states held, (k, n_b); None where it does not depend."""
 
     q: Rows | None = None
     v: Rows | None = None
@@ -101,15 +89,7 @@ class Observable(Expression["Observable"]):
         return isinstance(other, Observable)
 
     def check(self, system: Named) -> None:
-        """Refuse an observable that the system does not have.
-
-        Raises
-        ------
-        UnknownName
-            If a beam, joint or design variable does not exist.
-        InvalidInput
-            If an axis does not exist, or the system lacks what the observable needs.
-        """
+        """Raise UnknownName or InvalidInput for an observable that the system does not have."""
         for leaf in self.leaves():
             leaf.check_leaf(system)
 
@@ -147,7 +127,8 @@ class Observable(Expression["Observable"]):
                 "partials", "need real states and design values", "complex", "Use `value`."
             )
         _require_derivatives(values)
-        parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam", "b"))
+        parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
+        b = np.zeros((len(weight), system.n_b))
         with np.errstate(all="ignore"):  # the caller checks for values that are not finite
             for leaf, factor in leaf_weights(values, weight).items():
                 gradient = cast(Leaf, leaf).leaf_gradient(system, states)
@@ -156,24 +137,14 @@ class Observable(Expression["Observable"]):
                     if rows is not None:
                         parts[name] = rows.add_to(parts[name], factor, states_of.shape[1])
                 if gradient.b is not None:
-                    shift = factor[:, None] * gradient.b
-                    parts["b"] = shift if parts["b"] is None else parts["b"] + shift
-        b = parts["b"]
-        if b is None:
-            b = np.zeros((len(weight), system.n_b))
-        value = list(values.values())[-1]
-        return ObservablePartials(value, parts["q"], parts["v"], parts["lam"], b)
+                    b += factor[:, None] * gradient.b
+        return ObservablePartials(list(values.values())[-1], **parts, b=b)
 
 
 class Leaf(Observable):
-    """An observable that is not made of others; immutable and compared by value.
+    """An observable that is not made of others; immutable and compared by value."""
 
-    Attributes
-    ----------
-    multipliers : bool
-        Whether it depends on multipliers.
-    """
-
+    #: Whether it depends on multipliers.
     multipliers: ClassVar[bool] = False
 
     @abc.abstractmethod

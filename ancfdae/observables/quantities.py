@@ -16,32 +16,17 @@ from ancfdae.protocol import MechanicalSystem
 
 
 def reaction(joint: str, axis: int) -> Observable:
-    """Return a component of the force of a joint on its first point; N.
+    """Return a component of the force of a joint on its first point; N. Axes as in `position`.
 
     It is minus a multiplier of the joint's first equations, as in `Solution.reaction`; for joints
     that hold a point in all directions. For others see `multiplier`.
-
-    Parameters
-    ----------
-    joint : str
-        Name of the joint.
-    axis : int
-        0, 1 or 2 for x, y or z.
     """
     require_index("reaction, axis", axis)
     return -Multiplier(joint, axis, on_point=True)
 
 
 def multiplier(joint: str, row: int) -> Observable:
-    """Return a multiplier of a joint.
-
-    Parameters
-    ----------
-    joint : str
-        Name of the joint.
-    row : int
-        Number of its equation, from 0 on.
-    """
+    """Return the multiplier of an equation of a joint; these are counted from 0 on."""
     return Multiplier(joint, row)
 
 
@@ -61,13 +46,7 @@ def time() -> Observable:
 
 
 def design_value(name: str) -> Observable:
-    """Return the value of a design variable, the same at every instant.
-
-    Parameters
-    ----------
-    name : str
-        As in `MechanicalSystem.design_names`, such as ``"rod.height"``.
-    """
+    """Return the value of a design variable such as ``"rod.height"``, the same at every instant."""
     return Design(name)
 
 

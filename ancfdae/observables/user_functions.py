@@ -74,14 +74,7 @@ class Custom(Leaf):
     name: str
 
     def check_leaf(self, system: Named) -> None:
-        """Try the function around the start.
-
-        Raises
-        ------
-        InvalidInput
-            If it mixes instants, fails on complex numbers, or its complex step disagrees with
-            finite differences.
-        """
+        """Try the function around the start, and refuse it as `apply` does."""
         system = known_system(self.name, system)
         q, v = system.start()
         # Near the start, but not at it, where velocities and multipliers may be zero.

@@ -16,33 +16,22 @@ from ancfdae.protocol import MechanicalSystem
 
 
 def position(point: Point, axis: int) -> Observable:
-    """Return a component of the position of a material point; m.
+    """Return a component of the position of a point such as ``beam.at_end``; m.
 
-    Parameters
-    ----------
-    point : Point
-        For example ``beam.at_end``.
-    axis : int
-        0, 1 or 2 for x, y or z.
+    Axes 0, 1 and 2 are x, y and z.
     """
     return Component(point, Quantity.POSITION, axis)
 
 
 def velocity(point: Point, axis: int) -> Observable:
-    """Return a component of the velocity of a material point; m/s. Arguments as in `position`."""
+    """Return a component of the velocity of a point; m/s. Axes as in `position`."""
     return Component(point, Quantity.POSITION, axis, rate=True)
 
 
 def slope(point: Point, along: int, axis: int) -> Observable:
-    """Return a component of a slope vector.
+    """Return a component of a slope vector; axes as in `position`.
 
-    Parameters
-    ----------
-    point : Point
-    along : int
-        0 for the tangent, 1 and 2 for the slopes along the section's height and width.
-    axis : int
-        0, 1 or 2 for the x, y or z component.
+    `along` is 0 for the tangent, 1 and 2 for the slopes along the section's height and width.
     """
     require_index("slope, along", along)
     return Component(point, Quantity(along + 1), axis)
@@ -98,7 +87,6 @@ class Component(Leaf):
     rate: bool = False
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_point("observable, point", self.point)
         require_index("observable, axis", self.axis)
 
@@ -137,7 +125,6 @@ class AxialStrain(Leaf):
     point: Point
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_point("observable, point", self.point)
 
     def check_leaf(self, system: Named) -> None:

@@ -67,14 +67,7 @@ class ContinuousAdjoint(GradientMethod):
     """
 
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """One run for all objectives, one backward run for each.
-
-        Raises
-        ------
-        InvalidInput
-            If the integrator is not HHT, the run has fewer than four steps, or an objective is
-            not a function of time integrals.
-        """
+        """One run of HHT for all objectives, one backward run for each."""
         system, integrator = run.system, run.integrator
         if not isinstance(integrator, HHT):
             raise InvalidInput(

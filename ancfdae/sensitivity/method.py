@@ -25,10 +25,7 @@ _BREAKS = {KeyboardInterrupt: Verdict.INTERRUPTED, SingularMatrix: Verdict.SINGU
 class UnfinishedRun(AncfdaeError):
     """A gradient was asked of a run that did not reach its end time.
 
-    Attributes
-    ----------
-    solution : Solution
-        What was computed, with its outcome.
+    `solution` is what was computed, with its outcome.
     """
 
     def __init__(self, solution: Solution) -> None:
@@ -76,16 +73,7 @@ class Gradient:
 @final
 @dataclass(frozen=True)
 class Run:
-    """What is integrated: a system from t = 0 to `t_end`.
-
-    Attributes
-    ----------
-    system : MechanicalSystem
-    t_end : float
-    integrator : Integrator
-    progress : bool
-        Whether to show a progress bar.
-    """
+    """What is integrated: a system from t = 0 to `t_end`, with a progress bar or without."""
 
     system: MechanicalSystem
     t_end: float
@@ -101,12 +89,7 @@ class Run:
     def integrals(
         self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
     ) -> tuple[Solution, Totals]:
-        """Return a finished run and the integrals that the integrator took beside the motion.
-
-        Raises
-        ------
-        UnfinishedRun
-        """
+        """Return a finished run and the integrals that the integrator took beside the motion."""
         if not isinstance(self.integrator, QuadratureIntegrator):
             return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
         totals = totals_of(self.system, objectives, differentiated)
@@ -139,10 +122,7 @@ class GradientMethod(abc.ABC):
 
         Raises
         ------
-        UnfinishedRun
-            If a run ends before `t_end`.
-        NonFiniteObjective
-            If an objective is not finite.
+        UnfinishedRun, NonFiniteObjective
         InvalidInput
             If the method does not fit the integrator, the objectives or the design.
         """
@@ -161,12 +141,7 @@ class Method(GradientMethod):
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Raise an error with the run and the reason where a pass back breaks off.
-
-    Raises
-    ------
-    UnfinishedRun
-    """
+    """Raise UnfinishedRun with the run and the reason where a pass back breaks off."""
     try:
         yield
     except (KeyboardInterrupt, SingularMatrix, PassFailed) as error:
@@ -176,12 +151,7 @@ def keeping(solution: Solution) -> Iterator[None]:
 
 
 def finished(solution: Solution) -> Solution:
-    """Return a solution that reached its end time.
-
-    Raises
-    ------
-    UnfinishedRun
-    """
+    """Return a solution that reached its end time; raise UnfinishedRun for another."""
     if solution.outcome.verdict is not Verdict.FINISHED:
         raise UnfinishedRun(solution)
     return solution

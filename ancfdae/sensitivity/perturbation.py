@@ -88,21 +88,16 @@ class FiniteDifference(Perturbation):
     Parameters
     ----------
     relative_step : float
-        Perturbation of each design variable relative to its value; the paper uses 0.01.
+        Perturbation of each design variable relative to its value, between 0 and 1; the paper
+        uses 0.01.
     central : bool
         Whether two runs per variable, at plus and minus, replace one.
-
-    Raises
-    ------
-    InvalidInput
-        If the perturbation is not positive, or not below one.
     """
 
     relative_step: float = 0.01
     central: bool = False
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_positive("FiniteDifference.relative_step", self.relative_step)
         if self.relative_step >= 1:
             raise InvalidInput(
