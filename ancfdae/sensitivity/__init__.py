@@ -5,16 +5,3 @@ from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
 from ancfdae.sensitivity.perturbation import ComplexStep, FiniteDifference
-
-__all__ = [
-    "Adjoint",
-    "ComplexStep",
-    "ContinuousAdjoint",
-    "Direct",
-    "FiniteDifference",
-    "Gradient",
-    "GradientMethod",
-    "Method",
-    "Run",
-    "UnfinishedRun",
-]
