@@ -15,7 +15,7 @@ import numpy as np
 
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.loads import Load
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
@@ -143,22 +143,16 @@ class LoadForces:
 
     def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q for one instant, shape (n_q, n_b)."""
-        total: Array = self.force_b(q[None], v[None])[0]
-        for item in self._moving:
-            U, V = item.vectors.of(q[None]), item.vectors.of(v[None])
-            F_b = _jacobian(item.force, U, V, True)[0] @ (item.vectors.matrix @ q_b)
-            if item.uses_velocity:
-                F_b = F_b + _jacobian(item.force, U, V, False)[0] @ (item.vectors.matrix @ v_b)
-            total += item.vectors.matrix.T @ F_b
-        return total
+        along = self.force(q + 1j * STEP * q_b.T, v + 1j * STEP * v_b.T)
+        return along.imag.T / STEP + only(self.force_b(q[None], v[None]))
 
     def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
         """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
-        total = np.zeros((self._n_q, self._n_b))
-        for i in range(self._n_b) if self._moving else ():
-            along = zip(states, states_b, strict=True)
-            rows = ((x + 1j * STEP * x_b[:, i])[None] for x, x_b in along)
-            total[:, i] = self.moved(i).force_rate(*rows)[0].imag / STEP
+        along = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
+        total: Array = self.force_rate(*along).imag.T / STEP
+        held = [x[None] for x in states]
+        for i in self._active:
+            total[:, i] += self.moved(i).force_rate(*held)[0].imag / STEP
         return total
 
     def force_b(self, q: Array, v: Array) -> Array:

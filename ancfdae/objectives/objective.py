@@ -13,13 +13,7 @@ from ancfdae.errors import AncfdaeError
 from ancfdae.integrators import Density
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables import States
-from ancfdae.observables.expression import (
-    Expression,
-    Operation,
-    evaluated,
-    leaf_weights,
-    leaves,
-)
+from ancfdae.observables.expression import Expression, Operation, evaluated, leaf_weights, leaves
 from ancfdae.observables.functions import Function
 from ancfdae.protocol import MechanicalSystem
 

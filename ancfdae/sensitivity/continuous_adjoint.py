@@ -37,12 +37,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT
 from ancfdae.integrators.hht.equations import acceleration, correct, predict
 from ancfdae.integrators.index_1 import Accelerations
-from ancfdae.integrators.start import (
-    Covectors,
-    consistent_start,
-    pull_back_start,
-    saddle_point,
-)
+from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start, saddle_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.objectives import Objective, ObjectivePartials
