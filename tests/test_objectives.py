@@ -347,7 +347,7 @@ def test_names_and_times_are_checked_before_a_run(system):
 
 
 def test_a_run_that_ended_early_is_refused(system, states):
-    with pytest.raises(InvalidInput, match="The run ended before"):
+    with pytest.raises(InvalidInput, match="The run ends before"):
         AtTimes(X, 0.6).value(system, states)
 
 

@@ -96,8 +96,24 @@ class Reduction(Objective):
             raise NonFiniteObjective(type(self).__name__, what, float(t[bad[0]].real))
 
 
-class WeightedSum(Reduction):
-    """Sum of weighted values."""
+class AtInstants(Reduction):
+    """Sum of the values at some times of a run, interpolated with the order of the integrator."""
+
+    @abc.abstractmethod
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the times; refuse a run that ends before."""
+
+    def check_times(self, t_end: float) -> None:
+        """Refuse a run that ends before."""
+        self.instants(t_end)
+
+    def weights(self, grid: TimeGrid) -> Array:
+        """Weights of the interpolation, summed over the times."""
+        w = np.zeros(len(grid.t))
+        for time in self.instants(float(grid.t[-1])):
+            around, share = grid.interpolation(time)
+            w[around] += share
+        return w
 
     def reduce(self, x: Array, w: Array) -> Array:
         """Return the sum."""
@@ -147,10 +163,6 @@ class Integral(OverTime):
     `IDA`, `IDAS` and `Explicit` take it beside the motion, to their tolerance. On the instants of
     a solution the quadrature has the order of the integrator: the trapezoidal rule on the steps
     of HHT, Gauss-Lobatto rules on the instants of the others.
-
-    Parameters
-    ----------
-    observable : Observable
     """
 
     observable: Observable
@@ -174,24 +186,19 @@ class Integral(OverTime):
 
 @final
 @dataclass(frozen=True)
-class Terminal(WeightedSum):
+class Terminal(AtInstants):
     """Value of an observable at the last instant."""
 
     observable: Observable
 
-    def check_times(self, t_end: float) -> None:
-        """Accept every run."""
-
-    def weights(self, grid: TimeGrid) -> Array:
-        """One at the end."""
-        w = np.zeros(len(grid.t))
-        w[-1] = 1.0
-        return w
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the end."""
+        return (t_end,)
 
 
 @final
 @dataclass(frozen=True)
-class AtTimes(WeightedSum):
+class AtTimes(AtInstants):
     """Sum of the values of an observable at given times.
 
     Between the instants the observable is interpolated with the order of the integrator, linearly
@@ -219,23 +226,13 @@ class AtTimes(WeightedSum):
             )
         object.__setattr__(self, "times", tuple(float(time) for time in times))
 
-    def check_times(self, t_end: float) -> None:
-        """Refuse times after the end."""
-        self._require_reached(t_end, "End the run later.")
-
-    def weights(self, grid: TimeGrid) -> Array:
-        """Weights of the interpolation, summed over the times; refuse a run that ended before."""
-        self._require_reached(float(grid.t[-1]), "The run ended before.")
-        w = np.zeros(len(grid.t))
-        for time in cast("tuple[float, ...]", self.times):
-            instants, share = grid.interpolation(time)
-            w[instants] += share
-        return w
-
-    def _require_reached(self, end: float, repair: str) -> None:
-        latest = max(cast("tuple[float, ...]", self.times))
-        if latest > end * (1 + 1e-12):
-            raise InvalidInput("AtTimes, times", f"must not exceed {end:.6g}", latest, repair)
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the times."""
+        times = cast("tuple[float, ...]", self.times)
+        if max(times) > t_end * (1 + 1e-12):
+            rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
+            raise InvalidInput("AtTimes, times", rule, max(times), repair)
+        return times
 
 
 @final
