@@ -95,16 +95,13 @@ class PassFailed(AncfdaeError):
 @final
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended and where.
+    """How a run ended, at which time, and after how many accepted steps.
 
-    Parameters
+    Attributes
     ----------
     verdict : Verdict
-        The kind of ending.
     time : float
-        Time reached, in the scene's unit of time.
     step : int
-        Number of steps accepted.
     residual : float
         Size of the last Newton correction relative to the motion, for integrators other than HHT
         of the residual of the equations in their scales (dimensionless); zero when the run

@@ -15,7 +15,7 @@ ingredients; docs/theory.md, section 3, lists them.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
@@ -255,15 +255,21 @@ class JointConstraints:
             other._place_constant()
         return other
 
-    def _passes(self, t: Array) -> Iterator[tuple[int, slice, JointConstraints, _Values]]:
-        """Active variables with the constraints moved in them, and instants handled at once."""
+    def _over(self, t: Array) -> _Values:
+        """Coefficients at many instants, with a leading axis if they depend on time."""
+        if not self.driven:
+            return self._constant
+        each = [self._at(float(time)) for time in t]
+        return _Values(
+            *(np.stack(x) for x in zip(*((c.a, c.s, c.offset) for c in each), strict=True))
+        )
+
+    def _partial(self, of: Callable[[JointConstraints], Array], shape: tuple[int, ...]) -> Array:
+        """Design partial of something of this shape that the constraints give, (*shape, n_b)."""
+        result = np.zeros((*shape, self._n_b))
         for i in self._active:
-            moved = self.moved(i)
-            if not self.driven:
-                yield i, slice(None), moved, moved._constant
-                continue
-            for k, time in enumerate(t):
-                yield i, slice(k, k + 1), moved, moved._at(float(time))
+            result[..., i] = of(self.moved(i)).imag / STEP
+        return result
 
     def _together(self, t: float, order: int) -> _Values:
         """Coefficients moved in every design variable, with a leading axis n_b."""
@@ -307,34 +313,34 @@ class JointConstraints:
         """Values of Phi_q, shape (k, nnz)."""
         if self._simple:
             return np.broadcast_to(self._B_values, (len(q), len(self._B_values)))
-        U = self._vectors.of(q)
-        raw = np.stack([self._raw(self._at(time), u) for time, u in zip(t, U, strict=True)])
-        return self._to_values.rows(raw)
+        return self._to_values.rows(self._raw(self._over(t), self._vectors.of(q)))
+
+    def constraints(self, q: Array, t: Array) -> Array:
+        """Phi, shape (k, n_lam)."""
+        return self._phi(self._over(t), self._vectors.of(q))
+
+    def constraint_forces(self, q: Array, lam: Array, t: Array) -> Array:
+        """Phi_q^T lam, shape (k, n_q)."""
+        raw = self._raw(self._over(t), self._vectors.of(q))
+        return self._to_force.rows(raw * lam[:, self._raw_row])
 
     def constraints_b(self, q: Array, t: Array) -> Array:
         """Phi_b, shape (k, n_lam, n_b)."""
-        result = np.zeros((len(q), self.n_lam, self._n_b))
-        for i, rows, moved, c in self._passes(t):
-            result[rows, :, i] = moved._phi(c, moved._vectors.of(q[rows])).imag / STEP
-        return result
+        return self._partial(lambda moved: moved.constraints(q, t), (len(q), self.n_lam))
 
     def constraint_forces_b(self, q: Array, lam: Array, t: Array) -> Array:
         """(Phi_q^T lam)_b, shape (k, n_q, n_b)."""
-        result = np.zeros((*q.shape, self._n_b))
-        for i, rows, moved, c in self._passes(t):
-            raw = moved._raw(c, moved._vectors.of(q[rows]))
-            force = moved._to_force.rows(raw * lam[rows][:, self._raw_row])
-            result[rows, :, i] = force.imag / STEP
-        return result
+        return self._partial(lambda moved: moved.constraint_forces(q, lam, t), q.shape)
 
     def pull_back(self, q: Array, lam: Array, t: Array, mu: Array, zeta: Array) -> Array:
         """Sum over instants of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""
-        total = np.zeros(self._n_b)
-        for i, rows, moved, c in self._passes(t):
-            U, X = moved._vectors.of(q[rows]), moved._vectors.of(mu[rows])
-            work = lam[rows] * moved._jacobian_times([c], U, X) + zeta[rows] * moved._phi(c, U)
-            total[i] += np.sum(work.imag) / STEP
-        return total
+
+        def work(moved: JointConstraints) -> Array:
+            c, U, X = moved._over(t), moved._vectors.of(q), moved._vectors.of(mu)
+            terms = lam * moved._jacobian_times([c], U, X) + zeta * moved._phi(c, U)
+            return np.asarray(np.sum(terms))
+
+        return self._partial(work, ())
 
     # -- start: rates and their total derivatives, one instant -----------------------------------
 
@@ -352,18 +358,11 @@ class JointConstraints:
 
     def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
-        result = np.zeros((self.n_lam, self._n_b))
-        for i in self._active:
-            result[:, i] = self.moved(i)._rate(t, q, rates).imag / STEP
-        return result
+        return self._partial(lambda moved: moved._rate(t, q, rates), (self.n_lam,))
 
     def constraint_force_rate_pull_back(self, v: Array, lam: Array, t: float, mu: Array) -> Array:
         """Design partial of mu . (dPhi_q^T/dt) lam with everything else held, shape (n_b,)."""
-        result = np.zeros(self._n_b)
-        for i in self._active:
-            rate = self.moved(i).constraint_force_rate(v, v, lam, t)
-            result[i] = mu @ rate.imag / STEP
-        return result
+        return self._partial(lambda moved: mu @ moved.constraint_force_rate(v, v, lam, t), ())
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""

@@ -136,10 +136,8 @@ class LoadForces:
 
     def pull_back_rate(self, states: tuple[Array, Array, Array], mu: Array) -> Array:
         """Design partial of mu . dQ/dt with the states held, shape (n_b,)."""
-        result, rows = np.zeros(self._n_b), tuple(x[None] for x in states)
-        for i in self._active:
-            result[i] = np.sum(self.moved(i).force_rate(*rows).imag * mu) / STEP
-        return result
+        rows = [x[None] for x in states]
+        return self._partial(lambda moved: np.sum(moved.force_rate(*rows) * mu), ())
 
     def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q for one instant, shape (n_q, n_b)."""
@@ -149,25 +147,24 @@ class LoadForces:
     def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
         """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
         along = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
-        total: Array = self.force_rate(*along).imag.T / STEP
         held = [x[None] for x in states]
-        for i in self._active:
-            total[:, i] += self.moved(i).force_rate(*held)[0].imag / STEP
-        return total
+        partial = self._partial(lambda moved: only(moved.force_rate(*held)), (self._n_q,))
+        return self.force_rate(*along).imag.T / STEP + partial
 
     def force_b(self, q: Array, v: Array) -> Array:
         """Q_b, shape (k, n_q, n_b)."""
-        result = np.zeros((len(q), self._n_q, self._n_b))
-        for i in self._active:
-            result[..., i] = self.moved(i).force(q.real, v.real).imag / STEP
-        return result
+        return self._partial(lambda moved: moved.force(q.real, v.real), (len(q), self._n_q))
 
     def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
         """Sum over instants of Q_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
-        total = np.zeros(self._n_b)
+        return self._partial(lambda moved: np.sum(moved.force(q, v) * mu), ())
+
+    def _partial(self, of: Callable[[LoadForces], Array], shape: tuple[int, ...]) -> Array:
+        """Design partial of something of this shape that the loads give, (*shape, n_b)."""
+        result = np.zeros((*shape, self._n_b))
         for i in self._active:
-            total[i] = np.sum(self.moved(i).force(q, v).imag * mu) / STEP
-        return total
+            result[..., i] = of(self.moved(i)).imag / STEP
+        return result
 
     def moved(self, i: int) -> LoadForces:
         """Return the loads moved in design variable i by an imaginary step."""
