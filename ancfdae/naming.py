@@ -20,17 +20,9 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class BeamLayout:
-    """Place of a beam.
+    """Place of a beam: its first node, of d n_s coordinates, and its first element.
 
-    Attributes
-    ----------
-    name : str
-    first_node : int
-        Number of its first node; a node has d n_s coordinates.
-    first_element : int
-        Number of its first element.
-    fractions : tuple of float
-        Arc-length fraction of each node, from 0 to 1.
+    `fractions` has the arc-length fraction of each node, from 0 to 1.
     """
 
     name: str
@@ -124,13 +116,8 @@ def _named(kind: str, name: str, places: Sequence[_Place]) -> _Place:
 class Naming:
     """What turns coordinates into vectors of named points.
 
-    Attributes
-    ----------
-    layout : Layout
-    lengths : array, shape (n_elements,)
-        Element lengths.
-    lengths_b : array, shape (n_elements, n_b)
-        Their design derivatives; vectors of points between nodes depend on them.
+    Vectors of points between nodes depend on the lengths of elements, (n_elements,), and so on the
+    design through `lengths_b`, (n_elements, n_b).
     """
 
     layout: Layout
@@ -140,12 +127,7 @@ class Naming:
     def vector(self, point: Point, quantity: Quantity) -> PointVector:
         """Return how a vector of a material point is made of node vectors.
 
-        Raises
-        ------
-        UnknownName
-            If there is no such beam.
-        InvalidInput
-            If points of its element have no such vector.
+        Raises UnknownName for its beam, InvalidInput if points of its element have no such vector.
         """
         beam = self.layout.beam(point.beam)
         local, xi = beam.locate(point.fraction)
@@ -182,13 +164,8 @@ class Naming:
 class PointVector:
     """A position or slope vector of a material point as a combination of node vectors.
 
-    Attributes
-    ----------
-    vectors : array of int, shape (n_a,)
-        Scene-wide numbers of the node vectors; vector k has the coordinates d k to d k + d - 1.
-    weights : array, shape (n_a,)
-    weights_b : array, shape (n_a, n_b)
-        Design derivatives of the weights.
+    `vectors`, (n_a,), has their numbers in the scene; vector k has the coordinates d k to
+    d k + d - 1. `weights` is (n_a,), with design derivatives (n_a, n_b).
     """
 
     vectors: Array
@@ -198,8 +175,7 @@ class PointVector:
     def of(self, states: Array, d: int) -> Array:
         """Return the vector in states of shape (..., n_q), shape (..., d)."""
         X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
-        result: Array = np.einsum("a,...ad->...d", self.weights, X)
-        return result
+        return np.asarray(np.einsum("a,...ad->...d", self.weights, X))
 
 
 def vector_weights(

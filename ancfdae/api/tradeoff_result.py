@@ -102,10 +102,7 @@ class Setting:
 class TargetNotReached(AncfdaeError):
     """No measured setting is accurate enough; the message names the best one.
 
-    Attributes
-    ----------
-    best : Setting or None
-        The most accurate setting; None if all failed.
+    `best` is the most accurate setting; None if all failed.
     """
 
     def __init__(self, target: float, of: str, best: Setting | None) -> None:
@@ -123,15 +120,10 @@ class TargetNotReached(AncfdaeError):
 @final
 @dataclass(frozen=True)
 class Tradeoff:
-    """What accuracy costs on one scene; made by `tradeoff`.
+    """What accuracy costs on one scene: settings in the order they were asked for.
 
-    Attributes
-    ----------
-    rows : tuple of Setting
-        In the order they were asked for.
-    reference : Setting
-        The run that errors are measured against. Its own error is not known, and
-        errors below that mean nothing.
+    The error of the reference, which errors are measured against, is not known; errors below that
+    mean nothing.
     """
 
     rows: tuple[Setting, ...]

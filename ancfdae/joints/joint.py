@@ -65,17 +65,11 @@ class Joint(Part):
 
     @abc.abstractmethod
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
-        """Return the time derivative of this order of the coefficients.
+        """Return the time derivative of this order, 0 to 3, of the coefficients.
 
-        Parameters
-        ----------
-        p : array
-            Values of `parameters`, as `split` takes them; may be complex, and must go through.
-        reference : array, shape (n_vectors, d)
-            The vectors in the reference configuration; may be complex.
-        t : float
-        order : int
-            0 to 3; above 0 only asked of driven joints.
+        `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
+        the reference configuration, (n_vectors, d); complex ones must go through. Orders above 0
+        are only asked of driven joints.
         """
 
 

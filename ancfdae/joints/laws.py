@@ -27,13 +27,7 @@ class Law(Designable, abc.ABC):
 @final
 @dataclass(frozen=True)
 class Uniform(Law):
-    """x = offset + speed t + acceleration t^2 / 2.
-
-    Parameters
-    ----------
-    speed : float
-    offset, acceleration : float
-    """
+    """x = offset + speed t + acceleration t^2 / 2."""
 
     speed: float
     offset: float = 0.0
@@ -52,15 +46,7 @@ class Uniform(Law):
 @final
 @dataclass(frozen=True)
 class Harmonic(Law):
-    """x = offset + amplitude sin(frequency t + phase).
-
-    Parameters
-    ----------
-    amplitude : float
-    frequency : float
-        Angular frequency; rad/s.
-    phase, offset : float
-    """
+    """x = offset + amplitude sin(frequency t + phase), with the frequency in rad/s."""
 
     amplitude: float
     frequency: float

@@ -34,7 +34,7 @@ class LinearMap:
 
     def __call__(self, x: Array) -> Array:
         """Multiply a vector, shape (m,)."""
-        return _times(self._form, x)
+        return np.asarray(self._form @ x)
 
     def columns(self, x: Array) -> Array:
         """Multiply the columns of an array, shape (m, k)."""
@@ -50,13 +50,4 @@ class LinearMap:
 
     def transposed(self, x: Array) -> Array:
         """Multiply with the transposed (not conjugated) matrix."""
-        return _times(self._transposed, x)
-
-
-def _times(matrix: Any, x: Array) -> Array:
-    dense = isinstance(matrix, np.ndarray) and matrix.dtype.kind != "c"
-    if not (dense and x.dtype.kind == "c"):
-        return np.asarray(matrix @ x)
-    # Real and imaginary part as two columns, so that the matrix is not copied.
-    parts = np.ascontiguousarray(x).view(float).reshape(-1, 2)
-    return np.asarray((matrix @ parts).view(complex)[:, 0])
+        return np.asarray(self._transposed @ x)

@@ -19,8 +19,8 @@ from ancfdae.observables.expression import (
     operands_of,
 )
 from ancfdae.observables.functions import Function, require_derivative
-from ancfdae.observables.states import Named, States
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.observables.states import Named, States, states_of
+from ancfdae.protocol import MechanicalSystem, Solution
 
 
 @final
@@ -164,6 +164,37 @@ class Leaf(Observable):
 @dataclass(frozen=True, eq=False)
 class Composite(Operation, Observable):
     """A function of observables."""
+
+
+def observe(
+    observable: Observable, solution: Solution, system: MechanicalSystem | None = None
+) -> Array:
+    """Return the values of an observable along a solution, shape (n_t,).
+
+    Parameters
+    ----------
+    observable : Observable
+    solution : Solution
+    system : MechanicalSystem, optional
+        The system that was integrated; for energies, design variables and `custom` functions.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If something that the observable names does not exist, the system is missing, or the
+        solution is complex and the system is not: it would hold the design variables fixed.
+    """
+    held = system is not None and system.n_b > 0 and not np.iscomplexobj(system.b)
+    if held and np.iscomplexobj(solution.q):
+        raise InvalidInput(
+            "observe",
+            "a complex solution needs a system at complex design values",
+            "real ones",
+            "Use Observable.partials for derivatives.",
+        )
+    names = solution if system is None else system
+    observable.check(names)
+    return observable.value(names, states_of(solution))
 
 
 def _require_derivatives(values: dict[object, Array]) -> None:

@@ -11,7 +11,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, Solution
 
 
 class Named(Protocol):
@@ -50,6 +50,11 @@ class States:
     def rows(self, which: slice | list[int]) -> States:
         """Return the states at some of the instants."""
         return States(self.t[which], self.q[which], self.v[which], self.lam[which])
+
+
+def states_of(solution: Solution) -> States:
+    """Return the states of a solution."""
+    return States(solution.t, solution.q, solution.v, solution.lam, solution.degree)
 
 
 def known_naming(system: Named) -> Naming:
