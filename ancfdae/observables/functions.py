@@ -116,25 +116,29 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
     return _FUNCTIONS[ufunc]
 
 
-def require_derivative(where: str, along: Callable[[complex], Array]) -> None:
-    """Refuse a function whose complex step is not its derivative.
+def require_derivative(
+    where: str, function: Callable[..., Array], x: Sequence[Array], dx: Sequence[Array]
+) -> None:
+    """Refuse a function whose complex step along dx, of the size of x, is not its derivative.
 
-    `along` gives its values at x + s dx for a number s, dx of the size of x. Refused is a function
-    that fails on complex numbers, or whose complex step agrees with no central difference of six
-    sizes; where no difference is finite, it is accepted.
+    Refused is a function that fails on complex numbers, or whose complex step agrees with no
+    central difference of six sizes; where no difference is finite, it is accepted.
     """
+
+    def along(s: complex) -> Array:
+        return np.asarray(function(*(a + s * da for a, da in zip(x, dx, strict=True))))
+
     try:
-        base, moved = np.asarray(along(0.0)), np.asarray(along(1j * STEP))
-        slope = moved.imag / STEP
+        base, slope = along(0.0), along(1j * STEP).imag / STEP
     except _FAILURES as error:
         raise _unsafe(where, f"{type(error).__name__}: {error}") from error
     judged, agreed = np.zeros(base.shape, bool), np.zeros(base.shape, bool)
     with np.errstate(all="ignore"):
         # A function that vanishes with its slope has differences of the order s^2 f(x + dx).
-        far = np.abs(np.asarray(along(1.0))) + np.abs(np.asarray(along(-1.0)))
+        far = np.abs(along(1.0)) + np.abs(along(-1.0))
         curved = 10.0 * np.where(np.isfinite(far), far, 0.0)
         for s in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
-            difference = (np.asarray(along(s)) - np.asarray(along(-s))).real / (2 * s)
+            difference = (along(s) - along(-s)).real / (2 * s)
             # A difference carries the round-off of the values over its size.
             allowed = 1e-3 * np.abs(slope) + 1e-15 * np.abs(base) / s + curved * s**2
             judged |= np.isfinite(difference) & np.isfinite(slope)

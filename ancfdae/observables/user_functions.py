@@ -44,7 +44,7 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
     tried = [np.roll(base, j) * (1 + 0.1 * j) for j in range(len(observables))]
     with np.errstate(all="ignore"):
         require_vectorised(name, lambda rows: function(*(x[rows] for x in tried)), len(base))
-        require_derivative(name, lambda s: function(*(x + s for x in tried)))
+        require_derivative(name, function, tried, [np.ones_like(x) for x in tried])
     return observables[0].combined(own, observables)
 
 
@@ -120,7 +120,4 @@ class Custom(Leaf):
             np.where(a == 0, 1.0, a) * np.cos(0.7 * j + 1.3 * np.arange(a.shape[-1]))
             for j, a in enumerate(x)
         ]
-        require_derivative(
-            self.name,
-            lambda s: self.function(states.t, *(a + s * da for a, da in zip(x, dx, strict=True))),
-        )
+        require_derivative(self.name, lambda *moved: self.function(states.t, *moved), x, dx)

@@ -178,11 +178,8 @@ class _BackwardRun:
         total = self._partials.b - system.pull_back(s.t, (s.q, s.v, s.a, s.lam), weighted)
         total = total + self._start_terms(state)
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
-        still = np.zeros((system.n_q, system.n_b))
-        velocity_b = system.constraint_q_times_total(q, v, t, still)
-        velocity_b = velocity_b - system.velocity_side_total(q, t, still)
-        ends: Array = gamma @ system.constraint_b(q, t) + epsilon @ velocity_b
-        return total - ends
+        ends = gamma @ system.constraint_b(q, t) + epsilon @ system.constraint_rate_b(t, q, v)
+        return np.asarray(total - ends)
 
     def _density(self, rows: Array | None, n: int) -> Array:
         if rows is None:
