@@ -13,7 +13,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, Outcome, require_positive
+from ancfdae.errors import InvalidInput, require_positive
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
@@ -43,20 +43,26 @@ class Perturbation(Method):
         """Return the derivative from the values of the first run and of the changed ones."""
 
     def differentiate(self, run: Run) -> Solution:
-        """Differentiate the trajectory in one variable after the other."""
+        """Differentiate the trajectory in one variable after the other.
+
+        Everything is cut to the shortest run; the outcome is that of the run that ended first.
+        """
         self.check(run)
         solution = run.solution()
-        columns, outcomes = [], [solution.outcome]
-        for b, runs in self._changed(run, solution):
-            moved = [each.solution() for each in runs]
-            rows = min(len(each.t) for each in (solution, *moved))
-            outcomes += [each.outcome for each in moved]
-            parts = []
-            for name in _STATES:
-                base, *others = (getattr(each, name)[:rows] for each in (solution, *moved))
-                parts.append(self.quotient(b, base, others))
-            columns.append(parts)
-        return _with_columns(run, solution, columns, outcomes)
+        changed = [(b, [x.solution() for x in runs]) for b, runs in self._changed(run, solution)]
+        every = [solution, *(x for _, moved in changed for x in moved)]
+        rows = min(len(x.t) for x in every)
+        cut = {name: getattr(solution, name)[:rows] for name in ("t", *_STATES)}
+        parts = [np.zeros((*cut[name].shape, len(changed))) for name in _STATES]
+        for part, name in zip(parts, _STATES, strict=True):
+            for i, (b, moved) in enumerate(changed):
+                part[..., i] = self.quotient(b, cut[name], [getattr(x, name)[:rows] for x in moved])
+        return replace(
+            solution,
+            **cut,
+            outcome=min((x.outcome for x in every), key=lambda outcome: outcome.step),
+            sensitivities=Sensitivities(run.system.design_names, run.system.b, *parts),
+        )
 
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """Differentiate the objectives of whole runs."""
@@ -163,24 +169,3 @@ def _values(run: Run, objectives: Sequence[Objective]) -> tuple[Solution, Array]
     solution, totals = run.integrals(objectives, differentiated=False)
     states = states_of(solution)
     return solution, np.array([each.value(run.system, states, totals) for each in objectives])
-
-
-def _with_columns(
-    run: Run, solution: Solution, columns: Sequence[Sequence[Array]], outcomes: Sequence[Outcome]
-) -> Solution:
-    """Attach derivatives (q_b, v_b, a_b, lam_b), one column per design variable.
-
-    Everything is cut to the shortest column; the outcome is that of the run that ended first.
-    """
-    rows = min([len(solution.t), *(len(column[0]) for column in columns)])
-    cut = {name: getattr(solution, name)[:rows] for name in ("t", *_STATES)}
-    parts = [np.zeros((*cut[name].shape, len(columns))) for name in _STATES]
-    for i, column in enumerate(columns):
-        for part, x_b in zip(parts, column, strict=True):
-            part[..., i] = x_b[:rows]
-    return replace(
-        solution,
-        **cut,
-        outcome=min(outcomes, key=lambda outcome: outcome.step),
-        sensitivities=Sensitivities(run.system.design_names, run.system.b, *parts),
-    )
