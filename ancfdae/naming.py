@@ -175,7 +175,8 @@ class PointVector:
     def of(self, states: Array, d: int) -> Array:
         """Return the vector in states of shape (..., n_q), shape (..., d)."""
         X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
-        return np.asarray(np.einsum("a,...ad->...d", self.weights, X))
+        result: Array = np.einsum("a,...ad->...d", self.weights, X)
+        return result
 
 
 def vector_weights(
@@ -183,8 +184,18 @@ def vector_weights(
 ) -> tuple[Array, Array]:
     """Weights of the node vectors in a vector of a material point, and their length derivative.
 
-    The point is at xi, y, z in an element of this length, an array of shape (); the weights have
-    shape (n_a,).
+    Parameters
+    ----------
+    element : BeamElement
+    quantity : Quantity
+    xi, y, z : float
+        Place in the element.
+    length : array, shape ()
+        Element length.
+
+    Returns
+    -------
+    s, s_l : array, shape (n_a,)
     """
     # Unit height and width, so that the reference coordinates eta and zeta are y and z.
     parameters = np.ones((1, 6), dtype=np.result_type(length, float))

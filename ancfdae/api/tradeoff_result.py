@@ -183,19 +183,18 @@ class Tradeoff:
         """
         return plotting.save(plotting.draw(self.panels(), columns=2), Path(path))
 
-    def panels(self, title: str = "") -> list[Panel]:
-        """Return the panels of `plot`, for figures of your own; `title` precedes their titles."""
-        named = {"states": "error of the states", "gradient": "error of the gradient"}
+    def panels(self) -> list[Panel]:
+        """Return the panels of `plot`, for figures of your own."""
         return [
             Panel(
-                f"{title}{name}" if title else name.capitalize(),
+                f"Error of the {of}",
                 "processor time [s]",
                 "relative error [-]",
                 self._series(of),
                 x_scale="log",
                 y_scale="log",
             )
-            for of, name in named.items()
+            for of in ("states", "gradient")
         ]
 
     def _series(self, of: str) -> list[Series]:
