@@ -344,17 +344,11 @@ class JointConstraints:
 
     # -- start: rates and their total derivatives, one instant -----------------------------------
 
-    def constraint_q_rate(self, v: Array, t: float) -> Array:
-        """Values of dPhi_q/dt."""
-        return self._rate_values(v, t, 1)
-
-    def constraint_q_second_rate(self, a: Array, t: float) -> Array:
-        """Values of d^2 Phi_q/dt^2."""
-        return self._rate_values(a, t, 2)
-
-    def constraint_q_third_rate(self, jerk: Array, t: float) -> Array:
-        """Values of d^3 Phi_q/dt^3."""
-        return self._rate_values(jerk, t, 3)
+    def constraint_q_rate(self, x: Array, t: float, order: int) -> Array:
+        """Values of the time derivative of Phi_q of this order, 1 to 3; x is that of q."""
+        # Bilinear entries at x, linear ones differentiated.
+        rate = _Values(self._at(t, order).a, self._at(t).s, self._at(t).offset)
+        return self._to_values(self._raw(rate, self._U(x)))
 
     def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
@@ -364,33 +358,23 @@ class JointConstraints:
         """Design partial of mu . (dPhi_q^T/dt) lam with everything else held, shape (n_b,)."""
         return self._partial(lambda moved: mu @ moved.constraint_force_rate(v, v, lam, t), ())
 
-    def velocity_side(self, q: Array, t: float) -> Array:
-        """-Phi_t."""
-        return self._side(t, q)
+    def side(self, t: float, *states: Array) -> Array:
+        """Right side of Phi_q v, Phi_q a or Phi_q q''', by how many of q, v and a are given.
 
-    def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
-        """Total design derivative of `velocity_side`."""
-        return self._side_total(t, (q,), (q_b,))
+        -Phi_t; -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt; the third is S of the theory.
+        """
+        if self._simple:
+            return np.zeros(self.n_lam)
+        order = len(states)
+        U = self._vectors.of(np.stack(states))
+        return self._sides(order)(self._series(t, order + 1), *U)
 
-    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
-        """-(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
-        return self._side(t, q, v)
-
-    def acceleration_side_total(
-        self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
-    ) -> Array:
-        """Total design derivative of `acceleration_side`."""
-        return self._side_total(t, (q, v), (q_b, v_b))
-
-    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Right side of Phi_q q''' = S."""
-        return self._side(t, q, v, a)
-
-    def jerk_side_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Total design derivative of `jerk_side`."""
-        return self._side_total(t, (q, v, a), (q_b, v_b, a_b))
+    def side_total(self, t: float, states: tuple[Array, ...], states_b: tuple[Array, ...]) -> Array:
+        """Total design derivative of `side`."""
+        if self._simple:
+            return np.zeros((self.n_lam, self._n_b))
+        order = len(states)
+        return self._total(self._sides(order), t, order + 1, states, states_b)
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of Phi_q x with x held."""
@@ -430,11 +414,6 @@ class JointConstraints:
         to_i, to_j = _flat(s * U[..., self._s_j, :]), _flat(s * U[..., self._s_i, :])
         return np.concatenate([a, to_i, to_j], axis=-1)
 
-    def _rate_values(self, x: Array, t: float, order: int) -> Array:
-        """Bilinear entries at the time derivative x of q, linear ones differentiated."""
-        rate = _Values(self._at(t, order).a, self._at(t).s, self._at(t).offset)
-        return self._to_values(self._raw(rate, self._U(x)))
-
     def _raw_rate(self, series: Sequence[_Values], V: Array) -> Array:
         """Time derivative of `_raw`."""
         return self._raw(_Values(series[1].a, series[0].s, series[1].offset), V)
@@ -468,21 +447,6 @@ class JointConstraints:
     def _sides(self, order: int) -> Callable[..., Array]:
         """Right side of Phi_q times the time derivative of q of this order."""
         return (self._velocity_side, self._acceleration_side, self._jerk_side)[order - 1]
-
-    def _side(self, t: float, *states: Array) -> Array:
-        if self._simple:
-            return np.zeros(self.n_lam)
-        order = len(states)
-        U = self._vectors.of(np.stack(states))
-        return self._sides(order)(self._series(t, order + 1), *U)
-
-    def _side_total(
-        self, t: float, states: tuple[Array, ...], states_b: tuple[Array, ...]
-    ) -> Array:
-        if self._simple:
-            return np.zeros((self.n_lam, self._n_b))
-        order = len(states)
-        return self._total(self._sides(order), t, order + 1, states, states_b)
 
     def _rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Time derivative of Phi, of the order of the number of rates."""
