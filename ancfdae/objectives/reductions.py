@@ -16,7 +16,7 @@ from typing import Any, cast, final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, require_finite, require_kind, require_positive
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.objectives.objective import (
     NO_TOTALS,
@@ -146,9 +146,9 @@ class OverTime(Reduction):
     def integrand(self, x: Array, near: float) -> Array:
         """Return what is integrated: the reduction near a value of it, but for a constant."""
 
-    @abc.abstractmethod
     def integrand_slope(self, x: Array, near: float) -> Array:
-        """Return the derivative of `integrand` in x."""
+        """Return the derivative of `integrand` in x, for real x."""
+        return np.asarray(self.integrand(x + 1j * STEP, near).imag / STEP)
 
     def slopes(self, x: Array, w: Array) -> Array:
         """Weights times the derivative of the integrand at the reduction."""
@@ -178,10 +178,6 @@ class Integral(OverTime):
     def integrand(self, x: Array, near: float) -> Array:
         """Return x."""
         return x
-
-    def integrand_slope(self, x: Array, near: float) -> Array:
-        """One."""
-        return np.ones_like(x)
 
 
 @final
@@ -268,9 +264,5 @@ class SmoothMaximum(OverTime):
         return 1.0 / duration
 
     def integrand(self, x: Array, near: float) -> Array:
-        """exp(k (x - near)) / k."""
-        return self.integrand_slope(x, near) / self.sharpness
-
-    def integrand_slope(self, x: Array, near: float) -> Array:
-        """exp(k (x - near)): at the smooth maximum its mean is one."""
-        return np.asarray(np.exp(self.sharpness * (x - near)))
+        """exp(k (x - near)) / k: at the smooth maximum the mean of its slope is one."""
+        return np.asarray(np.exp(self.sharpness * (x - near)) / self.sharpness)
