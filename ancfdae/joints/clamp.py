@@ -37,7 +37,7 @@ class Clamp(Joint):
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """U_i - U_i(reference)."""
         n, d = reference.shape
-        c = empty_coefficients(n * d, n, d, reference.dtype)
+        c = empty_coefficients(n * d, p, reference)
         rows, axes = np.arange(n * d), np.arange(n * d) % d
         c.linear[rows, rows // d, axes] = 1.0
         c.offset[:] = reference.ravel()

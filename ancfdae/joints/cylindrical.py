@@ -29,7 +29,7 @@ class Cylindrical(AxisJoint):
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """Two equations across the axis and two perpendicularities."""
         count, (axis, ground) = len(self.points), self.split(p)
-        c = empty_coefficients(4, len(reference), 3, np.result_type(p, reference))
+        c = empty_coefficients(4, p, reference)
         for row, direction in enumerate(across(axis)):
             if count == 1:
                 c.linear[row, 0] = direction

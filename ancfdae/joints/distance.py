@@ -46,8 +46,7 @@ class Distance(Joint):
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """(|U_0 - U_1|^2 / L - L) / 2."""
-        n, d = reference.shape
-        c = empty_coefficients(1, n, d, np.result_type(p, reference))
+        n, c = len(reference), empty_coefficients(1, p, reference)
         L, ground = self.split(p)
         c.bilinear[0] = np.array([[1, -1], [-1, 1]])[:n, :n] / L
         c.offset[0] = L / 2

@@ -48,8 +48,7 @@ class Drive(Joint):
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """n(t) and its derivatives, with c = (cos, sin) and s = (-sin, cos) in the (u, w) plane."""
-        n, d = reference.shape
-        c = empty_coefficients(1, n, d, np.result_type(p, reference))
+        c = empty_coefficients(1, p, reference)
         law, axis = self.split(p)
         u, w = self._plane(reference[0], axis)
         theta, theta_1, theta_2, theta_3 = self.angle.derivatives(law, t)
@@ -118,8 +117,7 @@ class Guide(Joint):
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """Direction . (r - r_o) - x(t)."""
-        n, d = reference.shape
-        c = empty_coefficients(1, n, d, np.result_type(p, reference))
+        c = empty_coefficients(1, p, reference)
         direction, law = self.split(p)
         c.offset[0] = self.travel.derivatives(law, t)[order]
         if order == 0:

@@ -73,13 +73,11 @@ class Joint(Part):
         """
 
 
-def empty_coefficients(rows: int, vectors: int, d: int, dtype: np.dtype) -> Coefficients:
-    """Return coefficients of zeros, to be filled by a joint."""
-    return Coefficients(
-        np.zeros((rows, vectors, d), dtype=dtype),
-        np.zeros((rows, vectors, vectors), dtype=dtype),
-        np.zeros(rows, dtype=dtype),
-    )
+def empty_coefficients(rows: int, p: Array, reference: Array) -> Coefficients:
+    """Return coefficients of zeros for this number of equations, to be filled by a joint."""
+    (n, d), dtype = reference.shape, np.result_type(p, reference)
+    linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
+    return Coefficients(linear, bilinear, np.zeros(rows, dtype))
 
 
 def place_coincidence(c: Coefficients, count: int, reference: Array, ground: Array | None) -> None:

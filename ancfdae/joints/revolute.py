@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-import numpy as np
-
 from ancfdae.joints.axis_joint import AxisJoint, place_alignment
 from ancfdae.joints.joint import Coefficients, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
@@ -27,7 +25,7 @@ class Revolute(AxisJoint):
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """Coincidence and two perpendicularities."""
         count, (axis, ground) = len(self.points), self.split(p)
-        c = empty_coefficients(5, len(reference), 3, np.result_type(p, reference))
+        c = empty_coefficients(5, p, reference)
         place_coincidence(c, count, reference, ground)
         place_alignment(c, count, reference, axis)
         return c
