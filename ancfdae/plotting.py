@@ -60,26 +60,20 @@ _SETTINGS: Final[dict[str, object]] = {
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One curve or set of points.
+    """One curve or set of points; refused if there is nothing to see, or nothing to call it by.
 
     Parameters
     ----------
     label : str
         Name in the legend.
     x, y : array_like, shape (n,)
-        Coordinates; a pair with a value that is not finite leaves a gap.
-    line : bool
-        Connect the points.
-    marker : bool
-        Mark the points; at most about 15 marks where there is a line, all of them otherwise.
+        A pair with a value that is not finite leaves a gap.
+    line, marker : bool
+        Whether the points are connected, and marked: at most about 15 of them where there is a
+        line, all of them otherwise.
     dashed : bool or None
         Force a dashed (True) or solid (False) line; None chooses by the place of the label in the
         figure.
-
-    Raises
-    ------
-    InvalidInput
-        If there is nothing to see, or nothing to call it by.
     """
 
     label: str
@@ -117,23 +111,17 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with its series.
+    """One pair of axes with its series; refused if one of them has no point that shows.
 
     Parameters
     ----------
     title : str
-        What the panel shows.
     x_label, y_label : str
         Quantity and unit, for example ``"t [s]"``; ``[-]`` for a number without unit.
     series : sequence of Series
         At least one, each label once.
     x_scale, y_scale : {"linear", "log"}
         On a logarithmic axis points that are not positive leave gaps.
-
-    Raises
-    ------
-    InvalidInput
-        If a text or unit is missing, or a series has no point that its axes can show.
     """
 
     title: str
@@ -188,21 +176,9 @@ class Panel:
 
 
 def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
-    """Draw panels row by row into one figure with one legend below them.
+    """Draw panels row by row, `columns` beside each other, into one figure with one legend below.
 
-    Parameters
-    ----------
-    panels : sequence of Panel
-        At least one.
-    columns : int
-        Number of panels beside each other, at least 1.
-    title : str
-        Title of the whole figure; empty for none.
-
-    Raises
-    ------
-    InvalidInput
-        If there is no panel, or one label is asked to look differently in two panels.
+    Refused are no panels, and a label that is asked to look differently in two of them.
     """
     if not panels or columns < 1:
         raise InvalidInput(

@@ -43,18 +43,9 @@ class Task:
 class Results:
     """What a finished run gave.
 
-    Attributes
-    ----------
-    value : float
-    gradient : array, shape (n_b,)
-    q, lam : array, shape (k, n)
-        At the common times.
-    drift : array, shape (j, n_lam)
-        Constraints at instants of the run.
-    t, energy : array, shape (j,)
-        Total energy at these instants; empty for a system that is not a scene.
-    kinetic : float
-        Largest kinetic energy at these instants.
+    q and lam, (k, n), are those at the common times; `drift`, (j, n_lam), has the constraints at
+    the instants t of the run, `energy`, (j,), is the total one there, empty for a system that is
+    not a scene, and `kinetic` the largest kinetic one.
     """
 
     value: float

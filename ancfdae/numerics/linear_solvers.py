@@ -79,16 +79,10 @@ class _Storage(abc.ABC):
 
 @final
 class SaddlePoint:
-    """Saddle-point matrices of one system: constant pattern, numbering and scaling.
+    """Saddle-point matrices of one system: constant patterns of K and B, numbering and scaling.
 
-    Parameters
-    ----------
-    pattern, constraint_pattern : Pattern
-        Patterns of K and B.
-    weights : array, shape (n,)
-        Positive coordinate weights, usually the diagonal of the mass matrix.
-    constraint_values : array
-        Values of B at the start, from which the constraint rows are scaled.
+    The weights of the coordinates, (n,), are positive, usually the diagonal of the mass matrix;
+    the rows of constraints are scaled by the values of B at the start.
     """
 
     def __init__(
@@ -115,12 +109,9 @@ class SaddlePoint:
         return next(self.factor_each(K[None], B[None]))
 
     def factor_each(self, K: Array, B: Array) -> Iterator[Factorization]:
-        """Factorise a sequence of matrices, given as rows of values; as they are asked for.
+        """Factorise matrices, given as rows of values, as they are asked for.
 
-        Raises
-        ------
-        SingularMatrix
-            If a matrix that is asked for is singular to working precision or not finite.
+        Raises SingularMatrix for one that is singular to working precision or not finite.
         """
         # Written row by row: matrices may come as columns in memory.
         n, m = K.shape[1], B.shape[1]

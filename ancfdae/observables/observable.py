@@ -115,12 +115,8 @@ class Observable(Expression["Observable"]):
     ) -> ObservablePartials:
         """Return the partials times a weight per instant, shape (k,).
 
-        `values` are those of all nodes at these states, from `node_values`.
-
-        Raises
-        ------
-        InvalidInput
-            If the states are complex, or a user's function turns out not to be differentiable.
+        `values` are those of all nodes at these states, from `node_values`. Refused are complex
+        states, and a user's function that turns out not to be differentiable.
         """
         if any(np.iscomplexobj(x) for x in values.values()):
             raise InvalidInput(
@@ -171,12 +167,7 @@ def observe(
 ) -> Array:
     """Return the values of an observable along a solution, shape (n_t,).
 
-    Parameters
-    ----------
-    observable : Observable
-    solution : Solution
-    system : MechanicalSystem, optional
-        The system that was integrated; for energies, design variables and `custom` functions.
+    Energies, design variables and `custom` functions need the system that was integrated.
 
     Raises
     ------

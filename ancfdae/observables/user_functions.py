@@ -51,14 +51,9 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
 def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
     """Return a function H(t, q, v, lam, b) of your own, for any mechanical system.
 
-    Parameters
-    ----------
-    function : callable
-        Takes t (k,), q (k, n_q), v (k, n_q), lam (k, n_lam) and b (n_b,) and returns an array
-        (k,), instant by instant and with operations that accept complex numbers. Its partials
-        take one evaluation per coordinate, velocity, multiplier and design variable.
-    name : str
-        Used in messages.
+    It takes t (k,), q (k, n_q), v (k, n_q), lam (k, n_lam) and b (n_b,) and returns an array (k,),
+    instant by instant and with operations that accept complex numbers. Its partials take one
+    evaluation per coordinate, velocity, multiplier and design variable. Messages use the name.
     """
     return Custom(function, name)
 

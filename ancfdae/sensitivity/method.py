@@ -46,7 +46,6 @@ class Gradient:
     names : tuple of str
         Names of the design variables.
     method : GradientMethod
-        How it was computed.
     solution : Solution
         The run at the design.
     """
