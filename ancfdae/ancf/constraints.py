@@ -15,6 +15,7 @@ ingredients; docs/theory.md, section 3, lists them.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -346,9 +347,7 @@ class JointConstraints:
 
     def constraint_q_rate(self, x: Array, t: float, order: int) -> Array:
         """Values of the time derivative of Phi_q of this order, 1 to 3; x is that of q."""
-        # Bilinear entries at x, linear ones differentiated.
-        rate = _Values(self._at(t, order).a, self._at(t).s, self._at(t).offset)
-        return self._to_values(self._raw(rate, self._U(x)))
+        return self._to_values(self._raw_rate([self._at(t), self._at(t, order)], self._U(x)))
 
     def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
@@ -365,16 +364,13 @@ class JointConstraints:
         """
         if self._simple:
             return np.zeros(self.n_lam)
-        order = len(states)
-        U = self._vectors.of(np.stack(states))
-        return self._sides(order)(self._series(t, order + 1), *U)
+        return self._side(self._series(t, len(states) + 1), *self._vectors.of(np.stack(states)))
 
     def side_total(self, t: float, states: tuple[Array, ...], states_b: tuple[Array, ...]) -> Array:
         """Total design derivative of `side`."""
         if self._simple:
             return np.zeros((self.n_lam, self._n_b))
-        order = len(states)
-        return self._total(self._sides(order), t, order + 1, states, states_b)
+        return self._total(self._side, t, len(states) + 1, states, states_b)
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of Phi_q x with x held."""
@@ -415,7 +411,7 @@ class JointConstraints:
         return np.concatenate([a, to_i, to_j], axis=-1)
 
     def _raw_rate(self, series: Sequence[_Values], V: Array) -> Array:
-        """Time derivative of `_raw`."""
+        """Time derivative of `_raw`: bilinear entries at that of U, linear ones differentiated."""
         return self._raw(_Values(series[1].a, series[0].s, series[1].offset), V)
 
     def _jacobian_times(self, series: Sequence[_Values], U: Array, X: Array) -> Array:
@@ -430,30 +426,22 @@ class JointConstraints:
         products = np.sum(U[..., i, :] * V[..., j, :] + V[..., i, :] * U[..., j, :], axis=-1)
         return self._s_row_map.rows(c.s * products)
 
-    def _velocity_side(self, series: Sequence[_Values], U: Array) -> Array:
-        return series[1].offset - self._linear(series[1], U)
-
-    def _acceleration_side(self, series: Sequence[_Values], U: Array, V: Array) -> Array:
-        moving = self._product(series[0], V, V) + 2 * self._linear(series[1], V)
-        side: Array = series[2].offset - moving - self._linear(series[2], U)
+    def _side(self, series: Sequence[_Values], *X: Array) -> Array:
+        """Leibniz' rule for the n-th time derivative of Phi without Phi_q q^(n); X_k is U^(k)."""
+        n = len(X)
+        side = series[n].offset
+        for k in range(1, n + 1):
+            side = side - math.comb(n, k) * self._linear(series[k], X[n - k])
+        for j in range(1, n // 2 + 1):
+            share = math.comb(n, j) / (2 if 2 * j == n else 1)
+            side = side - share * self._product(series[0], X[j], X[n - j])
         return side
-
-    def _jerk_side(self, series: Sequence[_Values], U: Array, V: Array, Z: Array) -> Array:
-        moving = self._product(series[0], V, Z) + self._linear(series[1], Z)
-        moving = moving + self._linear(series[2], V)
-        side: Array = series[3].offset - 3 * moving - self._linear(series[3], U)
-        return side
-
-    def _sides(self, order: int) -> Callable[..., Array]:
-        """Right side of Phi_q times the time derivative of q of this order."""
-        return (self._velocity_side, self._acceleration_side, self._jerk_side)[order - 1]
 
     def _rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Time derivative of Phi, of the order of the number of rates."""
-        order, (U, *V) = len(rates), self._vectors.of(np.stack([q, *rates]))
-        series = self._series(t, order + 1)
-        side = self._sides(order)(series, U, *V[:-1])
-        return self._jacobian_times(series, U, V[-1]) - side
+        U, *V = self._vectors.of(np.stack([q, *rates]))
+        series = self._series(t, len(V) + 1)
+        return self._jacobian_times(series, U, V[-1]) - self._side(series, U, *V[:-1])
 
     def _total(
         self,
