@@ -260,13 +260,15 @@ def _draw_panel(
 ) -> None:
     """Draw one panel; note in `entries` the first line of each label for the legend."""
     axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
-    axes.set_xscale(panel.x_scale, **_gaps(panel.x_scale))
-    axes.set_yscale(panel.y_scale, **_gaps(panel.y_scale))
+    # A logarithmic axis leaves out what it cannot show instead of moving it.
+    if panel.x_scale == "log":
+        axes.set_xscale("log", nonpositive="mask")
+        axes.xaxis.set_minor_formatter(partial(_between_powers, axes.xaxis))
+    if panel.y_scale == "log":
+        axes.set_yscale("log", nonpositive="mask")
+        axes.yaxis.set_minor_formatter(partial(_between_powers, axes.yaxis))
     for series in panel.series:
         entries.setdefault(series.label, _draw_series(axes, series, places[series.label]))
-    for axis, scale in ((axes.xaxis, panel.x_scale), (axes.yaxis, panel.y_scale)):
-        if scale == "log":
-            axis.set_minor_formatter(partial(_between_powers, axis))
 
 
 def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
@@ -277,11 +279,6 @@ def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
     if high > 100 * low or digit not in (2, 5):
         return ""
     return rf"$\mathdefault{{{digit}\times10^{{{exponent}}}}}$"
-
-
-def _gaps(scale: Scale) -> dict[str, str]:
-    """Ask a logarithmic axis to leave out what it cannot show instead of moving it."""
-    return {"nonpositive": "mask"} if scale == "log" else {}
 
 
 def _draw_series(axes: Axes, series: Series, place: int) -> Line2D:
