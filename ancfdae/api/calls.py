@@ -185,10 +185,6 @@ def as_system(
         return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
     if design is not None and len(design):
-        raise InvalidInput(
-            "design",
-            "a mechanical system brings its own design variables",
-            repr(design),
-            "Leave it out.",
-        )
+        rule, repair = "a mechanical system brings its own design variables", "Leave it out."
+        raise InvalidInput("design", rule, repr(design), repair)
     return model

@@ -132,12 +132,8 @@ def _answer(submitted: Future[Measurement] | BrokenExecutor) -> Measurement:
 
 def _required(reference: Measurement) -> Results:
     if reference.results is None:
-        raise InvalidInput(
-            "reference",
-            "must finish and give a gradient",
-            reference.outcome,
-            "Loosen it, or take another integrator.",
-        )
+        rule, repair = "must finish and give a gradient", "Loosen it, or take another integrator."
+        raise InvalidInput("reference", rule, reference.outcome, repair)
     return reference.results
 
 

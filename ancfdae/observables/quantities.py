@@ -164,10 +164,6 @@ class Design(Leaf):
 
 def _ancf(system: Named) -> AncfSystem:
     if not isinstance(system, AncfSystem):
-        raise InvalidInput(
-            "energy",
-            "needs the assembled scene",
-            type(system).__name__,
-            "Pass assemble(scene, design).",
-        )
+        rule, repair = "needs the assembled scene", "Pass assemble(scene, design)."
+        raise InvalidInput("energy", rule, type(system).__name__, repair)
     return system

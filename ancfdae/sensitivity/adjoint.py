@@ -28,12 +28,8 @@ class Adjoint(GradientMethod):
         """One run for all objectives, one transposed pass for each."""
         system, integrator = run.system, run.integrator
         if not isinstance(integrator, AdjointIntegrator):
-            raise InvalidInput(
-                "Adjoint",
-                "needs an integrator with an adjoint",
-                repr(integrator),
-                "Use HHT or IDAS, or Direct().",
-            )
+            rule, repair = "needs an integrator with an adjoint", "Use HHT or IDAS, or Direct()."
+            raise InvalidInput("Adjoint", rule, repr(integrator), repair)
         solution, totals = run.integrals(objectives, differentiated=True)
         results = []
         # The pass back over a run of HHT factorises once per step.

@@ -106,12 +106,8 @@ class FiniteDifference(Perturbation):
     def __post_init__(self) -> None:
         require_positive("FiniteDifference.relative_step", self.relative_step)
         if self.relative_step >= 1:
-            raise InvalidInput(
-                "FiniteDifference.relative_step",
-                "must be below 1",
-                self.relative_step,
-                "0.01 perturbs by one per cent.",
-            )
+            rule, repair = "must be below 1", "0.01 perturbs by one per cent."
+            raise InvalidInput("FiniteDifference.relative_step", rule, self.relative_step, repair)
 
     def check(self, run: Run) -> None:
         """Refuse a design variable of zero, which a relative perturbation does not change."""
