@@ -18,8 +18,6 @@ from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.text import columns
 
-_BREAKS = {KeyboardInterrupt: Verdict.INTERRUPTED, SingularMatrix: Verdict.SINGULAR}
-
 
 @final
 class UnfinishedRun(AncfdaeError):
@@ -144,7 +142,8 @@ def keeping(solution: Solution) -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, SingularMatrix, PassFailed) as error:
-        verdict = error.verdict if isinstance(error, PassFailed) else _BREAKS[type(error)]
+        verdict = Verdict.SINGULAR if isinstance(error, SingularMatrix) else Verdict.INTERRUPTED
+        verdict = error.verdict if isinstance(error, PassFailed) else verdict
         outcome = replace(solution.outcome, verdict=verdict)
         raise UnfinishedRun(replace(solution, outcome=outcome)) from error
 
