@@ -37,7 +37,14 @@ from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT
 from ancfdae.integrators.hht.equations import acceleration, correct, predict
 from ancfdae.integrators.index_1 import Accelerations
-from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start, saddle_point
+from ancfdae.integrators.start import (
+    Covectors,
+    consistent_start,
+    pull_back_start,
+    saddle_point,
+    solve,
+    solve_transposed,
+)
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.objectives import Objective, ObjectivePartials
@@ -149,16 +156,15 @@ class _BackwardRun:
         self._coefficients(t)
 
     def _coefficients(self, t: Array) -> None:
-        """K and C of every instant, transposed; C is None where it vanishes."""
-        f_v = self._local.f_v
-        self._K, self._C, self._M_t = self._local.f_q, f_v, None
-        if f_v is not None:
-            self._K = self._K - np.gradient(f_v, t, axis=0, edge_order=2)
+        """P = f_v - M', K = f_q - P' and C = P - M' of every instant, transposed; None for zero."""
+        self._P = self._C = self._local.f_v
         if not self._system.constant_mass:
             M_t = np.gradient(self._local.M, t, axis=0, edge_order=2)
-            self._K = self._K + np.gradient(M_t, t, axis=0, edge_order=2)
-            self._C = -2 * M_t if f_v is None else f_v - 2 * M_t
-            self._M_t = M_t
+            self._P = -M_t if self._P is None else self._P - M_t
+            self._C = self._P - M_t
+        self._K = self._local.f_q
+        if self._P is not None:
+            self._K = self._K - np.gradient(self._P, t, axis=0, edge_order=2)
 
     def _mass(self, n: int) -> Array:
         M: Array = self._local.M[0 if self._system.constant_mass else n]
@@ -167,10 +173,9 @@ class _BackwardRun:
     def gradient(self) -> Array:
         """Eq. (42)."""
         system, s = self._system, self._solution
-        end, epsilon, gamma = self._end()
+        state, epsilon, gamma = self._end()
         mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)
-        state = end
-        mu[-1], zeta[-1] = end.mu, end.zeta
+        mu[-1], zeta[-1] = state.mu, state.zeta
         for n in range(len(s.t) - 2, -1, -1):
             state = self._step(state, n)
             mu[n], zeta[n] = state.mu, state.zeta
@@ -184,43 +189,36 @@ class _BackwardRun:
     def _density(self, rows: Array | None, n: int) -> Array:
         if rows is None:
             return np.zeros((len(self._w), n))
-        density: Array = rows / self._w[:, None]
-        return density
+        return np.asarray(rows / self._w[:, None])
 
     def _end(self) -> tuple[_Adjoint, Array, Array]:
         """Adjoint variables at t_2 with epsilon and gamma (eqs. 38-41)."""
         system, s, (first, _) = self._system, self._solution, self._end_rates
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
-        n_q = system.n_q
         factors = self._matrices.factor(self._mass(-1), self._local.Phi_q[-1])
-        x = factors.solve(np.concatenate([np.zeros(n_q), self._H_lam[-1]]))
-        mu, epsilon = x[:n_q], x[n_q:]
+        mu, epsilon = solve(factors, np.zeros(system.n_q), self._H_lam[-1])
         force = system.constraint_force_rate(q, v, epsilon, t) - self._H_v[-1]
-        if self._local.f_v is not None:
-            force = force + system.pattern.dot_transposed(self._local.f_v[-1], mu)
-        if self._M_t is not None:
-            force = force - system.pattern.dot_transposed(self._M_t[-1], mu)
+        if self._P is not None:
+            force = force + system.pattern.dot_transposed(self._P[-1], mu)
         products = np.array(
             [system.constraint_pattern.dot(row, mu) for row in self._local.Phi_q[-4:]]
         )
         rate = first @ self._H_lam[-3:]
         # (Phi_q)' mu with mu held, from Phi_q at the last instants.
         turning = first @ products[-3:]
-        x = factors.solve(np.concatenate([force, rate - turning]))
-        mu_t, gamma = x[:n_q], -x[n_q:]
-        return self._accelerated(mu, -mu_t, products, factors), epsilon, gamma
+        mu_t, minus_gamma = solve(factors, force, rate - turning)
+        return self._accelerated(mu, -mu_t, products, factors), epsilon, -minus_gamma
 
     def _accelerated(
         self, mu: Array, mu_tau: Array, products: Array, factors: Factorization
     ) -> _Adjoint:
         """Complete the end state by (36) and the second time derivative of (37)."""
-        (first, second), n_q = self._end_rates, self._system.n_q
+        first, second = self._end_rates
         pattern, Phi_q = self._system.constraint_pattern, self._local.Phi_q
         moving = np.array([pattern.dot(row, -mu_tau) for row in Phi_q[-3:]])
         side = second @ (self._H_lam[-4:] - products) - 2 * (first @ moving)
-        free = self._forces(-1, mu, mu_tau)
-        x = factors.solve(np.concatenate([-free, side]))
-        return _Adjoint(mu, mu_tau, x[:n_q], x[n_q:], x[:n_q])
+        x, zeta = solve(factors, -self._forces(-1, mu, mu_tau), side)
+        return _Adjoint(mu, mu_tau, x, zeta, x)
 
     def _forces(self, n: int, mu: Array, mu_tau: Array) -> Array:
         """K mu + C mu_tau - r."""
@@ -230,7 +228,7 @@ class _BackwardRun:
 
     def _step(self, before: _Adjoint, n: int) -> _Adjoint:
         """One step of HHT-I3 from t_{n+1} to t_n."""
-        system, c, n_q = self._system, self._steps.of(n + 1), self._system.n_q
+        system, c = self._system, self._steps.of(n + 1)
         scale = 1 + c.alpha
         M = self._mass(n)
         # As `rescaled`: the step before this one, in reversed time, may be of another size.
@@ -243,9 +241,9 @@ class _BackwardRun:
             K = K + (c.gamma * c.h) * self._C[n]
         memory = system.pattern.dot(M, (c.alpha / scale) * before.A)
         side = self._H_lam[n] - system.constraint_pattern.dot(self._local.Phi_q[n], mu_p)
-        right = np.concatenate([-memory - self._forces(n, mu_p, tau_p), side / (c.beta * c.h**2)])
-        solved = self._matrices.factor(K, self._local.Phi_q[n]).solve_transposed(right)
-        x, zeta = solved[:n_q], solved[n_q:]
+        force, side = -memory - self._forces(n, mu_p, tau_p), side / (c.beta * c.h**2)
+        factors = self._matrices.factor(K, self._local.Phi_q[n])
+        x, zeta = solve_transposed(factors, force, side)
         mu, mu_tau = correct(c, mu_p, tau_p, x)
         return _Adjoint(mu, mu_tau, x, zeta, acceleration(c, x, before.A))
 
@@ -255,10 +253,8 @@ class _BackwardRun:
         initial = consistent_start(system, self._matrices, 0.0)
         dot = system.pattern.dot_transposed
         on_q = self._H_v[0] - dot(self._mass(0), first.mu_tau)
-        if self._M_t is not None:
-            on_q = on_q + dot(self._M_t[0], first.mu)
-        if self._local.f_v is not None:
-            on_q = on_q - dot(self._local.f_v[0], first.mu)
+        if self._P is not None:
+            on_q = on_q - dot(self._P[0], first.mu)
         on_v, none = dot(self._mass(0), first.mu), np.zeros(system.n_q)
         on = Covectors(-on_q, on_v, none, np.zeros(system.n_lam), np.zeros(system.n_b))
         return pull_back_start(system, self._matrices, initial, on)
