@@ -12,8 +12,7 @@ from ancfdae.bodies import Point, Quantity
 from ancfdae.design import numbers
 from ancfdae.elements import BeamElement
 from ancfdae.errors import require_vector
-from ancfdae.loads.load import Load
-from ancfdae.loads.rates import direction, direction_rate, dot
+from ancfdae.loads.load import Load, direction, direction_rate, dot
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
