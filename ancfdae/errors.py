@@ -38,10 +38,7 @@ class InvalidInput(AncfdaeError, ValueError):
 
     def __init__(self, where: str, rule: str, got: object, repair: str) -> None:
         super().__init__(f"{where}: {rule}; got {got}. {repair}")
-        self.where = where
-        self.rule = rule
-        self.got = got
-        self.repair = repair
+        self.where, self.rule, self.got, self.repair = where, rule, got, repair
 
 
 @final
@@ -88,13 +85,7 @@ class Verdict(Enum):
 
 @final
 class PassFailed(AncfdaeError):
-    """A pass over a finished run that broke off; caught and turned into an outcome.
-
-    Attributes
-    ----------
-    verdict : Verdict
-        Why.
-    """
+    """A pass over a finished run that broke off; caught and turned into an outcome."""
 
     def __init__(self, verdict: Verdict) -> None:
         super().__init__(verdict.value)
@@ -104,16 +95,13 @@ class PassFailed(AncfdaeError):
 @final
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended and where.
+    """How a run ended, at which time, and after how many accepted steps.
 
-    Parameters
+    Attributes
     ----------
     verdict : Verdict
-        The kind of ending.
     time : float
-        Time reached, in the scene's unit of time.
     step : int
-        Number of steps accepted.
     residual : float
         Size of the last Newton correction relative to the motion, for integrators other than HHT
         of the residual of the equations in their scales (dimensionless); zero when the run
@@ -141,12 +129,7 @@ class Outcome:
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:
-    """Refuse an object that is of none of the given classes.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Raise InvalidInput for an object that is of none of the given classes."""
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
         raise InvalidInput(where, f"must be of type {names}", repr(value), repair)
@@ -155,12 +138,7 @@ def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str
 def require_sequence(
     where: str, value: object, rule: str = "must be a sequence", repair: str = "Put it in a list."
 ) -> tuple[Any, ...]:
-    """Return the entries of a sequence; refuse what has none.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Return the entries of a sequence; raise InvalidInput for what has none."""
     try:
         # An iterator has no length: it could be read only once.
         return tuple(value) if len(value) else ()  # type: ignore[arg-type]
@@ -169,13 +147,9 @@ def require_sequence(
 
 
 def require_finite(where: str, value: object, repair: str = "Give a finite number.") -> None:
-    """Refuse a value that is not a finite real number.
+    """Raise InvalidInput for what is no finite real number.
 
-    Raises
-    ------
-    InvalidInput
-        If `value` is not a real number (a truth value is none), is NaN, is infinite or does not
-        fit a float.
+    A truth value is none, nor is an integer that does not fit a float.
     """
     try:
         is_number = isinstance(value, int | float | np.integer | np.floating)
@@ -187,39 +161,21 @@ def require_finite(where: str, value: object, repair: str = "Give a finite numbe
 
 
 def require_count(where: str, value: object, repair: str) -> None:
-    """Refuse a value that is not a positive whole number.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Raise InvalidInput for a value that is not a positive whole number."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < 1:  # type: ignore[operator]
         raise InvalidInput(where, "must be a positive integer", repr(value), repair)
 
 
 def require_positive(where: str, value: float) -> None:
-    """Refuse a value that is not a finite positive number.
-
-    Raises
-    ------
-    InvalidInput
-        If `value` is not finite or not positive.
-    """
+    """Raise InvalidInput for a value that is not a finite positive number."""
     require_finite(where, value, "Give a positive number.")
     if value <= 0:
         raise InvalidInput(where, "must be positive", repr(value), "Give a positive number.")
 
 
 def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
-    """Refuse anything but a vector of finite numbers with an allowed number of components.
-
-    Raises
-    ------
-    InvalidInput
-        If `value` is no sequence, the number of components is not in `sizes` or a component is
-        not finite.
-    """
+    """Raise InvalidInput for anything but finite numbers, as many as one of `sizes`."""
     allowed = " or ".join(str(size) for size in sizes)
     rule, repair = f"must have {allowed} components", f"Give {allowed} numbers."
     components = require_sequence(where, value, rule, repair)
@@ -230,12 +186,7 @@ def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -
 
 
 def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
-    """Refuse anything but a vector, as in `require_vector`, that is not zero.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Raise InvalidInput for anything but a vector, as in `require_vector`, that is not zero."""
     require_vector(where, value, sizes)
     if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
         raise InvalidInput(where, "must not be zero", value, "Give a direction.")
@@ -244,12 +195,9 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
 def require_array(
     where: str, value: object, shape: tuple[int, ...] | None = None
 ) -> npt.NDArray[np.float64]:
-    """Return a copy as an array of floats; refuse what is none.
+    """Return a copy as an array of floats; raise InvalidInput for what is none.
 
-    Raises
-    ------
-    InvalidInput
-        If entries are no numbers or not finite, rows differ in length, or the shape is another.
+    So it does if entries are not finite, rows differ in length, or the shape is another.
     """
     try:
         array = np.asarray(value)

@@ -5,8 +5,9 @@ Plain numbers only, so that a saved solution can be read without its scene.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 
@@ -19,17 +20,9 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class BeamLayout:
-    """Place of a beam.
+    """Place of a beam: its first node, of d n_s coordinates, and its first element.
 
-    Attributes
-    ----------
-    name : str
-    first_node : int
-        Number of its first node; a node has d n_s coordinates.
-    first_element : int
-        Number of its first element.
-    fractions : tuple of float
-        Arc-length fraction of each node, from 0 to 1.
+    `fractions` has the arc-length fraction of each node, from 0 to 1.
     """
 
     name: str
@@ -43,13 +36,7 @@ class BeamLayout:
         return len(self.fractions) - 1
 
     def locate(self, fraction: float) -> tuple[int, float]:
-        """Element of the beam and its xi at an arc-length fraction.
-
-        Raises
-        ------
-        InvalidInput
-            If the fraction lies outside [0, 1].
-        """
+        """Element of the beam and its xi at an arc-length fraction; refuse one beyond [0, 1]."""
         if not 0.0 <= fraction <= 1.0:
             raise InvalidInput(
                 f"point of {self.name!r}",
@@ -84,15 +71,7 @@ class JointLayout:
 @final
 @dataclass(frozen=True)
 class Layout:
-    """Places of all beams and joints of a scene.
-
-    Attributes
-    ----------
-    element_name : str
-        Name of the element of all beams.
-    beams : tuple of BeamLayout
-    joints : tuple of JointLayout
-    """
+    """Places of all beams and joints of a scene, and the name of the element of all beams."""
 
     element_name: str
     beams: tuple[BeamLayout, ...]
@@ -114,28 +93,22 @@ class Layout:
         return sum(beam.element_count for beam in self.beams)
 
     def beam(self, name: str) -> BeamLayout:
-        """Return the beam of this name.
-
-        Raises
-        ------
-        UnknownName
-        """
-        for beam in self.beams:
-            if beam.name == name:
-                return beam
-        raise UnknownName("beam", name, (beam.name for beam in self.beams))
+        """Return the beam of this name, or raise UnknownName."""
+        return _named("beam", name, self.beams)
 
     def joint(self, name: str) -> JointLayout:
-        """Return the joint of this name.
+        """Return the joint of this name, or raise UnknownName."""
+        return _named("joint", name, self.joints)
 
-        Raises
-        ------
-        UnknownName
-        """
-        for joint in self.joints:
-            if joint.name == name:
-                return joint
-        raise UnknownName("joint", name, (joint.name for joint in self.joints))
+
+_Place = TypeVar("_Place", BeamLayout, JointLayout)
+
+
+def _named(kind: str, name: str, places: Sequence[_Place]) -> _Place:
+    for place in places:
+        if place.name == name:
+            return place
+    raise UnknownName(kind, name, (place.name for place in places))
 
 
 @final
@@ -143,13 +116,8 @@ class Layout:
 class Naming:
     """What turns coordinates into vectors of named points.
 
-    Attributes
-    ----------
-    layout : Layout
-    lengths : array, shape (n_elements,)
-        Element lengths.
-    lengths_b : array, shape (n_elements, n_b)
-        Their design derivatives; vectors of points between nodes depend on them.
+    Vectors of points between nodes depend on the lengths of elements, (n_elements,), and so on the
+    design through `lengths_b`, (n_elements, n_b).
     """
 
     layout: Layout
@@ -159,12 +127,7 @@ class Naming:
     def vector(self, point: Point, quantity: Quantity) -> PointVector:
         """Return how a vector of a material point is made of node vectors.
 
-        Raises
-        ------
-        UnknownName
-            If there is no such beam.
-        InvalidInput
-            If points of its element have no such vector.
+        Raises UnknownName for its beam, InvalidInput if points of its element have no such vector.
         """
         beam = self.layout.beam(point.beam)
         local, xi = beam.locate(point.fraction)
@@ -182,11 +145,6 @@ class Naming:
         """Return the integral of the position along the centre line of a beam.
 
         Per element int r dx = l (r_1 + r_2)/2 + l^2 (r_x1 - r_x2)/12.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such beam.
         """
         place, n_s = self.layout.beam(beam), self.layout.element.n_s
         count = place.element_count
@@ -208,13 +166,8 @@ class Naming:
 class PointVector:
     """A position or slope vector of a material point as a combination of node vectors.
 
-    Attributes
-    ----------
-    vectors : array of int, shape (n_a,)
-        Scene-wide numbers of the node vectors; vector k has the coordinates d k to d k + d - 1.
-    weights : array, shape (n_a,)
-    weights_b : array, shape (n_a, n_b)
-        Design derivatives of the weights.
+    `vectors`, (n_a,), has their numbers in the scene; vector k has the coordinates d k to
+    d k + d - 1. `weights` is (n_a,), with design derivatives (n_a, n_b).
     """
 
     vectors: Array

@@ -11,8 +11,8 @@ show both of their colours.
 
 import math
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -60,27 +60,20 @@ _SETTINGS: Final[dict[str, object]] = {
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One curve or set of points.
+    """One curve or set of points; refused if there is nothing to see, or nothing to call it by.
 
     Parameters
     ----------
     label : str
         Name in the legend.
     x, y : array_like, shape (n,)
-        Coordinates; a pair with a value that is not finite leaves a gap.
-    line : bool
-        Connect the points.
-    marker : bool
-        Mark the points; at most about 15 marks where there is a line, all of them otherwise.
+        A pair with a value that is not finite leaves a gap.
+    line, marker : bool
+        Whether the points are connected, and marked: at most about 15 of them where there is a
+        line, all of them otherwise.
     dashed : bool or None
         Force a dashed (True) or solid (False) line; None chooses by the place of the label in the
         figure.
-
-    Raises
-    ------
-    InvalidInput
-        If `x` and `y` are not real vectors of equal length with at least one finite pair, if the
-        label is empty or starts with an underscore, or if there is neither line nor marker.
     """
 
     label: str
@@ -92,20 +85,12 @@ class Series:
 
     def __post_init__(self) -> None:
         if not self.label.strip() or self.label.startswith("_"):
-            raise InvalidInput(
-                "Series.label",
-                "must be visible in the legend",
-                repr(self.label),
-                "Give it a name that does not start with an underscore.",
-            )
+            rule, repair = "must be visible in the legend", "Let it not start with an underscore."
+            raise InvalidInput("Series.label", rule, repr(self.label), repair)
         where = f"Series {self.label!r}"
         if not (self.line or self.marker):
-            raise InvalidInput(
-                where,
-                "must have a line or markers",
-                "neither",
-                "Set line=True or marker=True.",
-            )
+            repair = "Set line=True or marker=True."
+            raise InvalidInput(where, "must have a line or markers", "neither", repair)
         if not np.isfinite(self.points()).all(axis=0).any():
             raise InvalidInput(
                 where, "at least one point must be finite", "none", "Leave the series out."
@@ -126,24 +111,17 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with its series.
+    """One pair of axes with its series; refused if one of them has no point that shows.
 
     Parameters
     ----------
     title : str
-        What the panel shows.
     x_label, y_label : str
         Quantity and unit, for example ``"t [s]"``; ``[-]`` for a number without unit.
     series : sequence of Series
         At least one, each label once.
     x_scale, y_scale : {"linear", "log"}
         On a logarithmic axis points that are not positive leave gaps.
-
-    Raises
-    ------
-    InvalidInput
-        If a text is missing, a label has no unit, a scale is unknown, there is no series, a label
-        occurs twice, or a series has no point that its axes can show.
     """
 
     title: str
@@ -198,27 +176,9 @@ class Panel:
 
 
 def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
-    """Draw panels row by row into one figure with one legend below them.
+    """Draw panels row by row, `columns` beside each other, into one figure with one legend below.
 
-    Parameters
-    ----------
-    panels : sequence of Panel
-        At least one.
-    columns : int
-        Number of panels beside each other, at least 1.
-    title : str
-        Title of the whole figure; empty for none.
-
-    Returns
-    -------
-    Figure
-        To be passed to `save`.
-
-    Raises
-    ------
-    InvalidInput
-        If there is no panel, `columns` is below 1, or one label is asked to look differently in
-        two panels.
+    Refused are no panels, and a label that is asked to look differently in two of them.
     """
     if not panels or columns < 1:
         raise InvalidInput(
@@ -247,12 +207,7 @@ def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
     """Write a figure as SVG and PNG and return the two paths in that order.
 
     The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
-    folders are created.
-
-    Raises
-    ------
-    InvalidInput
-        If the path already ends with .svg or .png.
+    folders are created; a path that ends with .svg or .png is refused.
     """
     path = Path(path_without_suffix)
     if path.suffix in (".svg", ".png"):
@@ -270,11 +225,9 @@ def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
     return svg, png
 
 
-@contextmanager
-def _settings() -> Iterator[None]:
+def _settings() -> AbstractContextManager[None]:
     """Shield a figure from the user's matplotlibrc, and the user's settings from the figure."""
-    with matplotlib.style.context(["default", _SETTINGS]):
-        yield
+    return matplotlib.style.context(["default", _SETTINGS])
 
 
 def _places(panels: Sequence[Panel]) -> dict[str, int]:
@@ -306,16 +259,16 @@ def _draw_panel(
     axes: Axes, panel: Panel, places: dict[str, int], entries: dict[str, Line2D]
 ) -> None:
     """Draw one panel; note in `entries` the first line of each label for the legend."""
-    axes.set_title(panel.title)
-    axes.set_xlabel(panel.x_label)
-    axes.set_ylabel(panel.y_label)
-    axes.set_xscale(panel.x_scale, **_gaps(panel.x_scale))
-    axes.set_yscale(panel.y_scale, **_gaps(panel.y_scale))
+    axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
+    # A logarithmic axis leaves out what it cannot show instead of moving it.
+    if panel.x_scale == "log":
+        axes.set_xscale("log", nonpositive="mask")
+        axes.xaxis.set_minor_formatter(partial(_between_powers, axes.xaxis))
+    if panel.y_scale == "log":
+        axes.set_yscale("log", nonpositive="mask")
+        axes.yaxis.set_minor_formatter(partial(_between_powers, axes.yaxis))
     for series in panel.series:
         entries.setdefault(series.label, _draw_series(axes, series, places[series.label]))
-    for axis, scale in ((axes.xaxis, panel.x_scale), (axes.yaxis, panel.y_scale)):
-        if scale == "log":
-            axis.set_minor_formatter(partial(_between_powers, axis))
 
 
 def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
@@ -326,11 +279,6 @@ def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
     if high > 100 * low or digit not in (2, 5):
         return ""
     return rf"$\mathdefault{{{digit}\times10^{{{exponent}}}}}$"
-
-
-def _gaps(scale: Scale) -> dict[str, str]:
-    """Ask a logarithmic axis to leave out what it cannot show instead of moving it."""
-    return {"nonpositive": "mask"} if scale == "log" else {}
 
 
 def _draw_series(axes: Axes, series: Series, place: int) -> Line2D:
@@ -344,9 +292,8 @@ def _draw_series(axes: Axes, series: Series, place: int) -> Line2D:
         zorder=2.0 + 0.01 * place,
     )
     if series.marker:
-        line.set_marker(_MARKERS[place % len(_MARKERS)])
-        line.set_markerfacecolor("white")
-        line.set_markevery(max(1, x.size // _MARKERS_ON_LINE) if series.line else 1)
+        every = max(1, x.size // _MARKERS_ON_LINE) if series.line else 1
+        line.set(marker=_MARKERS[place % len(_MARKERS)], markerfacecolor="white", markevery=every)
     return line
 
 

@@ -18,8 +18,7 @@ ARROW = (0.6, -0.8, 0.3)
 
 def public_classes(module, base):
     """Concrete classes of a kind that a package exports, by name; synonyms once."""
-    found = (getattr(module, name) for name in module.__all__)
-    kinds = (x for x in found if inspect.isclass(x) and issubclass(x, base))
+    kinds = (x for x in vars(module).values() if inspect.isclass(x) and issubclass(x, base))
     return {kind.__name__: kind for kind in kinds if not inspect.isabstract(kind)}
 
 

@@ -347,7 +347,7 @@ def test_names_and_times_are_checked_before_a_run(system):
 
 
 def test_a_run_that_ended_early_is_refused(system, states):
-    with pytest.raises(InvalidInput, match="The run ended before"):
+    with pytest.raises(InvalidInput, match="The run ends before"):
         AtTimes(X, 0.6).value(system, states)
 
 
@@ -372,7 +372,7 @@ def test_observables_and_objectives_do_not_mix():
         with pytest.raises(InvalidInput, match=r"Integral\(observable\)"):
             action()
     for kind in (Integral, Terminal, lambda x: AtTimes(x, 0.1), lambda x: SmoothMaximum(x, 1.0)):
-        with pytest.raises(InvalidInput, match="must be an Observable"):
+        with pytest.raises(InvalidInput, match="must be of type Observable"):
             kind(Integral(X))
 
 

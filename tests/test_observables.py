@@ -102,7 +102,6 @@ LEAVES = {
     "height axis": slope(ROD.at(0.3), 1, 0),
     "axial strain": axial_strain(ROD.at_end),
     "axial strain between nodes": axial_strain(INNER),
-    "reaction": reaction("pivot", 1),
     "multiplier": multiplier("wall", 3),
     "strain energy": strain_energy(),
     "strain energy of a beam": strain_energy("rod"),
@@ -129,6 +128,7 @@ EXPRESSIONS = {
     "speed": np.sqrt(V**2 + velocity(ROD.at_end, 1) ** 2),
     "mixed": strain_energy("rod") * kinetic_energy() / (1.0 + time())
     + design_value("arm.density") * V,
+    "reaction": reaction("pivot", 1),
     "reaction and lengths": reaction("wall", 0) * X * design_value("rod.length"),
     "numpy number": np.float64(2.0) * X + np.array(1.5) - np.int64(1),
     "numpy function of two": np.multiply(X, np.power(X, 3)),
@@ -638,7 +638,7 @@ def test_axes_that_cannot_exist_are_refused_at_once(axis):
 
 def test_points_must_be_points():
     for action in (lambda: position("rod", 0), lambda: axial_strain(("rod", 1.0))):
-        with pytest.raises(InvalidInput, match="must be a Point"):
+        with pytest.raises(InvalidInput, match="must be of type Point"):
             action()
 
 

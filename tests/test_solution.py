@@ -37,6 +37,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.sensitivity import Run
 
 from oracle import plain_ancf as ancf
 
@@ -417,7 +418,7 @@ def test_derivative_without_sensitivities_is_refused(solution):
 
 def test_derivative_in_no_design_variable_is_empty():
     scene = mechanism(2)
-    solution = Direct().differentiate(assemble(scene), STEP, HHT(STEP), False)
+    solution = Direct().differentiate(Run(assemble(scene), STEP, HHT(STEP)))
     value = solution.derivative(lambda s: s.position(Point("rod", 1.0)))
     assert value.shape == (2, 2, 0)
 

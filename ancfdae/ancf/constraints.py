@@ -15,7 +15,8 @@ ingredients; docs/theory.md, section 3, lists them.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
@@ -26,7 +27,7 @@ from scipy import sparse
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.joints import Coefficients, Joint
 from ancfdae.naming import JointLayout
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
@@ -34,10 +35,7 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class _Values:
-    """Flat coefficients of all joints at one instant: linear, bilinear, offset.
-
-    Those that are moved in every design variable have a leading axis n_b.
-    """
+    """Flat coefficients of all joints at one instant; moved in every variable, (n_b, ...)."""
 
     a: Array
     s: Array
@@ -47,15 +45,9 @@ class _Values:
 @final
 @dataclass(frozen=True)
 class JointInput:
-    """One joint with its parameter values and reference vectors, and their design partials.
+    """One joint with its parameters, (n_p,), reference vectors, (n_vectors, d), and partials.
 
-    Attributes
-    ----------
-    joint : Joint
-    p : array, shape (n_p,); p_b : array, shape (n_p, n_b)
-    reference : array, shape (n_vectors, d)
-    reference_b : dict from int to array, shape (n_vectors, d)
-        For the design variables that move it.
+    `reference_b` has those of the design variables that move the reference.
     """
 
     joint: Joint
@@ -97,17 +89,10 @@ class JointInput:
 
 @final
 class JointConstraints:
-    """Phi and all that follows from it.
+    """Phi and all that follows from it, from joints and their vectors in the same order.
 
     Arrays of states have instants as leading axis, (k, n_q); methods that take one instant say
     so.
-
-    Parameters
-    ----------
-    inputs : sequence of JointInput
-    vectors : Vectors
-        The vectors of all joints, in the order of the inputs.
-    n_b, d : int
     """
 
     def __init__(self, inputs: Sequence[JointInput], vectors: Vectors, n_b: int, d: int) -> None:
@@ -177,20 +162,9 @@ class JointConstraints:
         index = self.pattern.index(rows, spread.col)
         self._to_values = LinearMap.of(index, spread.row, spread.data, (self.pattern.size, count))
         self._to_force = LinearMap.of(spread.col, spread.row, spread.data, (n_q, count))
-        self._row_map = LinearMap.of(
-            self._a_row,
-            np.arange(len(self._a_row)),
-            np.ones(len(self._a_row)),
-            (self.n_lam, len(self._a_row)),
-        )
-        self._s_row_map = LinearMap.of(
-            self._s_row,
-            np.arange(len(self._s_row)),
-            np.ones(len(self._s_row)),
-            (self.n_lam, len(self._s_row)),
-        )
-        self._raw_row_map = LinearMap.of(
-            self._raw_row, np.arange(count), np.ones(count), (self.n_lam, count)
+        self._row_map, self._s_row_map, self._raw_row_map = (
+            LinearMap.of(at, np.arange(len(at)), np.ones(len(at)), (self.n_lam, len(at)))
+            for at in (self._a_row, self._s_row, self._raw_row)
         )
         self._simple = self.linear and not self.driven
         if self._simple:
@@ -238,6 +212,14 @@ class JointConstraints:
             self._cache = (t, values)
         return values
 
+    def _series(self, t: float, count: int) -> list[_Values]:
+        """Coefficients and their time derivatives."""
+        return [self._at(t, order) for order in range(count)]
+
+    def _U(self, x: Array) -> Array:
+        """Vectors of one instant."""
+        return only(self._vectors.of(x[None]))
+
     @cached_property
     def _zero(self) -> _Values:
         return self._collect(1)
@@ -274,15 +256,21 @@ class JointConstraints:
             other._place_constant()
         return other
 
-    def _passes(self, t: Array) -> Iterator[tuple[int, slice, JointConstraints, _Values]]:
-        """Active variables with the constraints moved in them, and instants handled at once."""
+    def _over(self, t: Array) -> _Values:
+        """Coefficients at many instants, with a leading axis if they depend on time."""
+        if not self.driven:
+            return self._constant
+        each = [self._at(float(time)) for time in t]
+        return _Values(
+            *(np.stack(x) for x in zip(*((c.a, c.s, c.offset) for c in each), strict=True))
+        )
+
+    def _partial(self, of: Callable[[JointConstraints], Array], shape: tuple[int, ...]) -> Array:
+        """Design partial of something of this shape that the constraints give, (*shape, n_b)."""
+        result = np.zeros((*shape, self._n_b))
         for i in self._active:
-            moved = self.moved(i)
-            if not self.driven:
-                yield i, slice(None), moved, moved._constant
-                continue
-            for k, time in enumerate(t):
-                yield i, slice(k, k + 1), moved, moved._at(float(time))
+            result[..., i] = of(self.moved(i)).imag / STEP
+        return result
 
     def _together(self, t: float, order: int) -> _Values:
         """Coefficients moved in every design variable, with a leading axis n_b."""
@@ -302,21 +290,19 @@ class JointConstraints:
         """Phi, one instant."""
         if self._simple:
             return self._B(q) - self._constant.offset
-        U = self._vectors.of(q[None])[0]
-        return self._phi(self._at(t), U)
+        return self._phi(self._at(t), self._U(q))
 
     def constraint_q(self, q: Array, t: float) -> Array:
         """Values of Phi_q, one instant."""
         if self._simple:
             return self._B_values
-        return self._to_values(self._raw(self._at(t), self._vectors.of(q[None])[0]))
+        return self._to_values(self._raw(self._at(t), self._U(q)))
 
     def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
         """Phi_q^T lam, one instant."""
         if self._simple:
             return self._B.transposed(lam)
-        raw = self._raw(self._at(t), self._vectors.of(q[None])[0])
-        return self._to_force(raw * lam[self._raw_row])
+        return self._to_force(self._raw(self._at(t), self._U(q)) * lam[self._raw_row])
 
     def constraint_force_q(self, lam: Array) -> Array:
         """Values of (Phi_q^T lam)_q for rows of lam, shape (k, nnz); independent of q."""
@@ -328,102 +314,63 @@ class JointConstraints:
         """Values of Phi_q, shape (k, nnz)."""
         if self._simple:
             return np.broadcast_to(self._B_values, (len(q), len(self._B_values)))
-        U = self._vectors.of(q)
-        raw = np.stack([self._raw(self._at(time), u) for time, u in zip(t, U, strict=True)])
-        return self._to_values.rows(raw)
+        return self._to_values.rows(self._raw(self._over(t), self._vectors.of(q)))
+
+    def constraints(self, q: Array, t: Array) -> Array:
+        """Phi, shape (k, n_lam)."""
+        return self._phi(self._over(t), self._vectors.of(q))
+
+    def constraint_forces(self, q: Array, lam: Array, t: Array) -> Array:
+        """Phi_q^T lam, shape (k, n_q)."""
+        raw = self._raw(self._over(t), self._vectors.of(q))
+        return self._to_force.rows(raw * lam[:, self._raw_row])
 
     def constraints_b(self, q: Array, t: Array) -> Array:
         """Phi_b, shape (k, n_lam, n_b)."""
-        result = np.zeros((len(q), self.n_lam, self._n_b))
-        for i, rows, moved, c in self._passes(t):
-            result[rows, :, i] = moved._phi(c, moved._vectors.of(q[rows])).imag / STEP
-        return result
+        return self._partial(lambda moved: moved.constraints(q, t), (len(q), self.n_lam))
 
     def constraint_forces_b(self, q: Array, lam: Array, t: Array) -> Array:
         """(Phi_q^T lam)_b, shape (k, n_q, n_b)."""
-        result = np.zeros((*q.shape, self._n_b))
-        for i, rows, moved, c in self._passes(t):
-            raw = moved._raw(c, moved._vectors.of(q[rows]))
-            force = moved._to_force.rows(raw * lam[rows][:, self._raw_row])
-            result[rows, :, i] = force.imag / STEP
-        return result
+        return self._partial(lambda moved: moved.constraint_forces(q, lam, t), q.shape)
 
     def pull_back(self, q: Array, lam: Array, t: Array, mu: Array, zeta: Array) -> Array:
         """Sum over instants of (Phi_q^T lam)_b^T mu + Phi_b^T zeta, shape (n_b,)."""
-        total = np.zeros(self._n_b)
-        for i, rows, moved, c in self._passes(t):
-            U, X = moved._vectors.of(q[rows]), moved._vectors.of(mu[rows])
-            work = lam[rows] * moved._jacobian_times([c], U, X) + zeta[rows] * moved._phi(c, U)
-            total[i] += np.sum(work.imag) / STEP
-        return total
+
+        def work(moved: JointConstraints) -> Array:
+            c, U, X = moved._over(t), moved._vectors.of(q), moved._vectors.of(mu)
+            terms = lam * moved._jacobian_times([c], U, X) + zeta * moved._phi(c, U)
+            return np.asarray(np.sum(terms))
+
+        return self._partial(work, ())
 
     # -- start: rates and their total derivatives, one instant -----------------------------------
 
-    def constraint_q_rate(self, v: Array, t: float) -> Array:
-        """Values of dPhi_q/dt."""
-        return self._rate_values(v, t, 1)
-
-    def constraint_q_second_rate(self, a: Array, t: float) -> Array:
-        """Values of d^2 Phi_q/dt^2."""
-        return self._rate_values(a, t, 2)
-
-    def constraint_q_third_rate(self, jerk: Array, t: float) -> Array:
-        """Values of d^3 Phi_q/dt^3."""
-        return self._rate_values(jerk, t, 3)
+    def constraint_q_rate(self, x: Array, t: float, order: int) -> Array:
+        """Values of the time derivative of Phi_q of this order, 1 to 3; x is that of q."""
+        return self._to_values(self._raw_rate([self._at(t), self._at(t, order)], self._U(x)))
 
     def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
-        result = np.zeros((self.n_lam, self._n_b))
-        for i in self._active:
-            result[:, i] = self.moved(i)._rate(t, q, rates).imag / STEP
-        return result
+        return self._partial(lambda moved: moved._rate(t, q, rates), (self.n_lam,))
 
     def constraint_force_rate_pull_back(self, v: Array, lam: Array, t: float, mu: Array) -> Array:
         """Design partial of mu . (dPhi_q^T/dt) lam with everything else held, shape (n_b,)."""
-        result = np.zeros(self._n_b)
-        for i in self._active:
-            rate = self.moved(i).constraint_force_rate(v, v, lam, t)
-            result[i] = mu @ rate.imag / STEP
-        return result
+        return self._partial(lambda moved: mu @ moved.constraint_force_rate(v, v, lam, t), ())
 
-    def velocity_side(self, q: Array, t: float) -> Array:
-        """-Phi_t."""
+    def side(self, t: float, *states: Array) -> Array:
+        """Right side of Phi_q v, Phi_q a or Phi_q q''', by how many of q, v and a are given.
+
+        -Phi_t; -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt; the third is S of the theory.
+        """
         if self._simple:
             return np.zeros(self.n_lam)
-        U = self._vectors.of(q[None])[0]
-        return self._velocity_side([self._at(t, n) for n in range(2)], U)
+        return self._side(self._series(t, len(states) + 1), *self._vectors.of(np.stack(states)))
 
-    def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
-        """Total design derivative of `velocity_side`."""
+    def side_total(self, t: float, states: tuple[Array, ...], states_b: tuple[Array, ...]) -> Array:
+        """Total design derivative of `side`."""
         if self._simple:
             return np.zeros((self.n_lam, self._n_b))
-        return self._total(self._velocity_side, t, 2, (q,), (q_b,))
-
-    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
-        """-(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
-        if self._simple:
-            return np.zeros(self.n_lam)
-        U, V = self._vectors.of(np.stack([q, v]))
-        return self._acceleration_side([self._at(t, n) for n in range(3)], U, V)
-
-    def acceleration_side_total(
-        self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
-    ) -> Array:
-        """Total design derivative of `acceleration_side`."""
-        if self._simple:
-            return np.zeros((self.n_lam, self._n_b))
-        return self._total(self._acceleration_side, t, 3, (q, v), (q_b, v_b))
-
-    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Right side of Phi_q q''' = S."""
-        U, V, Z = self._vectors.of(np.stack([q, v, a]))
-        return self._jerk_side([self._at(t, n) for n in range(4)], U, V, Z)
-
-    def jerk_side_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Total design derivative of `jerk_side`."""
-        return self._total(self._jerk_side, t, 4, (q, v, a), (q_b, v_b, a_b))
+        return self._total(self._side, t, len(states) + 1, states, states_b)
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of Phi_q x with x held."""
@@ -433,32 +380,28 @@ class JointConstraints:
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
         """(dPhi_q^T/dt) lam."""
-        V = self._vectors.of(v[None])[0]
-        return self._to_force(
-            self._raw_rate([self._at(t, n) for n in range(2)], V) * lam[self._raw_row]
-        )
+        return self._to_force(self._raw_rate(self._series(t, 2), self._U(v)) * lam[self._raw_row])
 
     def constraint_force_rate_total(
         self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
     ) -> Array:
         """Total design derivative of `constraint_force_rate`."""
-        series = [self._at(t, n) for n in range(2)]
-        V = self._vectors.of(v[None])[0]
-        raw = self._raw_rate(series, V)
-        raw_b = self._total(self._raw_rate, t, 2, (v,), (v_b,))
-        loads, loads_b = lam[self._raw_row], lam_b[self._raw_row]
-        total = self._to_force.columns(raw_b * loads[:, None] + raw[:, None] * loads_b)
+        loads = (lam + 1j * STEP * lam_b.T)[:, self._raw_row]
+
+        def entries(series: Sequence[_Values], V: Array) -> Array:
+            return self._raw_rate(series, V) * loads
+
+        total = self._to_force.columns(self._total(entries, t, 2, (v,), (v_b,)))
+        still = self._raw_rate(self._series(t, 2), self._U(v)) * lam[self._raw_row]
         for i in np.flatnonzero(self._vectors.moves):
-            total[:, i] += self.moved(int(i))._to_force(raw * loads).imag / STEP
+            total[:, i] += self.moved(int(i))._to_force(still).imag / STEP
         return total
 
     # -- polynomials ---------------------------------------------------------------------------
 
     def _phi(self, c: _Values, U: Array) -> Array:
-        flat = _flat(U)
         products = np.sum(U[..., self._s_i, :] * U[..., self._s_j, :], axis=-1)
-        linear = _sum_rows(self._row_map, c.a * flat[..., self._a_at])
-        return linear + _sum_rows(self._s_row_map, c.s * products) - c.offset
+        return self._linear(c, U) + self._s_row_map.rows(c.s * products) - c.offset
 
     def _raw(self, c: _Values, U: Array) -> Array:
         """Nonzero entries of Phi_U."""
@@ -467,49 +410,38 @@ class JointConstraints:
         to_i, to_j = _flat(s * U[..., self._s_j, :]), _flat(s * U[..., self._s_i, :])
         return np.concatenate([a, to_i, to_j], axis=-1)
 
-    def _rate_values(self, x: Array, t: float, order: int) -> Array:
-        """Bilinear entries at the time derivative x of q, linear ones differentiated."""
-        rate = _Values(self._at(t, order).a, self._at(t).s, self._at(t).offset)
-        return self._to_values(self._raw(rate, self._vectors.of(x[None])[0]))
-
     def _raw_rate(self, series: Sequence[_Values], V: Array) -> Array:
-        """Time derivative of `_raw`."""
+        """Time derivative of `_raw`: bilinear entries at that of U, linear ones differentiated."""
         return self._raw(_Values(series[1].a, series[0].s, series[1].offset), V)
 
     def _jacobian_times(self, series: Sequence[_Values], U: Array, X: Array) -> Array:
-        flat = _flat(X)
-        return _sum_rows(self._raw_row_map, self._raw(series[0], U) * flat[..., self._raw_at])
+        return self._raw_row_map.rows(self._raw(series[0], U) * _flat(X)[..., self._raw_at])
 
     def _linear(self, c: _Values, U: Array) -> Array:
-        flat = _flat(U)
-        return _sum_rows(self._row_map, c.a * flat[..., self._a_at])
+        return self._row_map.rows(c.a * _flat(U)[..., self._a_at])
 
     def _product(self, c: _Values, U: Array, V: Array) -> Array:
         """Sum of s (U_i . V_j + V_i . U_j)."""
         i, j = self._s_i, self._s_j
         products = np.sum(U[..., i, :] * V[..., j, :] + V[..., i, :] * U[..., j, :], axis=-1)
-        return _sum_rows(self._s_row_map, c.s * products)
+        return self._s_row_map.rows(c.s * products)
 
-    def _velocity_side(self, series: Sequence[_Values], U: Array) -> Array:
-        return series[1].offset - self._linear(series[1], U)
-
-    def _acceleration_side(self, series: Sequence[_Values], U: Array, V: Array) -> Array:
-        moving = self._product(series[0], V, V) + 2 * self._linear(series[1], V)
-        side: Array = series[2].offset - moving - self._linear(series[2], U)
-        return side
-
-    def _jerk_side(self, series: Sequence[_Values], U: Array, V: Array, Z: Array) -> Array:
-        moving = self._product(series[0], V, Z) + self._linear(series[1], Z)
-        moving = moving + self._linear(series[2], V)
-        side: Array = series[3].offset - 3 * moving - self._linear(series[3], U)
+    def _side(self, series: Sequence[_Values], *X: Array) -> Array:
+        """Leibniz' rule for the n-th time derivative of Phi without Phi_q q^(n); X_k is U^(k)."""
+        n = len(X)
+        side = series[n].offset
+        for k in range(1, n + 1):
+            side = side - math.comb(n, k) * self._linear(series[k], X[n - k])
+        for j in range(1, n // 2 + 1):
+            share = math.comb(n, j) / (2 if 2 * j == n else 1)
+            side = side - share * self._product(series[0], X[j], X[n - j])
         return side
 
     def _rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Time derivative of Phi, of the order of the number of rates."""
-        series = [self._at(t, n) for n in range(len(rates) + 1)]
         U, *V = self._vectors.of(np.stack([q, *rates]))
-        side = (self._velocity_side, self._acceleration_side, self._jerk_side)[len(V) - 1]
-        return self._jacobian_times(series, U, V[-1]) - side(series, U, *V[:-1])
+        series = self._series(t, len(V) + 1)
+        return self._jacobian_times(series, U, V[-1]) - self._side(series, U, *V[:-1])
 
     def _total(
         self,
@@ -533,7 +465,3 @@ class JointConstraints:
 def _flat(U: Array) -> Array:
     """Join the last two axes; also where a leading axis is empty."""
     return U.reshape(*U.shape[:-2], U.shape[-2] * U.shape[-1])
-
-
-def _sum_rows(rows: LinearMap, x: Array) -> Array:
-    return rows(x) if x.ndim == 1 else rows.rows(x)

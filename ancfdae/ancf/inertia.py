@@ -49,7 +49,7 @@ class Inertia:
         self._pair_variable = mapping.variables[block.mass_pairs]
         n_q, element = numbering.n_q, numbering.element
         rows, columns, values = self._entries(block.m, numbering.vectors)
-        self._pattern, self.values = pattern, np.asarray(pattern.gather(rows, columns) @ values)
+        self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
         self._field = np.zeros((n_q // element.d, element.d))
         if gravity is not None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.loads import Load
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
@@ -23,14 +23,7 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class LoadInput:
-    """One load with its vectors and parameter values.
-
-    Attributes
-    ----------
-    load : Load
-    vectors : Vectors
-    p : array, shape (n_p,); p_b : array, shape (n_p, n_b)
-    """
+    """One load with its vectors and parameters, (n_p,)."""
 
     load: Load
     vectors: Vectors
@@ -61,13 +54,7 @@ class LoadInput:
 
 @final
 class LoadForces:
-    """Sum of all loads; states have instants as leading axis, (k, n_q).
-
-    Parameters
-    ----------
-    inputs : sequence of LoadInput
-    n_q, n_b, d : int
-    """
+    """Sum of all loads; states have instants as leading axis, (k, n_q)."""
 
     def __init__(self, inputs: Sequence[LoadInput], n_q: int, n_b: int, d: int) -> None:
         self._inputs, self._n_q, self._n_b, self._d = inputs, n_q, n_b, d
@@ -149,44 +136,35 @@ class LoadForces:
 
     def pull_back_rate(self, states: tuple[Array, Array, Array], mu: Array) -> Array:
         """Design partial of mu . dQ/dt with the states held, shape (n_b,)."""
-        result, rows = np.zeros(self._n_b), tuple(x[None] for x in states)
-        for i in self._active:
-            result[i] = np.sum(self.moved(i).force_rate(*rows).imag * mu) / STEP
-        return result
+        rows = [x[None] for x in states]
+        return self._partial(lambda moved: np.sum(moved.force_rate(*rows) * mu), ())
 
     def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q for one instant, shape (n_q, n_b)."""
-        total: Array = self.force_b(q[None], v[None])[0]
-        for item in self._moving:
-            U, V = item.vectors.of(q[None]), item.vectors.of(v[None])
-            F_b = _jacobian(item.force, U, V, True)[0] @ (item.vectors.matrix @ q_b)
-            if item.uses_velocity:
-                F_b = F_b + _jacobian(item.force, U, V, False)[0] @ (item.vectors.matrix @ v_b)
-            total += item.vectors.matrix.T @ F_b
-        return total
+        along = self.force(q + 1j * STEP * q_b.T, v + 1j * STEP * v_b.T)
+        return along.imag.T / STEP + only(self.force_b(q[None], v[None]))
 
     def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
         """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
-        total = np.zeros((self._n_q, self._n_b))
-        for i in range(self._n_b) if self._moving else ():
-            along = zip(states, states_b, strict=True)
-            rows = ((x + 1j * STEP * x_b[:, i])[None] for x, x_b in along)
-            total[:, i] = self.moved(i).force_rate(*rows)[0].imag / STEP
-        return total
+        along = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
+        held = [x[None] for x in states]
+        partial = self._partial(lambda moved: only(moved.force_rate(*held)), (self._n_q,))
+        return self.force_rate(*along).imag.T / STEP + partial
 
     def force_b(self, q: Array, v: Array) -> Array:
         """Q_b, shape (k, n_q, n_b)."""
-        result = np.zeros((len(q), self._n_q, self._n_b))
-        for i in self._active:
-            result[..., i] = self.moved(i).force(q.real, v.real).imag / STEP
-        return result
+        return self._partial(lambda moved: moved.force(q.real, v.real), (len(q), self._n_q))
 
     def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
         """Sum over instants of Q_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
-        total = np.zeros(self._n_b)
+        return self._partial(lambda moved: np.sum(moved.force(q, v) * mu), ())
+
+    def _partial(self, of: Callable[[LoadForces], Array], shape: tuple[int, ...]) -> Array:
+        """Design partial of something of this shape that the loads give, (*shape, n_b)."""
+        result = np.zeros((*shape, self._n_b))
         for i in self._active:
-            total[i] = np.sum(self.moved(i).force(q, v).imag * mu) / STEP
-        return total
+            result[..., i] = of(self.moved(i)).imag / STEP
+        return result
 
     def moved(self, i: int) -> LoadForces:
         """Return the loads moved in design variable i by an imaginary step."""

@@ -287,39 +287,39 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
         """dPhi_q/dt."""
-        return self._constraints.constraint_q_rate(v, t)
+        return self._constraints.constraint_q_rate(v, t, 1)
 
     def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """d^2 Phi_q/dt^2."""
-        return self._constraints.constraint_q_second_rate(a, t)
+        return self._constraints.constraint_q_rate(a, t, 2)
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
-        return self._constraints.velocity_side(q, t)
+        return self._constraints.side(t, q)
 
     def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of `velocity_side`."""
-        return self._constraints.velocity_side_total(q, t, q_b)
+        return self._constraints.side_total(t, (q,), (q_b,))
 
     def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
         """Right side of Phi_q a."""
-        return self._constraints.acceleration_side(q, v, t)
+        return self._constraints.side(t, q, v)
 
     def acceleration_side_total(
         self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
     ) -> Array:
         """Total design derivative of `acceleration_side`."""
-        return self._constraints.acceleration_side_total(q, v, t, q_b, v_b)
+        return self._constraints.side_total(t, (q, v), (q_b, v_b))
 
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Right side of Phi_q q'''."""
-        return self._constraints.jerk_side(q, v, a, t)
+        return self._constraints.side(t, q, v, a)
 
     def jerk_side_total(
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
         """Total design derivative of `jerk_side`."""
-        return self._constraints.jerk_side_total(q, v, a, t, q_b, v_b, a_b)
+        return self._constraints.side_total(t, (q, v, a), (q_b, v_b, a_b))
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
         """(dPhi_q^T/dt) lam."""
@@ -365,7 +365,7 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
         """d^3 Phi_q/dt^3."""
-        return self._constraints.constraint_q_third_rate(jerk, t)
+        return self._constraints.constraint_q_rate(jerk, t, 3)
 
     def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
         """Return partials of constraint rates, of the variables that constraints depend on."""

@@ -18,11 +18,6 @@ from ancfdae.numerics.linear_map import LinearMap
 class Vectors:
     """A list of point vectors as one linear map with design derivatives.
 
-    Parameters
-    ----------
-    vectors : sequence of PointVector
-    d, n_q, n_b : int
-
     Attributes
     ----------
     matrix : sparse array, shape (n_v d, n_q)

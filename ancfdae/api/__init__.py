@@ -1,34 +1,8 @@
 """Calls that take a scene or a mechanical system: what a user of the package calls."""
 
 from ancfdae.api.adjoint_error import AdjointError, adjoint_error
-from ancfdae.api.calls import (
-    as_system,
-    cheapest,
-    differentiate,
-    gradient,
-    gradients,
-    simulate,
-)
+from ancfdae.api.calls import as_system, cheapest, differentiate, gradient, gradients, simulate
 from ancfdae.api.error_bars import ErrorBars, error_bars
 from ancfdae.api.taylor import TaylorTest, taylor_test
 from ancfdae.api.tradeoff import tradeoff
 from ancfdae.api.tradeoff_result import Setting, TargetNotReached, Tradeoff
-
-__all__ = [
-    "AdjointError",
-    "ErrorBars",
-    "Setting",
-    "TargetNotReached",
-    "TaylorTest",
-    "Tradeoff",
-    "adjoint_error",
-    "as_system",
-    "cheapest",
-    "differentiate",
-    "error_bars",
-    "gradient",
-    "gradients",
-    "simulate",
-    "taylor_test",
-    "tradeoff",
-]

@@ -33,12 +33,7 @@ _LEAST_STEPS = 4
 class AdjointError:
     """An objective and the estimate of its discretisation error.
 
-    Attributes
-    ----------
-    value : float
-    error : float
-        Estimate of the exact value minus `value`, with its sign; not a bound.
-    solution : Solution
+    `error` estimates the exact value minus `value`, with its sign; it is not a bound.
     """
 
     value: float
@@ -75,14 +70,13 @@ def adjoint_error(
     model, objective, t_end, progress
         As in `gradient`.
     integrator : HHT
+        With a step that makes four steps or more.
     design : sequence of str or DesignVariable, optional
         Needed only where the objective contains `design_value`.
 
     Raises
     ------
-    InvalidInput
-        If the integrator is another one, or the run has fewer than four steps.
-    UnfinishedRun, NonFiniteObjective
+    InvalidInput, UnfinishedRun, NonFiniteObjective
         As `gradient`.
     """
     if not isinstance(integrator, HHT):

@@ -14,7 +14,7 @@ from ancfdae.protocol.solution import Solution
 from ancfdae.scene import Scene
 from ancfdae.sensitivity.adjoint import Adjoint
 from ancfdae.sensitivity.direct import Direct
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Method
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run
 
 _INTEGRATOR = "For example HHT(step=0.01)."
 
@@ -56,17 +56,13 @@ def differentiate(
 
     Parameters
     ----------
-    model : Scene or MechanicalSystem
-    t_end : float
-        End time; s.
-    integrator : Integrator
+    model, t_end, integrator, progress
+        As in `simulate`.
     design : sequence of str or DesignVariable
         For a scene: targets such as ``"pendulum.youngs_modulus"``. A mechanical system brings its
         own design variables, so leave it out there.
     method : Method
         `Direct` (default), `FiniteDifference` or `ComplexStep`.
-    progress : bool
-        Whether to show a progress bar.
 
     Returns
     -------
@@ -76,12 +72,12 @@ def differentiate(
     Raises
     ------
     InvalidInput
-        If the input makes no sense; before anything is integrated.
+        As `simulate`.
     """
     method = Direct() if method is None else method
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
-    return method.differentiate(differentiable(model, design), t_end, integrator, progress)
+    return method.differentiate(Run(differentiable(model, design), t_end, integrator, progress))
 
 
 def gradient(
@@ -98,25 +94,19 @@ def gradient(
 
     Parameters
     ----------
-    model : Scene or MechanicalSystem
+    model, t_end, integrator, design, progress
+        As in `differentiate`.
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
-    t_end : float
-        End time; s.
-    integrator : Integrator
-    design : sequence of str or DesignVariable
-        As in `differentiate`.
     method : GradientMethod, optional
         `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
         default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
         without an adjoint (IDA, Explicit).
-    progress : bool
-        Whether to show a progress bar.
 
     Raises
     ------
     InvalidInput
-        If the input makes no sense; before anything is integrated.
+        As `simulate`.
     UnfinishedRun
         If the run ends early; the error carries what was computed.
     NonFiniteObjective
@@ -142,37 +132,23 @@ def gradients(
     objectives = require_sequence("objectives", objectives)
     system = differentiable(model, design)
     require_objectives(system, objectives, t_end)
-    chosen = _follow(integrator, system.n_b, len(objectives)) if method is None else method
-    require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
-    return chosen.gradients(system, objectives, t_end, integrator, progress)
+    if method is None:
+        adjoint = isinstance(integrator, AdjointIntegrator)
+        method = cheapest(system.n_b, len(objectives)) if adjoint else Direct()
+    require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
+    return method.gradients(Run(system, t_end, integrator, progress), objectives)
 
 
 def require_objectives(
     system: MechanicalSystem, objectives: Sequence[Objective], t_end: float
 ) -> None:
-    """Refuse objectives that a run of this system cannot have.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse objectives that a run of this system cannot have."""
     require_positive("t_end", t_end)
+    repair = "Wrap an observable in Integral, Terminal, AtTimes or SmoothMaximum."
     for objective in objectives:
-        require_kind(
-            "objective",
-            objective,
-            (Objective,),
-            "Wrap an observable in Integral, Terminal, AtTimes or SmoothMaximum.",
-        )
+        require_kind("objective", objective, (Objective,), repair)
     for objective in objectives:
         objective.check(system, t_end)
-
-
-def _follow(integrator: Integrator, variables: int, objectives: int) -> GradientMethod:
-    """Return the method that fits the integrator and costs less."""
-    if isinstance(integrator, AdjointIntegrator):
-        return cheapest(variables, objectives)
-    return Direct()
 
 
 def cheapest(variables: int, objectives: int) -> GradientMethod:
@@ -189,12 +165,7 @@ def cheapest(variables: int, objectives: int) -> GradientMethod:
 def differentiable(
     model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None
 ) -> MechanicalSystem:
-    """Return `as_system`; refuse a model without design variables.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Return `as_system`; refuse a model without design variables."""
     system = as_system(model, design)
     if not system.n_b:
         raise InvalidInput(
@@ -209,21 +180,11 @@ def differentiable(
 def as_system(
     model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None = None
 ) -> MechanicalSystem:
-    """Assemble a scene; a mechanical system is passed through.
-
-    Raises
-    ------
-    InvalidInput
-        If design variables are named for a mechanical system, or the model is neither.
-    """
+    """Assemble a scene; pass a mechanical system through, and refuse design variables for it."""
     if isinstance(model, Scene):
         return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
     if design is not None and len(design):
-        raise InvalidInput(
-            "design",
-            "a mechanical system brings its own design variables",
-            repr(design),
-            "Leave it out.",
-        )
+        rule, repair = "a mechanical system brings its own design variables", "Leave it out."
+        raise InvalidInput("design", rule, repr(design), repair)
     return model

@@ -67,9 +67,8 @@ class ErrorBars:
     resolved : bool or None
         Whether the steps resolve the waves of the derivatives: whether their estimated errors
         (`Solution.estimated_errors`) fall at the order of the integrator from the last run but
-        one to the finest. Where they do not, the bars are unreliable: an error may be
-        ten or twenty times its bar. None without such an estimate, which only `Direct`
-        with `HHT` provides.
+        one. Where they do not, an error may be ten or twenty times its bar. None without such an
+        estimate, which only `Direct` with `HHT` provides.
     """
 
     names: tuple[str, ...]
@@ -128,9 +127,7 @@ def error_bars(
 
     Raises
     ------
-    InvalidInput
-        If the input makes no sense; before anything is integrated.
-    UnfinishedRun, NonFiniteObjective
+    InvalidInput, UnfinishedRun, NonFiniteObjective
         As `gradient`.
     """
     if isinstance(levels, bool) or levels not in (2, 3):

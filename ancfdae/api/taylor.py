@@ -91,9 +91,7 @@ def taylor_test(
 
     Raises
     ------
-    InvalidInput
-        If the input makes no sense; before anything is integrated.
-    UnfinishedRun, NonFiniteObjective
+    InvalidInput, UnfinishedRun, NonFiniteObjective
         As `gradient`.
     """
     system = differentiable(model, design)

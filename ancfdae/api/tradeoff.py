@@ -9,24 +9,16 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ancfdae.api.calls import differentiable
+from ancfdae.api.calls import differentiable, require_objectives
 from ancfdae.api.tradeoff_result import Tradeoff, compared
-from ancfdae.api.tradeoff_run import Measurement, Task, measure
+from ancfdae.api.tradeoff_run import Measurement, Results, Task, measure
 from ancfdae.design import DesignVariable
-from ancfdae.errors import (
-    InvalidInput,
-    require_count,
-    require_kind,
-    require_positive,
-    require_sequence,
-)
+from ancfdae.errors import InvalidInput, require_count, require_kind, require_sequence
 from ancfdae.integrators import Explicit, Integrator
 from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.scene import Scene
 from ancfdae.sensitivity import GradientMethod
-
-_NO_TIME = 0.0
 
 
 def tradeoff(
@@ -46,19 +38,13 @@ def tradeoff(
 
     Parameters
     ----------
-    model : Scene or MechanicalSystem
-    objective : Objective
-    t_end : float
-        End time; s.
+    model, objective, t_end, design, method, progress
+        As in `gradient`.
     settings : sequence of Integrator
         For example ``[HHT(step=h) for h in (0.01, 0.005)] + [HHT(rtol=1e-3), IDA(1e-6)]``.
-    design : sequence of str or DesignVariable
-        As in `differentiate`.
     reference : Integrator, optional
         What errors are measured against, ``Explicit(1e-10)`` by default. For stiff scenes
         something that needs fewer steps, such as ``HHT`` at a small one.
-    method : GradientMethod, optional
-        As in `gradient`.
     repeats : int
         Runs of each setting, of which the least processor time counts; runs of more than a
         second are not repeated.
@@ -66,8 +52,6 @@ def tradeoff(
         Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
         client; by default in this process, one after the other. Model and objective must
         pickle (no lambda in `custom` or `apply`). Threads would count each other's processor time.
-    progress : bool
-        Whether to show a progress bar.
 
     Returns
     -------
@@ -86,21 +70,19 @@ def tradeoff(
         require_kind("settings", setting, (Integrator,), "For example [HHT(step=0.01)].")
     reference = Explicit(1e-10) if reference is None else reference
     require_kind("reference", reference, (Integrator,), "For example Explicit(1e-10).")
-    require_kind("objective", objective, (Objective,), "For example Integral(observable).")
     if method is not None:
         require_kind("method", method, (GradientMethod,), "For example Direct().")
     if executor is not None:
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
-    require_positive("t_end", t_end)
     require_count("repeats", repeats, "1 is enough for ratios of long runs.")
     system = differentiable(model, design)
-    objective.check(system, t_end)
+    require_objectives(system, [objective], t_end)
     # The reference runs once, because its time is not compared.
     tasks = [Task(system, objective, t_end, reference, method, 1)]
     tasks += [Task(system, objective, t_end, each, method, repeats) for each in settings]
     with tqdm(total=len(tasks), disable=not progress, unit="run") as bar:
         measured = _in_turn(tasks, bar) if executor is None else _by_workers(tasks, executor, bar)
-    exact = measured[0]
+    exact = _required(measured[0])
     rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, measured, strict=True)]
     return Tradeoff(tuple(rows[1:]), rows[0])
 
@@ -109,7 +91,7 @@ def _in_turn(tasks: Sequence[Task], bar: Any) -> list[Measurement]:
     measured = []
     for task in tasks:
         measured.append(measure(task))
-        _require_reference(measured[0])
+        _required(measured[0])
         bar.update()
     return measured
 
@@ -131,33 +113,28 @@ def _by_workers(tasks: Sequence[Task], executor: Executor, bar: Any) -> list[Mea
             future.cancel()
         raise
     measured = [_answer(x) for x in submitted]
-    if not measured[0].finished:
+    if measured[0].results is None:
         _require_pickles(tasks[0])
-    _require_reference(measured[0])
     return measured
 
 
 def _answer(submitted: Future[Measurement] | BrokenExecutor) -> Measurement:
-    if isinstance(submitted, BrokenExecutor):
-        error: BaseException | None = submitted
-    else:
-        try:
-            error = submitted.exception()
-        except CancelledError as cancelled:
-            error = cancelled
-        if error is None:
-            return submitted.result()
-    return Measurement(_NO_TIME, f"{type(error).__name__} in a worker: {error}")
+    error: BaseException | None
+    try:
+        error = submitted if isinstance(submitted, BrokenExecutor) else submitted.exception()
+    except CancelledError as cancelled:
+        error = cancelled
+    if error is None:
+        assert isinstance(submitted, Future)
+        return submitted.result()
+    return Measurement(0.0, f"{type(error).__name__} in a worker: {error}")
 
 
-def _require_reference(measurement: Measurement) -> None:
-    if not measurement.finished:
-        raise InvalidInput(
-            "reference",
-            "must finish and give a gradient",
-            measurement.outcome,
-            "Loosen it, or take another integrator.",
-        )
+def _required(reference: Measurement) -> Results:
+    if reference.results is None:
+        rule, repair = "must finish and give a gradient", "Loosen it, or take another integrator."
+        raise InvalidInput("reference", rule, reference.outcome, repair)
+    return reference.results
 
 
 def _require_pickles(task: Task) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from ancfdae import plotting
-from ancfdae.api.tradeoff_run import Measurement, common_times
+from ancfdae.api.tradeoff_run import Measurement, Results, common_times
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.integrators import HHT, ControlledSteps, Integrator, StepControl
 from ancfdae.numerics.arrays import Array
@@ -90,13 +90,7 @@ class Setting:
         return ", ".join(given) or "given"
 
     def error(self, of: ErrorKind) -> float:
-        """Return one of the four errors; infinite if the setting failed.
-
-        Raises
-        ------
-        InvalidInput
-            If there is no such error.
-        """
+        """Return one of the four errors; infinite if the setting failed."""
         if of not in _KINDS:
             known = ", ".join(_KINDS)
             raise InvalidInput("of", f"must be one of {known}", repr(of), "Choose one.")
@@ -108,10 +102,7 @@ class Setting:
 class TargetNotReached(AncfdaeError):
     """No measured setting is accurate enough; the message names the best one.
 
-    Attributes
-    ----------
-    best : Setting or None
-        The most accurate setting; None if all failed.
+    `best` is the most accurate setting; None if all failed.
     """
 
     def __init__(self, target: float, of: str, best: Setting | None) -> None:
@@ -129,32 +120,17 @@ class TargetNotReached(AncfdaeError):
 @final
 @dataclass(frozen=True)
 class Tradeoff:
-    """What accuracy costs on one scene; made by `tradeoff`.
+    """What accuracy costs on one scene: settings in the order they were asked for.
 
-    Attributes
-    ----------
-    rows : tuple of Setting
-        In the order they were asked for.
-    reference : Setting
-        The run that errors are measured against. Its own error is not known, and
-        errors below that mean nothing.
+    The error of the reference, which errors are measured against, is not known; errors below that
+    mean nothing.
     """
 
     rows: tuple[Setting, ...]
     reference: Setting
 
     def pareto(self, of: ErrorKind = "gradient") -> tuple[Setting, ...]:
-        """Return the settings that no other beats in both processor time and error.
-
-        Parameters
-        ----------
-        of : {"gradient", "objective", "states", "multipliers"}
-
-        Returns
-        -------
-        tuple of Setting
-            From cheap to accurate.
-        """
+        """Return the settings that no other beats in both processor time and error, cheap first."""
         front: list[Setting] = []
         least = np.inf
         for row in sorted(self.rows, key=lambda row: (row.seconds, row.error(of))):
@@ -164,23 +140,15 @@ class Tradeoff:
         return tuple(front)
 
     def recommend(self, target_error: float, of: ErrorKind = "gradient") -> Setting:
-        """Return the cheapest measured setting whose error is at most the target.
+        """Return the cheapest measured setting whose relative error is at most the target.
 
         It holds for this scene, this objective and this end time; nothing is
         extrapolated.
-
-        Parameters
-        ----------
-        target_error : float
-            Relative.
-        of : {"gradient", "objective", "states", "multipliers"}
 
         Raises
         ------
         TargetNotReached
             If no setting is accurate enough.
-        InvalidInput
-            If the target is not positive.
         """
         require_positive("target_error", target_error)
         good = [row for row in self.rows if row.error(of) <= target_error]
@@ -206,44 +174,27 @@ class Tradeoff:
         return lines
 
     def plot(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
-        """Draw errors of states and gradient over processor time.
-
-        Parameters
-        ----------
-        path : path-like
-            Without suffix.
-
-        Returns
-        -------
-        tuple of Path
-            The SVG and the PNG.
+        """Draw errors of states and gradient over processor time; return the SVG and the PNG.
 
         Raises
         ------
         InvalidInput
-            If no setting has an error that can be shown.
+            If the path has a suffix, or no setting has an error that can be shown.
         """
         return plotting.save(plotting.draw(self.panels(), columns=2), Path(path))
 
-    def panels(self, title: str = "") -> list[Panel]:
-        """Return the panels of `plot`, for figures of your own.
-
-        Parameters
-        ----------
-        title : str
-            Put before the titles of the panels.
-        """
-        named = {"states": "error of the states", "gradient": "error of the gradient"}
+    def panels(self) -> list[Panel]:
+        """Return the panels of `plot`, for figures of your own."""
         return [
             Panel(
-                f"{title}{name}" if title else name.capitalize(),
+                f"Error of the {of}",
                 "processor time [s]",
                 "relative error [-]",
                 self._series(of),
                 x_scale="log",
                 y_scale="log",
             )
-            for of, name in named.items()
+            for of in ("states", "gradient")
         ]
 
     def _series(self, of: str) -> list[Series]:
@@ -263,27 +214,29 @@ class Tradeoff:
 
 
 def compared(
-    system: MechanicalSystem, integrator: Integrator, run: Measurement, reference: Measurement
+    system: MechanicalSystem, integrator: Integrator, run: Measurement, exact: Results
 ) -> Setting:
     """Measure a run against the reference."""
-    if not run.finished:
+    given = run.results
+    if given is None:
         return Setting(integrator, run.seconds, run.outcome)
     b = np.where(system.b == 0, 1.0, system.b)
     root = np.sqrt(system.weights)
-    q, q_0, lam, lam_0 = (_given(x) for x in (run.q, reference.q, run.lam, reference.lam))
-    slope, slope_0 = _given(run.gradient), _given(reference.gradient)
-    t = common_times(float(_given(reference.t)[-1]))
-    forces = _forces(system, q_0, lam - lam_0, t), _forces(system, q_0, lam_0, t)
+    t = common_times(float(exact.t[-1]))
+    forces, forces_0 = (
+        _forces(system, exact.q, lam, t) / root for lam in (given.lam - exact.lam, exact.lam)
+    )
+    away = (given.gradient - exact.gradient) * b
     return Setting(
         integrator,
         run.seconds,
         run.outcome,
-        states=_largest_ratio((q - q_0) * root, q_0 * root),
-        multipliers=_largest_ratio(forces[0] / root, forces[1] / root),
-        objective=_ratio(abs(run.value - reference.value), abs(reference.value)),
-        gradient=_largest_ratio(((slope - slope_0) * b)[None], (slope_0 * b)[None]),
-        drift=_drift(system, q_0, t, run),
-        energy=_energy_error(run, reference),
+        states=_largest_ratio((given.q - exact.q) * root, exact.q * root),
+        multipliers=_largest_ratio(forces, forces_0),
+        objective=_ratio(abs(given.value - exact.value), abs(exact.value)),
+        gradient=_largest_ratio(away[None], (exact.gradient * b)[None]),
+        drift=_drift(system, exact.q, t, given),
+        energy=_energy_error(given, exact),
     )
 
 
@@ -294,7 +247,7 @@ def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
     ).reshape(len(t), -1)
 
 
-def _drift(system: MechanicalSystem, q: Array, t: Array, run: Measurement) -> float:
+def _drift(system: MechanicalSystem, q: Array, t: Array, given: Results) -> float:
     """Return the largest |Phi_i| over the length of its row of Phi_q and the size of q."""
     if not system.n_lam:
         return 0.0
@@ -306,18 +259,17 @@ def _drift(system: MechanicalSystem, q: Array, t: Array, run: Measurement) -> fl
     ]
     length = np.sqrt(np.max(squares, axis=0))
     size = float(np.max(np.linalg.norm(q * np.sqrt(system.weights), axis=1)))
-    away = np.max(np.abs(_given(run.drift)), axis=0)
+    away = np.max(np.abs(given.drift), axis=0)
     return max(_ratio(float(x), float(y) * size) for x, y in zip(away, length, strict=True))
 
 
-def _energy_error(run: Measurement, reference: Measurement) -> float | None:
+def _energy_error(given: Results, exact: Results) -> float | None:
     """Compare energies at the instants of the run; the reference's is interpolated."""
-    energy, energy_0 = _given(run.energy), _given(reference.energy)
-    if not len(energy):
+    if not len(given.energy):
         return None
-    t_0, k = _given(reference.t), min(3, len(energy_0) - 1)
-    exact = make_interp_spline(t_0, energy_0, k=k)(np.minimum(_given(run.t), t_0[-1]))
-    return _ratio(float(np.max(np.abs(energy - exact))), reference.kinetic)
+    k = min(3, len(exact.energy) - 1)
+    energy = make_interp_spline(exact.t, exact.energy, k=k)(np.minimum(given.t, exact.t[-1]))
+    return _ratio(float(np.max(np.abs(given.energy - energy))), exact.kinetic)
 
 
 def _largest_ratio(x: Array, reference: Array) -> float:
@@ -329,11 +281,6 @@ def _largest_ratio(x: Array, reference: Array) -> float:
 
 def _ratio(x: float, size: float) -> float:
     return x / size if size else (np.inf if x else 0.0)
-
-
-def _given(x: Array | None) -> Array:
-    assert x is not None
-    return x
 
 
 def _cells(row: Setting) -> list[str]:

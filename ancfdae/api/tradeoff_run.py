@@ -28,17 +28,7 @@ _LONG = 1.0
 @final
 @dataclass(frozen=True)
 class Task:
-    """What is measured; everything in it pickles if system and objective do.
-
-    Attributes
-    ----------
-    system : MechanicalSystem
-    objective : Objective
-    t_end : float
-    integrator : Integrator
-    method : GradientMethod or None
-    repeats : int
-    """
+    """What is measured; everything in it pickles if system and objective do."""
 
     system: MechanicalSystem
     objective: Objective
@@ -50,40 +40,32 @@ class Task:
 
 @final
 @dataclass(frozen=True)
-class Measurement:
-    """What one setting gave.
+class Results:
+    """What a finished run gave.
 
-    Attributes
-    ----------
-    seconds : float
-        Least processor time of the repeats.
-    outcome : str
-        A sentence.
-    finished : bool
-        Whether there is anything below.
-    value : float
-    gradient : array, shape (n_b,)
-    q, lam : array, shape (k, n)
-        At the common times.
-    drift : array, shape (j, n_lam)
-        Constraints at instants of the run.
-    t, energy : array, shape (j,)
-        Total energy at these instants; empty for a system that is not a scene.
-    kinetic : float
-        Largest kinetic energy at these instants.
+    q and lam, (k, n), are those at the common times; `drift`, (j, n_lam), has the constraints at
+    the instants t of the run, `energy`, (j,), is the total one there, empty for a system that is
+    not a scene, and `kinetic` the largest kinetic one.
     """
+
+    value: float
+    gradient: Array
+    q: Array
+    lam: Array
+    drift: Array
+    t: Array
+    energy: Array
+    kinetic: float
+
+
+@final
+@dataclass(frozen=True)
+class Measurement:
+    """Least processor time of the repeats, the outcome as a sentence, and results if there are."""
 
     seconds: float
     outcome: str
-    finished: bool = False
-    value: float = 0.0
-    gradient: Array | None = None
-    q: Array | None = None
-    lam: Array | None = None
-    drift: Array | None = None
-    t: Array | None = None
-    energy: Array | None = None
-    kinetic: float = 0.0
+    results: Results | None = None
 
 
 def common_times(t_end: float) -> Array:
@@ -108,33 +90,23 @@ def measure(task: Task) -> Measurement:
         if seconds > _LONG:
             break
     assert answer is not None
-    return _measured(task, answer, float(seconds))
+    results = _results(task.system, answer)
+    return Measurement(float(seconds), str(answer.solution.outcome), results)
 
 
 def _gradient(task: Task) -> Gradient:
     return gradient(task.system, task.objective, task.t_end, task.integrator, method=task.method)
 
 
-def _measured(task: Task, answer: Gradient, seconds: float) -> Measurement:
-    solution, system = answer.solution, task.system
+def _results(system: MechanicalSystem, answer: Gradient) -> Results:
+    solution = answer.solution
     # The end of a run with a fixed step may miss the end time by round-off.
     common = solution.at(common_times(float(solution.t[-1])).tolist())
     rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
     t, q = solution.t[rows], solution.q[rows]
-    energy, kinetic = _energy(system, solution, rows)
-    return Measurement(
-        seconds=seconds,
-        outcome=str(solution.outcome),
-        finished=True,
-        value=answer.value,
-        gradient=answer.gradient,
-        q=common.q,
-        lam=common.lam,
-        drift=np.array([system.constraint(x, s) for x, s in zip(q, t, strict=True)]),
-        t=t,
-        energy=energy,
-        kinetic=kinetic,
-    )
+    drift = np.array([system.constraint(x, s) for x, s in zip(q, t, strict=True)])
+    own = (answer.value, answer.gradient, common.q, common.lam, drift, t)
+    return Results(*own, *_energy(system, solution, rows))
 
 
 def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[Array, float]:

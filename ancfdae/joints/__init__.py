@@ -9,20 +9,3 @@ from ancfdae.joints.laws import Harmonic, Law, Uniform
 from ancfdae.joints.pin import Pin, Spherical
 from ancfdae.joints.point_on_line import PointOnLine
 from ancfdae.joints.revolute import Revolute
-
-__all__ = [
-    "Clamp",
-    "Coefficients",
-    "Cylindrical",
-    "Distance",
-    "Drive",
-    "Guide",
-    "Harmonic",
-    "Joint",
-    "Law",
-    "Pin",
-    "PointOnLine",
-    "Revolute",
-    "Spherical",
-    "Uniform",
-]

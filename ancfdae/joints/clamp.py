@@ -47,8 +47,8 @@ class Clamp(Joint):
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """Coincidence, and one equation for every turn."""
-        (n, d), slopes = reference.shape, reference[1:]
-        c = empty_coefficients(d + d * (d - 1) // 2, n, d, reference.dtype)
+        d, slopes = reference.shape[1], reference[1:]
+        c = empty_coefficients(d + d * (d - 1) // 2, p, reference)
         place_coincidence(c, 1, reference, None)
         if d == 2:
             across = np.array([-slopes[0, 1], slopes[0, 0]])

@@ -26,18 +26,12 @@ class Distance(Joint):
     ----------
     point : Point
     length : float
-        Length L of the link.
+        Length L of the link; positive.
     other : Point, optional
-        Point of another beam.
     ground : sequence of float, optional
-        Place on the ground; one of `other` and `ground` must be given.
+        Place on the ground; just one of `other` and `ground` must be given.
     name : str, optional
         By default ``link(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If the length is not positive, or not exactly one of `other` and `ground` is given.
     """
 
     point: Point
@@ -52,8 +46,7 @@ class Distance(Joint):
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """(|U_0 - U_1|^2 / L - L) / 2."""
-        n, d = reference.shape
-        c = empty_coefficients(1, n, d, np.result_type(p, reference))
+        n, c = len(reference), empty_coefficients(1, p, reference)
         L, ground = self.split(p)
         c.bilinear[0] = np.array([[1, -1], [-1, 1]])[:n, :n] / L
         c.offset[0] = L / 2

@@ -31,14 +31,9 @@ class Drive(Joint):
     point : Point
     angle : Law
     axis : sequence of float, optional
-        Axis of the turning in space; z by default. Not in the plane.
+        Axis of the turning in space, not zero; z by default. Not in the plane.
     name : str, optional
         By default ``drive(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If the axis is zero.
     """
 
     point: Point
@@ -53,8 +48,7 @@ class Drive(Joint):
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """n(t) and its derivatives, with c = (cos, sin) and s = (-sin, cos) in the (u, w) plane."""
-        n, d = reference.shape
-        c = empty_coefficients(1, n, d, np.result_type(p, reference))
+        c = empty_coefficients(1, p, reference)
         law, axis = self.split(p)
         u, w = self._plane(reference[0], axis)
         theta, theta_1, theta_2, theta_3 = self.angle.derivatives(law, t)
@@ -106,14 +100,10 @@ class Guide(Joint):
     ----------
     point : Point
     direction : sequence of float
+        Not zero.
     travel : Law
     name : str, optional
         By default ``guide(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If the direction is zero.
     """
 
     point: Point
@@ -127,8 +117,7 @@ class Guide(Joint):
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """Direction . (r - r_o) - x(t)."""
-        n, d = reference.shape
-        c = empty_coefficients(1, n, d, np.result_type(p, reference))
+        c = empty_coefficients(1, p, reference)
         direction, law = self.split(p)
         c.offset[0] = self.travel.derivatives(law, t)[order]
         if order == 0:

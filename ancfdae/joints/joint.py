@@ -19,7 +19,6 @@ from typing import ClassVar, final
 import numpy as np
 
 from ancfdae.elements import BeamElement, Quantity
-from ancfdae.joints.frames import across, slope_weights
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Part, Vectors
 
@@ -46,22 +45,15 @@ class Coefficients:
 
 
 class Joint(Part):
-    """A joint between points of beams or to ground; fields and names as in `Part`.
-
-    Attributes
-    ----------
-    takes_part : tuple of Quantity
-        What takes part of every point; its position, or `SECTION`, say.
-    driven : bool
-        Whether the coefficients depend on time. Bilinear ones never do.
-    holds_position : bool
-        Whether the first d equations equate positions: their multipliers are then minus the
-        reaction force on the first point.
-    """
+    """A joint between points of beams or to ground; fields and names as in `Part`."""
 
     role = "joint"
+    #: What takes part of every point; its position, or `SECTION`, say.
     takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
+    #: Whether the coefficients depend on time. Bilinear ones never do.
     driven: ClassVar[bool] = False
+    #: Whether the first d equations equate positions: their multipliers are then minus the reaction
+    #: force on the first point.
     holds_position: ClassVar[bool] = False
 
     def vectors(self, element: BeamElement) -> Vectors:
@@ -73,27 +65,19 @@ class Joint(Part):
 
     @abc.abstractmethod
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
-        """Return the time derivative of this order of the coefficients.
+        """Return the time derivative of this order, 0 to 3, of the coefficients.
 
-        Parameters
-        ----------
-        p : array
-            Values of `parameters`, as `split` takes them; may be complex, and must go through.
-        reference : array, shape (n_vectors, d)
-            The vectors in the reference configuration; may be complex.
-        t : float
-        order : int
-            0 to 3; above 0 only asked of driven joints.
+        `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
+        the reference configuration, (n_vectors, d); complex ones must go through. Orders above 0
+        are only asked of driven joints.
         """
 
 
-def empty_coefficients(rows: int, vectors: int, d: int, dtype: np.dtype) -> Coefficients:
-    """Return coefficients of zeros, to be filled by a joint."""
-    return Coefficients(
-        np.zeros((rows, vectors, d), dtype=dtype),
-        np.zeros((rows, vectors, vectors), dtype=dtype),
-        np.zeros(rows, dtype=dtype),
-    )
+def empty_coefficients(rows: int, p: Array, reference: Array) -> Coefficients:
+    """Return coefficients of zeros for this number of equations, to be filled by a joint."""
+    (n, d), dtype = reference.shape, np.result_type(p, reference)
+    linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
+    return Coefficients(linear, bilinear, np.zeros(rows, dtype))
 
 
 def place_coincidence(c: Coefficients, count: int, reference: Array, ground: Array | None) -> None:
@@ -107,25 +91,3 @@ def place_coincidence(c: Coefficients, count: int, reference: Array, ground: Arr
         c.linear[rows, 1, rows] = -1.0
     else:
         c.offset[rows] = reference[0] if ground is None else ground
-
-
-def place_alignment(c: Coefficients, count: int, reference: Array, axis: Array) -> None:
-    """Enter two last equations: directions b_j of the first section stay across an axis.
-
-    With e_j across the axis in the reference configuration, b_j is the combination of the
-    section's slopes that equals e_j there, and b_j . axis = 0. With two points the axis is the
-    combination of the second section's slopes that equals it there.
-    """
-    own, other = slice(count, count + 3), slice(count + 3, count + 6)
-    for row, direction in zip((-2, -1), across(axis), strict=True):
-        beta = slope_weights(reference[own], direction)
-        if count == 1:
-            c.linear[row, own] = beta[:, None] * axis
-        else:
-            place_product(c, row, own, other, np.outer(beta, slope_weights(reference[other], axis)))
-
-
-def place_product(c: Coefficients, row: int, i: slice, j: slice, weights: Array) -> None:
-    """Enter sum_ij weights_ij U_i . U_j, i and j different vectors, into an equation."""
-    c.bilinear[row, i, j] = weights
-    c.bilinear[row, j, i] = weights.T

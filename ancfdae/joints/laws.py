@@ -17,7 +17,6 @@ class Law(Designable, abc.ABC):
     """A function of time with parameters that design variables can drive."""
 
     def __post_init__(self) -> None:
-        """Validate."""
         self.check_fields(type(self).__name__)
 
     @abc.abstractmethod
@@ -28,13 +27,7 @@ class Law(Designable, abc.ABC):
 @final
 @dataclass(frozen=True)
 class Uniform(Law):
-    """x = offset + speed t + acceleration t^2 / 2.
-
-    Parameters
-    ----------
-    speed : float
-    offset, acceleration : float
-    """
+    """x = offset + speed t + acceleration t^2 / 2."""
 
     speed: float
     offset: float = 0.0
@@ -53,15 +46,7 @@ class Uniform(Law):
 @final
 @dataclass(frozen=True)
 class Harmonic(Law):
-    """x = offset + amplitude sin(frequency t + phase).
-
-    Parameters
-    ----------
-    amplitude : float
-    frequency : float
-        Angular frequency; rad/s.
-    phase, offset : float
-    """
+    """x = offset + amplitude sin(frequency t + phase), with the frequency in rad/s."""
 
     amplitude: float
     frequency: float
@@ -83,10 +68,5 @@ class Harmonic(Law):
 
 
 def require_law(where: str, value: object) -> None:
-    """Refuse what is no law.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Raise InvalidInput for what is no law."""
     require_kind(where, value, (Law,), "For example Uniform(speed=2).")

@@ -6,16 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-import numpy as np
-
 from ancfdae.bodies import Point
 from ancfdae.errors import require_vector
-from ancfdae.joints.joint import (
-    Coefficients,
-    Joint,
-    empty_coefficients,
-    place_coincidence,
-)
+from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 
@@ -50,7 +43,7 @@ class Pin(Joint):
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """r(point) - r(other), or r(point) - ground."""
         n, d = reference.shape
-        c = empty_coefficients(d, n, d, np.result_type(p, reference))
+        c = empty_coefficients(d, p, reference)
         place_coincidence(c, n, reference, *self.split(p))
         return c
 

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-import numpy as np
-
 from ancfdae.bodies import Point
 from ancfdae.errors import require_direction, require_vector
 from ancfdae.joints.frames import across
@@ -27,15 +25,11 @@ class PointOnLine(Joint):
     ----------
     point : Point
     direction : sequence of float
+        Not zero.
     through : sequence of float, optional
         A point of the line; by default where `point` is in the reference configuration.
     name : str, optional
         By default ``line(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If the direction is zero.
     """
 
     point: Point
@@ -48,8 +42,7 @@ class PointOnLine(Joint):
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
         """n_j . (r - through)."""
-        n, d = reference.shape
-        c = empty_coefficients(d - 1, n, d, np.result_type(p, reference))
+        c = empty_coefficients(reference.shape[1] - 1, p, reference)
         direction, through = self.split(p)
         c.linear[:, 0] = across(direction)
         c.offset[:] = c.linear[:, 0] @ (reference[0] if through is None else through)

@@ -7,13 +7,3 @@ from ancfdae.loads.moment import Moment
 from ancfdae.loads.point_force import PointForce
 from ancfdae.loads.spring_damper import SpringDamper
 from ancfdae.parts import CentreLine
-
-__all__ = [
-    "CentreLine",
-    "DistributedForce",
-    "FollowerForce",
-    "Load",
-    "Moment",
-    "PointForce",
-    "SpringDamper",
-]

@@ -11,8 +11,7 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity
 from ancfdae.elements import BeamElement
 from ancfdae.errors import require_vector
-from ancfdae.loads.load import Load
-from ancfdae.loads.rates import direction, direction_rate
+from ancfdae.loads.load import Load, direction, direction_rate
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 

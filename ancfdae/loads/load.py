@@ -23,17 +23,12 @@ class Load(Part):
 
     Arrays have any leading axes (instants, perturbations) before (n_vectors, d); complex
     numbers must go through.
-
-    Attributes
-    ----------
-    constant : bool
-        Whether the force depends neither on positions nor on velocities.
-    damping_fields : tuple of str
-        Numbers among the design fields without which the force does not depend on velocities.
     """
 
     role = "load"
+    #: Whether the force depends neither on positions nor on velocities.
     constant: ClassVar[bool] = False
+    #: Numbers among the design fields without which the force does not depend on velocities.
     damping_fields: ClassVar[tuple[str, ...]] = ()
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
@@ -42,18 +37,10 @@ class Load(Part):
 
     @abc.abstractmethod
     def force(self, U: Array, V: Array, p: Array) -> Array:
-        """Return the generalised forces on the vectors.
+        """Return the generalised forces on the vectors, shape (..., n_vectors, d).
 
-        Parameters
-        ----------
-        U, V : array, shape (..., n_vectors, d)
-            The vectors and their time derivatives.
-        p : array, shape (n_p,)
-            Values of `parameters`, as `split` takes them.
-
-        Returns
-        -------
-        array, shape (..., n_vectors, d)
+        U and V, of the same shape, are the vectors and their time derivatives; p has the values of
+        `parameters`, as `split` takes them.
         """
 
     @abc.abstractmethod
@@ -73,3 +60,22 @@ class ConstantLoad(Load):
     def force_rate(self, U: Array, V: Array, Z: Array, p: Array) -> Array:
         """Zero."""
         return np.zeros_like(U)
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Return a . b over the last axis, which is kept."""
+    product: Array = np.sum(a * b, axis=-1, keepdims=True)
+    return product
+
+
+def direction(e: Array) -> tuple[Array, Array]:
+    """Return the length l of vectors, shape (..., 1), and n = e / l."""
+    l = np.sqrt(dot(e, e))
+    return l, e / l
+
+
+def direction_rate(e: Array, w: Array) -> tuple[Array, Array]:
+    """Return l' = n . w and n' = (w - n l') / l for e' = w."""
+    l, n = direction(e)
+    l_1 = dot(n, w)
+    return l_1, (w - n * l_1) / l

@@ -11,8 +11,7 @@ import numpy as np
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement
 from ancfdae.errors import InvalidInput, require_finite, require_vector
-from ancfdae.loads.load import Load
-from ancfdae.loads.rates import direction, direction_rate, dot
+from ancfdae.loads.load import Load, direction, direction_rate, dot
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 

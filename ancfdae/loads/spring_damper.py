@@ -12,8 +12,7 @@ from ancfdae.bodies import Point, Quantity
 from ancfdae.design import numbers
 from ancfdae.elements import BeamElement
 from ancfdae.errors import require_vector
-from ancfdae.loads.load import Load
-from ancfdae.loads.rates import direction, direction_rate, dot
+from ancfdae.loads.load import Load, direction, direction_rate, dot
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
@@ -38,14 +37,9 @@ class SpringDamper(Load):
         l_0; m.
     other : Point, optional
     ground : sequence of float, optional
-        One of `other` and `ground` must be given.
+        Just one of `other` and `ground` must be given.
     name : str, optional
         By default ``spring(beam@fraction)``.
-
-    Raises
-    ------
-    InvalidInput
-        If a number is not finite, or not exactly one of `other` and `ground` is given.
     """
 
     point: Point

@@ -18,15 +18,7 @@ STEP = 2.0**-133
 
 
 def real_norm(x: Array, weights: Array) -> float:
-    """Weighted Euclidean norm of the real part, sqrt(sum(weights x^2)), for decisions only.
-
-    Parameters
-    ----------
-    x : array, shape (n,)
-        Vector, real or complex.
-    weights : array, shape (n,)
-        Non-negative real weights.
-    """
+    """Weighted Euclidean norm of the real part, sqrt(sum(weights x^2)), for decisions only."""
     x = x.real
     return float(np.sqrt(np.dot(weights, x * x)))
 

@@ -58,7 +58,7 @@ def derivative(
     Parameters
     ----------
     f : callable
-        Takes as many complex numbers as there are radii.
+        Takes as many complex numbers as there are radii; refused if it is not analytic.
     radii : tuple of float
         For every argument how far f may be followed; about a quarter of the length over which f
         varies serves best.
@@ -67,11 +67,6 @@ def derivative(
         Returns values of the size of the terms of f. Where these cancel on the whole circle, as
         those of a constraint do along its own motion, only round-off is left, and these values show
         it.
-
-    Raises
-    ------
-    InvalidInput
-        If the values on ever smaller circles are not those of an analytic function.
     """
     if len(radii) == 1 and order == 1:
         step = _STEP * radii[0]

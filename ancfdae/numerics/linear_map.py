@@ -17,12 +17,7 @@ _DENSE_ENTRIES = 30_000
 
 @final
 class LinearMap:
-    """A constant matrix that is only ever multiplied with.
-
-    Parameters
-    ----------
-    matrix : sparse array, shape (n, m)
-    """
+    """A constant matrix, shape (n, m), that is only ever multiplied with."""
 
     def __init__(self, matrix: sparse.csr_array) -> None:
         self._small = matrix.shape[0] * matrix.shape[1] <= _DENSE_ENTRIES
@@ -39,32 +34,20 @@ class LinearMap:
 
     def __call__(self, x: Array) -> Array:
         """Multiply a vector, shape (m,)."""
-        return _times(self._form, x)
+        return np.asarray(self._form @ x)
 
     def columns(self, x: Array) -> Array:
         """Multiply the columns of an array, shape (m, k)."""
-        product: Array = self._form @ x
-        return product
+        return np.asarray(self._form @ x)
 
     def rows(self, x: Array) -> Array:
         """Multiply each row of an array, shape (k, m) to (k, n)."""
-        product: Array = (self._form @ x.T).T
-        return product
+        return np.asarray((self._form @ x.T).T)
 
     def rows_transposed(self, x: Array) -> Array:
         """Multiply each row with the transposed matrix, shape (k, n) to (k, m)."""
-        product: Array = (self._transposed @ x.T).T
-        return product
+        return np.asarray((self._transposed @ x.T).T)
 
     def transposed(self, x: Array) -> Array:
         """Multiply with the transposed (not conjugated) matrix."""
-        return _times(self._transposed, x)
-
-
-def _times(matrix: Any, x: Array) -> Array:
-    dense = isinstance(matrix, np.ndarray) and matrix.dtype.kind != "c"
-    if not (dense and x.dtype.kind == "c"):
-        return np.asarray(matrix @ x)
-    # Real and imaginary part as two columns, so that the matrix is not copied.
-    parts = np.ascontiguousarray(x).view(float).reshape(-1, 2)
-    return np.asarray((matrix @ parts).view(complex)[:, 0])
+        return np.asarray(self._transposed @ x)

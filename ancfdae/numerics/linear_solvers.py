@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import abc
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 from scipy import linalg, sparse
@@ -42,38 +42,47 @@ def _lapack(factor: str, solve: str, dtype: np.dtype) -> tuple[Any, Any]:
     return found[0], found[1]
 
 
-class Factorization(abc.ABC):
+# Solves for a right side, or with the transposed (not conjugated) matrix.
+_Solver: TypeAlias = Callable[[Array, bool], Array]
+
+
+@final
+class Factorization:
     """A factorised matrix; right-hand sides are vectors or columns of an array."""
 
-    @abc.abstractmethod
+    def __init__(self, solver: _Solver, scale: Array, complex_matrix: bool) -> None:
+        self._solver, self._scale, self._complex = solver, scale, complex_matrix
+
     def solve(self, right: Array) -> Array:
         """Solve with the matrix."""
+        return self._solved(right, False)
 
-    @abc.abstractmethod
     def solve_transposed(self, right: Array) -> Array:
         """Solve with the transposed (not conjugated) matrix."""
+        return self._solved(right, True)
+
+    def _solved(self, right: Array, transposed: bool) -> Array:
+        if right.dtype.kind == "c" and not self._complex:
+            return self._solved(right.real, transposed) + 1j * self._solved(right.imag, transposed)
+        # Undoes the symmetric scaling.
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        return scale * self._solver(scale * right, transposed)
 
 
 class _Storage(abc.ABC):
     """Where the scaled values go, and how they are factorised."""
 
     @abc.abstractmethod
-    def factor(self, values: Array) -> Factorization:
+    def factor(self, values: Array) -> _Solver:
         """Factorise the matrix of these values; raises SingularMatrix."""
 
 
 @final
 class SaddlePoint:
-    """Saddle-point matrices of one system: constant pattern, numbering and scaling.
+    """Saddle-point matrices of one system: constant patterns of K and B, numbering and scaling.
 
-    Parameters
-    ----------
-    pattern, constraint_pattern : Pattern
-        Patterns of K and B.
-    weights : array, shape (n,)
-        Positive coordinate weights, usually the diagonal of the mass matrix.
-    constraint_values : array
-        Values of B at the start, from which the constraint rows are scaled.
+    The weights of the coordinates, (n,), are positive, usually the diagonal of the mass matrix;
+    the rows of constraints are scaled by the values of B at the start.
     """
 
     def __init__(
@@ -96,22 +105,13 @@ class SaddlePoint:
         self._storage = _choose_storage(self.size, rows, columns)
 
     def factor(self, K: Array, B: Array) -> Factorization:
-        """Factorise for the given values of K and B.
-
-        Raises
-        ------
-        SingularMatrix
-            If the matrix is singular to working precision or not finite.
-        """
+        """Factorise for the given values of K and B; see `factor_each`."""
         return next(self.factor_each(K[None], B[None]))
 
     def factor_each(self, K: Array, B: Array) -> Iterator[Factorization]:
-        """Factorise a sequence of matrices, given as rows of values; as they are asked for.
+        """Factorise matrices, given as rows of values, as they are asked for.
 
-        Raises
-        ------
-        SingularMatrix
-            As `factor`, when the matrix is asked for.
+        Raises SingularMatrix for one that is singular to working precision or not finite.
         """
         # Written row by row: matrices may come as columns in memory.
         n, m = K.shape[1], B.shape[1]
@@ -122,24 +122,7 @@ class SaddlePoint:
         for values, finite in zip(scaled, np.isfinite(scaled.sum(axis=1)), strict=True):
             if not finite:
                 raise SingularMatrix("the saddle-point matrix is not finite")
-            yield _Scaled(self._storage.factor(values), self.scale)
-
-
-@final
-class _Scaled(Factorization):
-    """Undoes the symmetric scaling around a factorisation."""
-
-    def __init__(self, inner: Factorization, scale: Array) -> None:
-        self._inner = inner
-        self._scale = scale
-
-    def solve(self, right: Array) -> Array:
-        scale = self._scale if right.ndim == 1 else self._scale[:, None]
-        return scale * self._inner.solve(scale * right)
-
-    def solve_transposed(self, right: Array) -> Array:
-        scale = self._scale if right.ndim == 1 else self._scale[:, None]
-        return scale * self._inner.solve_transposed(scale * right)
+            yield Factorization(self._storage.factor(values), self.scale, values.dtype.kind == "c")
 
 
 def _choose_storage(size: int, rows: Array, columns: Array) -> _Storage:
@@ -162,31 +145,17 @@ class _DenseStorage(_Storage):
         # The matrix is built transposed in C order, which is Fortran order of the matrix.
         self._flat = columns * size + rows
 
-    def factor(self, values: Array) -> Factorization:
+    def factor(self, values: Array) -> _Solver:
         matrix = np.zeros(self._size * self._size, dtype=values.dtype)
         matrix[self._flat] = values
-        return _DenseFactorization(matrix.reshape(self._size, self._size).T)
+        getrf, getrs = _lapack("getrf", "getrs", values.dtype)
+        lu, pivots, info = getrf(matrix.reshape(self._size, self._size).T, overwrite_a=True)
+        _require_pivots(info, self._size)
 
+        def solve(right: Array, transposed: bool) -> Array:
+            return np.asarray(getrs(lu, pivots, right, trans=transposed)[0])
 
-@final
-class _DenseFactorization(Factorization):
-    def __init__(self, matrix: Array) -> None:
-        getrf, self._getrs = _lapack("getrf", "getrs", matrix.dtype)
-        self._lu, self._pivots, info = getrf(matrix, overwrite_a=True)
-        if info > 0:
-            raise SingularMatrix(f"zero pivot {info} of {len(matrix)}")
-
-    def solve(self, right: Array) -> Array:
-        return self._call(right, 0)
-
-    def solve_transposed(self, right: Array) -> Array:
-        return self._call(right, 1)
-
-    def _call(self, right: Array, transposed: int) -> Array:
-        if self._lu.dtype.kind != "c" and right.dtype.kind == "c":
-            return self._call(right.real, transposed) + 1j * self._call(right.imag, transposed)
-        x, _ = self._getrs(self._lu, self._pivots, right, trans=transposed)
-        return np.asarray(x)
+        return solve
 
 
 @final
@@ -201,39 +170,22 @@ class _BandStorage(_Storage):
         self._shape = (size, 3 * half_width + 1)
         self._flat = columns * self._shape[1] + 2 * half_width + rows - columns
 
-    def factor(self, values: Array) -> Factorization:
+    def factor(self, values: Array) -> _Solver:
+        k, order, place = self._half_width, self._order, self._place
         band = np.zeros(self._shape[0] * self._shape[1], dtype=values.dtype)
         band[self._flat] = values
-        return _BandFactorization(
-            band.reshape(self._shape).T, self._half_width, self._order, self._place
-        )
+        gbtrf, gbtrs = _lapack("gbtrf", "gbtrs", values.dtype)
+        lu, pivots, info = gbtrf(band.reshape(self._shape).T, k, k, overwrite_ab=True)
+        _require_pivots(info, len(order))
 
+        def solve(right: Array, transposed: bool) -> Array:
+            # LAPACK takes right-hand sides one after the other in memory: as rows of an array.
+            rows = np.atleast_2d(right.T).take(order, axis=1)
+            x, _ = gbtrs(lu, k, k, rows.T, pivots, trans=transposed, overwrite_b=True)
+            result: Array = x.T.take(place, axis=1)
+            return result.T if right.ndim == 2 else result[0]
 
-@final
-class _BandFactorization(Factorization):
-    def __init__(self, band: Array, half_width: int, order: Array, place: Array) -> None:
-        gbtrf, self._gbtrs = _lapack("gbtrf", "gbtrs", band.dtype)
-        self._k, self._order, self._place = half_width, order, place
-        self._lu, self._pivots, info = gbtrf(band, half_width, half_width, overwrite_ab=True)
-        if info > 0:
-            raise SingularMatrix(f"zero pivot {info} of {len(order)}")
-
-    def solve(self, right: Array) -> Array:
-        return self._call(right, 0)
-
-    def solve_transposed(self, right: Array) -> Array:
-        return self._call(right, 1)
-
-    def _call(self, right: Array, transposed: int) -> Array:
-        if self._lu.dtype.kind != "c" and right.dtype.kind == "c":
-            return self._call(right.real, transposed) + 1j * self._call(right.imag, transposed)
-        # LAPACK takes right-hand sides one after the other in memory: as rows of an array.
-        rows = np.atleast_2d(right.T).take(self._order, axis=1)
-        x, _ = self._gbtrs(
-            self._lu, self._k, self._k, rows.T, self._pivots, trans=transposed, overwrite_b=True
-        )
-        result: Array = x.T.take(self._place, axis=1)
-        return result.T if right.ndim == 2 else result[0]
+        return solve
 
 
 @final
@@ -244,33 +196,24 @@ class _SparseStorage(_Storage):
         self._rows = rows[self._order]
         self._indptr = np.searchsorted(columns[self._order], np.arange(size + 1))
 
-    def factor(self, values: Array) -> Factorization:
+    def factor(self, values: Array) -> _Solver:
         matrix = sparse.csc_array(
             (values[self._order], self._rows, self._indptr), shape=(self._size, self._size)
         )
-        return _SparseFactorization(matrix)
-
-
-@final
-class _SparseFactorization(Factorization):
-    def __init__(self, matrix: sparse.csc_array) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                self._lu = splu(matrix)
+                lu = splu(matrix)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
-        self._complex = matrix.dtype.kind == "c"
 
-    def solve(self, right: Array) -> Array:
-        return self._call(right, "N")
+        def solve(right: Array, transposed: bool) -> Array:
+            right = np.ascontiguousarray(right, dtype=values.dtype)
+            return np.asarray(lu.solve(right, "T" if transposed else "N"))
 
-    def solve_transposed(self, right: Array) -> Array:
-        return self._call(right, "T")
+        return solve
 
-    def _call(self, right: Array, transposed: str) -> Array:
-        if self._complex:
-            return np.asarray(self._lu.solve(right.astype(complex), transposed))
-        if right.dtype.kind == "c":
-            return self._call(right.real, transposed) + 1j * self._call(right.imag, transposed)
-        return np.asarray(self._lu.solve(np.ascontiguousarray(right), transposed))
+
+def _require_pivots(info: int, size: int) -> None:
+    if info > 0:
+        raise SingularMatrix(f"zero pivot {info} of {size}")

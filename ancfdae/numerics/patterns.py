@@ -21,14 +21,7 @@ _DENSE_ENTRIES = 40_000
 
 @final
 class Pattern:
-    """Sorted, duplicate-free positions of the entries of a matrix.
-
-    Parameters
-    ----------
-    shape : (int, int)
-    rows, columns : array of int
-        Positions in any order, duplicates allowed; they are merged.
-    """
+    """Positions of the entries of a matrix, sorted; duplicates in `rows`, `columns` are merged."""
 
     def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
         self.shape = shape
@@ -55,20 +48,11 @@ class Pattern:
             self._flat, np.asarray(rows, dtype=np.int64) * self.shape[1] + columns
         )
 
-    def gather(self, rows: Array, columns: Array, signs: Array | None = None) -> sparse.csr_array:
-        """Constant matrix that sums raw contributions, one per position, into the values.
-
-        Parameters
-        ----------
-        rows, columns : array of int, shape (n_raw,)
-        signs : array, shape (n_raw,), optional
-            Factor of each contribution.
-        """
-        data = np.ones(len(rows)) if signs is None else signs
-        raw = np.arange(len(rows))
-        return sparse.csr_array(
-            (data, (self.index(rows, columns), raw)), shape=(self.size, len(rows))
-        )
+    def gather(self, rows: Array, columns: Array, contributions: Array) -> Array:
+        """Return the values that sum contributions at the given positions."""
+        values = np.zeros(self.size, dtype=contributions.dtype)
+        np.add.at(values, self.index(rows, columns), contributions)
+        return values
 
     def dense(self, values: Array) -> Array:
         """Return the matrix as a two-dimensional array."""
@@ -95,12 +79,7 @@ class Pattern:
 
 @final
 class Stack:
-    """Two matrices with the same columns, one above the other, multiplied in one product.
-
-    Parameters
-    ----------
-    upper, lower : Pattern
-    """
+    """Two matrices with the same columns, one above the other, multiplied in one product."""
 
     def __init__(self, upper: Pattern, lower: Pattern) -> None:
         self._upper, self._lower = upper, lower

@@ -13,16 +13,8 @@ from ancfdae.numerics.arrays import Array
 def box_rule(counts: tuple[int, ...]) -> tuple[Array, Array]:
     """Tensor rule on xi in [0, 1] and each transverse coordinate in [-1/2, 1/2].
 
-    Parameters
-    ----------
-    counts : tuple of int
-        Number of points along xi and along each transverse direction; n points
-        integrate polynomials of degree 2 n - 1 exactly.
-
-    Returns
-    -------
-    points : array, shape (n_p, len(counts))
-    weights : array, shape (n_p,), summing to one
+    Returns points, shape (n_p, len(counts)), and weights that sum to one; n points along a
+    direction integrate polynomials of degree 2 n - 1 exactly.
     """
     rules = [np.polynomial.legendre.leggauss(count) for count in counts]
     axes = [0.5 * (x + 1.0) if k == 0 else 0.5 * x for k, (x, _) in enumerate(rules)]

@@ -90,15 +90,12 @@ def _panel_weights(t: Array) -> Array:
     integrals = np.zeros(len(t))
     integrals[0] = 2.0 * half
     V = np.polynomial.legendre.legvander(x, len(t) - 1)
-    weights: Array = np.linalg.solve(V.T, integrals)
-    return weights
+    return np.linalg.solve(V.T, integrals)
 
 
 def _lagrange(t: Array, time: float) -> Array:
     """Values of the Lagrange polynomials of the instants at one time."""
-    gaps = t[:, None] - t
+    gaps, ahead = t[:, None] - t, np.tile(time - t, (len(t), 1))
     np.fill_diagonal(gaps, 1.0)
-    ahead = np.broadcast_to(time - t, gaps.shape).copy()
     np.fill_diagonal(ahead, 1.0)
-    values: Array = np.prod(ahead / gaps, axis=1)
-    return values
+    return np.asarray(np.prod(ahead / gaps, axis=1))

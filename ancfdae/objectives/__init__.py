@@ -2,13 +2,3 @@
 
 from ancfdae.objectives.objective import NonFiniteObjective, Objective, ObjectivePartials
 from ancfdae.objectives.reductions import AtTimes, Integral, SmoothMaximum, Terminal
-
-__all__ = [
-    "AtTimes",
-    "Integral",
-    "NonFiniteObjective",
-    "Objective",
-    "ObjectivePartials",
-    "SmoothMaximum",
-    "Terminal",
-]

@@ -13,13 +13,8 @@ from ancfdae.errors import AncfdaeError
 from ancfdae.integrators import Density
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables import States
-from ancfdae.observables.expression import (
-    Expression,
-    Operation,
-    evaluated,
-    leaf_weights,
-    leaves,
-)
+from ancfdae.observables.expression import Expression, Operation, evaluated, leaf_weights, leaves
+from ancfdae.observables.functions import Function
 from ancfdae.protocol import MechanicalSystem
 
 
@@ -27,11 +22,8 @@ from ancfdae.protocol import MechanicalSystem
 class NonFiniteObjective(AncfdaeError):
     """An objective, or its derivative, that is not a finite number.
 
-    Attributes
-    ----------
-    time : float or None
-        First instant at which its observable is not finite; None if every observable is finite
-        but a function of objectives is not.
+    `time` is the first instant at which its observable is not finite; None if every observable is
+    finite but a function of objectives is not.
     """
 
     def __init__(self, objective: str, what: str, time: float | None) -> None:
@@ -97,77 +89,37 @@ class Objective(Expression["Objective"]):
     numbers into objectives.
     """
 
-    def of(self, operation: Operation) -> Objective:
-        """Return an operation on objectives as an objective."""
-        return Combination(operation)
+    def of(self, function: Function, operands: tuple[object, ...]) -> Objective:
+        """Return a function of objectives."""
+        return Combination(function, operands)
 
     def accepts(self, other: object) -> bool:
         """Whether the other expression is an objective."""
         return isinstance(other, Objective)
 
-    @property
-    @abc.abstractmethod
-    def over_time(self) -> bool:
-        """Whether it is a function of time integrals only, as eq. (20) has it."""
-
     @abc.abstractmethod
     def check(self, system: MechanicalSystem, t_end: float) -> None:
-        """Refuse, before anything is integrated, what a run to `t_end` cannot yield.
-
-        Raises
-        ------
-        UnknownName
-            If an observable names what does not exist.
-        InvalidInput
-            If an instant lies outside the run, or an axis does not exist.
-        """
+        """Refuse, before anything is integrated, what a run to `t_end` cannot yield."""
 
     @abc.abstractmethod
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
         """Return the value: a float, or a complex number for complex states or design values.
 
-        Parameters
-        ----------
-        system : MechanicalSystem
-        states : States
-        totals : mapping of objectives to Integrated
-            Those whose integrals the integrator took; the others are sums over the states.
-
-        Raises
-        ------
-        NonFiniteObjective
-            If it is not finite.
+        `totals` has the objectives whose integrals the integrator took; the others are sums over
+        the states. Raises NonFiniteObjective.
         """
 
     @abc.abstractmethod
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
     ) -> ObjectivePartials:
-        """Return value and partials at real states.
-
-        Raises
-        ------
-        NonFiniteObjective
-            If the value is not finite, or there is no derivative.
-        """
+        """Return value and partials at real states, or raise NonFiniteObjective."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Combination(Objective):
+class Combination(Operation, Objective):
     """A function of objectives."""
-
-    operation: Operation
-
-    @property
-    def tree(self) -> object:
-        """The operation."""
-        return self.operation
-
-    @property
-    def over_time(self) -> bool:
-        """Whether every objective in it is."""
-        return all(objective.over_time for objective in self._leaves())
 
     def check(self, system: MechanicalSystem, t_end: float) -> None:
         """Check every objective in it."""
@@ -176,7 +128,7 @@ class Combination(Objective):
 
     def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
         """Evaluate every objective in it once."""
-        nodes = evaluated(self.tree, lambda leaf: np.asarray(leaf.value(system, states, totals)))
+        nodes = evaluated(self, lambda leaf: np.asarray(leaf.value(system, states, totals)))
         value = list(nodes.values())[-1]
         _require_finite_number("the value", value)
         return value.item()
@@ -186,7 +138,7 @@ class Combination(Objective):
     ) -> ObjectivePartials:
         """Chain rule over the objectives in it."""
         parts = {leaf: leaf.partials(system, states, totals) for leaf in self._leaves()}
-        nodes = evaluated(self.tree, lambda leaf: np.asarray(parts[leaf].value))
+        nodes = evaluated(self, lambda leaf: np.asarray(parts[leaf].value))
         value = list(nodes.values())[-1]
         _require_finite_number("the value", value)
         total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
@@ -204,7 +156,7 @@ class Combination(Objective):
         return ObjectivePartials(float(value), *rows, b, tuple(densities))
 
     def _leaves(self) -> list[Objective]:
-        return cast("list[Objective]", leaves(self.tree))
+        return cast("list[Objective]", leaves(self))
 
 
 def _require_finite_number(what: str, x: Array) -> None:

@@ -15,8 +15,8 @@ from typing import Any, cast, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_finite, require_positive
-from ancfdae.numerics.arrays import Array
+from ancfdae.errors import InvalidInput, require_finite, require_kind, require_positive
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.objectives.objective import (
     NO_TOTALS,
@@ -30,19 +30,17 @@ from ancfdae.protocol import MechanicalSystem
 
 
 class Reduction(Objective):
-    """A number made of the values of one observable at the instants of a run.
-
-    Attributes
-    ----------
-    observable : Observable
-    """
+    """A number made of the values of one observable at the instants of a run."""
 
     observable: Observable
 
-    @property
-    def tree(self) -> object:
-        """The objective itself."""
-        return self
+    def __post_init__(self) -> None:
+        require_kind(
+            "objective, observable",
+            self.observable,
+            (Observable,),
+            "Build one from position(...), strain_energy(...) and so on.",
+        )
 
     @abc.abstractmethod
     def check_times(self, t_end: float) -> None:
@@ -98,8 +96,24 @@ class Reduction(Objective):
             raise NonFiniteObjective(type(self).__name__, what, float(t[bad[0]].real))
 
 
-class WeightedSum(Reduction):
-    """Sum of weighted values."""
+class AtInstants(Reduction):
+    """Sum of the values at some times of a run, interpolated with the order of the integrator."""
+
+    @abc.abstractmethod
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the times; refuse a run that ends before."""
+
+    def check_times(self, t_end: float) -> None:
+        """Refuse a run that ends before."""
+        self.instants(t_end)
+
+    def weights(self, grid: TimeGrid) -> Array:
+        """Weights of the interpolation, summed over the times."""
+        w = np.zeros(len(grid.t))
+        for time in self.instants(float(grid.t[-1])):
+            around, share = grid.interpolation(time)
+            w[around] += share
+        return w
 
     def reduce(self, x: Array, w: Array) -> Array:
         """Return the sum."""
@@ -115,11 +129,6 @@ class OverTime(Reduction):
 
     The reductions of parts of a run, reduced with the durations, are the reduction of the whole.
     """
-
-    @property
-    def over_time(self) -> bool:
-        """True."""
-        return True
 
     def check_times(self, t_end: float) -> None:
         """Accept every run."""
@@ -137,9 +146,9 @@ class OverTime(Reduction):
     def integrand(self, x: Array, near: float) -> Array:
         """Return what is integrated: the reduction near a value of it, but for a constant."""
 
-    @abc.abstractmethod
     def integrand_slope(self, x: Array, near: float) -> Array:
-        """Return the derivative of `integrand` in x."""
+        """Return the derivative of `integrand` in x, for real x."""
+        return np.asarray(self.integrand(x + 1j * STEP, near).imag / STEP)
 
     def slopes(self, x: Array, w: Array) -> Array:
         """Weights times the derivative of the integrand at the reduction."""
@@ -154,17 +163,9 @@ class Integral(OverTime):
     `IDA`, `IDAS` and `Explicit` take it beside the motion, to their tolerance. On the instants of
     a solution the quadrature has the order of the integrator: the trapezoidal rule on the steps
     of HHT, Gauss-Lobatto rules on the instants of the others.
-
-    Parameters
-    ----------
-    observable : Observable
     """
 
     observable: Observable
-
-    def __post_init__(self) -> None:
-        """Validate."""
-        _require_observable(self.observable)
 
     def reduce(self, x: Array, w: Array) -> Array:
         """Return the sum."""
@@ -178,45 +179,22 @@ class Integral(OverTime):
         """Return x."""
         return x
 
-    def integrand_slope(self, x: Array, near: float) -> Array:
-        """One."""
-        return np.ones_like(x)
-
 
 @final
 @dataclass(frozen=True)
-class Terminal(WeightedSum):
-    """Value of an observable at the last instant.
-
-    Parameters
-    ----------
-    observable : Observable
-    """
+class Terminal(AtInstants):
+    """Value of an observable at the last instant."""
 
     observable: Observable
 
-    def __post_init__(self) -> None:
-        """Validate."""
-        _require_observable(self.observable)
-
-    @property
-    def over_time(self) -> bool:
-        """False."""
-        return False
-
-    def check_times(self, t_end: float) -> None:
-        """Accept every run."""
-
-    def weights(self, grid: TimeGrid) -> Array:
-        """One at the end."""
-        w = np.zeros(len(grid.t))
-        w[-1] = 1.0
-        return w
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the end."""
+        return (t_end,)
 
 
 @final
 @dataclass(frozen=True)
-class AtTimes(WeightedSum):
+class AtTimes(AtInstants):
     """Sum of the values of an observable at given times.
 
     Between the instants the observable is interpolated with the order of the integrator, linearly
@@ -226,20 +204,14 @@ class AtTimes(WeightedSum):
     ----------
     observable : Observable
     times : float or sequence of float
-        One time or several; s.
-
-    Raises
-    ------
-    InvalidInput
-        If there is no time, or one is negative or not finite.
+        One time or several, none negative; s.
     """
 
     observable: Observable
     times: float | Sequence[float]
 
     def __post_init__(self) -> None:
-        """Validate."""
-        _require_observable(self.observable)
+        super().__post_init__()
         given = cast(Any, self.times)
         times = tuple(given) if np.ndim(given) else (given,)
         for time in times:
@@ -250,34 +222,13 @@ class AtTimes(WeightedSum):
             )
         object.__setattr__(self, "times", tuple(float(time) for time in times))
 
-    @property
-    def over_time(self) -> bool:
-        """False."""
-        return False
-
-    def check_times(self, t_end: float) -> None:
-        """Refuse times after the end."""
-        self._require_reached(t_end, "End the run later.")
-
-    def weights(self, grid: TimeGrid) -> Array:
-        """Weights of the interpolation, summed over the times.
-
-        Raises
-        ------
-        InvalidInput
-            If a run that ended early did not reach one of the times.
-        """
-        self._require_reached(float(grid.t[-1]), "The run ended before.")
-        w = np.zeros(len(grid.t))
-        for time in cast("tuple[float, ...]", self.times):
-            instants, share = grid.interpolation(time)
-            w[instants] += share
-        return w
-
-    def _require_reached(self, end: float, repair: str) -> None:
-        latest = max(cast("tuple[float, ...]", self.times))
-        if latest > end * (1 + 1e-12):
-            raise InvalidInput("AtTimes, times", f"must not exceed {end:.6g}", latest, repair)
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the times."""
+        times = cast("tuple[float, ...]", self.times)
+        if max(times) > t_end * (1 + 1e-12):
+            rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
+            raise InvalidInput("AtTimes, times", rule, max(times), repair)
+        return times
 
 
 @final
@@ -293,20 +244,14 @@ class SmoothMaximum(OverTime):
     ----------
     observable : Observable
     sharpness : float
-        k, in the inverse unit of the observable.
-
-    Raises
-    ------
-    InvalidInput
-        If the sharpness is not positive.
+        k, in the inverse unit of the observable; positive.
     """
 
     observable: Observable
     sharpness: float
 
     def __post_init__(self) -> None:
-        """Validate."""
-        _require_observable(self.observable)
+        super().__post_init__()
         require_positive("SmoothMaximum, sharpness", self.sharpness)
 
     def reduce(self, x: Array, w: Array) -> Array:
@@ -319,19 +264,5 @@ class SmoothMaximum(OverTime):
         return 1.0 / duration
 
     def integrand(self, x: Array, near: float) -> Array:
-        """exp(k (x - near)) / k."""
-        return self.integrand_slope(x, near) / self.sharpness
-
-    def integrand_slope(self, x: Array, near: float) -> Array:
-        """exp(k (x - near)): at the smooth maximum its mean is one."""
-        return np.asarray(np.exp(self.sharpness * (x - near)))
-
-
-def _require_observable(observable: object) -> None:
-    if not isinstance(observable, Observable):
-        raise InvalidInput(
-            "objective, observable",
-            "must be an Observable",
-            repr(observable),
-            "Build one from position(...), strain_energy(...) and so on.",
-        )
+        """exp(k (x - near)) / k: at the smooth maximum the mean of its slope is one."""
+        return np.asarray(np.exp(self.sharpness * (x - near)) / self.sharpness)

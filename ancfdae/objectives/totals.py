@@ -28,16 +28,9 @@ _SMALL = 1e-2
 class Total(Integrand, Integrated):
     """Collects one objective over time part by part.
 
-    A part adds its reduction m, that of the values as a mean, and dm/db; the parts are reduced with
-    their durations. So nothing overflows, and the memory does not grow with the points.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-    reduction : OverTime
-    differentiated : bool
-        Whether derivatives are taken: total ones where sensitivities are integrated, else with the
-        states held.
+    A part adds its reduction m, that of the values as a mean, and, if `differentiated`, dm/db: the
+    total one where sensitivities are integrated, else that with the states held. The parts are
+    reduced with their durations: nothing overflows, and memory does not grow with the points.
     """
 
     def __init__(self, system: MechanicalSystem, reduction: OverTime, differentiated: bool) -> None:
@@ -135,7 +128,7 @@ def totals_of(
     system: MechanicalSystem, objectives: Sequence[Objective], differentiated: bool
 ) -> dict[object, Total]:
     """Return a collector for each integral that the objectives are made of."""
-    found = [leaf for objective in objectives for leaf in leaves(objective.tree)]
+    found = [leaf for objective in objectives for leaf in leaves(objective)]
     return {x: Total(system, x, differentiated) for x in found if isinstance(x, OverTime)}
 
 

@@ -1,7 +1,6 @@
 """Observables: what can be seen of a motion, with exact partial derivatives."""
 
-from ancfdae.observables.observable import Leaf, LeafGradient, Observable, ObservablePartials, Rows
-from ancfdae.observables.observe import observe, states_of
+from ancfdae.observables.observable import Leaf, Observable, ObservablePartials, observe
 from ancfdae.observables.quantities import (
     design_value,
     kinetic_energy,
@@ -10,7 +9,7 @@ from ancfdae.observables.quantities import (
     strain_energy,
     time,
 )
-from ancfdae.observables.states import Named, States
+from ancfdae.observables.states import States, states_of
 from ancfdae.observables.user_functions import apply, custom
 from ancfdae.observables.vectors import (
     axial_strain,
@@ -20,29 +19,3 @@ from ancfdae.observables.vectors import (
     slope_angle,
     velocity,
 )
-
-__all__ = [
-    "Leaf",
-    "LeafGradient",
-    "Named",
-    "Observable",
-    "ObservablePartials",
-    "Rows",
-    "States",
-    "apply",
-    "axial_strain",
-    "custom",
-    "deflection",
-    "design_value",
-    "kinetic_energy",
-    "multiplier",
-    "observe",
-    "position",
-    "reaction",
-    "slope",
-    "slope_angle",
-    "states_of",
-    "strain_energy",
-    "time",
-    "velocity",
-]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, NoReturn, TypeVar, cast, final
+from typing import Any, Generic, NoReturn, TypeVar, cast
 
 import numpy as np
 
@@ -21,47 +21,51 @@ from ancfdae.observables.functions import Function, analytic
 K = TypeVar("K", bound="Expression[Any]")
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Operation:
-    """A function of operands: leaves, numbers and other operations.
+def _binary(ufunc: np.ufunc) -> Callable[[Expression[K], K | float], K]:
+    """Operator that applies a NumPy function, which `analytic` may refuse, to self and other."""
 
-    Compared by identity, so that trees of any depth can be keys.
-    """
+    def operator(self: Expression[K], other: K | float) -> K:
+        return self.combined(analytic(ufunc), (self, other))
 
-    function: Function
-    operands: tuple[object, ...]
+    return operator
+
+
+def _reflected(ufunc: np.ufunc) -> Callable[[Expression[K], float], K]:
+    """Operator that applies a NumPy function to other and self."""
+
+    def operator(self: Expression[K], other: float) -> K:
+        return self.combined(analytic(ufunc), (other, self))
+
+    return operator
+
+
+def _unary(ufunc: np.ufunc) -> Callable[[Expression[K]], K]:
+    """Operator that applies a NumPy function, which `analytic` may refuse."""
+
+    def operator(self: Expression[K]) -> K:
+        return self.combined(analytic(ufunc), (self,))
+
+    return operator
 
 
 class Expression(abc.ABC, Generic[K]):
-    """Operators of expressions of kind K."""
-
-    @property
-    @abc.abstractmethod
-    def tree(self) -> object:
-        """The expression itself if it is a leaf, else its `Operation`."""
+    """A leaf or an `Operation`, with the operators of expressions of kind K."""
 
     @abc.abstractmethod
-    def of(self, operation: Operation) -> K:
-        """Return an operation as an expression of this kind."""
+    def of(self, function: Function, operands: tuple[object, ...]) -> K:
+        """Return an operation on expressions of this kind."""
 
     @abc.abstractmethod
     def accepts(self, other: object) -> bool:
         """Whether the other expression is of this kind."""
 
     def combined(self, function: Function, operands: Sequence[object]) -> K:
-        """Return a function of expressions and numbers.
+        """Return a function of expressions of this kind and finite numbers; refuse others."""
+        return self.of(function, tuple(self._operand(x) for x in operands))
 
-        Raises
-        ------
-        InvalidInput
-            If an operand is neither an expression of this kind nor a finite number.
-        """
-        return self.of(Operation(function, tuple(self._node(x) for x in operands)))
-
-    def _node(self, operand: object) -> object:
+    def _operand(self, operand: object) -> object:
         if isinstance(operand, Expression) and self.accepts(operand):
-            return operand.tree
+            return operand
         where = f"operand of {type(self).__name__}"
         if isinstance(operand, Expression):
             raise InvalidInput(
@@ -83,64 +87,18 @@ class Expression(abc.ABC, Generic[K]):
         """Apply a NumPy function; see `analytic` for those that are refused."""
         return self.combined(analytic(ufunc, method, not options), inputs)
 
-    def __add__(self, other: K | float) -> K:
-        return self.combined(analytic(np.add), (self, other))
-
-    def __radd__(self, other: float) -> K:
-        return self.combined(analytic(np.add), (other, self))
-
-    def __sub__(self, other: K | float) -> K:
-        return self.combined(analytic(np.subtract), (self, other))
-
-    def __rsub__(self, other: float) -> K:
-        return self.combined(analytic(np.subtract), (other, self))
-
-    def __mul__(self, other: K | float) -> K:
-        return self.combined(analytic(np.multiply), (self, other))
-
-    def __rmul__(self, other: float) -> K:
-        return self.combined(analytic(np.multiply), (other, self))
-
-    def __truediv__(self, other: K | float) -> K:
-        return self.combined(analytic(np.divide), (self, other))
-
-    def __rtruediv__(self, other: float) -> K:
-        return self.combined(analytic(np.divide), (other, self))
-
-    def __pow__(self, other: K | float) -> K:
-        return self.combined(analytic(np.power), (self, other))
-
-    def __rpow__(self, other: float) -> K:
-        return self.combined(analytic(np.power), (other, self))
-
-    def __neg__(self) -> K:
-        return self.combined(analytic(np.negative), (self,))
-
-    def __pos__(self) -> K:
-        return self.combined(analytic(np.positive), (self,))
+    __add__, __radd__ = _binary(np.add), _reflected(np.add)
+    __sub__, __rsub__ = _binary(np.subtract), _reflected(np.subtract)
+    __mul__, __rmul__ = _binary(np.multiply), _reflected(np.multiply)
+    __truediv__, __rtruediv__ = _binary(np.divide), _reflected(np.divide)
+    __pow__, __rpow__ = _binary(np.power), _reflected(np.power)
+    __neg__, __pos__ = _unary(np.negative), _unary(np.positive)
 
     # `analytic` refuses these and says what to use instead.
-
-    def __abs__(self) -> K:
-        return self.combined(analytic(np.absolute), (self,))
-
-    def __floordiv__(self, other: object) -> K:
-        return self.combined(analytic(np.floor_divide), (self, other))
-
-    def __mod__(self, other: object) -> K:
-        return self.combined(analytic(np.remainder), (self, other))
-
-    def __lt__(self, other: object) -> K:
-        return self.combined(analytic(np.less), (self, other))
-
-    def __le__(self, other: object) -> K:
-        return self.combined(analytic(np.less_equal), (self, other))
-
-    def __gt__(self, other: object) -> K:
-        return self.combined(analytic(np.greater), (self, other))
-
-    def __ge__(self, other: object) -> K:
-        return self.combined(analytic(np.greater_equal), (self, other))
+    __abs__ = _unary(np.absolute)
+    __floordiv__, __mod__ = _binary(np.floor_divide), _binary(np.remainder)
+    __lt__, __le__ = _binary(np.less), _binary(np.less_equal)
+    __gt__, __ge__ = _binary(np.greater), _binary(np.greater_equal)
 
     def __bool__(self) -> NoReturn:
         raise InvalidInput(
@@ -151,10 +109,21 @@ class Expression(abc.ABC, Generic[K]):
         )
 
 
-def in_order(tree: object) -> list[object]:
-    """Nodes of a tree, each once, operands before operations; without recursion."""
+@dataclass(frozen=True, eq=False)
+class Operation:
+    """A function of operands: expressions and numbers.
+
+    Compared by identity, so that trees of any depth can be keys.
+    """
+
+    function: Function
+    operands: tuple[object, ...]
+
+
+def in_order(root: object) -> list[object]:
+    """Nodes of an expression, each once, operands before operations; without recursion."""
     done: dict[object, None] = {}
-    stack = [tree]
+    stack = [root]
     while stack:
         node = stack[-1]
         missing = []
@@ -167,16 +136,16 @@ def in_order(tree: object) -> list[object]:
     return list(done)
 
 
-def leaves(tree: object) -> list[object]:
-    """Distinct leaves of a tree."""
-    return [node for node in in_order(tree) if not isinstance(node, Operation)]
+def leaves(root: object) -> list[object]:
+    """Distinct leaves of an expression."""
+    return [node for node in in_order(root) if not isinstance(node, Operation)]
 
 
-def evaluated(tree: object, leaf_value: Callable[[Any], Array]) -> dict[object, Array]:
-    """Values of all nodes of a tree, in an order that puts the root last."""
+def evaluated(root: object, leaf_value: Callable[[Any], Array]) -> dict[object, Array]:
+    """Values of all nodes of an expression, the expression last."""
     values: dict[object, Array] = {}
     with np.errstate(all="ignore"):
-        for node in in_order(tree):
+        for node in in_order(root):
             if isinstance(node, Operation):
                 values[node] = node.function(operands_of(node, values))
             else:
@@ -192,13 +161,8 @@ def operands_of(operation: Operation, values: Mapping[object, Array]) -> list[Ar
 def leaf_weights(values: Mapping[object, Array], weight: Array) -> dict[object, Array]:
     """Return the derivatives of sum(weight * root) in the values of the leaves.
 
-    Parameters
-    ----------
-    values : mapping
-        Real values of all nodes as `evaluated` returns them.
-    weight : array
-        Of the shape of the values. Where it is zero nothing contributes, even if a derivative
-        is not finite there.
+    `values` are those of all nodes, real, as `evaluated` returns them. Where the weight is zero
+    nothing contributes, even if a derivative is not finite there.
     """
     nodes = list(values)
     weights: dict[object, Array] = {nodes[-1]: weight}

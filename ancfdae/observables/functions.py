@@ -58,14 +58,8 @@ _FAILURES = (TypeError, ValueError, AttributeError, ArithmeticError, IndexError)
 class Function:
     """A function of arrays, element by element.
 
-    Attributes
-    ----------
-    name : str
-    call : callable
-    edged : bool
-        Whether it may be real on a part of the real line only.
-    own : bool
-        Whether a user wrote it, so that its derivative is checked.
+    `edged` if it may be real on a part of the real line only; `own` if a user wrote it, so that
+    its derivative is checked.
     """
 
     name: str
@@ -103,18 +97,8 @@ _FUNCTIONS = {
 def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> Function:
     """Return a NumPy function that may stand in an expression.
 
-    Parameters
-    ----------
-    ufunc : numpy.ufunc
-    method : str
-        How NumPy was asked for it.
-    plain : bool
-        Whether it was called without options such as ``where``.
-
-    Raises
-    ------
-    InvalidInput
-        If it is not analytic, or was not simply called.
+    Refused are functions that are not analytic, methods such as ``reduce``, and calls that are not
+    `plain` but have options such as ``where``.
     """
     name = f"numpy.{ufunc.__name__}"
     if ufunc not in _FUNCTIONS:
@@ -132,34 +116,29 @@ def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> F
     return _FUNCTIONS[ufunc]
 
 
-def require_derivative(where: str, along: Callable[[complex], Array]) -> None:
-    """Refuse a function whose complex step is not its derivative.
+def require_derivative(
+    where: str, function: Callable[..., Array], x: Sequence[Array], dx: Sequence[Array]
+) -> None:
+    """Refuse a function whose complex step along dx, of the size of x, is not its derivative.
 
-    Parameters
-    ----------
-    where : str
-        Name of the function.
-    along : callable
-        Its values at x + s dx for a number s; dx of the size of x.
-
-    Raises
-    ------
-    InvalidInput
-        If it fails on complex numbers, or its complex step agrees with no central difference of
-        six sizes. Where no difference is finite, the function is accepted.
+    Refused is a function that fails on complex numbers, or whose complex step agrees with no
+    central difference of six sizes; where no difference is finite, it is accepted.
     """
+
+    def along(s: complex) -> Array:
+        return np.asarray(function(*(a + s * da for a, da in zip(x, dx, strict=True))))
+
     try:
-        base, moved = np.asarray(along(0.0)), np.asarray(along(1j * STEP))
-        slope = moved.imag / STEP
+        base, slope = along(0.0), along(1j * STEP).imag / STEP
     except _FAILURES as error:
         raise _unsafe(where, f"{type(error).__name__}: {error}") from error
     judged, agreed = np.zeros(base.shape, bool), np.zeros(base.shape, bool)
     with np.errstate(all="ignore"):
         # A function that vanishes with its slope has differences of the order s^2 f(x + dx).
-        far = np.abs(np.asarray(along(1.0))) + np.abs(np.asarray(along(-1.0)))
+        far = np.abs(along(1.0)) + np.abs(along(-1.0))
         curved = 10.0 * np.where(np.isfinite(far), far, 0.0)
         for s in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
-            difference = (np.asarray(along(s)) - np.asarray(along(-s))).real / (2 * s)
+            difference = (along(s) - along(-s)).real / (2 * s)
             # A difference carries the round-off of the values over its size.
             allowed = 1e-3 * np.abs(slope) + 1e-15 * np.abs(base) / s + curved * s**2
             judged |= np.isfinite(difference) & np.isfinite(slope)
@@ -171,18 +150,7 @@ def require_derivative(where: str, along: Callable[[complex], Array]) -> None:
 def require_vectorised(where: str, rows: Callable[[slice], Array], count: int) -> None:
     """Refuse a function that does not work instant by instant on whole arrays.
 
-    Parameters
-    ----------
-    where : str
-        Name of the function.
-    rows : callable
-        Its values at a slice of the instants.
-    count : int
-        Number of instants.
-
-    Raises
-    ------
-    InvalidInput
+    `rows` gives its values at a slice of the `count` instants.
     """
     repair = "Return one number per instant, from that instant alone."
     try:

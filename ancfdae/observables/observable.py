@@ -18,22 +18,17 @@ from ancfdae.observables.expression import (
     leaves,
     operands_of,
 )
-from ancfdae.observables.functions import require_derivative
-from ancfdae.observables.states import Named, States
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.observables.functions import Function, require_derivative
+from ancfdae.observables.states import Named, States, states_of
+from ancfdae.protocol import MechanicalSystem, Solution
 
 
 @final
 @dataclass(frozen=True)
 class Rows:
-    """Partials of one number per instant that vanish outside a few columns.
+    """Partials of one number per instant that vanish outside a few columns, none of them twice.
 
-    Attributes
-    ----------
-    columns : array of int, shape (m,), or slice
-        Columns, none twice.
-    values : array, shape (k, m) or (1, m)
-        One row if all instants share it.
+    The values have shape (k, m), or (1, m) if all instants share them.
     """
 
     columns: Array | slice
@@ -49,14 +44,7 @@ class Rows:
 @final
 @dataclass(frozen=True)
 class LeafGradient:
-    """Partials of a leaf; None where it does not depend on the argument.
-
-    Attributes
-    ----------
-    q, v, lam : Rows or None
-    b : array, shape (k, n_b), or None
-        Partials in the design variables with the states held.
-    """
+    """Partials of a leaf, in b with the states held, (k, n_b); None where it does not depend."""
 
     q: Rows | None = None
     v: Rows | None = None
@@ -92,30 +80,22 @@ class Observable(Expression["Observable"]):
     numbers into observables.
     """
 
-    def of(self, operation: Operation) -> Observable:
-        """Return an operation on observables as an observable."""
-        return Composite(operation)
+    def of(self, function: Function, operands: tuple[object, ...]) -> Observable:
+        """Return a function of observables."""
+        return Composite(function, operands)
 
     def accepts(self, other: object) -> bool:
         """Whether the other expression is an observable."""
         return isinstance(other, Observable)
 
     def check(self, system: Named) -> None:
-        """Refuse an observable that the system does not have.
-
-        Raises
-        ------
-        UnknownName
-            If a beam, joint or design variable does not exist.
-        InvalidInput
-            If an axis does not exist, or the system lacks what the observable needs.
-        """
+        """Raise UnknownName or InvalidInput for an observable that the system does not have."""
         for leaf in self.leaves():
             leaf.check_leaf(system)
 
     def leaves(self) -> list[Leaf]:
         """Return the distinct leaves."""
-        return cast("list[Leaf]", leaves(self.tree))
+        return cast("list[Leaf]", leaves(self))
 
     def value(self, system: Named, states: States) -> Array:
         """Return the values, shape (k,); complex if a state or a design variable is."""
@@ -123,7 +103,7 @@ class Observable(Expression["Observable"]):
 
     def node_values(self, system: Named, states: States) -> dict[object, Array]:
         """Return the values of all nodes of the tree, the observable last."""
-        return evaluated(self.tree, lambda leaf: leaf.leaf_value(system, states))
+        return evaluated(self, lambda leaf: leaf.leaf_value(system, states))
 
     def partials(self, system: MechanicalSystem, states: States) -> ObservablePartials:
         """Return values and partials at real states."""
@@ -133,28 +113,18 @@ class Observable(Expression["Observable"]):
     def weighted_partials(
         self, system: MechanicalSystem, states: States, values: dict[object, Array], weight: Array
     ) -> ObservablePartials:
-        """Return the partials times a weight per instant.
+        """Return the partials times a weight per instant, shape (k,).
 
-        Parameters
-        ----------
-        system : MechanicalSystem
-        states : States
-            Real.
-        values : dict
-            The values of all nodes at these states, from `node_values`.
-        weight : array, shape (k,)
-
-        Raises
-        ------
-        InvalidInput
-            If the states are complex, or a user's function turns out not to be differentiable.
+        `values` are those of all nodes at these states, from `node_values`. Refused are complex
+        states, and a user's function that turns out not to be differentiable.
         """
         if any(np.iscomplexobj(x) for x in values.values()):
             raise InvalidInput(
                 "partials", "need real states and design values", "complex", "Use `value`."
             )
         _require_derivatives(values)
-        parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam", "b"))
+        parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
+        b = np.zeros((len(weight), system.n_b))
         with np.errstate(all="ignore"):  # the caller checks for values that are not finite
             for leaf, factor in leaf_weights(values, weight).items():
                 gradient = cast(Leaf, leaf).leaf_gradient(system, states)
@@ -163,30 +133,15 @@ class Observable(Expression["Observable"]):
                     if rows is not None:
                         parts[name] = rows.add_to(parts[name], factor, states_of.shape[1])
                 if gradient.b is not None:
-                    shift = factor[:, None] * gradient.b
-                    parts["b"] = shift if parts["b"] is None else parts["b"] + shift
-        b = parts["b"]
-        if b is None:
-            b = np.zeros((len(weight), system.n_b))
-        value = list(values.values())[-1]
-        return ObservablePartials(value, parts["q"], parts["v"], parts["lam"], b)
+                    b += factor[:, None] * gradient.b
+        return ObservablePartials(list(values.values())[-1], **parts, b=b)
 
 
 class Leaf(Observable):
-    """An observable that is not made of others; immutable and compared by value.
+    """An observable that is not made of others; immutable and compared by value."""
 
-    Attributes
-    ----------
-    multipliers : bool
-        Whether it depends on multipliers.
-    """
-
+    #: Whether it depends on multipliers.
     multipliers: ClassVar[bool] = False
-
-    @property
-    def tree(self) -> object:
-        """The leaf itself."""
-        return self
 
     @abc.abstractmethod
     def check_leaf(self, system: Named) -> None:
@@ -203,15 +158,34 @@ class Leaf(Observable):
 
 @final
 @dataclass(frozen=True, eq=False)
-class Composite(Observable):
+class Composite(Operation, Observable):
     """A function of observables."""
 
-    operation: Operation
 
-    @property
-    def tree(self) -> object:
-        """The operation."""
-        return self.operation
+def observe(
+    observable: Observable, solution: Solution, system: MechanicalSystem | None = None
+) -> Array:
+    """Return the values of an observable along a solution, shape (n_t,).
+
+    Energies, design variables and `custom` functions need the system that was integrated.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If something that the observable names does not exist, the system is missing, or the
+        solution is complex and the system is not: it would hold the design variables fixed.
+    """
+    held = system is not None and system.n_b > 0 and not np.iscomplexobj(system.b)
+    if held and np.iscomplexobj(solution.q):
+        raise InvalidInput(
+            "observe",
+            "a complex solution needs a system at complex design values",
+            "real ones",
+            "Use Observable.partials for derivatives.",
+        )
+    names = solution if system is None else system
+    observable.check(names)
+    return observable.value(names, states_of(solution))
 
 
 def _require_derivatives(values: dict[object, Array]) -> None:
@@ -220,10 +194,4 @@ def _require_derivatives(values: dict[object, Array]) -> None:
         if isinstance(node, Operation) and node.function.own:
             x = [a[[0, len(a) // 2, -1]] for a in operands_of(node, values)]
             dx = [np.where(a == 0, 1.0, a) for a in x]
-            call = node.function.call
-            require_derivative(
-                node.function.name,
-                lambda s, call=call, x=x, dx=dx: call(  # type: ignore[misc]  # bound per pass
-                    *(a + s * da for a, da in zip(x, dx, strict=True))
-                ),
-            )
+            require_derivative(node.function.name, node.function.call, x, dx)

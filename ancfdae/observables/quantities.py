@@ -16,42 +16,28 @@ from ancfdae.protocol import MechanicalSystem
 
 
 def reaction(joint: str, axis: int) -> Observable:
-    """Return a component of the force of a joint on its first point; N.
+    """Return a component of the force of a joint on its first point; N. Axes as in `position`.
 
     It is minus a multiplier of the joint's first equations, as in `Solution.reaction`; for joints
     that hold a point in all directions. For others see `multiplier`.
-
-    Parameters
-    ----------
-    joint : str
-        Name of the joint.
-    axis : int
-        0, 1 or 2 for x, y or z.
     """
-    return Reaction(joint, axis)
+    require_index("reaction, axis", axis)
+    return -Multiplier(joint, axis, on_point=True)
 
 
 def multiplier(joint: str, row: int) -> Observable:
-    """Return a multiplier of a joint.
-
-    Parameters
-    ----------
-    joint : str
-        Name of the joint.
-    row : int
-        Number of its equation, from 0 on.
-    """
+    """Return the multiplier of an equation of a joint; these are counted from 0 on."""
     return Multiplier(joint, row)
 
 
 def strain_energy(beam: str | None = None) -> Observable:
     """Return the strain energy of a beam, or of the whole scene; J."""
-    return StrainEnergy(beam)
+    return Energy(beam, kinetic=False)
 
 
 def kinetic_energy(beam: str | None = None) -> Observable:
     """Return the kinetic energy of a beam, or of the whole scene; J."""
-    return KineticEnergy(beam)
+    return Energy(beam, kinetic=True)
 
 
 def time() -> Observable:
@@ -60,129 +46,78 @@ def time() -> Observable:
 
 
 def design_value(name: str) -> Observable:
-    """Return the value of a design variable, the same at every instant.
-
-    Parameters
-    ----------
-    name : str
-        As in `MechanicalSystem.design_names`, such as ``"rod.height"``.
-    """
+    """Return the value of a design variable such as ``"rod.height"``, the same at every instant."""
     return Design(name)
 
 
 @final
 @dataclass(frozen=True)
-class Reaction(Leaf):
-    """Component of the force of a joint on its first point.
-
-    Raises
-    ------
-    InvalidInput
-        If the axis is not 0, 1 or 2.
-    """
+class Multiplier(Leaf):
+    """Multiplier of an equation of a joint; `on_point` if it must be a force on its first point."""
 
     multipliers: ClassVar[bool] = True
 
     joint: str
-    axis: int
-
-    def __post_init__(self) -> None:
-        """Validate."""
-        require_index("reaction, axis", self.axis)
+    row: int
+    on_point: bool = False
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a joint or an axis that does not exist."""
+        """Refuse a joint, an equation or an axis that does not exist."""
         layout = known_naming(system).layout
-        if not layout.joint(self.joint).holds_position:
+        place = layout.joint(self.joint)
+        if not self.on_point:
+            require_index(f"multiplier of {self.joint!r}, row", self.row, place.rows)
+        elif not place.holds_position:
             raise InvalidInput(
                 f"reaction of {self.joint!r}",
                 "is defined for joints that hold a point in all directions",
                 "a joint of another kind",
                 "Use multiplier(joint, row).",
             )
-        require_index("reaction, axis", self.axis, layout.d)
-
-    def leaf_value(self, system: Named, states: States) -> Array:
-        """Minus the multiplier."""
-        return -states.lam[:, self._row(system)]
-
-    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Minus one in the column of the multiplier."""
-        return LeafGradient(lam=Rows(np.array([self._row(system)]), np.array([[-1.0]])))
-
-    def _row(self, system: Named) -> int:
-        return known_naming(system).layout.joint(self.joint).first_row + self.axis
-
-
-@final
-@dataclass(frozen=True)
-class Multiplier(Leaf):
-    """Multiplier of an equation of a joint."""
-
-    multipliers: ClassVar[bool] = True
-
-    joint: str
-    row: int
-
-    def check_leaf(self, system: Named) -> None:
-        """Refuse a joint or an equation that does not exist."""
-        place = known_naming(system).layout.joint(self.joint)
-        require_index(f"multiplier of {self.joint!r}, row", self.row, place.rows)
+        else:
+            require_index("reaction, axis", self.row, layout.d)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return the multiplier."""
-        return states.lam[:, self._row(system)]
+        return states.lam[:, self._column(system)]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """One in the column of the multiplier."""
-        return LeafGradient(lam=Rows(np.array([self._row(system)]), np.array([[1.0]])))
+        return LeafGradient(lam=Rows(np.array([self._column(system)]), np.ones((1, 1))))
 
-    def _row(self, system: Named) -> int:
+    def _column(self, system: Named) -> int:
         return known_naming(system).layout.joint(self.joint).first_row + self.row
 
 
 @final
 @dataclass(frozen=True)
-class StrainEnergy(Leaf):
-    """Strain energy of a beam or of the scene."""
+class Energy(Leaf):
+    """Strain or kinetic energy of a beam or of the scene."""
 
     beam: str | None
+    kinetic: bool
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a beam that does not exist, or a solution without its system."""
-        _check_energy(system, self.beam)
+        layout = known_naming(_ancf(system)).layout
+        if self.beam is not None:
+            layout.beam(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:
-        """U of every instant."""
-        return _ancf(system).strain_energies(states.q, beam=self.beam)
+        """T (eq. 9) or U of every instant."""
+        scene = _ancf(system)
+        if self.kinetic:
+            return scene.kinetic_energies(states.v, beam=self.beam)
+        return scene.strain_energies(states.q, beam=self.beam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """U_q and U_b."""
-        scene = _ancf(system)
-        rows = Rows(slice(None), scene.strain_energies_q(states.q, beam=self.beam))
-        return LeafGradient(q=rows, b=scene.strain_energies_b(states.q, beam=self.beam))
-
-
-@final
-@dataclass(frozen=True)
-class KineticEnergy(Leaf):
-    """Kinetic energy of a beam or of the scene."""
-
-    beam: str | None
-
-    def check_leaf(self, system: Named) -> None:
-        """Refuse a beam that does not exist, or a solution without its system."""
-        _check_energy(system, self.beam)
-
-    def leaf_value(self, system: Named, states: States) -> Array:
-        """T of every instant (eq. 9)."""
-        return _ancf(system).kinetic_energies(states.v, beam=self.beam)
-
-    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """T_v and T_b."""
-        scene = _ancf(system)
-        rows = Rows(slice(None), scene.kinetic_energies_v(states.v, beam=self.beam))
-        return LeafGradient(v=rows, b=scene.kinetic_energies_b(states.v, beam=self.beam))
+        """T_v and T_b, or U_q and U_b."""
+        scene, q, v = _ancf(system), states.q, states.v
+        if self.kinetic:
+            rows = Rows(slice(None), scene.kinetic_energies_v(v, beam=self.beam))
+            return LeafGradient(v=rows, b=scene.kinetic_energies_b(v, beam=self.beam))
+        rows = Rows(slice(None), scene.strain_energies_q(q, beam=self.beam))
+        return LeafGradient(q=rows, b=scene.strain_energies_b(q, beam=self.beam))
 
 
 @final
@@ -229,16 +164,6 @@ class Design(Leaf):
 
 def _ancf(system: Named) -> AncfSystem:
     if not isinstance(system, AncfSystem):
-        raise InvalidInput(
-            "energy",
-            "needs the assembled scene",
-            type(system).__name__,
-            "Pass assemble(scene, design).",
-        )
+        rule, repair = "needs the assembled scene", "Pass assemble(scene, design)."
+        raise InvalidInput("energy", rule, type(system).__name__, repair)
     return system
-
-
-def _check_energy(system: Named, beam: str | None) -> None:
-    layout = known_naming(_ancf(system)).layout
-    if beam is not None:
-        layout.beam(beam)

@@ -11,7 +11,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, Solution
 
 
 class Named(Protocol):
@@ -52,14 +52,13 @@ class States:
         return States(self.t[which], self.q[which], self.v[which], self.lam[which])
 
 
-def known_naming(system: Named) -> Naming:
-    """Return the names of an ANCF scene.
+def states_of(solution: Solution) -> States:
+    """Return the states of a solution."""
+    return States(solution.t, solution.q, solution.v, solution.lam, solution.degree)
 
-    Raises
-    ------
-    InvalidInput
-        If the system has none.
-    """
+
+def known_naming(system: Named) -> Naming:
+    """Return the names of an ANCF scene; refuse a system that has none."""
     if system.naming is None:
         raise InvalidInput(
             "observable of a named point or joint",
@@ -71,13 +70,7 @@ def known_naming(system: Named) -> Naming:
 
 
 def require_index(where: str, index: int, count: int = 3) -> None:
-    """Refuse an axis, or another number, that does not exist.
-
-    Raises
-    ------
-    InvalidInput
-        If it is not an integer from 0 to count - 1.
-    """
+    """Refuse what is not an integer from 0 to count - 1."""
     given: object = index
     whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
     if not whole or not 0 <= index < count:
@@ -90,13 +83,7 @@ def require_index(where: str, index: int, count: int = 3) -> None:
 
 
 def known_system(name: str, system: Named) -> MechanicalSystem:
-    """Return the system, which a solution cannot replace.
-
-    Raises
-    ------
-    InvalidInput
-        If it is something else.
-    """
+    """Return the system; refuse a solution, which cannot replace it."""
     if not isinstance(system, MechanicalSystem):
         raise InvalidInput(
             f"observable {name!r}",

@@ -44,21 +44,16 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
     tried = [np.roll(base, j) * (1 + 0.1 * j) for j in range(len(observables))]
     with np.errstate(all="ignore"):
         require_vectorised(name, lambda rows: function(*(x[rows] for x in tried)), len(base))
-        require_derivative(name, lambda s: function(*(x + s for x in tried)))
+        require_derivative(name, function, tried, [np.ones_like(x) for x in tried])
     return observables[0].combined(own, observables)
 
 
 def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
     """Return a function H(t, q, v, lam, b) of your own, for any mechanical system.
 
-    Parameters
-    ----------
-    function : callable
-        Takes t (k,), q (k, n_q), v (k, n_q), lam (k, n_lam) and b (n_b,) and returns an array
-        (k,), instant by instant and with operations that accept complex numbers. Its partials
-        take one evaluation per coordinate, velocity, multiplier and design variable.
-    name : str
-        Used in messages.
+    It takes t (k,), q (k, n_q), v (k, n_q), lam (k, n_lam) and b (n_b,) and returns an array (k,),
+    instant by instant and with operations that accept complex numbers. Its partials take one
+    evaluation per coordinate, velocity, multiplier and design variable. Messages use the name.
     """
     return Custom(function, name)
 
@@ -74,14 +69,7 @@ class Custom(Leaf):
     name: str
 
     def check_leaf(self, system: Named) -> None:
-        """Try the function around the start.
-
-        Raises
-        ------
-        InvalidInput
-            If it mixes instants, fails on complex numbers, or its complex step disagrees with
-            finite differences.
-        """
+        """Try the function around the start, and refuse it as `apply` does."""
         system = known_system(self.name, system)
         q, v = system.start()
         # Near the start, but not at it, where velocities and multipliers may be zero.
@@ -127,7 +115,4 @@ class Custom(Leaf):
             np.where(a == 0, 1.0, a) * np.cos(0.7 * j + 1.3 * np.arange(a.shape[-1]))
             for j, a in enumerate(x)
         ]
-        require_derivative(
-            self.name,
-            lambda s: self.function(states.t, *(a + s * da for a, da in zip(x, dx, strict=True))),
-        )
+        require_derivative(self.name, lambda *moved: self.function(states.t, *moved), x, dx)

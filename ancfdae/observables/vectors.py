@@ -7,8 +7,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity
-from ancfdae.errors import InvalidInput
+from ancfdae.bodies import Point, Quantity, require_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.functions import Function
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
@@ -17,33 +16,22 @@ from ancfdae.protocol import MechanicalSystem
 
 
 def position(point: Point, axis: int) -> Observable:
-    """Return a component of the position of a material point; m.
+    """Return a component of the position of a point such as ``beam.at_end``; m.
 
-    Parameters
-    ----------
-    point : Point
-        For example ``beam.at_end``.
-    axis : int
-        0, 1 or 2 for x, y or z.
+    Axes 0, 1 and 2 are x, y and z.
     """
     return Component(point, Quantity.POSITION, axis)
 
 
 def velocity(point: Point, axis: int) -> Observable:
-    """Return a component of the velocity of a material point; m/s. Arguments as in `position`."""
+    """Return a component of the velocity of a point; m/s. Axes as in `position`."""
     return Component(point, Quantity.POSITION, axis, rate=True)
 
 
 def slope(point: Point, along: int, axis: int) -> Observable:
-    """Return a component of a slope vector.
+    """Return a component of a slope vector; axes as in `position`.
 
-    Parameters
-    ----------
-    point : Point
-    along : int
-        0 for the tangent, 1 and 2 for the slopes along the section's height and width.
-    axis : int
-        0, 1 or 2 for the x, y or z component.
+    `along` is 0 for the tangent, 1 and 2 for the slopes along the section's height and width.
     """
     require_index("slope, along", along)
     return Component(point, Quantity(along + 1), axis)
@@ -91,21 +79,7 @@ def _continuous_angle(x: Array, y: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class Component(Leaf):
-    """A component of a position or slope vector, or of its rate.
-
-    Parameters
-    ----------
-    point : Point
-    quantity : Quantity
-    axis : int
-    rate : bool
-        Whether it is the time derivative.
-
-    Raises
-    ------
-    InvalidInput
-        If the axis is not 0, 1 or 2, or `point` is no point.
-    """
+    """A component of a position or slope vector, or of its time derivative if `rate`."""
 
     point: Point
     quantity: Quantity
@@ -113,8 +87,7 @@ class Component(Leaf):
     rate: bool = False
 
     def __post_init__(self) -> None:
-        """Validate."""
-        _require_point(self.point)
+        require_point("observable, point", self.point)
         require_index("observable, axis", self.axis)
 
     def check_leaf(self, system: Named) -> None:
@@ -147,19 +120,12 @@ class Component(Leaf):
 @final
 @dataclass(frozen=True)
 class AxialStrain(Leaf):
-    """(r_x . r_x - 1)/2 at a material point.
-
-    Raises
-    ------
-    InvalidInput
-        If `point` is no point.
-    """
+    """(r_x . r_x - 1)/2 at a material point."""
 
     point: Point
 
     def __post_init__(self) -> None:
-        """Validate."""
-        _require_point(self.point)
+        require_point("observable, point", self.point)
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist."""
@@ -194,10 +160,3 @@ def _combination(system: Named, point: Point, quantity: Quantity) -> tuple[Array
     # A weight is a power of the length times a number, and vanishes with its derivative.
     used = vector.weights != 0
     return vector.vectors[used] * naming.layout.d, vector.weights[used], vector.weights_b[used]
-
-
-def _require_point(point: object) -> None:
-    if not isinstance(point, Point):
-        raise InvalidInput(
-            "observable, point", "must be a Point", repr(point), "Use beam.at_end or beam.at(0.5)."
-        )

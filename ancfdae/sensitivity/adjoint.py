@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.errors import InvalidInput
-from ancfdae.integrators import HHT, AdjointIntegrator, Integrator, Seeds
+from ancfdae.integrators import HHT, AdjointIntegrator, Seeds
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.sensitivity.method import Gradient, GradientMethod, keeping, run_for
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, keeping
 
 
 @final
@@ -25,31 +24,13 @@ class Adjoint(GradientMethod):
     design variables.
     """
 
-    def gradients(
-        self,
-        system: MechanicalSystem,
-        objectives: Sequence[Objective],
-        t_end: float,
-        integrator: Integrator,
-        progress: bool,
-    ) -> list[Gradient]:
-        """One run for all objectives, one transposed pass for each.
-
-        Raises
-        ------
-        InvalidInput
-            If the integrator has no adjoint.
-        """
+    def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
+        """One run for all objectives, one transposed pass for each."""
+        system, integrator = run.system, run.integrator
         if not isinstance(integrator, AdjointIntegrator):
-            raise InvalidInput(
-                "Adjoint",
-                "needs an integrator with an adjoint",
-                repr(integrator),
-                "Use HHT or IDAS, or Direct().",
-            )
-        solution, totals = run_for(
-            system, objectives, t_end, integrator, progress, differentiated=True
-        )
+            rule, repair = "needs an integrator with an adjoint", "Use HHT or IDAS, or Direct()."
+            raise InvalidInput("Adjoint", rule, repr(integrator), repair)
+        solution, totals = run.integrals(objectives, differentiated=True)
         results = []
         # The pass back over a run of HHT factorises once per step.
         factorised = solution.statistics.steps if isinstance(integrator, HHT) else 0

@@ -34,7 +34,7 @@ import numpy as np
 from scipy.interpolate import BarycentricInterpolator
 
 from ancfdae.errors import InvalidInput
-from ancfdae.integrators import HHT, Integrator
+from ancfdae.integrators import HHT
 from ancfdae.integrators.hht.equations import acceleration, correct, predict
 from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.start import (
@@ -42,14 +42,18 @@ from ancfdae.integrators.start import (
     consistent_start,
     pull_back_start,
     saddle_point,
+    solve,
+    solve_transposed,
 )
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.objectives import Objective, ObjectivePartials
+from ancfdae.objectives.reductions import OverTime
 from ancfdae.observables import states_of
+from ancfdae.observables.expression import leaves
 from ancfdae.protocol import Linearisation, MechanicalSystem
 from ancfdae.protocol.solution import Solution
-from ancfdae.sensitivity.method import Gradient, GradientMethod, finished, keeping
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 
 # Steps needed for the one-sided differences at the end.
 _LEAST_STEPS = 4
@@ -64,35 +68,22 @@ class ContinuousAdjoint(GradientMethod):
     `Adjoint` costs the same and is exact for the discrete run.
     """
 
-    def gradients(
-        self,
-        system: MechanicalSystem,
-        objectives: Sequence[Objective],
-        t_end: float,
-        integrator: Integrator,
-        progress: bool,
-    ) -> list[Gradient]:
-        """One run for all objectives, one backward run for each.
-
-        Raises
-        ------
-        InvalidInput
-            If the integrator is another one, the run has fewer than four steps, or an objective
-            is not a function of time integrals.
-        """
+    def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
+        """One run of HHT for all objectives, one backward run for each."""
+        system, integrator = run.system, run.integrator
         if not isinstance(integrator, HHT):
             raise InvalidInput(
                 "ContinuousAdjoint", "runs with HHT", repr(integrator), "Use HHT, or Adjoint."
             )
         for objective in objectives:
-            if not objective.over_time:
+            if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):
                 raise InvalidInput(
                     "ContinuousAdjoint",
                     "takes functions of time integrals (eq. 20)",
                     repr(objective),
                     "Use Adjoint for values at given times.",
                 )
-        solution = finished(integrator.integrate(system, t_end, progress=progress))
+        solution = finished(run.solution())
         if len(solution.t) <= _LEAST_STEPS:
             raise InvalidInput(
                 "ContinuousAdjoint", "needs four steps", len(solution.t) - 1, "Use Adjoint."
@@ -165,16 +156,15 @@ class _BackwardRun:
         self._coefficients(t)
 
     def _coefficients(self, t: Array) -> None:
-        """K and C of every instant, transposed; C is None where it vanishes."""
-        f_v = self._local.f_v
-        self._K, self._C, self._M_t = self._local.f_q, f_v, None
-        if f_v is not None:
-            self._K = self._K - np.gradient(f_v, t, axis=0, edge_order=2)
+        """P = f_v - M', K = f_q - P' and C = P - M' of every instant, transposed; None for zero."""
+        self._P = self._C = self._local.f_v
         if not self._system.constant_mass:
             M_t = np.gradient(self._local.M, t, axis=0, edge_order=2)
-            self._K = self._K + np.gradient(M_t, t, axis=0, edge_order=2)
-            self._C = -2 * M_t if f_v is None else f_v - 2 * M_t
-            self._M_t = M_t
+            self._P = -M_t if self._P is None else self._P - M_t
+            self._C = self._P - M_t
+        self._K = self._local.f_q
+        if self._P is not None:
+            self._K = self._K - np.gradient(self._P, t, axis=0, edge_order=2)
 
     def _mass(self, n: int) -> Array:
         M: Array = self._local.M[0 if self._system.constant_mass else n]
@@ -183,10 +173,9 @@ class _BackwardRun:
     def gradient(self) -> Array:
         """Eq. (42)."""
         system, s = self._system, self._solution
-        end, epsilon, gamma = self._end()
+        state, epsilon, gamma = self._end()
         mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)
-        state = end
-        mu[-1], zeta[-1] = end.mu, end.zeta
+        mu[-1], zeta[-1] = state.mu, state.zeta
         for n in range(len(s.t) - 2, -1, -1):
             state = self._step(state, n)
             mu[n], zeta[n] = state.mu, state.zeta
@@ -194,52 +183,42 @@ class _BackwardRun:
         total = self._partials.b - system.pull_back(s.t, (s.q, s.v, s.a, s.lam), weighted)
         total = total + self._start_terms(state)
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
-        still = np.zeros((system.n_q, system.n_b))
-        velocity_b = system.constraint_q_times_total(q, v, t, still)
-        velocity_b = velocity_b - system.velocity_side_total(q, t, still)
-        ends: Array = gamma @ system.constraint_b(q, t) + epsilon @ velocity_b
-        return total - ends
+        ends = gamma @ system.constraint_b(q, t) + epsilon @ system.constraint_rate_b(t, q, v)
+        return np.asarray(total - ends)
 
     def _density(self, rows: Array | None, n: int) -> Array:
         if rows is None:
             return np.zeros((len(self._w), n))
-        density: Array = rows / self._w[:, None]
-        return density
+        return np.asarray(rows / self._w[:, None])
 
     def _end(self) -> tuple[_Adjoint, Array, Array]:
         """Adjoint variables at t_2 with epsilon and gamma (eqs. 38-41)."""
         system, s, (first, _) = self._system, self._solution, self._end_rates
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
-        n_q = system.n_q
         factors = self._matrices.factor(self._mass(-1), self._local.Phi_q[-1])
-        x = factors.solve(np.concatenate([np.zeros(n_q), self._H_lam[-1]]))
-        mu, epsilon = x[:n_q], x[n_q:]
+        mu, epsilon = solve(factors, np.zeros(system.n_q), self._H_lam[-1])
         force = system.constraint_force_rate(q, v, epsilon, t) - self._H_v[-1]
-        if self._local.f_v is not None:
-            force = force + system.pattern.dot_transposed(self._local.f_v[-1], mu)
-        if self._M_t is not None:
-            force = force - system.pattern.dot_transposed(self._M_t[-1], mu)
+        if self._P is not None:
+            force = force + system.pattern.dot_transposed(self._P[-1], mu)
         products = np.array(
             [system.constraint_pattern.dot(row, mu) for row in self._local.Phi_q[-4:]]
         )
         rate = first @ self._H_lam[-3:]
         # (Phi_q)' mu with mu held, from Phi_q at the last instants.
         turning = first @ products[-3:]
-        x = factors.solve(np.concatenate([force, rate - turning]))
-        mu_t, gamma = x[:n_q], -x[n_q:]
-        return self._accelerated(mu, -mu_t, products, factors), epsilon, gamma
+        mu_t, minus_gamma = solve(factors, force, rate - turning)
+        return self._accelerated(mu, -mu_t, products, factors), epsilon, -minus_gamma
 
     def _accelerated(
         self, mu: Array, mu_tau: Array, products: Array, factors: Factorization
     ) -> _Adjoint:
         """Complete the end state by (36) and the second time derivative of (37)."""
-        (first, second), n_q = self._end_rates, self._system.n_q
+        first, second = self._end_rates
         pattern, Phi_q = self._system.constraint_pattern, self._local.Phi_q
         moving = np.array([pattern.dot(row, -mu_tau) for row in Phi_q[-3:]])
         side = second @ (self._H_lam[-4:] - products) - 2 * (first @ moving)
-        free = self._forces(-1, mu, mu_tau)
-        x = factors.solve(np.concatenate([-free, side]))
-        return _Adjoint(mu, mu_tau, x[:n_q], x[n_q:], x[:n_q])
+        x, zeta = solve(factors, -self._forces(-1, mu, mu_tau), side)
+        return _Adjoint(mu, mu_tau, x, zeta, x)
 
     def _forces(self, n: int, mu: Array, mu_tau: Array) -> Array:
         """K mu + C mu_tau - r."""
@@ -249,7 +228,7 @@ class _BackwardRun:
 
     def _step(self, before: _Adjoint, n: int) -> _Adjoint:
         """One step of HHT-I3 from t_{n+1} to t_n."""
-        system, c, n_q = self._system, self._steps.of(n + 1), self._system.n_q
+        system, c = self._system, self._steps.of(n + 1)
         scale = 1 + c.alpha
         M = self._mass(n)
         # As `rescaled`: the step before this one, in reversed time, may be of another size.
@@ -262,9 +241,9 @@ class _BackwardRun:
             K = K + (c.gamma * c.h) * self._C[n]
         memory = system.pattern.dot(M, (c.alpha / scale) * before.A)
         side = self._H_lam[n] - system.constraint_pattern.dot(self._local.Phi_q[n], mu_p)
-        right = np.concatenate([-memory - self._forces(n, mu_p, tau_p), side / (c.beta * c.h**2)])
-        solved = self._matrices.factor(K, self._local.Phi_q[n]).solve_transposed(right)
-        x, zeta = solved[:n_q], solved[n_q:]
+        force, side = -memory - self._forces(n, mu_p, tau_p), side / (c.beta * c.h**2)
+        factors = self._matrices.factor(K, self._local.Phi_q[n])
+        x, zeta = solve_transposed(factors, force, side)
         mu, mu_tau = correct(c, mu_p, tau_p, x)
         return _Adjoint(mu, mu_tau, x, zeta, acceleration(c, x, before.A))
 
@@ -274,10 +253,8 @@ class _BackwardRun:
         initial = consistent_start(system, self._matrices, 0.0)
         dot = system.pattern.dot_transposed
         on_q = self._H_v[0] - dot(self._mass(0), first.mu_tau)
-        if self._M_t is not None:
-            on_q = on_q + dot(self._M_t[0], first.mu)
-        if self._local.f_v is not None:
-            on_q = on_q - dot(self._local.f_v[0], first.mu)
+        if self._P is not None:
+            on_q = on_q - dot(self._P[0], first.mu)
         on_v, none = dot(self._mass(0), first.mu), np.zeros(system.n_q)
         on = Covectors(-on_q, on_v, none, np.zeros(system.n_lam), np.zeros(system.n_b))
         return pull_back_start(system, self._matrices, initial, on)

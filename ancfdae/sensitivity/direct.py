@@ -8,12 +8,10 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.integrators import Integrator
-from ancfdae.objectives import Objective, ObjectivePartials
+from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
-from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
-from ancfdae.sensitivity.method import Gradient, Method, run_for
+from ancfdae.sensitivity.method import Gradient, Method, Run
 
 
 @final
@@ -25,42 +23,21 @@ class Direct(Method):
     right-hand sides of one factorisation per step.
     """
 
-    def differentiate(
-        self, system: MechanicalSystem, t_end: float, integrator: Integrator, progress: bool
-    ) -> Solution:
+    def differentiate(self, run: Run) -> Solution:
         """Integrate motion and sensitivities."""
-        return integrator.integrate(system, t_end, sensitivities=True, progress=progress)
+        return run.solution(sensitivities=True)
 
-    def gradients(
-        self,
-        system: MechanicalSystem,
-        objectives: Sequence[Objective],
-        t_end: float,
-        integrator: Integrator,
-        progress: bool,
-    ) -> list[Gradient]:
+    def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """One run for all objectives (eq. 21)."""
-        solution, totals = run_for(
-            system,
-            objectives,
-            t_end,
-            integrator,
-            progress,
-            differentiated=True,
-            sensitivities=True,
-        )
-        states = states_of(solution)
-        return [
-            self._chain(objective.partials(system, states, totals), system, solution)
-            for objective in objectives
-        ]
-
-    def _chain(
-        self, partials: ObjectivePartials, system: MechanicalSystem, solution: Solution
-    ) -> Gradient:
-        total, s = partials.b, solution.sensitivities
+        solution, totals = run.integrals(objectives, differentiated=True, sensitivities=True)
+        states, s = states_of(solution), solution.sensitivities
         assert s is not None
-        for rows, x_b in ((partials.q, s.q_b), (partials.v, s.v_b), (partials.lam, s.lam_b)):
-            if rows is not None:
-                total = total + np.tensordot(rows, x_b, axes=2)
-        return Gradient(partials.value, total, system.design_names, self, solution)
+        results = []
+        for objective in objectives:
+            p = objective.partials(run.system, states, totals)
+            total = p.b
+            for rows, x_b in ((p.q, s.q_b), (p.v, s.v_b), (p.lam, s.lam_b)):
+                if rows is not None:
+                    total = total + np.tensordot(rows, x_b, axes=2)
+            results.append(Gradient(p.value, total, run.system.design_names, self, solution))
+        return results

@@ -8,9 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import final
 
-import numpy as np
-
-from ancfdae.errors import AncfdaeError, Outcome, PassFailed, SingularMatrix, Verdict
+from ancfdae.errors import AncfdaeError, PassFailed, SingularMatrix, Verdict
 from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
@@ -18,7 +16,6 @@ from ancfdae.objectives.objective import NO_TOTALS, Totals
 from ancfdae.objectives.totals import totals_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
-from ancfdae.protocol.solution_parts import Sensitivities
 from ancfdae.text import columns
 
 
@@ -26,10 +23,7 @@ from ancfdae.text import columns
 class UnfinishedRun(AncfdaeError):
     """A gradient was asked of a run that did not reach its end time.
 
-    Attributes
-    ----------
-    solution : Solution
-        What was computed, with its outcome.
+    `solution` is what was computed, with its outcome.
     """
 
     def __init__(self, solution: Solution) -> None:
@@ -50,7 +44,6 @@ class Gradient:
     names : tuple of str
         Names of the design variables.
     method : GradientMethod
-        How it was computed.
     solution : Solution
         The run at the design.
     """
@@ -74,26 +67,61 @@ class Gradient:
         return f"{head}\n{columns(rows)}\n{self.solution.outcome}"
 
 
+@final
+@dataclass(frozen=True)
+class Run:
+    """What is integrated: a system from t = 0 to `t_end`, with a progress bar or without."""
+
+    system: MechanicalSystem
+    t_end: float
+    integrator: Integrator
+    progress: bool = False
+
+    def solution(self, *, sensitivities: bool = False) -> Solution:
+        """Integrate."""
+        return self.integrator.integrate(
+            self.system, self.t_end, sensitivities=sensitivities, progress=self.progress
+        )
+
+    def integrals(
+        self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
+    ) -> tuple[Solution, Totals]:
+        """Return a finished run and the integrals that the integrator took beside the motion."""
+        if not isinstance(self.integrator, QuadratureIntegrator):
+            return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
+        totals = totals_of(self.system, objectives, differentiated)
+        run = self.integrator.integrate_with(
+            self.system,
+            self.t_end,
+            list(totals.values()),
+            sensitivities=sensitivities,
+            progress=self.progress,
+        )
+        return finished(run), totals
+
+    def at(self, b: Array) -> Run:
+        """Return the run at other design values."""
+        return replace(self, system=self.system.with_values(b))
+
+    def repeating(self, solution: Solution) -> Run:
+        """Return the run at the steps of a solution, as far as that got."""
+        done = solution.outcome.success or len(solution.t) < 2
+        t_end = self.t_end if done else float(solution.t[-1])
+        return replace(self, integrator=self.integrator.frozen(solution), t_end=t_end)
+
+
 class GradientMethod(abc.ABC):
     """Frozen settings of a method that differentiates objectives of a run."""
 
     @abc.abstractmethod
-    def gradients(
-        self,
-        system: MechanicalSystem,
-        objectives: Sequence[Objective],
-        t_end: float,
-        integrator: Integrator,
-        progress: bool,
-    ) -> list[Gradient]:
+    def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """Return value and gradient of every objective from as few runs as possible.
 
         Raises
         ------
-        UnfinishedRun
-            If a run ends before `t_end`.
-        NonFiniteObjective
-            If an objective is not finite.
+        UnfinishedRun, NonFiniteObjective
+        InvalidInput
+            If the method does not fit the integrator, the objectives or the design.
         """
 
 
@@ -101,9 +129,7 @@ class Method(GradientMethod):
     """A method that differentiates the whole trajectory, and so any objective."""
 
     @abc.abstractmethod
-    def differentiate(
-        self, system: MechanicalSystem, t_end: float, integrator: Integrator, progress: bool
-    ) -> Solution:
+    def differentiate(self, run: Run) -> Solution:
         """Return the solution with the design derivatives of its trajectory.
 
         A run that ends early yields derivatives up to the last instant that all runs reached.
@@ -112,96 +138,18 @@ class Method(GradientMethod):
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Raise an error with the run and the reason where a pass back breaks off.
-
-    Raises
-    ------
-    UnfinishedRun
-    """
+    """Raise UnfinishedRun with the run and the reason where a pass back breaks off."""
     try:
         yield
-    except KeyboardInterrupt as error:
-        raise _without_gradient(solution, Verdict.INTERRUPTED) from error
-    except SingularMatrix as error:
-        raise _without_gradient(solution, Verdict.SINGULAR) from error
-    except PassFailed as error:
-        raise _without_gradient(solution, error.verdict) from error
-
-
-def _without_gradient(solution: Solution, verdict: Verdict) -> UnfinishedRun:
-    return UnfinishedRun(replace(solution, outcome=replace(solution.outcome, verdict=verdict)))
+    except (KeyboardInterrupt, SingularMatrix, PassFailed) as error:
+        verdict = Verdict.SINGULAR if isinstance(error, SingularMatrix) else Verdict.INTERRUPTED
+        verdict = error.verdict if isinstance(error, PassFailed) else verdict
+        outcome = replace(solution.outcome, verdict=verdict)
+        raise UnfinishedRun(replace(solution, outcome=outcome)) from error
 
 
 def finished(solution: Solution) -> Solution:
-    """Return a solution that reached its end time.
-
-    Raises
-    ------
-    UnfinishedRun
-    """
+    """Return a solution that reached its end time; raise UnfinishedRun for another."""
     if solution.outcome.verdict is not Verdict.FINISHED:
         raise UnfinishedRun(solution)
     return solution
-
-
-def run_for(
-    system: MechanicalSystem,
-    objectives: Sequence[Objective],
-    t_end: float,
-    integrator: Integrator,
-    progress: bool,
-    *,
-    differentiated: bool,
-    sensitivities: bool = False,
-) -> tuple[Solution, Totals]:
-    """Return a finished run and the integrals that the integrator took beside the motion.
-
-    Raises
-    ------
-    UnfinishedRun
-    """
-    if not isinstance(integrator, QuadratureIntegrator):
-        run = integrator.integrate(system, t_end, sensitivities=sensitivities, progress=progress)
-        return finished(run), NO_TOTALS
-    totals = totals_of(system, objectives, differentiated)
-    run = integrator.integrate_with(
-        system, t_end, list(totals.values()), sensitivities=sensitivities, progress=progress
-    )
-    return finished(run), totals
-
-
-def with_columns(
-    system: MechanicalSystem,
-    solution: Solution,
-    columns: Sequence[tuple[Array, Array, Array, Array]],
-    outcomes: Sequence[Outcome],
-) -> Solution:
-    """Attach derivatives given as columns (q_b, v_b, a_b, lam_b), one per design variable.
-
-    Everything is cut to the shortest column; the outcome is that of the run that ended first.
-    """
-    rows = min([len(solution.t), *(len(column[0]) for column in columns)])
-    first = min([solution.outcome, *outcomes], key=lambda outcome: outcome.step)
-    parts = [
-        np.stack([column[k][:rows] for column in columns], axis=-1)
-        if columns
-        else np.zeros((rows, n, 0))
-        for k, n in enumerate((system.n_q, system.n_q, system.n_q, system.n_lam))
-    ]
-    own = Sensitivities(system.design_names, system.b, parts[0], parts[1], parts[2], parts[3])
-    return replace(
-        solution,
-        t=solution.t[:rows],
-        q=solution.q[:rows],
-        v=solution.v[:rows],
-        a=solution.a[:rows],
-        lam=solution.lam[:rows],
-        outcome=first,
-        sensitivities=own,
-    )
-
-
-def repeated(integrator: Integrator, solution: Solution, t_end: float) -> tuple[Integrator, float]:
-    """Return the integrator at the steps of a run, and the time to which it can repeat them."""
-    done = solution.outcome.success or len(solution.t) < 2
-    return integrator.frozen(solution), t_end if done else float(solution.t[-1])

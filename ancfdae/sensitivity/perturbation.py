@@ -1,0 +1,167 @@
+"""Whole runs at perturbed designs: finite differences, and the complex step.
+
+Finite differences are the check that the paper uses; the complex step gives derivatives of the
+discrete solution to round-off.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.numerics.arrays import Array
+from ancfdae.objectives import Objective
+from ancfdae.observables import states_of
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import Sensitivities
+from ancfdae.sensitivity.method import Gradient, Method, Run
+
+# Relative imaginary perturbation: its square vanishes against one, and it stays far above
+# the smallest normal number after division by beta h^2 or multiplication with small lengths.
+_STEP = 1e-40
+_STATES = ("q", "v", "a", "lam")
+
+
+class Perturbation(Method):
+    """A run at the design, and one or more with each design variable changed."""
+
+    @abc.abstractmethod
+    def check(self, run: Run) -> None:
+        """Refuse, before the first run, what the method does not fit."""
+
+    @abc.abstractmethod
+    def changes(self, b: float) -> Sequence[complex]:
+        """Return the changes of a design variable of value b, one per run."""
+
+    @abc.abstractmethod
+    def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
+        """Return the derivative from the values of the first run and of the changed ones."""
+
+    def differentiate(self, run: Run) -> Solution:
+        """Differentiate the trajectory in one variable after the other.
+
+        Everything is cut to the shortest run; the outcome is that of the run that ended first.
+        """
+        self.check(run)
+        solution = run.solution()
+        changed = [(b, [x.solution() for x in runs]) for b, runs in self._changed(run, solution)]
+        every = [solution, *(x for _, moved in changed for x in moved)]
+        rows = min(len(x.t) for x in every)
+        cut = {name: getattr(solution, name)[:rows] for name in ("t", *_STATES)}
+        parts = [np.zeros((*cut[name].shape, len(changed))) for name in _STATES]
+        for part, name in zip(parts, _STATES, strict=True):
+            for i, (b, moved) in enumerate(changed):
+                part[..., i] = self.quotient(b, cut[name], [getattr(x, name)[:rows] for x in moved])
+        return replace(
+            solution,
+            **cut,
+            outcome=min((x.outcome for x in every), key=lambda outcome: outcome.step),
+            sensitivities=Sensitivities(run.system.design_names, run.system.b, *parts),
+        )
+
+    def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
+        """Differentiate the objectives of whole runs."""
+        self.check(run)
+        solution, base = _values(run, objectives)
+        slopes = np.zeros((len(objectives), run.system.n_b))
+        for i, (b, runs) in enumerate(self._changed(run, solution)):
+            slopes[:, i] = self.quotient(b, base, [_values(each, objectives)[1] for each in runs])
+        return [
+            Gradient(float(value), slope, run.system.design_names, self, solution)
+            for value, slope in zip(base, slopes, strict=True)
+        ]
+
+    def _changed(self, run: Run, solution: Solution) -> list[tuple[float, list[Run]]]:
+        """Values of the design variables, with the runs at their changes."""
+        again, b = run.repeating(solution), run.system.b.real
+        along = np.eye(len(b))
+        return [
+            (float(x), [again.at(b + change * e) for change in self.changes(float(x))])
+            for x, e in zip(b, along, strict=True)
+        ]
+
+
+@final
+@dataclass(frozen=True)
+class FiniteDifference(Perturbation):
+    """Forward or central differences of whole runs.
+
+    Parameters
+    ----------
+    relative_step : float
+        Perturbation of each design variable relative to its value, between 0 and 1; the paper
+        uses 0.01.
+    central : bool
+        Whether two runs per variable, at plus and minus, replace one.
+    """
+
+    relative_step: float = 0.01
+    central: bool = False
+
+    def __post_init__(self) -> None:
+        require_positive("FiniteDifference.relative_step", self.relative_step)
+        if self.relative_step >= 1:
+            rule, repair = "must be below 1", "0.01 perturbs by one per cent."
+            raise InvalidInput("FiniteDifference.relative_step", rule, self.relative_step, repair)
+
+    def check(self, run: Run) -> None:
+        """Refuse a design variable of zero, which a relative perturbation does not change."""
+        for name, value in zip(run.system.design_names, run.system.b, strict=True):
+            if value == 0:
+                raise InvalidInput(
+                    f"design variable {name!r}",
+                    "must not be zero for a relative perturbation",
+                    value,
+                    "Use direct differentiation or the complex step.",
+                )
+
+    def changes(self, b: float) -> Sequence[complex]:
+        """Ahead, and behind for central differences."""
+        step = b * self.relative_step
+        return (step, -step) if self.central else (step,)
+
+    def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
+        """Difference over the perturbation."""
+        step = b * self.relative_step
+        difference = (moved[0] - moved[1]) / 2 if self.central else moved[0] - base
+        return np.asarray(difference / step)
+
+
+@final
+@dataclass(frozen=True)
+class ComplexStep(Perturbation):
+    """Run the whole simulation at b (1 + i eps), once per design variable.
+
+    The imaginary part over eps is the derivative, free of subtraction; the independent check
+    of direct differentiation. Needs a system that computes in complex numbers, as every ANCF
+    scene does.
+    """
+
+    def check(self, run: Run) -> None:
+        """Refuse an integrator that computes in real numbers only (IDA, IDAS, Explicit)."""
+        if run.integrator.real_only:
+            raise InvalidInput(
+                "ComplexStep",
+                "needs an integrator that computes in complex numbers",
+                repr(run.integrator),
+                "Use HHT, or FiniteDifference().",
+            )
+
+    def changes(self, b: float) -> Sequence[complex]:
+        """One imaginary change, relative unless the value is zero."""
+        return (1j * _STEP * (abs(b) or 1.0),)
+
+    def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
+        """Imaginary part over the step."""
+        return np.asarray(moved[0].imag / (_STEP * (abs(b) or 1.0)))
+
+
+def _values(run: Run, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
+    solution, totals = run.integrals(objectives, differentiated=False)
+    states = states_of(solution)
+    return solution, np.array([each.value(run.system, states, totals) for each in objectives])
