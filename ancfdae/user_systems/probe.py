@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -36,6 +36,10 @@ class Probe:
         A change of it.
     b_sizes : array, shape (n_b,)
         Sizes of the design variables.
+    d_b : list of Motion
+        A change for every design variable.
+    arguments : dict
+        State, the change "x" of q and the changes "q_b", ... per unit of b, as members take them.
     time : float
         Time in which the system moves by its own size.
     """
@@ -51,6 +55,11 @@ class Probe:
         self.m = self._state(q, v)
         self.d = self.change()
         self.d_b = [self.change() for _ in range(system.n_b)]
+        self.arguments: dict[str, Any] = {**vars(self.m), "x": self.d.q}
+        for name in ("q", "v", "a", "lam"):
+            rows = np.array([getattr(d, name) for d in self.d_b])
+            columns = rows.reshape(system.n_b, len(self.arguments[name])).T
+            self.arguments[f"{name}_b"] = columns / self.b_sizes
 
     def change(self) -> Motion:
         """Return a random change of the size of the state, and of a natural time."""
@@ -60,17 +69,11 @@ class Probe:
         speeds = self._v_sizes
         return Motion(q * self._q_sizes, v * speeds, a * speeds / self.time, lam, self.time)
 
-    def columns(self, name: str) -> Array:
-        """Return changes of q, v, a or lam as derivatives in b, shape (n, n_b)."""
-        parts = [{"q": d.q, "v": d.v, "a": d.a, "lam": d.lam}[name] for d in self.d_b]
-        n = self.system.n_lam if name == "lam" else self.system.n_q
-        columns = np.array(parts).reshape(self.system.n_b, n).T
-        return columns / self.b_sizes
-
-    def along(self, f: Callable[[Motion], Array]) -> Array:
-        """Differentiate f along the change `d`, time held."""
-        still = replace(self.d, t=0.0)
-        return real_derivative(lambda e: f(self.m.plus(e, still)))
+    def along(self, f: Callable[[Motion], Array], part: str) -> Array:
+        """Differentiate f along the change of one part of the state."""
+        still = self.d.plus(-1.0, self.d)
+        change = replace(still, **{part: getattr(self.d, part)})
+        return real_derivative(lambda e: f(self.m.plus(e, change)))
 
     def differences(self, f: Callable[[float], Array]) -> Array:
         """Differentiate a function of one number of the order of one."""
