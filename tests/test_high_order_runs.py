@@ -58,9 +58,9 @@ def every_method(rtol, intervals=2):
     return [
         Explicit(rtol, intervals),
         IDA(rtol, GGL, intervals),
-        IDA(rtol, INDEX_1, intervals),
+        IDA(rtol, intervals, form=INDEX_1),
         idas(IDAS(rtol, GGL, intervals)),
-        idas(IDAS(rtol, INDEX_1, intervals)),
+        idas(IDAS(rtol, intervals, form=INDEX_1)),
     ]
 
 
@@ -236,10 +236,10 @@ def exact_gradient(name):
 @pytest.mark.parametrize(
     ("integrator", "method"),
     [
-        (IDA(1e-8, GGL, 4), Direct()),
-        idas(IDAS(1e-8, GGL, 4), Direct()),
-        idas(IDAS(1e-8, GGL, 4), Adjoint()),
-        idas(IDAS(1e-8, INDEX_1, 4), Adjoint()),
+        (IDA(1e-8, 4, form=GGL), Direct()),
+        idas(IDAS(1e-8, 4, form=GGL), Direct()),
+        idas(IDAS(1e-8, 4, form=GGL), Adjoint()),
+        idas(IDAS(1e-8, 4, form=INDEX_1), Adjoint()),
     ],
     ids=name_of,
 )

@@ -18,19 +18,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput
 
-from ancfdae.errors import SingularMatrix, Verdict, require_count
+from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
 from ancfdae.integrators.index_1 import State, project
 from ancfdae.integrators.integrand import Points, Rule
-from ancfdae.integrators.integrator import require_rtol
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.numerics.arrays import Array, is_finite
-from ancfdae.protocol.solution import Solution
 
 # SciPy raises smaller ones to 100 eps with a warning.
 _LEAST_RTOL = 3e-14
@@ -51,40 +49,15 @@ _TOGETHER = 8
 class Explicit(HighOrder):
     """Explicit integration of order 8 with error control; for soft scenes.
 
-    The step is bounded by the highest frequency, so stiff scenes need many steps.
-
-    Parameters
-    ----------
-    rtol : float
-        Relative tolerance per step.
-    intervals : int
-        As in `HighOrder`.
-    max_steps : int
-        Steps of the whole run before it ends with an outcome; a small system takes 1,000 in a
-        second.
-
-    Raises
-    ------
-    InvalidInput
-        If a setting is out of range.
+    The step is bounded by the highest frequency, so stiff scenes need many steps; a small system
+    takes 1,000 in a second. Parameters: see `HighOrder`.
     """
 
-    # SciPy's solver is real wherever the start is, and would drop imaginary parts of the forces.
-    real_only: ClassVar[bool] = True
-
-    rtol: float = 1e-8
-    intervals: int = 64
     max_steps: int = 20_000
 
     def __post_init__(self) -> None:
         """Validate."""
-        require_rtol("Explicit.rtol", self.rtol, _LEAST_RTOL)
-        require_count("Explicit.intervals", self.intervals, "64 is a good number.")
-        require_count("Explicit.max_steps", self.max_steps, "20000 is plenty.")
-
-    def refined(self, solution: Solution) -> Explicit:
-        """Return the integrator with a tenth of the tolerance."""
-        return replace(self, rtol=self.rtol / 10)
+        self.require_settings(_LEAST_RTOL)
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up DOP853."""
@@ -120,18 +93,16 @@ class _ExplicitMarch(March):
     def __init__(
         self, settings: Explicit, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
+        super().__init__()
         self._quadrature, self._stages = quadrature, list[_Stage]()
         self._max_steps, self._problem, self._t_end = settings.max_steps, problem, t_end
         self._progress, self._trouble = Progress(1.0), Verdict.ERROR_TEST
         system, s, b = problem.system, problem.scales, problem.derivative
         self._m = 0 if b is None else system.n_b
-        self.steps = self.iterations = self.factorisations = self.residuals = 0
         own = np.concatenate([s.q, s.v])[:, None]
         self._size = np.concatenate([own, own / s.b[: self._m]], axis=1)
         first = problem.initial
-        start = State(first.q, first.v)
-        if b is not None:
-            start = State(first.q, first.v, b.q_b, b.v_b)
+        start = State(first.q, first.v, *(() if b is None else (b.q_b, b.v_b)))
         self._between: DenseOutput | None = None
         self._rtol, self._steps = settings.rtol, list[_Step]()
         self._solver = self._new_solver(0.0, self._vector(start), 1.0)

@@ -38,12 +38,7 @@ class Integrator(abc.ABC):
 
     @abc.abstractmethod
     def refined(self, solution: Solution) -> Integrator:
-        """Return the integrator of a more accurate run: half the step, or a tenth of the tolerance.
-
-        Parameters
-        ----------
-        solution : Solution
-            The run to be refined.
+        """Return the integrator of a more accurate run: half the steps or a tenth of the tolerance.
 
         Raises
         ------
@@ -101,10 +96,7 @@ class QuadratureIntegrator(Integrator):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate as `integrate`, and feed the integrands on the way.
-
-        They are complete where the run reached `t_end`.
-        """
+        """Integrate, and feed the integrands; they are complete where the run reached `t_end`."""
 
 
 @final
@@ -118,7 +110,7 @@ class Seeds:
         Of every instant, rows; None for none.
     lam : array, shape (n_t, n_lam), or None
     densities : tuple of (float, Density)
-        Partials in integrals that a `QuadratureIntegrator` took beside the motion.
+        Of integrals that a `QuadratureIntegrator` took beside the motion.
     """
 
     q: Array | None
@@ -132,30 +124,15 @@ class AdjointIntegrator(Integrator):
 
     @abc.abstractmethod
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
-        """Return the gradient of an objective from its partials in the states (adjoint).
+        """Return the gradient of an objective from its partials in the states (adjoint), (n_b,).
 
-        Parameters
-        ----------
-        system : MechanicalSystem
-        solution : Solution
-            A finished run of this integrator on this system.
-        seeds : Seeds
-            dPsi/dq, dPsi/dv, dPsi/dlam at every instant, and in integrals.
-
-        Returns
-        -------
-        array, shape (n_b,)
-            Without the explicit partial of the objective in b.
+        The solution is a finished run of this integrator on this system. The explicit partial of
+        the objective in b is left out.
         """
 
 
 def require_rtol(where: str, rtol: float, least: float) -> None:
-    """Refuse a relative tolerance outside the range that makes sense.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse a relative tolerance outside the range that makes sense."""
     require_positive(where, rtol)
     if not least <= rtol <= 1e-2:
         raise InvalidInput(where, f"must lie in [{least:.0e}, 1e-2]", rtol, "Try 1e-8.")

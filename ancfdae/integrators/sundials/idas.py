@@ -7,15 +7,15 @@ matrix of the states. Backward: see `idas_adjoint`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, final
+from dataclasses import dataclass
+from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import Verdict, require_count, require_kind
+from ancfdae.errors import Verdict, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
 from ancfdae.integrators.index_1 import State
-from ancfdae.integrators.integrator import AdjointIntegrator, Seeds, require_rtol
+from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import Bindings
 from ancfdae.integrators.sundials.idas_adjoint import pull_back
@@ -38,40 +38,22 @@ class IDAS(HighOrder, AdjointIntegrator):
 
     Parameters
     ----------
-    rtol : float
-        Relative tolerance per step of states, sensitivities and adjoint.
-    form : IndexReduction
-    intervals : int
+    rtol, intervals, max_steps
         As in `HighOrder`.
-    max_steps : int
-        Steps of the whole run before it ends with an outcome; a small system takes 10,000 in a
-        second.
+    form : IndexReduction
 
     Raises
     ------
-    InvalidInput
-        If a setting is out of range.
     MissingPackage
         On integration, if sundials4py is not installed.
     """
 
-    real_only: ClassVar[bool] = True
-
-    rtol: float = 1e-8
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
-    intervals: int = 64
-    max_steps: int = 100_000
 
     def __post_init__(self) -> None:
         """Validate."""
-        require_rtol("IDAS.rtol", self.rtol, _LEAST_RTOL)
+        self.require_settings(_LEAST_RTOL)
         require_kind("IDAS.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
-        require_count("IDAS.intervals", self.intervals, "64 is a good number.")
-        require_count("IDAS.max_steps", self.max_steps, "100000 is plenty.")
-
-    def refined(self, solution: Solution) -> IDAS:
-        """Return the integrator with a tenth of the tolerance."""
-        return replace(self, rtol=self.rtol / 10)
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up IDAS."""
@@ -104,6 +86,7 @@ class _IdasMarch(March):
         t_end: float,
         quadrature: Quadrature,
     ) -> None:
+        super().__init__()
         idas, check = bindings.idas, bindings.check
         self._bindings, self._settings, self._t_end = bindings, settings, t_end
         self._progress = Progress(t_end)
@@ -121,7 +104,6 @@ class _IdasMarch(March):
         check(idas.IDASetStopTime(self._memory, t_end))
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, np.append(start[0], Y.T), np.append(start[1], Yp.T))
-        self.steps = self.iterations = self.factorisations = self.residuals = 0
 
     def to(self, t: float) -> State | Verdict:
         """Step until t lies behind, then interpolate."""
