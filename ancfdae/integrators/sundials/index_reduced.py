@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import abc
 from enum import Enum
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -43,6 +43,15 @@ from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_t
 _LOOSE = 1e3
 # Absolute tolerance of coordinates and velocities relative to their scale, per unit of rtol.
 _SMALL = 1e-2
+
+
+class _Unknowns(NamedTuple):
+    """Parts of x, x' or their derivatives; eta is empty in the index-1 form."""
+
+    q: Array
+    v: Array
+    lam: Array
+    eta: Array
 
 
 class IndexReduced(abc.ABC):
@@ -65,7 +74,16 @@ class IndexReduced(abc.ABC):
         self._system, self._scales = system, scales
         self._size, self._unit = self._scaling()
         self.n = len(self._size)
-        blocks = self._blocks()
+        n_q, every = system.n_q, np.arange(system.n_q)
+        K, B = system.pattern, system.constraint_pattern
+        blocks = [
+            (every, every),
+            (every, n_q + every),
+            (n_q + K.rows, K.columns),
+            (n_q + K.rows, n_q + K.columns),
+            (n_q + B.columns, 2 * n_q + B.rows),
+            *self._blocks(),
+        ]
         self.rows = np.concatenate([rows for rows, _ in blocks])
         self.columns = np.concatenate([columns for _, columns in blocks])
         self._factors = self._size[self.columns] / self._unit[self.rows]
@@ -77,22 +95,30 @@ class IndexReduced(abc.ABC):
         """Sizes of the unknowns and of the equations, shape (n,)."""
 
     @abc.abstractmethod
-    def _residual(self, t: float, x: Array, xp: Array) -> Array:
-        """F."""
+    def _residual(self, t: float, x: _Unknowns, xp: _Unknowns) -> list[Array]:
+        """Return what F adds to q' - v, and its rows below those of the forces."""
 
     @abc.abstractmethod
-    def _residual_b(self, t: float, x: Array, xp: Array, X: Array, Xp: Array) -> Array:
-        """F_x X + F_x' X' + F_b, shape (n, n_b)."""
+    def _residual_b(
+        self, t: float, x: _Unknowns, xp: _Unknowns, X: _Unknowns, Xp: _Unknowns
+    ) -> list[Array]:
+        """Differentiate `_residual`: F_x X + F_x' X' + F_b, with n_b columns."""
 
     @abc.abstractmethod
     def _blocks(self) -> list[tuple[Array, Array]]:
-        """Rows and columns of the blocks of J."""
+        """Rows and columns of the blocks of J that a form adds to those that both have."""
 
     @abc.abstractmethod
     def _entries(
-        self, system: MechanicalSystem, t: float, x: Array, xp: Array, c_j: float
+        self,
+        system: MechanicalSystem,
+        t: float,
+        x: _Unknowns,
+        xp: _Unknowns,
+        c_j: float,
+        Phi_q: Array,
     ) -> list[Array]:
-        """Entries of the blocks of J, for the system or for one at moved design values."""
+        """Entries of these blocks, for the system or for one at moved design values."""
 
     @final
     def tolerances(self, rtol: float) -> Array:
@@ -108,7 +134,11 @@ class IndexReduced(abc.ABC):
     @final
     def residual(self, t: float, y: Array, yp: Array) -> Array:
         """Return F, shape (n,)."""
-        return self._residual(t, y * self._size, yp * self._size) / self._unit
+        system, x, xp = self._system, self._split(y * self._size), self._split(yp * self._size)
+        drift, *sides = self._residual(t, x, xp)
+        force = system.mass_times(x.q, xp.v) + system.constraint_force(x.q, x.lam, t)
+        force = force - system.force(x.q, x.v, t)
+        return np.concatenate([xp.q - x.v + drift, force, *sides]) / self._unit
 
     @final
     def residual_b(self, t: float, y: Array, yp: Array, Y: Array, Yp: Array) -> Array:
@@ -116,9 +146,14 @@ class IndexReduced(abc.ABC):
 
         Column i of Y is the derivative in ln b_i (in b_i where it is zero), scaled as y.
         """
-        b, size = self._scales.b, self._size[:, None]
-        X, Xp = Y * size / b, Yp * size / b
-        R = self._residual_b(t, y * self._size, yp * self._size, X, Xp)
+        system, b, size = self._system, self._scales.b, self._size[:, None]
+        x, xp = self._split(y * self._size), self._split(yp * self._size)
+        X, Xp = self._split(Y * size / b), self._split(Yp * size / b)
+        drift, *sides = self._residual_b(t, x, xp, X, Xp)
+        force = system.mass_times(x.q, Xp.v) + inertia_total(system, x.q, xp.v, X.q)
+        force = force + self._reaction_b(t, x.q, x.lam, X.q, X.lam)
+        force = force - system.force_total(x.q, x.v, t, X.q, X.v)
+        R = np.concatenate([Xp.q - X.v + drift, force, *sides])
         scaled: Array = R * b / self._unit[:, None]
         return scaled
 
@@ -132,10 +167,17 @@ class IndexReduced(abc.ABC):
         system: MechanicalSystem | None = None,
     ) -> Array:
         """Return the raw entries of J; of another system of the same kind if one is given."""
-        x, xp = y * self._size, yp * self._size
-        entries = self._entries(self._system if system is None else system, t, x, xp, c_j)
-        scaled: Array = np.concatenate(entries) * self._factors
-        return scaled
+        system = self._system if system is None else system
+        x, xp = self._split(y * self._size), self._split(yp * self._size)
+        states = (z[None] for z in (x.q, x.v, xp.v, x.lam))
+        local = system.linearise(np.array([t]), *states)
+        one, rates = np.ones(system.n_q), c_j * local.M[0]
+        if local.f_v is not None:
+            rates = rates + local.f_v[0]
+        Phi_q = local.Phi_q[0]
+        own = self._entries(system, t, x, xp, c_j, Phi_q)
+        entries = np.concatenate([c_j * one, -one, local.f_q[0], rates, Phi_q, *own])
+        return np.asarray(entries * self._factors)
 
     @final
     def start(self, initial: InitialState) -> tuple[Array, Array]:
@@ -176,6 +218,16 @@ class IndexReduced(abc.ABC):
         yp = np.concatenate([v, a, np.zeros_like(lam), rest])
         return y, yp
 
+    def _split(self, x: Array) -> _Unknowns:
+        n_q, n_lam = self._system.n_q, self._system.n_lam
+        return _Unknowns(*np.split(x, np.cumsum([n_q, n_q, n_lam])))
+
+    def _reaction_b(self, t: float, q: Array, lam: Array, q_b: Array, lam_b: Array) -> Array:
+        """Total design derivative of Phi_q^T lam, with lam moving too."""
+        system = self._system
+        moved = system.constraint_pattern.dot_transposed(system.constraint_q(q, t), lam_b)
+        return constraint_force_total(system, q, lam, t, q_b) + moved
+
 
 @final
 class StabilisedIndex2(IndexReduced):
@@ -186,88 +238,53 @@ class StabilisedIndex2(IndexReduced):
         size = np.concatenate([s.q, s.v, s.lam, s.eta])
         return size, np.concatenate([s.v, s.force, s.row * s.speed, s.row * s.position])
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        n_q, n_lam = self._system.n_q, self._system.n_lam
-        lam = 2 * n_q
-        return x[:n_q], x[n_q:lam], x[lam : lam + n_lam], x[lam + n_lam :]
-
-    def _residual(self, t: float, x: Array, xp: Array) -> Array:
+    def _residual(self, t: float, x: _Unknowns, xp: _Unknowns) -> list[Array]:
         system = self._system
-        q, v, lam, eta = self._split(x)
-        qp, vp, _, _ = self._split(xp)
-        side = system.constraint_pattern.dot(system.constraint_q(q, t), v)
-        return np.concatenate(
-            [
-                qp - v + system.constraint_force(q, eta, t) / system.weights,
-                system.mass_times(q, vp)
-                + system.constraint_force(q, lam, t)
-                - system.force(q, v, t),
-                side - system.velocity_side(q, t),
-                system.constraint(q, t),
-            ]
-        )
+        side = system.constraint_pattern.dot(system.constraint_q(x.q, t), x.v)
+        return [
+            system.constraint_force(x.q, x.eta, t) / system.weights,
+            side - system.velocity_side(x.q, t),
+            system.constraint(x.q, t),
+        ]
 
-    def _residual_b(self, t: float, x: Array, xp: Array, X: Array, Xp: Array) -> Array:
-        system = self._system
-        q, v, lam, eta = self._split(x)
-        _, vp, _, _ = self._split(xp)
-        q_b, v_b, lam_b, eta_b = self._split(X)
-        qp_b, vp_b, _, _ = self._split(Xp)
-        B, pattern = system.constraint_q(q, t), system.constraint_pattern
-        drift = constraint_force_total(system, q, eta, t, q_b) + pattern.dot_transposed(B, eta_b)
-        force = system.mass_times(q, vp_b) + inertia_total(system, q, vp, q_b)
-        force = force + constraint_force_total(system, q, lam, t, q_b)
-        force = force + pattern.dot_transposed(B, lam_b)
-        side = system.constraint_q_times_total(q, v, t, q_b) + pattern.dot(B, v_b)
-        return np.concatenate(
-            [
-                qp_b - v_b + drift / system.weights[:, None],
-                force - system.force_total(q, v, t, q_b, v_b),
-                side - system.velocity_side_total(q, t, q_b),
-                pattern.dot(B, q_b) + system.constraint_b(q, t),
-            ]
-        )
+    def _residual_b(
+        self, t: float, x: _Unknowns, xp: _Unknowns, X: _Unknowns, Xp: _Unknowns
+    ) -> list[Array]:
+        system, dot = self._system, self._system.constraint_pattern.dot
+        Phi_q = system.constraint_q(x.q, t)
+        side = system.constraint_q_times_total(x.q, x.v, t, X.q) + dot(Phi_q, X.v)
+        return [
+            self._reaction_b(t, x.q, x.eta, X.q, X.eta) / system.weights[:, None],
+            side - system.velocity_side_total(x.q, t, X.q),
+            dot(Phi_q, X.q) + system.constraint_b(x.q, t),
+        ]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
-        n_q, n_lam = self._system.n_q, self._system.n_lam
-        every = np.arange(n_q)
         K, B = self._system.pattern, self._system.constraint_pattern
-        v, lam, eta = n_q, 2 * n_q, 2 * n_q + n_lam
+        v, lam = self._system.n_q, 2 * self._system.n_q
+        eta = lam + self._system.n_lam
         return [
-            (every, every),
             (K.rows, K.columns),
-            (every, v + every),
             (B.columns, eta + B.rows),
-            (v + K.rows, K.columns),
-            (v + K.rows, v + K.columns),
-            (v + B.columns, lam + B.rows),
             (lam + B.rows, B.columns),
             (lam + B.rows, v + B.columns),
             (eta + B.rows, B.columns),
         ]
 
     def _entries(
-        self, system: MechanicalSystem, t: float, x: Array, xp: Array, c_j: float
+        self,
+        system: MechanicalSystem,
+        t: float,
+        x: _Unknowns,
+        xp: _Unknowns,
+        c_j: float,
+        Phi_q: Array,
     ) -> list[Array]:
-        q, v, lam, eta = self._split(x)
-        _, vp, _, _ = self._split(xp)
-        M, f_q, f_v, B = _local(system, t, q, v, vp, lam)
-        w, one = system.weights, np.ones(system.n_q)
-        curvature = np.zeros(system.pattern.size)
+        w, curvature = system.weights, np.zeros(system.pattern.size)
         if not system.linear_constraints:
-            curvature = system.constraint_force_q(q, eta, t) / w[system.pattern.rows]
-        return [
-            c_j * one,
-            curvature,
-            -one,
-            B / w[system.constraint_pattern.columns],
-            f_q,
-            c_j * M + f_v,
-            B,
-            system.constraint_q_rate(q, v, t),
-            B,
-            B,
-        ]
+            curvature = system.constraint_force_q(x.q, x.eta, t) / w[system.pattern.rows]
+        rate = system.constraint_q_rate(x.q, x.v, t)
+        return [curvature, Phi_q / w[system.constraint_pattern.columns], rate, Phi_q, Phi_q]
 
 
 @final
@@ -279,83 +296,37 @@ class Index1(IndexReduced):
         acceleration = s.load * s.row
         return np.concatenate([s.q, s.v, s.lam]), np.concatenate([s.v, s.force, acceleration])
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array]:
-        n_q = self._system.n_q
-        return x[:n_q], x[n_q : 2 * n_q], x[2 * n_q :]
-
-    def _residual(self, t: float, x: Array, xp: Array) -> Array:
+    def _residual(self, t: float, x: _Unknowns, xp: _Unknowns) -> list[Array]:
         system = self._system
-        q, v, lam = self._split(x)
-        qp, vp, _ = self._split(xp)
-        force = system.mass_times(q, vp) + system.constraint_force(q, lam, t)
-        side = system.constraint_pattern.dot(system.constraint_q(q, t), vp)
-        return np.concatenate(
-            [
-                qp - v,
-                force - system.force(q, v, t),
-                side - system.acceleration_side(q, v, t),
-            ]
-        )
+        side = system.constraint_pattern.dot(system.constraint_q(x.q, t), xp.v)
+        return [np.zeros_like(x.q), side - system.acceleration_side(x.q, x.v, t)]
 
-    def _residual_b(self, t: float, x: Array, xp: Array, X: Array, Xp: Array) -> Array:
+    def _residual_b(
+        self, t: float, x: _Unknowns, xp: _Unknowns, X: _Unknowns, Xp: _Unknowns
+    ) -> list[Array]:
         system = self._system
-        q, v, lam = self._split(x)
-        _, vp, _ = self._split(xp)
-        q_b, v_b, lam_b = self._split(X)
-        qp_b, vp_b, _ = self._split(Xp)
-        B, pattern = system.constraint_q(q, t), system.constraint_pattern
-        force = system.mass_times(q, vp_b) + inertia_total(system, q, vp, q_b)
-        force = force + constraint_force_total(system, q, lam, t, q_b)
-        force = force + pattern.dot_transposed(B, lam_b)
-        side = system.constraint_q_times_total(q, vp, t, q_b) + pattern.dot(B, vp_b)
-        return np.concatenate(
-            [
-                qp_b - v_b,
-                force - system.force_total(q, v, t, q_b, v_b),
-                side - system.acceleration_side_total(q, v, t, q_b, v_b),
-            ]
-        )
+        side = system.constraint_q_times_total(x.q, xp.v, t, X.q)
+        side = side + system.constraint_pattern.dot(system.constraint_q(x.q, t), Xp.v)
+        return [
+            np.zeros_like(X.q),
+            side - system.acceleration_side_total(x.q, x.v, t, X.q, X.v),
+        ]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
-        n_q = self._system.n_q
-        every = np.arange(n_q)
-        K, B = self._system.pattern, self._system.constraint_pattern
-        v, lam = n_q, 2 * n_q
-        return [
-            (every, every),
-            (every, v + every),
-            (v + K.rows, K.columns),
-            (v + K.rows, v + K.columns),
-            (v + B.columns, lam + B.rows),
-            (lam + B.rows, B.columns),
-            (lam + B.rows, v + B.columns),
-        ]
+        B, n_q = self._system.constraint_pattern, self._system.n_q
+        return [(2 * n_q + B.rows, B.columns), (2 * n_q + B.rows, n_q + B.columns)]
 
     def _entries(
-        self, system: MechanicalSystem, t: float, x: Array, xp: Array, c_j: float
+        self,
+        system: MechanicalSystem,
+        t: float,
+        x: _Unknowns,
+        xp: _Unknowns,
+        c_j: float,
+        Phi_q: Array,
     ) -> list[Array]:
-        q, v, lam = self._split(x)
-        _, vp, _ = self._split(xp)
-        M, f_q, f_v, B = _local(system, t, q, v, vp, lam)
-        one = np.ones(system.n_q)
-        return [
-            c_j * one,
-            -one,
-            f_q,
-            c_j * M + f_v,
-            B,
-            system.constraint_q_second_rate(q, v, vp, t),
-            c_j * B + 2 * system.constraint_q_rate(q, v, t),
-        ]
-
-
-def _local(
-    system: MechanicalSystem, t: float, q: Array, v: Array, a: Array, lam: Array
-) -> tuple[Array, Array, Array, Array]:
-    """M, f_q, f_v and Phi_q at one instant."""
-    local = system.linearise(np.array([t]), q[None], v[None], a[None], lam[None])
-    f_v = np.zeros(system.pattern.size) if local.f_v is None else local.f_v[0]
-    return local.M[0], local.f_q[0], f_v, local.Phi_q[0]
+        rate = c_j * Phi_q + 2 * system.constraint_q_rate(x.q, x.v, t)
+        return [system.constraint_q_second_rate(x.q, x.v, xp.v, t), rate]
 
 
 class IndexReduction(Enum):
