@@ -26,13 +26,11 @@ class Scales:
     Attributes
     ----------
     q, v, force : array, shape (n_q,)
-        Of coordinates, velocities and generalised forces.
     row : array, shape (n_lam,)
         Length of the rows of Phi_q in the norm of the inverse weights.
     position, speed, load : float
         Common sizes of sqrt(w) q, sqrt(w) v and Q / sqrt(w).
     b : array, shape (n_b,)
-        Size of the design variables.
     """
 
     q: Array

@@ -23,13 +23,8 @@ _COARSE = 0.1
 class Rule:
     """Quadrature on a panel of length one.
 
-    Attributes
-    ----------
-    weights : array, shape (p,)
-    error : array, shape (p,)
-        Weights minus those of a rule of lower order.
-    coarse : array, shape (p,)
-        The same for a rule of lower order yet; zero without one.
+    `error` is the weights minus those of a rule of lower order, `coarse` the same for a rule of
+    lower order yet; zero without one.
     """
 
     weights: Array
@@ -44,17 +39,13 @@ class Points:
 
     Attributes
     ----------
-    rule : Rule
-        Of each panel.
     h : array, shape (number of panels,)
         Lengths.
     t : array, shape (k,)
-    q, v : array, shape (k, n_q)
-    q_b, v_b : array, shape (k, n_q, n_b), or None
+    q, v, lam : array, shape (k, n)
+        lam is None where no integrand asks for multipliers.
+    q_b, v_b, lam_b : array, shape (k, n, n_b), or None
         None where no sensitivities are integrated.
-    lam : array, shape (k, n_lam), or None
-        None where no integrand asks for multipliers.
-    lam_b : array, shape (k, n_lam, n_b), or None
     """
 
     rule: Rule
@@ -97,8 +88,6 @@ class Part:
 
     Attributes
     ----------
-    duration : float
-    value : float
     slopes : array, shape (n_b,)
     size : array, shape (n,)
         Integrals of what is integrated without their signs.

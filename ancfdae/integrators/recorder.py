@@ -16,7 +16,7 @@ from ancfdae.protocol.solution_parts import Sensitivities, Statistics
 
 @final
 class Recorder:
-    """Arrays that a run fills row by row, and the counters of its cost.
+    """Arrays that a run fills row by row, and the counters of its cost (`Statistics`).
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Recorder:
     rows : int
         Number of instants, the start included; the arrays grow if there are more.
     degree : int
-        Degree of the polynomials between the instants, see `Solution`.
+        As in `Solution`.
     sensitivities : bool
         Whether design derivatives are recorded too.
 
@@ -32,8 +32,6 @@ class Recorder:
     ----------
     accepted : int or None
         Accepted steps, where the instants are not the steps.
-    iterations, factorisations, residuals, round_off_steps, rejected : int
-        As in `Statistics`.
 
     Raises
     ------

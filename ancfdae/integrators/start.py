@@ -41,14 +41,7 @@ _PROJECTION_ITERATIONS = 50
 @final
 @dataclass(frozen=True)
 class InitialState:
-    """Consistent start at one instant.
-
-    Attributes
-    ----------
-    t : float
-    q, v, a : array, shape (n_q,)
-    lam : array, shape (n_lam,)
-    """
+    """Consistent start at one instant."""
 
     t: float
     q: Array
@@ -69,12 +62,12 @@ class InitialSensitivity:
 
 
 def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
-    """Check the constraints at the start and return the system's saddle-point matrices.
+    """Return the saddle-point matrices of a system.
 
     Raises
     ------
     RedundantConstraints
-        If constraint rows are linearly dependent.
+        If constraint rows are linearly dependent at the start.
     """
     q, _ = system.start()
     values = system.constraint_q(q, t)
@@ -156,14 +149,7 @@ def start_sensitivity(
 @final
 @dataclass(frozen=True)
 class Covectors:
-    """Derivatives of a number in the consistent start, and what goes past it to the design.
-
-    Attributes
-    ----------
-    q, v, a : array, shape (n_q,)
-    lam : array, shape (n_lam,)
-    b : array, shape (n_b,)
-    """
+    """Derivatives of a number in the consistent start, and what goes past it to the design."""
 
     q: Array
     v: Array

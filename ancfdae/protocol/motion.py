@@ -18,15 +18,9 @@ _RELATIVE, _ABSOLUTE = 1e-12, 1e-20
 @final
 @dataclass(frozen=True)
 class Motion:
-    """State at one instant, or a change of it.
+    """State at one instant, or a change of it; what a quantity does not depend on is zero.
 
-    Attributes
-    ----------
-    q, v, a : array, shape (n_q,)
-        What a quantity does not depend on is zero.
-    lam : array, shape (n_lam,)
-    t : float or complex
-        Real in the protocol; complex only while derivatives are taken.
+    t is real in the protocol, and complex only while derivatives are taken.
     """
 
     q: Array
@@ -56,13 +50,7 @@ class Motion:
         return not any(np.any(x) for x in (self.q, self.v, self.a, self.lam, self.t))
 
     def parts(self) -> tuple[Self, Self]:
-        """Real part, and imaginary part as a change.
-
-        Raises
-        ------
-        InvalidInput
-            If the imaginary part is more than the perturbation of a complex step.
-        """
+        """Return the real part, and the imaginary part as a change; see `require_perturbation`."""
         values = (self.q, self.v, self.a, self.lam)
         # Everything is linear in a and lam, where any complex number is treated exactly.
         require_perturbation("q", self.q)
@@ -73,12 +61,7 @@ class Motion:
 
 
 def require_perturbation(name: str, x: Array) -> None:
-    """Refuse complex numbers whose imaginary part is too large for a complex step.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse complex numbers whose imaginary part is too large for a complex step."""
     if x.dtype.kind != "c":
         return
     size, imaginary = (np.max(np.abs(part), initial=0.0) for part in (x.real, x.imag))

@@ -68,12 +68,7 @@ class Solution:
         return self._nodes(self.q, beam)
 
     def position(self, point: Point) -> Array:
-        """Position of a material point, shape (n_t, d).
-
-        Parameters
-        ----------
-        point : Point
-            For example ``rod.at_end``, ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``.
+        """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
 
         Raises
         ------
@@ -107,15 +102,12 @@ class Solution:
         return self.lam[:, place.first_row : place.first_row + place.rows]
 
     def reaction(self, joint: str) -> Array:
-        """Force of a joint on its first point, shape (n_t, d).
-
-        For joints whose first d equations equate positions: the force is minus their
-        multipliers (eq. 1).
+        """Force of a joint on its first point, shape (n_t, d): minus its multipliers (eq. 1).
 
         Raises
         ------
         InvalidInput
-            If the joint is of another kind; see `multipliers`.
+            If its first equations do not equate positions; see `multipliers`.
         """
         layout = self._known_naming().layout
         if not layout.joint(joint).holds_position:
@@ -220,12 +212,7 @@ class Solution:
         ]
 
     def design_index(self, name: str) -> int:
-        """Return the place of a design variable in the last axis of every sensitivity.
-
-        Raises
-        ------
-        UnknownName
-        """
+        """Return the place of a design variable in the last axis of every sensitivity."""
         names = self._known_sensitivities().names
         if name not in names:
             raise UnknownName("design variable", name, names)
@@ -266,17 +253,9 @@ class Solution:
     def with_sensitivities(
         self, own: Sensitivities, verdict: Verdict, steps: int, seconds: float
     ) -> Solution:
-        """Return the solution with derivatives, cut to the steps that have them.
+        """Return the solution with derivatives, cut to the `steps` that have them.
 
-        Parameters
-        ----------
-        own : Sensitivities
-        verdict : Verdict
-            How the pass ended; the outcome of the run stays if it finished.
-        steps : int
-            Steps with derivatives.
-        seconds : float
-            Time of the pass, added to the statistics.
+        The verdict tells how the pass ended, its seconds are added to the statistics.
         """
         outcome = self.outcome
         if verdict is not Verdict.FINISHED:
@@ -305,24 +284,12 @@ class Solution:
     # -- files and text ------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the solution to one file, complete or not at all, and return its path.
-
-        Parameters
-        ----------
-        path : path-like
-            By convention with the ending ``.npz``.
-        """
+        """Write the solution to one file (``.npz``), complete or not at all; return its path."""
         return solution_file.write(Path(path), vars(self))
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Solution:
-        """Read a solution written by `save`.
-
-        Raises
-        ------
-        InvalidInput
-            If the file is not such a solution.
-        """
+        """Read a solution written by `save`; InvalidInput if the file is no such solution."""
         return Solution(**solution_file.read(Path(path)))
 
     def __repr__(self) -> str:

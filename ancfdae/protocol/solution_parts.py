@@ -87,9 +87,8 @@ class Sensitivities:
 
     Attributes
     ----------
-    names : tuple of str
     values : array, shape (n_b,)
-        Design variables and their values.
+        Of the design variables.
     q_b, v_b, a_b : array, shape (n_t, n_q, n_b)
     lam_b : array, shape (n_t, n_lam, n_b)
     """

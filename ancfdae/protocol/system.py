@@ -37,17 +37,15 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class Linearisation:
-    """Jacobians at k instants as values on the system's patterns.
+    """Jacobians at k instants as values on the system's patterns, shape (k, nnz).
 
     Attributes
     ----------
-    M : array, shape (k, nnz) or (1, nnz)
+    M : array
         One row if the mass is constant.
-    f_q : array, shape (k, nnz)
-        f = M a + Phi_q^T lam - Q with a held.
-    f_v : array, shape (k, nnz), or None
-        None where f does not depend on v.
-    Phi_q : array, shape (k, nnz of the constraint pattern)
+    f_q, f_v : array
+        f = M a + Phi_q^T lam - Q with a held; f_v is None where f does not depend on v.
+    Phi_q : array
     """
 
     M: Array
@@ -227,13 +225,7 @@ class MechanicalSystem(abc.ABC):
         return self.along(lambda s: s.mass_times(q, a))
 
     def inertia_q(self, q: Array, a: Array) -> Array:
-        """Return the values of (M a)_q with a held; to be written unless `constant_mass`.
-
-        Raises
-        ------
-        InvalidInput
-            If it is not.
-        """
+        """Return the values of (M a)_q with a held; to be written unless `constant_mass`."""
         if self.constant_mass:
             return np.zeros(self.pattern.size)
         raise InvalidInput(
@@ -246,10 +238,7 @@ class MechanicalSystem(abc.ABC):
     def inertia_rate_total(
         self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
-        """Return the total design derivative of (dM/dt) a, that is of (M a)_q v, (n_q, n_b).
-
-        Asked for only unless `constant_mass`.
-        """
+        """Return the total design derivative of (dM/dt) a = (M a)_q v, (n_q, n_b)."""
 
         def rate(s: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
             return s.pattern.dot(s.inertia_q(q, a), v)
@@ -420,14 +409,8 @@ class MechanicalSystem(abc.ABC):
     ) -> tuple[Array, Array, Array]:
         """Return values of f'_q, f'_v and dM/dt, with f' the rate of f = M a + Phi_q^T lam - Q.
 
-        a and lam are held in time; the acceleration by which velocities change, `later`, need not
-        be a.
-
-        Parameters
-        ----------
-        t : float
-        states : (q, v, a, lam)
-        later : array, shape (n_q,)
+        The states are (q, v, a, lam); a and lam are held in time. The acceleration by which
+        velocities change, `later`, need not be a.
         """
         q, v, a, lam = states
 
@@ -491,13 +474,9 @@ class MechanicalSystem(abc.ABC):
         states: tuple[Array, Array, Array, Array],
         covectors: tuple[Array, Array],
     ) -> Array:
-        """Return the sum over instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
+        """Return the sum over k instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
 
-        Parameters
-        ----------
-        t : array, shape (k,)
-        states : (q, v, a, lam), arrays with k rows
-        covectors : (mu, zeta), arrays with k rows
+        The states are (q, v, a, lam) and the covectors (mu, zeta), arrays with k rows.
         """
         partials = self.design_partials(t, *states)
         mu, zeta = covectors

@@ -32,12 +32,7 @@ _DISAGREE = 1e-3
 class Reach:
     """How far M, Q and Phi may be followed into the complex plane.
 
-    Attributes
-    ----------
-    q, v : float
-        In the norm of the weights; v is infinite for what does not depend on velocities.
-    t : float
-    weights : array, shape (n_q,)
+    q and v are meant in the norm of the weights; v is infinite for what does not depend on it.
     """
 
     q: float

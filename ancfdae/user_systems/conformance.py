@@ -27,10 +27,8 @@ class Finding:
     ----------
     name : str
         The member, and what it was compared with.
-    error : float
-        Largest relative difference met; free of units.
-    tolerance : float
-        What round-off and the differences explain.
+    error, tolerance : float
+        Largest relative difference met, and what round-off and the differences explain.
     """
 
     name: str
@@ -74,13 +72,7 @@ class Conformance:
         return tuple(finding for finding in self.findings if not finding.passed)
 
     def raise_if_wrong(self) -> None:
-        """Refuse a system that does not conform.
-
-        Raises
-        ------
-        InvalidInput
-            Naming what is wrong.
-        """
+        """Raise InvalidInput, naming what is wrong, unless all passed."""
         if self.wrong:
             names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
             raise InvalidInput(

@@ -25,12 +25,7 @@ _KEPT = 1000
 class Differentiator:
     """Derivatives of kernels, in the numbers they take, along changes of the motion and in b.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-        Its mass_times, force, constraint, start and with_values accept complex numbers.
-    of_forces : bool
-        Whether kernels depend on velocities. Others are followed further.
+    Kernels that depend on no velocity (`of_forces` false) are followed further.
     """
 
     def __init__(self, system: MechanicalSystem, of_forces: bool) -> None:

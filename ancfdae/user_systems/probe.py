@@ -23,21 +23,14 @@ _SMALL = 1e-3
 class Probe:
     """A system at a random state, with changes of the size of the state itself.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    rng : numpy.random.Generator
-
     Attributes
     ----------
     m : Motion
         The state.
-    d : Motion
-        A change of it.
+    d, d_b : Motion, list of Motion
+        A change of it, and one for every design variable.
     b_sizes : array, shape (n_b,)
         Sizes of the design variables.
-    d_b : list of Motion
-        A change for every design variable.
     arguments : dict
         State, the change "x" of q and the changes "q_b", ... per unit of b, as members take them.
     time : float
@@ -123,12 +116,8 @@ class Probe:
 def gap(claimed: Array, found: Array, value: Array | float) -> float:
     """Largest difference, entry by entry against its size or a small part of the largest.
 
-    Parameters
-    ----------
-    claimed, found : array
-    value : array
-        What was differentiated, along a change of its arguments by their size: entries that
-        vanish beside it are compared with it.
+    `value` is what was differentiated, along a change of its arguments by their size: entries that
+    vanish beside it are compared with it.
     """
     if not np.size(claimed):
         return 0.0

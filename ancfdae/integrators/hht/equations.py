@@ -42,14 +42,7 @@ from ancfdae.protocol import Linearisation, MechanicalSystem
 @final
 @dataclass(frozen=True)
 class Coefficients:
-    """Step size and Newmark coefficients (below eq. 6).
-
-    Attributes
-    ----------
-    h : float or array
-        An array for many steps at once.
-    alpha, beta, gamma : float
-    """
+    """Step size, an array for many steps at once, and Newmark coefficients (below eq. 6)."""
 
     h: Any
     alpha: float
@@ -65,13 +58,7 @@ class Coefficients:
 @final
 @dataclass(frozen=True)
 class Steps:
-    """Step sizes of a run.
-
-    Attributes
-    ----------
-    h : array, shape (n,)
-    alpha : float
-    """
+    """Step sizes of a run, shape (n,)."""
 
     h: Array
     alpha: float
@@ -100,15 +87,7 @@ class Steps:
 class Node:
     """State of the recurrence after a step.
 
-    Attributes
-    ----------
-    t : float
-    q, v : array, shape (n_q,)
-    a : array, shape (n_q,)
-        The algorithm's acceleration, q'' at t + alpha h.
-    lam : array, shape (n_lam,)
-    A : array, shape (n_q,)
-        The acceleration q'' at t.
+    a is the acceleration of the algorithm, q'' at t + alpha h, and A is q'' at t.
     """
 
     t: float
@@ -165,8 +144,7 @@ def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, A
 def rescaled(node: Node, ratio: float) -> Node:
     """Return the node for a step whose size is `ratio` times that of the step before.
 
-    a stands for q'' at t + alpha h, and changes with h along the straight line through it and A
-    at t, which keeps second order.
+    a changes with h along the straight line through it and A, which keeps second order.
     """
     return node if ratio == 1.0 else replace(node, a=node.A + ratio * (node.a - node.A))
 
@@ -201,12 +179,7 @@ def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
 def factor_jacobian(
     system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, node: Node
 ) -> Factorization:
-    """Factorise eq. (6) at a state.
-
-    Raises
-    ------
-    SingularMatrix
-    """
+    """Factorise eq. (6) at a state."""
     states = (x[None] for x in (node.q, node.v, node.A, node.lam))
     local = system.linearise(np.array([node.t]), *states)
     return matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])

@@ -55,7 +55,7 @@ _CHUNK_NUMBERS = 350_000
 @final
 @dataclass(frozen=True)
 class LinearSteps:
-    """A chunk of steps linearised at their converged states, and the matrices that link steps.
+    """A chunk of k steps linearised at their converged states.
 
     One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
     (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The pass back takes the transposes
@@ -63,11 +63,9 @@ class LinearSteps:
 
     Attributes
     ----------
-    system : MechanicalSystem
     c : Coefficients
         h of shape (k, 1).
     q : array, shape (k, n_q)
-    local : Linearisation
     constraints_q : array
         Phi_q / (beta h^2).
     """
@@ -152,14 +150,10 @@ def differentiate(
     nodes: Nodes,
     start: NodeSensitivity,
 ) -> tuple[list[Array], Verdict]:
-    """Run the derivative recurrence forward.
+    """Run the derivative recurrence forward from the start.
 
-    Returns
-    -------
-    arrays : list of q_b, v_b, A_b, lam_b
-        Shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the steps done; row 0 is the start.
-    verdict : Verdict
-        How the pass ended.
+    Returns q_b, v_b, A_b, lam_b, shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the steps
+    done, and how the pass ended.
     """
     n_t, n_b, n_q = len(nodes.run.t), system.n_b, system.n_q
     states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
@@ -219,14 +213,7 @@ def advance(
     after: Node,
     row: ConstraintRow | None,
 ) -> NodeSensitivity:
-    """Take one step of the derivative recurrence, to a node that is computed.
-
-    The row is that of a small step.
-
-    Raises
-    ------
-    SingularMatrix
-    """
+    """Take one step of the derivative recurrence to a computed node; the row is of a small step."""
     t, states = np.array([after.t]), tuple(x[None] for x in (after.q, after.v, after.A, after.lam))
     columns = Coefficients(np.array([[c.h]]), c.alpha, c.beta, c.gamma)
     linear, z = LinearSteps.of(system, columns, t, states), _predicted(c, before)
@@ -257,8 +244,8 @@ def pull_back(
     gradient : array, shape (n_b,)
         Everything but what goes through the start.
     start : NodeSensitivity
-        Covectors on the start: the derivative through it is the sum of their products with the
-        start's derivatives. Its arrays have no design axis.
+        Covectors on the start, without a design axis: their products with its derivatives are the
+        derivative through it.
     change : float
         What the defects of all steps change in the objective; zero without them.
     """
@@ -332,8 +319,8 @@ def _small_side(
 def step_matrices(steps: Steps) -> Array:
     """Return the maps from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~), (n, 6, 4).
 
-    All of a step but its solution in one small product; the coefficients come from all steps at
-    once with unit vectors. After the last step the same size is taken once more.
+    The coefficients of all steps come at once from unit vectors; after the last step the same size
+    is taken once more.
     """
     h = steps.h[:, None]
     following = np.append(steps.h[1:], steps.h[-1])[:, None]

@@ -54,14 +54,7 @@ def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion:
 @final
 @dataclass(frozen=True)
 class ConstraintRow:
-    """Derivative of the constraints over a small step.
-
-    Attributes
-    ----------
-    G : array
-        Values on `constraint_pattern`.
-    g : array, shape (n_lam, n_b)
-    """
+    """Derivative of the constraints over a small step: values of G on their pattern, and g."""
 
     G: Array
     g: Array
@@ -96,10 +89,7 @@ class ConstraintRow:
 def constraint_increment(
     system: MechanicalSystem, c: Coefficients, before: Node, dq: Array
 ) -> Array:
-    """Return I, free of the round-off of Phi itself; exact for joints, which are quadratic in q.
-
-    A drive A sin(w t) leaves A (w h)^7 / 2e6.
-    """
+    """Return I; exact for joints, quadratic in q. A drive A sin(w t) leaves A (w h)^7 / 2e6."""
     total = np.zeros(system.n_lam)
     for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
         q, t = before.q + place * dq, before.t + place * c.h
@@ -113,13 +103,8 @@ def constraint_increment(
 class Nodes:
     """States of the recurrence at the instants of a finished run.
 
-    Attributes
-    ----------
-    run : Solution
-        Its accelerations are A; a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n.
-    steps : Steps
-    first : Node
-        The start of the recurrence.
+    The accelerations of the run are A; a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n. `first` is the
+    start of the recurrence.
     """
 
     run: Solution

@@ -52,13 +52,7 @@ from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_t
 @final
 @dataclass(frozen=True)
 class _Jerk:
-    """The third derivative at an acceleration (j_1 or j_2 of the module description).
-
-    Attributes
-    ----------
-    a, jerk : array, shape (n_q,)
-    lam_rate : array, shape (n_lam,)
-    """
+    """The third derivative at an acceleration (j_1 or j_2 of the module description)."""
 
     a: Array
     jerk: Array
@@ -88,17 +82,10 @@ class RecurrenceStart:
 
     Attributes
     ----------
-    system : MechanicalSystem
-    s : float
-        -alpha h.
-    scale : float
-        C h^2.
-    initial : InitialState
-        The consistent start.
+    s, scale : float
+        -alpha h and C h^2.
     jerks : tuple of _Jerk
         One, or two where forces depend on velocities.
-    dv : array, shape (n_q,)
-    eta : array, shape (n_lam,)
     factors, damped : Factorization
         Of M and of M - s Q_v, with Phi_q.
     """
@@ -117,12 +104,7 @@ class RecurrenceStart:
     def of(
         system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, initial: InitialState
     ) -> RecurrenceStart:
-        """Solve the equations of the module description.
-
-        Raises
-        ------
-        SingularMatrix
-        """
+        """Solve the equations of the module description."""
         x, s, scale = initial, -c.alpha * c.h, constraint_error(c)
         M, Phi_q = system.mass(x.q), system.constraint_q(x.q, x.t)
         factors = damped = matrices.factor(M, Phi_q)

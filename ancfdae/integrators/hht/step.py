@@ -43,22 +43,10 @@ State = tuple[Node, NodeSensitivity | None]
 
 @final
 class Stepper(OneStepMethod[State]):
-    """Takes the steps of a run.
+    """Takes the steps of a run, with derivatives where those of the start are given.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    matrices : SaddlePoint
-    initial : InitialState
-    derivative : InitialSensitivity or None
-        Where derivatives are integrated too.
-    alpha : float
-    newton : tuple of float and int
-        Tolerance and most iterations of Newton's method.
-    tolerance : Tolerance or None
-        Of the error of a step, where it is controlled.
-    recorder : Recorder
-        Whose counters go on.
+    The tolerance, of the error of a step, is None where nothing controls it; the counters of the
+    recorder go on.
     """
 
     order: ClassVar[int] = 2
@@ -97,12 +85,7 @@ class Stepper(OneStepMethod[State]):
         return rescaled(node, ratio), node_b and rescaled_sensitivity(node_b, ratio)
 
     def advance(self, h: float, before: State, t: float) -> State | None:
-        """Solve the equations at t; None if Newton's method fails.
-
-        Raises
-        ------
-        SingularMatrix
-        """
+        """Solve the equations at t; None if Newton's method fails."""
         (last, node_b), c = before, Coefficients.of(h, self._alpha)
         node = self._solver.advance(c, last, t)
         if node is None:

@@ -41,8 +41,6 @@ class Tolerance:
 
     Attributes
     ----------
-    rtol, atol : float
-    t_end : float
     sizes : array, shape (n_q,)
         Q_i.
     sizes_b : array, shape (n_b,)

@@ -37,13 +37,7 @@ from ancfdae.protocol import MechanicalSystem
 @final
 @dataclass(frozen=True)
 class PulledBack:
-    """Covectors on q_b, v_b and b.
-
-    Attributes
-    ----------
-    q, v : array, shape (n_q,)
-    b : array, shape (n_b,)
-    """
+    """Covectors on q_b, v_b and b."""
 
     q: Array
     v: Array
@@ -52,20 +46,7 @@ class PulledBack:
 
 @final
 class AdjointEquations:
-    """Pulls covectors on accelerations and multipliers back at one instant.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-    accelerations : Accelerations
-    t : float
-    q, v : array, shape (n_q,)
-
-    Attributes
-    ----------
-    lam : array, shape (n_lam,)
-        The multipliers there.
-    """
+    """Pulls covectors on accelerations and multipliers back at one instant; it has `lam`."""
 
     def __init__(
         self, system: MechanicalSystem, accelerations: Accelerations, t: float, q: Array, v: Array

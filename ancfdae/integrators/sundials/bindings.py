@@ -26,24 +26,14 @@ class MissingPackage(AncfdaeError, ImportError):
 @final
 @dataclass(frozen=True)
 class Bindings:
-    """Modules of sundials4py.
-
-    Attributes
-    ----------
-    core, idas : module
-    """
+    """Modules of sundials4py."""
 
     core: Any
     idas: Any
 
     @staticmethod
     def load() -> Bindings:
-        """Import sundials4py.
-
-        Raises
-        ------
-        MissingPackage
-        """
+        """Import sundials4py, or raise MissingPackage."""
         try:
             core = importlib.import_module("sundials4py.core")
             idas = importlib.import_module("sundials4py.idas")
@@ -67,12 +57,7 @@ class Bindings:
         return self.core.N_VGetNumpyArray(vector)
 
     def check(self, flag: int) -> None:
-        """Refuse a return code of a set-up call that is an error.
-
-        Raises
-        ------
-        AncfdaeError
-        """
+        """Refuse a return code of a set-up call that is an error."""
         if flag < 0:
             name = self.idas.IDAGetReturnFlagName(flag)
             raise AncfdaeError(f"IDAS: a call to set it up failed with {name}. Please report this.")

@@ -33,14 +33,7 @@ _SMALL = 1e-2
 
 @final
 class AdjointSeeds:
-    """What the objective contributes at a time: densities, and values at instants.
-
-    Parameters
-    ----------
-    problem : Problem
-    solution : Solution
-    seeds : Seeds
-    """
+    """What the objective contributes at a time: densities, and values at instants."""
 
     def __init__(self, problem: Problem, solution: Solution, seeds: Seeds) -> None:
         system, s = problem.system, problem.scales

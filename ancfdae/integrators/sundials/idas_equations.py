@@ -22,24 +22,14 @@ _NEWTON = 0.01
 
 @final
 class IdasEquations:
-    """Memory of IDAS for a form, and the callbacks that it calls.
-
-    Parameters
-    ----------
-    bindings : Bindings
-    form : IndexReduced
-    rtol : float
-    start : tuple of array
-        y and y' at t = 0.
+    """Memory of IDAS for a form started at y and y', and the callbacks that it calls.
 
     Attributes
     ----------
     memory : capsule
         What the functions of IDAS take as first argument.
-    context : object
     y, yp : N_Vector
         Where IDAS writes results.
-    guard : Guard
     last : float
         Largest entry of the last finite residual.
     """

@@ -57,11 +57,6 @@ class _Unknowns(NamedTuple):
 class IndexReduced(abc.ABC):
     """An index-reduced form of one system; arguments and results are scaled.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    scales : Scales
-
     Attributes
     ----------
     n : int
@@ -122,10 +117,7 @@ class IndexReduced(abc.ABC):
 
     @final
     def tolerances(self, rtol: float) -> Array:
-        """Return absolute tolerances of scaled unknowns or their sensitivities, shape (n,).
-
-        They error-control q and v only.
-        """
+        """Return absolute tolerances of scaled unknowns, (n,); they control q and v only."""
         tested = 2 * self._system.n_q
         return np.repeat([_SMALL * rtol, _LOOSE], [tested, self.n - tested])
 
@@ -344,20 +336,14 @@ class IndexReduction(Enum):
 
 @final
 class ColumnStorage:
-    """Compressed sparse columns of a block lower triangular matrix.
+    """Compressed sparse columns of the matrix of a form with m sensitivity equations.
 
         [ J             ]
         [ L_1  J        ]
         [ ...      ...  ]
         [ L_m         J ]
 
-    It is the iteration matrix of a form with m sensitivity equations appended; all blocks share the
-    pattern of J.
-
-    Parameters
-    ----------
-    form : IndexReduced
-    m : int
+    All blocks share the pattern of J.
     """
 
     def __init__(self, form: IndexReduced, m: int) -> None:

@@ -41,15 +41,7 @@ _STEPS, _NUMBERS = 128, 5_000_000
 
 @final
 class StepPoints:
-    """Collects steps and hands their points to the integrals.
-
-    Parameters
-    ----------
-    form : IndexReduced
-    quadrature : Quadrature
-    m : int
-        Design variables whose sensitivities are integrated.
-    """
+    """Collects steps, with m sensitivities, and hands their points to the integrals."""
 
     def __init__(self, form: IndexReduced, quadrature: Quadrature, m: int) -> None:
         self._form, self._quadrature, self._m = form, quadrature, m
