@@ -143,8 +143,9 @@ class IndexReduced(abc.ABC):
         X, Xp = self._split(Y * size / b), self._split(Yp * size / b)
         drift, *sides = self._residual_b(t, x, xp, X, Xp)
         force = system.mass_times(x.q, Xp.v) + inertia_total(system, x.q, xp.v, X.q)
-        force = force + self._reaction_b(t, x.q, x.lam, X.q, X.lam)
-        force = force - system.force_total(x.q, x.v, t, X.q, X.v)
+        force = force + constraint_force_total(system, x.q, x.lam, t, X.q)
+        reaction = system.constraint_pattern.dot_transposed(system.constraint_q(x.q, t), X.lam)
+        force = force + reaction - system.force_total(x.q, x.v, t, X.q, X.v)
         R = np.concatenate([Xp.q - X.v + drift, force, *sides])
         scaled: Array = R * b / self._unit[:, None]
         return scaled
@@ -214,12 +215,6 @@ class IndexReduced(abc.ABC):
         n_q, n_lam = self._system.n_q, self._system.n_lam
         return _Unknowns(*np.split(x, np.cumsum([n_q, n_q, n_lam])))
 
-    def _reaction_b(self, t: float, q: Array, lam: Array, q_b: Array, lam_b: Array) -> Array:
-        """Total design derivative of Phi_q^T lam, with lam moving too."""
-        system = self._system
-        moved = system.constraint_pattern.dot_transposed(system.constraint_q(q, t), lam_b)
-        return constraint_force_total(system, q, lam, t, q_b) + moved
-
 
 @final
 class StabilisedIndex2(IndexReduced):
@@ -244,9 +239,11 @@ class StabilisedIndex2(IndexReduced):
     ) -> list[Array]:
         system, dot = self._system, self._system.constraint_pattern.dot
         Phi_q = system.constraint_q(x.q, t)
+        drift = constraint_force_total(system, x.q, x.eta, t, X.q)
+        drift = drift + system.constraint_pattern.dot_transposed(Phi_q, X.eta)
         side = system.constraint_q_times_total(x.q, x.v, t, X.q) + dot(Phi_q, X.v)
         return [
-            self._reaction_b(t, x.q, x.eta, X.q, X.eta) / system.weights[:, None],
+            drift / system.weights[:, None],
             side - system.velocity_side_total(x.q, t, X.q),
             dot(Phi_q, X.q) + system.constraint_b(x.q, t),
         ]
