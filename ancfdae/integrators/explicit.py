@@ -24,9 +24,10 @@ import numpy as np
 from scipy.integrate import DOP853, DenseOutput
 
 from ancfdae.errors import SingularMatrix, Verdict
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Progress
 from ancfdae.integrators.index_1 import State, project
 from ancfdae.integrators.integrand import Points, Rule
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.numerics.arrays import Array, is_finite
 
@@ -102,7 +103,7 @@ class _ExplicitMarch(March):
         own = np.concatenate([s.q, s.v])[:, None]
         self._size = np.concatenate([own, own / s.b[: self._m]], axis=1)
         first = problem.initial
-        start = State(first.q, first.v, *(() if b is None else (b.q_b, b.v_b)))
+        start = State(first.q, first.v, *(b or ())[:2])
         self._between: DenseOutput | None = None
         self._rtol, self._steps = settings.rtol, list[_Step]()
         self._solver = self._new_solver(0.0, self._vector(start), 1.0)

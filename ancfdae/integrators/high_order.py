@@ -15,27 +15,13 @@ from typing import ClassVar, Self, final
 import numpy as np
 from tqdm import tqdm
 
-from ancfdae.errors import (
-    InvalidInput,
-    Outcome,
-    SingularMatrix,
-    Verdict,
-    require_count,
-    require_positive,
-)
-from ancfdae.integrators.characteristic_sizes import Scales
-from ancfdae.integrators.index_1 import Accelerations, State
+from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_count
+from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import (
-    InitialSensitivity,
-    InitialState,
-    consistent_start,
-    saddle_point,
-    start_sensitivity,
-)
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.protocol import MechanicalSystem
@@ -70,40 +56,6 @@ class Progress:
 @final
 class NotFinite(Exception):
     """Raised inside a callback to leave a solver; never reaches the user."""
-
-
-@final
-@dataclass(frozen=True)
-class Problem:
-    """A system at its consistent start, with derivatives where sensitivities are asked for."""
-
-    system: MechanicalSystem
-    initial: InitialState
-    derivative: InitialSensitivity | None
-    scales: Scales
-    accelerations: Accelerations
-
-    @staticmethod
-    def of(system: MechanicalSystem, t_end: float, sensitivities: bool) -> Problem:
-        """Find the consistent start.
-
-        Raises
-        ------
-        InvalidInput
-            Also if accelerations, multipliers or design derivatives at the start are not finite.
-        """
-        require_positive("t_end", t_end)
-        matrices = saddle_point(system, 0.0)
-        initial = consistent_start(system, matrices, 0.0)
-        _require_finite("accelerations at the start", initial.a, initial.lam)
-        derivative = None
-        if sensitivities:
-            with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
-                derivative = start_sensitivity(system, matrices, initial)
-            d = derivative
-            _require_finite("design derivatives at the start", d.q_b, d.v_b, d.a_b, d.lam_b)
-        scales = Scales.of(system, initial, t_end)
-        return Problem(system, initial, derivative, scales, Accelerations(system, matrices))
 
 
 class March(abc.ABC):
@@ -213,13 +165,14 @@ class HighOrder(QuadratureIntegrator):
         if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
             rule, got = "computes in real numbers", "a complex system"
             raise InvalidInput(type(self).__name__, rule, got, "Use HHT.")
-        problem = Problem.of(system, t_end, sensitivities)
+        with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
+            problem = Problem.of(system, t_end)
+            problem = problem.differentiated() if sensitivities else problem
+        problem.require_finite()
         grid = TimeGrid.lobatto(t_end, self.intervals)
         recorder = Recorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
-        first, b = problem.initial, problem.derivative
-        derivatives = () if b is None else (b.q_b, b.v_b, b.a_b, b.lam_b)
-        recorder.record(0.0, first.q, first.v, first.a, first.lam, derivatives)
+        recorder.record(*problem.initial, problem.derivative or ())
         verdict, march = Verdict.FINISHED, None
         quadrature = Quadrature(integrands, problem.accelerations, self.rtol)
         try:
@@ -247,11 +200,6 @@ class HighOrder(QuadratureIntegrator):
             recorder.factorisations += march.factorisations
             size = 0.0 if verdict is Verdict.FINISHED else march.residual()
         return recorder.solution(Outcome(verdict, recorder.time, recorder.accepted, size))
-
-
-def _require_finite(what: str, *arrays: Array) -> None:
-    if not all(is_finite(x) for x in arrays):
-        raise InvalidInput(what, "must be finite", "NaN or infinity", "Check forces and start.")
 
 
 def _record(problem: Problem, recorder: Recorder, t: float, point: State) -> None:

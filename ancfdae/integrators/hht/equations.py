@@ -29,8 +29,8 @@ The start of the recurrence has a module of its own (`start`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, final
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -82,9 +82,7 @@ class Steps:
         return Coefficients(h[:, None], *newmark(self.alpha))
 
 
-@final
-@dataclass(frozen=True)
-class Node:
+class Node(NamedTuple):
     """State of the recurrence after a step.
 
     a is the acceleration of the algorithm, q'' at t + alpha h, and A is q'' at t.
@@ -98,9 +96,7 @@ class Node:
     A: Array
 
 
-@final
-@dataclass(frozen=True)
-class NodeSensitivity:
+class NodeSensitivity(NamedTuple):
     """Design derivatives of a `Node`; every array has a trailing axis n_b."""
 
     q_b: Array
@@ -146,14 +142,14 @@ def rescaled(node: Node, ratio: float) -> Node:
 
     a changes with h along the straight line through it and A, which keeps second order.
     """
-    return node if ratio == 1.0 else replace(node, a=node.A + ratio * (node.a - node.A))
+    return node if ratio == 1.0 else node._replace(a=node.A + ratio * (node.a - node.A))
 
 
 def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity:
     """Differentiate `rescaled`."""
     if ratio == 1.0:
         return node
-    return replace(node, a_b=node.A_b + ratio * (node.a_b - node.A_b))
+    return node._replace(a_b=node.A_b + ratio * (node.a_b - node.A_b))
 
 
 def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:

@@ -29,13 +29,11 @@ from ancfdae.integrators.hht.equations import (
 from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.integrators.hht.small_steps import ConstraintRow
 from ancfdae.integrators.hht.start import RecurrenceStart
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.integrators.step_control.contracts import OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.protocol import MechanicalSystem
 
 # State of the recurrence at an instant, and of its derivatives if they are integrated.
 State = tuple[Node, NodeSensitivity | None]
@@ -53,31 +51,25 @@ class Stepper(OneStepMethod[State]):
 
     def __init__(
         self,
-        system: MechanicalSystem,
-        matrices: SaddlePoint,
-        initial: InitialState,
-        derivative: InitialSensitivity | None,
+        problem: Problem,
         alpha: float,
         newton: tuple[float, int],
         tolerance: Tolerance | None,
         recorder: Recorder,
     ) -> None:
-        self._system, self._matrices, self._alpha = system, matrices, alpha
-        self._initial, self._derivative = initial, derivative
-        self._solver = StepSolver(system, matrices, *newton, recorder)
+        self._problem, self._alpha = problem, alpha
+        self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
         self._tolerance, self._recorder = tolerance, recorder
 
     def consistent(self) -> Record:
         """Return what a solution keeps of the start, which is the consistent one."""
-        x, b = self._initial, self._derivative
-        derivatives = () if b is None else (b.q_b, b.v_b, b.a_b, b.lam_b)
-        return x.t, x.q, x.v, x.a, x.lam, derivatives
+        return *self._problem.initial, self._problem.derivative or ()
 
     def start(self, h: float) -> State:
         """Return the start of a run whose first step has the size h."""
         c = Coefficients.of(h, self._alpha)
-        start = RecurrenceStart.of(self._system, self._matrices, c, self._initial)
-        return start.node, self._derivative and start.sensitivity(self._derivative)
+        start, derivative = RecurrenceStart.of(self._problem, c), self._problem.derivative
+        return start.node, derivative and start.sensitivity(derivative)
 
     def resized(self, state: State, ratio: float) -> State:
         """Return a state for a step whose size is `ratio` times that of the step before."""
@@ -92,8 +84,9 @@ class Stepper(OneStepMethod[State]):
             return None
         if node_b is not None:
             self._recorder.factorisations += 1
-            row = ConstraintRow.of(self._system, c, last, node)
-            node_b = linear_passes.advance(self._system, self._matrices, c, node_b, node, row)
+            system, matrices = self._problem.system, self._problem.matrices
+            row = ConstraintRow.of(system, c, last, node)
+            node_b = linear_passes.advance(system, matrices, c, node_b, node, row)
         return node, node_b
 
     def failure(self) -> tuple[Verdict, float]:
@@ -115,9 +108,9 @@ class Stepper(OneStepMethod[State]):
 
     def start_error(self) -> float:
         """Return e of a first step of size 1, from the third derivative at the start."""
-        initial, own, still = self._initial, self._derivative, Coefficients.of(0.0, self._alpha)
-        start = RecurrenceStart.of(self._system, self._matrices, still, initial)
-        motion = start.jerks[0].jerk.real, np.abs(initial.q.real)
+        own, still = self._problem.derivative, Coefficients.of(0.0, self._alpha)
+        start = RecurrenceStart.of(self._problem, still)
+        motion = start.jerks[0].jerk.real, np.abs(self._problem.initial.q.real)
         if own is None:
             return self._error(1.0, *motion)
         jerk_b = start.jerk_total(start.jerks[0], own, own.a_b)

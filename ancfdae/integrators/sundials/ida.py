@@ -21,8 +21,9 @@ import sksundae
 from scipy import sparse
 
 from ancfdae.errors import Verdict, require_kind
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Progress
 from ancfdae.integrators.index_1 import State
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage, IndexReduction
 from ancfdae.integrators.sundials.messages import without_messages

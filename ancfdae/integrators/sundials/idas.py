@@ -13,9 +13,10 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.errors import Verdict, require_kind
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Progress
 from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import Bindings
 from ancfdae.integrators.sundials.idas_adjoint import pull_back
@@ -62,7 +63,7 @@ class IDAS(HighOrder, AdjointIntegrator):
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
         """Return the gradient of an objective by the adjoint with checkpoints."""
         t_end = float(solution.t[-1])
-        problem = Problem.of(system, t_end, sensitivities=True)
+        problem = Problem.of(system, t_end).differentiated()
         return pull_back(
             Bindings.load(),
             problem,

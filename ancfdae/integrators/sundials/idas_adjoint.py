@@ -16,8 +16,9 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.errors import PassFailed, Verdict
-from ancfdae.integrators.high_order import NotFinite, Problem, Progress
+from ancfdae.integrators.high_order import NotFinite, Progress
 from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.sundials.adjoint_equations import AdjointEquations, PulledBack
 from ancfdae.integrators.sundials.bindings import Bindings
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
