@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Self, final
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,9 +14,7 @@ from ancfdae.numerics.arrays import Array
 _RELATIVE, _ABSOLUTE = 1e-12, 1e-20
 
 
-@final
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """State at one instant, or a change of it; what a quantity does not depend on is zero.
 
     t is real in the protocol, and complex only while derivatives are taken.
@@ -29,35 +26,26 @@ class Motion:
     lam: Array
     t: Any
 
-    def at(self, s: complex) -> Self:
+    def at(self, s: complex) -> Motion:
         """Move on by the time s with the acceleration held."""
         q = self.q + s * (self.v + (0.5 * s) * self.a)
-        return type(self)(q, self.v + s * self.a, self.a, self.lam, self.t + s)
+        return Motion(q, self.v + s * self.a, self.a, self.lam, self.t + s)
 
-    def plus(self, e: complex, change: Self) -> Self:
+    def plus(self, e: complex, change: Motion) -> Motion:
         """Add e times a change."""
-        return type(self)(
-            self.q + e * change.q,
-            self.v + e * change.v,
-            self.a + e * change.a,
-            self.lam + e * change.lam,
-            self.t + e * change.t,
-        )
+        return Motion(*(x + e * dx for x, dx in zip(self, change, strict=True)))
 
     @property
     def is_zero(self) -> bool:
         """Whether every part is zero."""
-        return not any(np.any(x) for x in (self.q, self.v, self.a, self.lam, self.t))
+        return not any(np.any(x) for x in self)
 
-    def parts(self) -> tuple[Self, Self]:
+    def parts(self) -> tuple[Motion, Motion]:
         """Return the real part, and the imaginary part as a change; see `require_perturbation`."""
-        values = (self.q, self.v, self.a, self.lam)
         # Everything is linear in a and lam, where any complex number is treated exactly.
         require_perturbation("q", self.q)
         require_perturbation("v", self.v)
-        q, v, a, lam = values
-        real = type(self)(q.real, v.real, a.real, lam.real, np.real(self.t))
-        return real, type(self)(q.imag, v.imag, a.imag, lam.imag, np.imag(self.t))
+        return Motion(*map(np.real, self)), Motion(*map(np.imag, self))
 
 
 def require_perturbation(name: str, x: Array) -> None:

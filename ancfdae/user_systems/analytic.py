@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self, final
+from typing import Any, Self, final
 
 import numpy as np
 
@@ -50,13 +50,8 @@ class Reach:
 
         def along_q(s: complex) -> Array:
             x = q + s * direction
-            return np.concatenate(
-                [
-                    system.force(x, v, 0.0),
-                    system.constraint(x, 0.0),
-                    system.mass_times(x, direction),
-                ]
-            )
+            Q, Phi = system.force(x, v, 0.0), system.constraint(x, 0.0)
+            return np.concatenate([Q, Phi, system.mass_times(x, direction)])
 
         def along_v(s: complex) -> Array:
             return system.force(q, v + s * direction, 0.0)
@@ -152,23 +147,23 @@ def _probes(
     db = db * np.cos(0.5 + np.arange(n_b))
     q, v = q + 1e-2 * dq, v + 1e-2 * dv
 
-    def at(s: complex) -> MechanicalSystem:
-        return system.with_values(b + s * db)
+    def at(s: complex) -> tuple[Any, Array, Array, complex]:
+        return system.with_values(b + s * db), q + s * dq, v + s * dv, 0.01 + s
 
     def mass(s: complex) -> Array:
-        return at(s).mass(q + s * dq)
+        x, q, _, _ = at(s)
+        return np.asarray(x.mass(q))
 
     def force(s: complex) -> Array:
-        return at(s).force(q + s * dq, v + s * dv, 0.01 + s)  # type: ignore[arg-type]
+        x, q, v, t = at(s)
+        return np.asarray(x.force(q, v, t))
 
     def constraint(s: complex) -> Array:
-        return at(s).constraint(q + s * dq, 0.01 + s)  # type: ignore[arg-type]
-
-    def start(s: complex) -> Array:
-        return np.concatenate(at(s).start())
+        x, q, _, t = at(s)
+        return np.asarray(x.constraint(q, t))
 
     return [
-        ("start", start, (2 * n_q,)),
+        ("start", lambda s: np.concatenate(at(s)[0].start()), (2 * n_q,)),
         ("mass_matrix", mass, (n_q * n_q,)),
         ("force", force, (n_q,)),
         ("constraint", constraint, (n_lam,)),

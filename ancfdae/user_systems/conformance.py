@@ -49,14 +49,7 @@ class Finding:
 @final
 @dataclass(frozen=True)
 class Conformance:
-    """What `check_system` found; print it.
-
-    Attributes
-    ----------
-    name : str
-        Class of the system.
-    findings : tuple of Finding
-    """
+    """What `check_system` found of a system of the class `name`; print it."""
 
     name: str
     findings: tuple[Finding, ...]
@@ -99,11 +92,10 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
     """Check every member of a mechanical system against the others.
 
     Shapes and declarations are checked, products against the matrices they stand for, and every
-    partial and total against differences of real values, extrapolated to about 1e-10; a sign, a
-    factor or a forgotten term shows as an error of order one. A value that refuses complex numbers
-    is named if other members are complex steps of it. Where complex numbers are accepted, the
-    complex steps of values are compared as well. States are random, beside the start; they need
-    not lie on the constraints.
+    partial and total against differences of real values, extrapolated to about 1e-10; a wrong sign
+    or factor is an error of order one. A value that refuses complex numbers is named if other
+    members are complex steps of it; where they are accepted, the steps are compared too. States
+    are random, beside the start; they need not lie on the constraints.
 
     Parameters
     ----------
@@ -128,18 +120,23 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
     if np.asarray(system.b).dtype.kind != "f":
         raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
     rng = np.random.default_rng(seed)
-    rows, system = _Rows(), _inside(system)
+    found, system = dict[str, Finding](), _inside(system)
+
+    def add(name: str, error: float, tolerance: float) -> None:
+        before = found[name].error if name in found else 0.0
+        found[name] = Finding(name, max(before, float(error)), tolerance)
+
     # Values that fail or have the wrong shape would make nonsense of everything that follows.
     for first in (complex_numbers, shapes):
-        if rows.passed:
-            first(rows.add, system)
-    if rows.passed:
+        if all(x.passed for x in found.values()):
+            first(add, system)
+    if all(x.passed for x in found.values()):
         for _ in range(samples):
             probe = Probe(system, rng)
             with np.errstate(all="ignore"):
                 for check in CHECKS:
-                    check(rows.add, probe)
-    return Conformance(type(system).__name__, rows.findings())
+                    check(add, probe)
+    return Conformance(type(system).__name__, tuple(found.values()))
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:
@@ -153,22 +150,3 @@ def _inside(system: MechanicalSystem) -> MechanicalSystem:
         except InvalidInput:
             b[i] = _AWAY
     return system if np.array_equal(b, system.b) else system.with_values(b)
-
-
-@final
-class _Rows:
-    """Largest error of every check, in the order of their first results."""
-
-    def __init__(self) -> None:
-        self._rows: dict[str, tuple[float, float]] = {}
-
-    def add(self, name: str, error: float, tolerance: float) -> None:
-        before = self._rows.get(name, (0.0, tolerance))
-        self._rows[name] = max(before[0], float(error)), tolerance
-
-    @property
-    def passed(self) -> bool:
-        return all(error <= tolerance for error, tolerance in self._rows.values())
-
-    def findings(self) -> tuple[Finding, ...]:
-        return tuple(Finding(name, *row) for name, row in self._rows.items())

@@ -7,7 +7,6 @@ change of all its arguments, each partial is judged by its product with the chan
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -183,11 +182,10 @@ def bulk(add: Add, p: Probe) -> None:
     """Check what handles many instants at once against the single methods."""
     s = p.system
     states = [p.m.plus(0.1 * k, p.d) for k in range(3)]
-    names = ("t", "q", "v", "a", "lam")
-    t, q, v, a, lam = (np.array([getattr(m, x) for m in states]) for x in names)
+    q, v, a, lam, t = (np.array(x) for x in zip(*states, strict=True))
 
     def each(name: str) -> Array:
-        return np.array([call(s, name, vars(m)) for m in states])
+        return np.array([call(s, name, m._asdict()) for m in states])
 
     local, partials = s.linearise(t, q, v, a, lam), s.design_partials(t, q, v, a, lam)
     f_q = -each("force_q")
@@ -222,7 +220,7 @@ def complex_steps(add: Add, p: Probe) -> None:
 
     A value that refuses complex numbers passes: the system is integrated in real ones.
     """
-    db, still = np.cos(0.3 + np.arange(p.system.n_b)), replace(p.d, t=0.0)
+    db, still = np.cos(0.3 + np.arange(p.system.n_b)), p.d._replace(t=0.0)
     for name, (value, size) in _values(p).items():
         if name in unasked(p.system):
             continue

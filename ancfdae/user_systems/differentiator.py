@@ -83,8 +83,12 @@ class Differentiator:
     ) -> Array:
         """Differentiate in every coordinate, which the kernel moves by its last number."""
         reach = self.reach.coordinates
+
+        def towards(unit: Array) -> Kernel:
+            return lambda system, m, *z: kernel(system, m, *z, unit)
+
         parts = [
-            self.value(_towards(kernel, unit), m, (*radii, reach[j]), order)
+            self.value(towards(unit), m, (*radii, reach[j]), order)
             for j, unit in enumerate(np.eye(self._system.n_q))
         ]
         return np.stack(parts, axis=-1)
@@ -120,11 +124,6 @@ class Differentiator:
 
     def _beside(self, kernel: Kernel, m: Motion, radii: tuple[float, ...]) -> Array:
         """Value at another configuration: of the size of the terms of the kernel."""
-        beside = replace(m, q=m.q + self.reach.coordinates)
+        beside = m._replace(q=m.q + self.reach.coordinates)
         value: Array = kernel(self.base, beside, *(0.0 for _ in radii))
         return value
-
-
-def _towards(kernel: Kernel, unit: Array) -> Kernel:
-    """Fix the direction in which a kernel moves the coordinates."""
-    return lambda system, m, *z: kernel(system, m, *z, unit)

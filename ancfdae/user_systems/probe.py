@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -48,7 +47,7 @@ class Probe:
         self.m = self._state(q, v)
         self.d = self.change()
         self.d_b = [self.change() for _ in range(system.n_b)]
-        self.arguments: dict[str, Any] = {**vars(self.m), "x": self.d.q}
+        self.arguments: dict[str, Any] = {**self.m._asdict(), "x": self.d.q}
         for name in ("q", "v", "a", "lam"):
             rows = np.array([getattr(d, name) for d in self.d_b])
             columns = rows.reshape(system.n_b, len(self.arguments[name])).T
@@ -65,7 +64,7 @@ class Probe:
     def along(self, f: Callable[[Motion], Array], part: str) -> Array:
         """Differentiate f along the change of one part of the state."""
         still = self.d.plus(-1.0, self.d)
-        change = replace(still, **{part: getattr(self.d, part)})
+        change = still._replace(**{part: getattr(self.d, part)})
         return real_derivative(lambda e: f(self.m.plus(e, change)))
 
     def differences(self, f: Callable[[float], Array]) -> Array:
@@ -80,7 +79,7 @@ class Probe:
         """Differentiate f in b, times b, along the changes `d_b` or with the state held."""
         columns = []
         for unit, d in zip(np.eye(self.system.n_b), self.d_b, strict=True):
-            still = replace(d, t=0.0)
+            still = d._replace(t=0.0)
 
             def moved(e: float, unit: Array = unit, still: Motion = still) -> Array:
                 m = self.m.plus(e, still) if moving else self.m
