@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput
@@ -65,9 +65,7 @@ class Explicit(HighOrder):
         return _ExplicitMarch(self, problem, t_end, quadrature)
 
 
-@final
-@dataclass(frozen=True)
-class _Stage:
+class _Stage(NamedTuple):
     """A state at which the rate was evaluated, with its multipliers."""
 
     t: float
@@ -76,9 +74,7 @@ class _Stage:
     lam_b: Array | None
 
 
-@final
-@dataclass(frozen=True)
-class _Step:
+class _Step(NamedTuple):
     """A step from left to right, the vector before it, and its stages that carry weight."""
 
     left: float
@@ -110,7 +106,6 @@ class _ExplicitMarch(March):
         self._first = self._stages[0]
 
     def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind, then interpolate."""
         solver, s = self._solver, t / self._t_end
         while solver.t < s:
             if self.steps == self._max_steps:
@@ -125,26 +120,30 @@ class _ExplicitMarch(March):
                 return Verdict.ERROR_TEST
             self.steps += 1
             self._between = None
-            # The last twelve evaluations: stages 1 to 11, and the state after the step.
-            stages = [self._first, *self._stages[-12:]]
-            self._first = stages[-1]
-            if self._quadrature.wanted:
-                used = [stages[i] for i in _USED]
-                self._steps.append(_Step(solver.t_old, solver.t, y, used))
-                if len(self._steps) == _TOGETHER:
-                    self.finish()
-            if self._problem.system.n_lam:
-                solver.y = self._vector(self._projected(solver.t, solver.y))
-                solver.f = self._rate(solver.t, solver.y)
-                self._first = self._stages[-1]
+            self._accept(y)
         if solver.t == s:
             return self._point(solver.y)
         if self._between is None:
             self._between = solver.dense_output()
         return self._projected(s, self._between(s))
 
+    def _accept(self, y: Array) -> None:
+        """Keep the stages of a step from y for the integrals, and project its end."""
+        solver = self._solver
+        # The last twelve evaluations: stages 1 to 11, and the state after the step.
+        stages = [self._first, *self._stages[-12:]]
+        self._first = stages[-1]
+        if self._quadrature.wanted:
+            used = [stages[i] for i in _USED]
+            self._steps.append(_Step(solver.t_old, solver.t, y, used))
+            if len(self._steps) == _TOGETHER:
+                self.finish()
+        if self._problem.system.n_lam:
+            solver.y = self._vector(self._projected(solver.t, solver.y))
+            solver.f = self._rate(solver.t, solver.y)
+            self._first = self._stages[-1]
+
     def finish(self) -> None:
-        """Take the last steps into the integrals."""
         if self._steps:
             self._quadrature.add(self._points(self._steps))
             self._steps = []
@@ -180,24 +179,17 @@ class _ExplicitMarch(March):
         return DOP853(self._rate, s, y, end, first_step=first, rtol=rtol, atol=_SMALL * rtol)
 
     def residual(self) -> float:
-        """Return zero: an explicit step has no equations left over."""
-        return 0.0
+        return 0.0  # An explicit step has no equations left over.
 
     def _vector(self, point: State) -> Array:
-        n_q = self._problem.system.n_q
-        columns = np.empty(self._size.shape, dtype=np.result_type(point.q, point.v))
-        columns[:n_q, 0], columns[n_q:, 0] = point.q, point.v
+        columns = np.concatenate([point.q, point.v])[:, None]
         if point.q_b is not None and point.v_b is not None:
-            columns[:n_q, 1:], columns[n_q:, 1:] = point.q_b, point.v_b
-        vector: Array = (columns / self._size).ravel()
-        return vector
+            columns = np.hstack([columns, np.concatenate([point.q_b, point.v_b])])
+        return np.asarray((columns / self._size).ravel())
 
     def _point(self, y: Array) -> State:
-        n_q = self._problem.system.n_q
-        x = y.reshape(self._size.shape) * self._size
-        if self._m == 0:
-            return State(x[:n_q, 0], x[n_q:, 0])
-        return State(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
+        q, v = np.split(y.reshape(self._size.shape) * self._size, 2)
+        return State(q[:, 0], v[:, 0], *((q[:, 1:], v[:, 1:]) if self._m else ()))
 
     def _projected(self, s: float, y: Array) -> State:
         if not is_finite(y):
@@ -223,8 +215,7 @@ class _ExplicitMarch(March):
         a, lam = accelerations.solve(t, x.q, x.v)
         rate, lam_b = State(x.v, a), None
         if x.q_b is not None and x.v_b is not None:
-            state = (x.q, x.v, a, lam)
-            a_b, lam_b = accelerations.solve_b(t, state, x.q_b, x.v_b)
+            a_b, lam_b = accelerations.solve_b(t, (x.q, x.v, a, lam), x.q_b, x.v_b)
             rate = State(x.v, a, x.v_b, a_b)
         vector = self._vector(rate) * self._t_end
         if not is_finite(vector):
@@ -234,9 +225,8 @@ class _ExplicitMarch(March):
 
 
 def _stacked(rule: Rule, h: Array, t: Sequence[float] | Array, states: list[State]) -> Points:
-    q, v = np.array([x.q for x in states]), np.array([x.v for x in states])
-    q_b = [x.q_b for x in states if x.q_b is not None]
-    v_b = [x.v_b for x in states if x.v_b is not None]
-    if not q_b:
-        return Points(rule, h, np.asarray(t), q, v)
-    return Points(rule, h, np.asarray(t), q, v, np.array(q_b), np.array(v_b))
+    arrays = [
+        np.array([getattr(x, name) for x in states])
+        for name in (("q", "v") if states[0].q_b is None else ("q", "v", "q_b", "v_b"))
+    ]
+    return Points(rule, h, np.asarray(t), *arrays)

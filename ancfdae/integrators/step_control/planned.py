@@ -24,9 +24,19 @@ _WHOLE = 1e-9
 _SHOWN = 6
 
 
+class _KnownSteps(StepControl):
+    @final
+    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
+        return None
+
+    @final
+    def frozen(self, t: Array) -> StepControl:
+        return self
+
+
 @final
 @dataclass(frozen=True)
-class FixedSteps(StepControl):
+class FixedSteps(_KnownSteps):
     """Steps of one size.
 
     Parameters
@@ -62,10 +72,6 @@ class FixedSteps(StepControl):
             )
         return count
 
-    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
-        """Return none."""
-        return None
-
     def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
         """Return the plan; its instants are multiples, without accumulated round-off."""
         count = self.count(t_end)
@@ -75,10 +81,6 @@ class FixedSteps(StepControl):
         """Return the step, free of the round-off of the instants."""
         return np.full(len(t) - 1, self.step)
 
-    def frozen(self, t: Array) -> StepControl:
-        """Return itself."""
-        return self
-
     def refined(self, t: Array) -> StepControl:
         """Halve the step."""
         return FixedSteps(self.step / 2)
@@ -86,7 +88,7 @@ class FixedSteps(StepControl):
 
 @final
 @dataclass(frozen=True)
-class GivenSteps(StepControl):
+class GivenSteps(_KnownSteps):
     """Steps between given instants, such as those of another run.
 
     Parameters
@@ -138,10 +140,6 @@ class GivenSteps(StepControl):
             )
         return len(self.times) - 1
 
-    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
-        """Return none."""
-        return None
-
     def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
         """Return the plan."""
         return _Plan(np.diff(self.times), np.array(self.times[1:]))
@@ -149,10 +147,6 @@ class GivenSteps(StepControl):
     def sizes(self, t: Array) -> Array:
         """Return the distances of the instants."""
         return np.diff(t)
-
-    def frozen(self, t: Array) -> StepControl:
-        """Return itself."""
-        return self
 
     def refined(self, t: Array) -> StepControl:
         """Halve the distances."""
@@ -168,9 +162,7 @@ class _Plan(Controller):
         self._sizes, self._ends = sizes.tolist(), ends.tolist()
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
-        """Return the next step."""
         return (self._sizes[n], self._ends[n]) if n < len(self._ends) else Verdict.FINISHED
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
-        """Accept what was solved: nothing can be changed."""
         return Verdict.NO_CONVERGENCE if error is None else n + 1
