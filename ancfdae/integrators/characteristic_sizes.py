@@ -21,16 +21,10 @@ from ancfdae.protocol import MechanicalSystem
 @final
 @dataclass(frozen=True)
 class Scales:
-    """Positive sizes, one per unknown.
+    """Positive sizes of q, v, forces and design variables, one per unknown.
 
-    Attributes
-    ----------
-    q, v, force : array, shape (n_q,)
-    row : array, shape (n_lam,)
-        Length of the rows of Phi_q in the norm of the inverse weights.
-    position, speed, load : float
-        Common sizes of sqrt(w) q, sqrt(w) v and Q / sqrt(w).
-    b : array, shape (n_b,)
+    `row` is the length of the rows of Phi_q in the norm of the inverse weights; position, speed and
+    load are the common sizes of sqrt(w) q, sqrt(w) v and Q / sqrt(w).
     """
 
     q: Array

@@ -59,13 +59,7 @@ class NotFinite(Exception):
 
 
 class March(abc.ABC):
-    """One run of a solver, from instant to instant.
-
-    Attributes
-    ----------
-    steps, iterations, factorisations, residuals : int
-        As in `Statistics`.
-    """
+    """One run of a solver, from instant to instant; it counts as `Statistics` do."""
 
     def __init__(self) -> None:
         self.steps = self.iterations = self.factorisations = self.residuals = 0
@@ -74,11 +68,7 @@ class March(abc.ABC):
     def to(self, t: float) -> State | Verdict:
         """Go on to the time t; return the state there, or why it was not reached.
 
-        Raises
-        ------
-        NotFinite
-            If the equations yield NaN or infinity.
-        SingularMatrix
+        NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
         """
 
     @abc.abstractmethod

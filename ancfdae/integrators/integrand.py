@@ -35,17 +35,10 @@ class Rule:
 @final
 @dataclass(frozen=True)
 class Points:
-    """States at the points of some panels, panel after panel, k in all.
+    """States at k points of some panels, panel after panel; h are the lengths of the panels.
 
-    Attributes
-    ----------
-    h : array, shape (number of panels,)
-        Lengths.
-    t : array, shape (k,)
-    q, v, lam : array, shape (k, n)
-        lam is None where no integrand asks for multipliers.
-    q_b, v_b, lam_b : array, shape (k, n, n_b), or None
-        None where no sensitivities are integrated.
+    q, v and lam have the shape (k, n), q_b, v_b and lam_b (k, n, n_b). What is not asked for is
+    None.
     """
 
     rule: Rule
@@ -86,15 +79,9 @@ class Points:
 class Part:
     """What an integrand makes of a part of the run.
 
-    Attributes
-    ----------
-    slopes : array, shape (n_b,)
-    size : array, shape (n,)
-        Integrals of what is integrated without their signs.
-    error : float
-        Estimated, relative to the size of the integral; nan if anything is not finite.
-    not_finite : float or None
-        Time of the first point at which anything is not finite.
+    `slopes` has the shape (n_b,); `size`, (n,), are integrals without signs. The error is
+    estimated, relative to the size of the integral, nan if anything is not finite; `not_finite` is
+    the time of the first such point.
     """
 
     duration: float

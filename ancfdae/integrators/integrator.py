@@ -17,12 +17,8 @@ from ancfdae.protocol.solution import Solution
 class Integrator(abc.ABC):
     """Frozen settings of an integration method.
 
-    Attributes
-    ----------
-    real_only : bool
-        Whether it refuses systems at complex design values, as the complex step needs them.
-    order : int or None
-        Power of the step with which errors fall; None where a tolerance controls them.
+    `real_only` ones refuse systems at complex design values, as the complex step needs them;
+    `order` is the power of the step with which errors fall, None where a tolerance controls them.
     """
 
     real_only: ClassVar[bool] = False
@@ -31,20 +27,14 @@ class Integrator(abc.ABC):
     def frozen(self, solution: Solution) -> Integrator:
         """Return the integrator that repeats the steps of a run at another design.
 
-        Where steps follow from an error estimate they jump with the design, and differences of
-        runs show the jumps. `HHT` can repeat them; other integrators return themselves.
+        Steps that follow from an error estimate jump with the design, and differences of runs show
+        it. `HHT` can repeat them; other integrators return themselves.
         """
         return self
 
     @abc.abstractmethod
     def refined(self, solution: Solution) -> Integrator:
-        """Return the integrator of a more accurate run: half the steps or a tenth of the tolerance.
-
-        Raises
-        ------
-        InvalidInput
-            If there is no better setting.
-        """
+        """Return the integrator of a finer run: half the steps or a tenth of the tolerance."""
 
     @abc.abstractmethod
     def integrate(
@@ -55,16 +45,14 @@ class Integrator(abc.ABC):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate from t = 0 to `t_end`.
+        """Integrate from t = 0 to `t_end` (s).
 
         Parameters
         ----------
         system : MechanicalSystem
         t_end : float
-            End time; s.
         sensitivities : bool
-            Whether the design derivatives of the trajectory are integrated along
-            (direct differentiation).
+            Whether the design derivatives are integrated along (direct differentiation).
         progress : bool
             Whether to show a progress bar.
 
@@ -81,10 +69,7 @@ class Integrator(abc.ABC):
 
 
 class QuadratureIntegrator(Integrator):
-    """An integrator that takes integrals beside the motion, on points of its own.
-
-    Those of the others are sums over the instants of their solutions.
-    """
+    """An integrator that takes integrals beside the motion; others sum over their instants."""
 
     @abc.abstractmethod
     def integrate_with(
@@ -102,15 +87,9 @@ class QuadratureIntegrator(Integrator):
 @final
 @dataclass(frozen=True)
 class Seeds:
-    """Partials of an objective in the states.
+    """Partials of an objective in the states of every instant, rows; None for none.
 
-    Attributes
-    ----------
-    q, v : array, shape (n_t, n_q), or None
-        Of every instant, rows; None for none.
-    lam : array, shape (n_t, n_lam), or None
-    densities : tuple of (float, Density)
-        Of integrals that a `QuadratureIntegrator` took beside the motion.
+    `densities` are the partials in integrals that a `QuadratureIntegrator` took beside the motion.
     """
 
     q: Array | None

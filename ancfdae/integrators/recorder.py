@@ -18,20 +18,8 @@ from ancfdae.protocol.solution_parts import Sensitivities, Statistics
 class Recorder:
     """Arrays that a run fills row by row, and the counters of its cost (`Statistics`).
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    rows : int
-        Number of instants, the start included; the arrays grow if there are more.
-    degree : int
-        As in `Solution`.
-    sensitivities : bool
-        Whether design derivatives are recorded too.
-
-    Attributes
-    ----------
-    accepted : int or None
-        Accepted steps, where the instants are not the steps.
+    There are `rows` instants, the start included; the arrays grow if there are more. `accepted` are
+    the accepted steps where the instants, of a solution of this degree, are not the steps.
 
     Raises
     ------

@@ -57,13 +57,7 @@ class InitialSensitivity(NamedTuple):
 
 
 def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
-    """Return the saddle-point matrices of a system.
-
-    Raises
-    ------
-    RedundantConstraints
-        If constraint rows are linearly dependent at the start.
-    """
+    """Return the saddle-point matrices of a system; RedundantConstraints if rows are dependent."""
     q, _ = system.start()
     values = system.constraint_q(q, t)
     _refuse_redundant(system, values)
@@ -73,13 +67,8 @@ def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
 def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) -> InitialState:
     """Solve steps 1 to 3 of the module description.
 
-    Raises
-    ------
-    InconsistentStart
-        If the declared start violates a constraint and `project_start` is false, or if the
-        projection does not converge.
-    InvalidInput
-        If the start or the forces at it are not finite.
+    InconsistentStart if the declared start violates a constraint and `project_start` is false, or
+    if the projection does not converge; InvalidInput if it or the forces at it are not finite.
     """
     q, v = system.start()
     if not (is_finite(q) and is_finite(v)):

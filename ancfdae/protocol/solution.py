@@ -34,9 +34,7 @@ class Solution:
     t : array, shape (n_t,)
         Times; a run that failed holds what was reached.
     q, v, a : array, shape (n_t, n_q)
-        Coordinates, velocities and accelerations at these times.
     lam : array, shape (n_t, n_lam)
-        Multipliers.
     statistics : Statistics
     outcome : Outcome
     naming : Naming or None
@@ -70,12 +68,7 @@ class Solution:
     def position(self, point: Point) -> Array:
         """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
 
-        Raises
-        ------
-        UnknownName
-            If there is no such beam.
-        InvalidInput
-            If it is no point, or its z is not zero in the plane.
+        UnknownName if there is no such beam, InvalidInput if its z is not zero in the plane.
         """
         return self._vector(self.q, point, Quantity.POSITION)
 
@@ -104,10 +97,7 @@ class Solution:
     def reaction(self, joint: str) -> Array:
         """Force of a joint on its first point, shape (n_t, d): minus its multipliers (eq. 1).
 
-        Raises
-        ------
-        InvalidInput
-            If its first equations do not equate positions; see `multipliers`.
+        InvalidInput if its first equations do not equate positions; see `multipliers`.
         """
         layout = self._known_naming().layout
         if not layout.joint(joint).holds_position:
@@ -120,18 +110,11 @@ class Solution:
         return -self.multipliers(joint)[:, : layout.d]
 
     def derivative(self, function: Callable[[Solution], Array]) -> Array:
-        """Total design derivative of anything computed from a solution.
+        """Total design derivative of anything computed from a solution, shape (n_t, ..., n_b).
 
-        Parameters
-        ----------
-        function : callable
-            Takes a solution and returns an array, shape (n_t, ...); written with operations
-            that accept complex numbers (no abs, norm or comparison). It is evaluated at
-            q + i eps q_b, which is exact to round-off.
-
-        Returns
-        -------
-        array, shape (n_t, ..., n_b)
+        The function takes a solution and returns an array, shape (n_t, ...), by operations that
+        accept complex numbers (no abs, norm or comparison): it is evaluated at q + i eps q_b, which
+        is exact to round-off.
 
         Raises
         ------
@@ -169,20 +152,10 @@ class Solution:
     def at(self, times: Sequence[float]) -> Solution:
         """Return the solution at asked times, by interpolation of the order of its integrator.
 
-        Between the steps of HHT: coordinates by the cubic through q and v at both ends, velocities
-        by that through v and a, accelerations and multipliers linearly. Between Gauss-Lobatto
-        instants: the polynomial of a panel. Derivatives are interpolated alike. Statistics,
-        outcome and estimated errors stay those of the run.
-
-        Parameters
-        ----------
-        times : sequence of float
-            Increasing, within the run; s.
-
-        Raises
-        ------
-        InvalidInput
-            If they are not.
+        The times increase and lie within the run; s. Between the steps of HHT: coordinates by the
+        cubic through q and v at both ends, velocities by that through v and a, accelerations and
+        multipliers linearly. Between Gauss-Lobatto instants: the polynomial of a panel. Derivatives
+        alike. Statistics, outcome and estimated errors stay those of the run.
         """
         asked = np.array(times, dtype=float, ndmin=1)
         good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))

@@ -38,13 +38,8 @@ from ancfdae.numerics.patterns import Pattern
 class Linearisation:
     """Jacobians at k instants as values on the system's patterns, shape (k, nnz).
 
-    Attributes
-    ----------
-    M : array
-        One row if the mass is constant.
-    f_q, f_v : array
-        f = M a + Phi_q^T lam - Q with a held; f_v is None where f does not depend on v.
-    Phi_q : array
+    f = M a + Phi_q^T lam - Q with a held. M has one row if the mass is constant; f_v is None where
+    f does not depend on v.
     """
 
     M: Array
@@ -58,11 +53,7 @@ class Linearisation:
 class DesignPartials:
     """Design partials at k instants with everything else held.
 
-    Attributes
-    ----------
-    f_b : array, shape (k, n_q, n_b)
-        (M a)_b + (Phi_q^T lam)_b - Q_b.
-    Phi_b : array, shape (k, n_lam, n_b)
+    f_b = (M a)_b + (Phi_q^T lam)_b - Q_b has the shape (k, n_q, n_b), Phi_b (k, n_lam, n_b).
     """
 
     f_b: Array
@@ -160,16 +151,8 @@ class MechanicalSystem(abc.ABC):
     def along(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
         """Differentiate in the design variables along given derivatives of states.
 
-        Parameters
-        ----------
-        value : callable
-            ``value(system, *states)``; exact in complex numbers.
-        *states : pair of array, shape (n,) and (n, n_b)
-            States with their derivatives.
-
-        Returns
-        -------
-        array, shape of the value + (n_b,)
+        `value(system, *states)` is exact in complex numbers; every state, shape (n,), comes with
+        its derivative, (n, n_b). The result has the shape of the value + (n_b,).
         """
         columns = [
             np.imag(value(self.moved(i), *(x + 1j * STEP * x_b[:, i] for x, x_b in states)))
@@ -180,10 +163,7 @@ class MechanicalSystem(abc.ABC):
         return np.asarray(np.stack(columns, axis=-1) / STEP)
 
     def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
-        """Differentiate in the numbers of x; values on a pattern.
-
-        What is imaginary already, in a complex-step run, does not count.
-        """
+        """Differentiate in the numbers of x; what is imaginary already does not count."""
         still = np.imag(value(x))
         columns = [np.imag(value(x + 1j * STEP * e)) - still for e in np.eye(self.n_q)]
         matrix = np.stack(columns, axis=-1) / STEP

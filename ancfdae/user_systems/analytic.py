@@ -100,10 +100,7 @@ class Reach:
 def require_analytic(system: MechanicalSystem) -> None:
     """Evaluate M, Q, Phi and the start with complex numbers, near the start.
 
-    Raises
-    ------
-    InvalidInput
-        If one of them fails on complex numbers, drops an imaginary part or has another shape.
+    InvalidInput if one fails on complex numbers, drops an imaginary part or has another shape.
     """
     for name, along, shape in _probes(system):
         where = f"{type(system).__name__}.{name}"

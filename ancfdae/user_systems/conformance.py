@@ -21,15 +21,7 @@ _AWAY = 0.1
 @final
 @dataclass(frozen=True)
 class Finding:
-    """One line of a report.
-
-    Attributes
-    ----------
-    name : str
-        The member, and what it was compared with.
-    error, tolerance : float
-        Largest relative difference met, and what round-off and the differences explain.
-    """
+    """The largest relative error met of a member, and what round-off and differences explain."""
 
     name: str
     error: float

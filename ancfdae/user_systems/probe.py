@@ -20,20 +20,11 @@ _SMALL = 1e-3
 
 @final
 class Probe:
-    """A system at a random state, with changes of the size of the state itself.
+    """A system at a random state m, with changes of the size of the state itself.
 
-    Attributes
-    ----------
-    m : Motion
-        The state.
-    d, d_b : Motion, list of Motion
-        A change of it, and one for every design variable.
-    b_sizes : array, shape (n_b,)
-        Sizes of the design variables.
-    arguments : dict
-        State, the change "x" of q and the changes "q_b", ... per unit of b, as members take them.
-    time : float
-        Time in which the system moves by its own size.
+    d is a change of it, d_b one for every design variable, of the size b_sizes; `arguments` are the
+    state, the change "x" of q and the changes "q_b", ... per unit of b, as members take them. In
+    `time` the system moves by its own size.
     """
 
     def __init__(self, system: MechanicalSystem, rng: np.random.Generator) -> None:

@@ -55,19 +55,11 @@ _CHUNK_NUMBERS = 350_000
 @final
 @dataclass(frozen=True)
 class LinearSteps:
-    """A chunk of k steps linearised at their converged states.
+    """A chunk of k steps linearised at their converged states; h has the shape (k, 1).
 
     One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
     (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The pass back takes the transposes
-    of both: `solve_transposed`, which stands beside `solve`, and the same matrix transposed.
-
-    Attributes
-    ----------
-    c : Coefficients
-        h of shape (k, 1).
-    q : array, shape (k, n_q)
-    constraints_q : array
-        Phi_q / (beta h^2).
+    of both. `constraints_q` is Phi_q / (beta h^2).
     """
 
     system: MechanicalSystem
@@ -239,15 +231,9 @@ def pull_back(
 ) -> tuple[Array, NodeSensitivity, float]:
     """Run the transposed recurrence backward (discrete adjoint).
 
-    Returns
-    -------
-    gradient : array, shape (n_b,)
-        Everything but what goes through the start.
-    start : NodeSensitivity
-        Covectors on the start, without a design axis: their products with its derivatives are the
-        derivative through it.
-    change : float
-        What the defects of all steps change in the objective; zero without them.
+    Returns the gradient, (n_b,), but what goes through the start; covectors on the start, whose
+    products with its derivatives are that; and what the defects of all steps change in the
+    objective.
     """
     run, all_steps, maybe_small = nodes.run, nodes.steps, nodes.maybe_small(system)
     n_t, n_q, matrix = len(run.t), system.n_q, step_matrices(nodes.steps)

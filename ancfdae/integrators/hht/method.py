@@ -127,8 +127,8 @@ class HHT(AdjointIntegrator):
     def frozen(self, solution: Solution) -> HHT:
         """Return the integrator that repeats the steps of a run, whatever the design.
 
-        With error control the steps depend on the design and jump with it, so no derivative of
-        the run exists. Every method differentiates it at the steps as they were taken.
+        Steps under error control jump with the design, so no derivative of the run exists. Every
+        method differentiates it at the steps as they were taken.
         """
         steps = self.steps.frozen(solution.t)
         return self if steps is self.steps else self._changed(steps=steps)

@@ -41,12 +41,7 @@ _JUMP = 100.0
 class StepSolver:
     """Newton's method for one step after another, with the matrix kept while it serves.
 
-    Attributes
-    ----------
-    verdict : Verdict
-        Why the last step failed.
-    correction : float
-        Size of the last correction.
+    `verdict` tells why the last step failed, `correction` is the size of the last correction.
     """
 
     def __init__(

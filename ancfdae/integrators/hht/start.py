@@ -79,16 +79,9 @@ class _Jerk:
 @final
 @dataclass(frozen=True)
 class RecurrenceStart:
-    """The start for a first step of given coefficients.
+    """The start for a first step, with s = -alpha h, scale = C h^2 and one jerk or two.
 
-    Attributes
-    ----------
-    s, scale : float
-        -alpha h and C h^2.
-    jerks : tuple of _Jerk
-        One, or two where forces depend on velocities.
-    factors, damped : Factorization
-        Of M and of M - s Q_v, with Phi_q.
+    The factors are those of M and of M - s Q_v, with Phi_q.
     """
 
     system: MechanicalSystem

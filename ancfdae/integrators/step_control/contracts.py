@@ -20,10 +20,7 @@ Record = tuple[float, Array, Array, Array, Array, tuple[Array, ...]]
 class OneStepMethod(abc.ABC, Generic[State]):
     """A run of a method that goes from state to state; how far, others decide.
 
-    Attributes
-    ----------
-    order : int
-        Power of the step with which its error per unit of time falls.
+    Its error per unit of time falls with the step to the power `order`.
     """
 
     order: ClassVar[int]

@@ -37,18 +37,7 @@ class _KnownSteps(StepControl):
 @final
 @dataclass(frozen=True)
 class FixedSteps(_KnownSteps):
-    """Steps of one size.
-
-    Parameters
-    ----------
-    step : float
-        Step size h; s.
-
-    Raises
-    ------
-    InvalidInput
-        If the step is not positive, or so small or large that its square is no number.
-    """
+    """Steps of one size (s); InvalidInput if it is not positive, or its square is no number."""
 
     step: float
 
@@ -91,15 +80,7 @@ class FixedSteps(_KnownSteps):
 class GivenSteps(_KnownSteps):
     """Steps between given instants, such as those of another run.
 
-    Parameters
-    ----------
-    times : sequence of float
-        Instants of the run, increasing from 0 on; s. The last one is its end.
-
-    Raises
-    ------
-    InvalidInput
-        If they are no such instants.
+    They increase from 0 on (s); the last one is the end of the run. InvalidInput if they do not.
     """
 
     times: tuple[float, ...]

@@ -37,15 +37,7 @@ _FED = 2.0
 @final
 @dataclass(frozen=True)
 class Tolerance:
-    """What measures the error of a step (module description).
-
-    Attributes
-    ----------
-    sizes : array, shape (n_q,)
-        Q_i.
-    sizes_b : array, shape (n_b,)
-        S_j; zero where the design variable has no influence.
-    """
+    """What measures the error of a step: sizes Q_i, and sizes_b S_j, zero without influence."""
 
     rtol: float
     atol: float

@@ -57,13 +57,8 @@ class IDA(HighOrder):
     """Variable-order BDF of SUNDIALS with error control.
 
     The error of a run is 10 to 200 times `rtol`: 1e-8 is good for a cross-check, 1e-10 for a
-    reference. A small system takes 10,000 steps in a second.
-
-    Parameters
-    ----------
-    rtol, intervals, max_steps
-        As in `HighOrder`.
-    form : IndexReduction
+    reference. A small system takes 10,000 steps in a second. Parameters: `form`, and those of
+    `HighOrder`.
     """
 
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2

@@ -35,18 +35,8 @@ _LEAST_RTOL = 1e-13
 class IDAS(HighOrder, AdjointIntegrator):
     """Variable-order BDF of SUNDIALS with its own sensitivity analysis.
 
-    Needs the package sundials4py (Python 3.12 or newer) when it runs.
-
-    Parameters
-    ----------
-    rtol, intervals, max_steps
-        As in `HighOrder`.
-    form : IndexReduction
-
-    Raises
-    ------
-    MissingPackage
-        On integration, if sundials4py is not installed.
+    Needs the package sundials4py (Python 3.12 or newer) when it runs, or raises MissingPackage.
+    Parameters: `form`, and those of `HighOrder`.
     """
 
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2

@@ -81,13 +81,7 @@ def pull_back(
     solution: Solution,
     seeds: Seeds,
 ) -> Array:
-    """Return the gradient of an objective, without its explicit partial.
-
-    Raises
-    ------
-    PassFailed
-        If a step forward or backward fails.
-    """
+    """Return the gradient of an objective, without its explicit partial; may raise PassFailed."""
     adjoint_seeds = AdjointSeeds(problem, solution, seeds)
     if adjoint_seeds.size == 0.0 or problem.system.n_b == 0:
         return np.zeros(problem.system.n_b)

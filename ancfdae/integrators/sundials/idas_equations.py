@@ -24,14 +24,8 @@ _NEWTON = 0.01
 class IdasEquations:
     """Memory of IDAS for a form started at y and y', and the callbacks that it calls.
 
-    Attributes
-    ----------
-    memory : capsule
-        What the functions of IDAS take as first argument.
-    y, yp : N_Vector
-        Where IDAS writes results.
-    last : float
-        Largest entry of the last finite residual.
+    The functions of IDAS take `memory` as first argument and write their results to y and yp;
+    `last` is the largest entry of the last finite residual.
     """
 
     def __init__(

@@ -55,14 +55,9 @@ class _Unknowns(NamedTuple):
 
 
 class IndexReduced(abc.ABC):
-    """An index-reduced form of one system; arguments and results are scaled.
+    """An index-reduced form of one system in n unknowns; arguments and results are scaled.
 
-    Attributes
-    ----------
-    n : int
-        Number of unknowns.
-    rows, columns : array of int
-        Positions of the raw entries of J; entries at one position add up.
+    J has raw entries at `rows` and `columns`; those at one position add up.
     """
 
     def __init__(self, system: MechanicalSystem, scales: Scales) -> None:
@@ -335,12 +330,7 @@ class IndexReduction(Enum):
 class ColumnStorage:
     """Compressed sparse columns of the matrix of a form with m sensitivity equations.
 
-        [ J             ]
-        [ L_1  J        ]
-        [ ...      ...  ]
-        [ L_m         J ]
-
-    All blocks share the pattern of J.
+    J and its copies stand on the diagonal, blocks with the pattern of J below the first one.
     """
 
     def __init__(self, form: IndexReduced, m: int) -> None:
