@@ -900,7 +900,7 @@ def test_start_sensitivity_is_the_complex_step_of_the_consistent_start(setting):
 
 
 def test_start_of_the_recurrence_is_differentiated_exactly(setting):
-    s, c = setting, Coefficients.of(0.01, -0.3)
+    s, c = setting, Coefficients(0.01, -0.3)
 
     def start(x):
         return RecurrenceStart.of(Problem.of(x, 1.0), c)

@@ -148,7 +148,7 @@ def test_gradients_through_a_damped_start_are_exact(step):
 def test_the_start_is_pulled_back_by_its_transpose(system):
     problem = Problem.of(system, 1.0).differentiated()
     initial, derivative = problem.initial, problem.derivative
-    start = RecurrenceStart.of(problem, Coefficients.of(0.01, -0.3))
+    start = RecurrenceStart.of(problem, Coefficients(0.01, -0.3))
     node_b = start.sensitivity(derivative)
     rng = np.random.default_rng(0)
     on = [rng.standard_normal(system.n_q) * np.sqrt(system.weights) for _ in range(4)]

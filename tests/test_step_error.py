@@ -62,7 +62,7 @@ def test_error_at_the_start_follows_from_the_third_derivative():
     problem = Problem.of(system, 1.0).differentiated()
     initial, derivative = problem.initial, problem.derivative
     # Without velocity forces it is the same for every first step.
-    start = RecurrenceStart.of(problem, Coefficients.of(0.7, alpha))
+    start = RecurrenceStart.of(problem, Coefficients(0.7, alpha))
     jerk = start.jerks[0]
     jerk_b = start.jerk_total(jerk, derivative, derivative.a_b)
     C = (1 + 3 * alpha**2) / 12

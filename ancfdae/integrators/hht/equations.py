@@ -23,8 +23,6 @@ A is the acceleration at t_{n+1}; the algorithm's a stands for t_{n+1} + alpha h
 mass (Phi_q^T lam - Q)_n = -M A_n turns R_1 into the paper's (4). Where the mass depends on q, the
 paper's form would multiply M at one instant with an acceleration at another and drop to first
 order; this one stays second order.
-
-The start of the recurrence has a module of its own (`start`).
 """
 
 from __future__ import annotations
@@ -46,13 +44,16 @@ class Coefficients:
 
     h: Any
     alpha: float
-    beta: float
-    gamma: float
 
-    @staticmethod
-    def of(step: float, hht_alpha: float) -> Coefficients:
-        """Return the coefficients of a step."""
-        return Coefficients(step, *newmark(hht_alpha))
+    @property
+    def beta(self) -> float:
+        """(1 - alpha)^2/4."""
+        return (1 - self.alpha) ** 2 / 4
+
+    @property
+    def gamma(self) -> float:
+        """(1 - 2 alpha)/2."""
+        return (1 - 2 * self.alpha) / 2
 
 
 @final
@@ -70,7 +71,7 @@ class Steps:
 
     def of(self, n: int) -> Coefficients:
         """Coefficients of the step that ends at instant n."""
-        return Coefficients.of(float(self.h[n - 1]), self.alpha)
+        return Coefficients(float(self.h[n - 1]), self.alpha)
 
     def ratio(self, n: int) -> float:
         """Size of the step from instant n relative to the one that ends there."""
@@ -79,7 +80,7 @@ class Steps:
     def columns(self, steps: slice) -> Coefficients:
         """Coefficients of the steps that end at some instants; h has shape (k, 1)."""
         h = self.h[steps.start - 1 : steps.stop - 1]
-        return Coefficients(h[:, None], *newmark(self.alpha))
+        return Coefficients(h[:, None], self.alpha)
 
 
 class Node(NamedTuple):
@@ -104,11 +105,6 @@ class NodeSensitivity(NamedTuple):
     a_b: Array
     lam_b: Array
     A_b: Array
-
-
-def newmark(alpha: float) -> tuple[float, float, float]:
-    """Return alpha, beta = (1 - alpha)^2/4 and gamma = (1 - 2 alpha)/2 (below eq. 6)."""
-    return alpha, (1 - alpha) ** 2 / 4, (1 - 2 * alpha) / 2
 
 
 def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:

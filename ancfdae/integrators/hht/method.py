@@ -193,7 +193,7 @@ class HHT(AdjointIntegrator):
         The accelerations at the instants serve as those of the recurrence.
         """
         own, delta_b = solution.sensitivities, None
-        scale = constraint_error(Coefficients.of(1.0, self.hht_alpha)) * np.diff(solution.t) ** 2
+        scale = constraint_error(Coefficients(1.0, self.hht_alpha)) * np.diff(solution.t) ** 2
         with np.errstate(over="ignore", invalid="ignore"):
             delta = scale[:, None] * np.diff(solution.a.real, axis=0)
             if own is not None:
@@ -228,8 +228,8 @@ class HHT(AdjointIntegrator):
         arrays, verdict = [x[None] for x in derivative], Verdict.FINISHED
         if len(steps.h):
             first = RecurrenceStart.of(problem, steps.first)
-            nodes, node_b = Nodes(solution, steps, first.node), first.sensitivity(derivative)
-            arrays, verdict = linear_passes.differentiate(system, problem.matrices, nodes, node_b)
+            nodes = Nodes(problem, solution, steps, first.node)
+            arrays, verdict = linear_passes.differentiate(nodes, first.sensitivity(derivative))
             arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
         own = Sensitivities(system.design_names, system.b, *arrays)
         seconds = time.perf_counter() - started
@@ -238,8 +238,8 @@ class HHT(AdjointIntegrator):
 
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
         """Return the gradient of an objective by the discrete adjoint."""
-        problem, first, nodes = self._opened(system, solution)
-        gradient, back, _ = linear_passes.pull_back(system, problem.matrices, nodes, seeds)
+        first, nodes = self._opened(system, solution)
+        gradient, back, _ = linear_passes.pull_back(nodes, seeds)
         on = first.pull_back(back)
         # What an objective reads at t = 0 is the consistent start, not the shifted one.
         q, v, lam = (
@@ -247,7 +247,7 @@ class HHT(AdjointIntegrator):
             for x, seed in ((on.q, seeds.q), (on.v, seeds.v), (on.lam, seeds.lam))
         )
         on = Covectors(q, v, on.a, lam, on.b + gradient)
-        return pull_back_start(system, problem.matrices, problem.initial, on)
+        return pull_back_start(system, nodes.problem.matrices, nodes.problem.initial, on)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
@@ -256,20 +256,19 @@ class HHT(AdjointIntegrator):
 
         The arguments are those of `pull_back`; there are three instants at least.
         """
-        problem, first, nodes = self._opened(system, solution)
+        first, nodes = self._opened(system, solution)
         defects = Defects.of(solution.t, solution.a, nodes.steps)
-        passed = linear_passes.pull_back(system, problem.matrices, nodes, seeds, defects)
-        _, back, change = passed
+        _, back, change = linear_passes.pull_back(nodes, seeds, defects)
         return change - float(back.v_b @ first.dv)
 
     def _opened(
         self, system: MechanicalSystem, solution: Solution
-    ) -> tuple[Problem, RecurrenceStart, Nodes]:
+    ) -> tuple[RecurrenceStart, Nodes]:
         """Return what a pass over a run begins with."""
         # The length of a run of one instant scales nothing.
         steps, problem = self.steps_of(solution), Problem.of(system, float(solution.t[-1]) or 1.0)
         first = RecurrenceStart.of(problem, steps.first)
-        return problem, first, Nodes(solution, steps, first.node)
+        return first, Nodes(problem, solution, steps, first.node)
 
     def steps_of(self, solution: Solution) -> Steps:
         """Return the steps of a run of this integrator."""

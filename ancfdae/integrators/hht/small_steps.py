@@ -25,6 +25,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.hht.equations import Coefficients, Node, Steps, predict_increment, rescaled
+from ancfdae.integrators.problem import Problem
 from ancfdae.numerics.arrays import Array, real_norm
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
@@ -77,12 +78,10 @@ class ConstraintRow:
         chi = share_of_defect(system, c, q, motion)
         dq = predict_increment(c, before.v, before.a)[0] + (c.beta * c.h**2) * after.a
         G, g = chi * system.constraint_q(q, t), chi * system.constraint_b(q, t)
-        fixed = np.zeros((system.n_q, system.n_b))
         for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
             q, t = before.q + place * dq, before.t + place * c.h
             G = G + (weight * c.h) * system.constraint_q_rate(q, dq / c.h, t)
-            side = c.h * system.velocity_side_total(q, t, fixed)
-            g = g + weight * (system.constraint_q_times_total(q, dq, t, fixed) - side)
+            g = g + (weight * c.h) * system.constraint_rate_b(t, q, dq / c.h)
         return ConstraintRow(G, g)
 
 
@@ -107,15 +106,10 @@ class Nodes:
     start of the recurrence.
     """
 
+    problem: Problem
     run: Solution
     steps: Steps
     first: Node
-
-    def before(self, n: int) -> Node:
-        """Return the node that the step to instant n starts from, for its size."""
-        if n == 1:
-            return self.first
-        return rescaled(self.after(n - 1), self.steps.ratio(n - 1))
 
     def after(self, n: int) -> Node:
         """Return the node that the step to instant n arrives at."""
@@ -123,9 +117,10 @@ class Nodes:
         a = (1 + alpha) * run.a[n] - alpha * run.a[n - 1]
         return Node(float(run.t[n]), run.q[n], run.v[n], a, run.lam[n], run.a[n])
 
-    def maybe_small(self, system: MechanicalSystem) -> Array:
+    def maybe_small(self) -> Array:
         """Return for every instant whether the step that ends there may be small, shape (n_t,)."""
-        root, h, beta = np.sqrt(system.weights), self.steps.h, self.steps.first.beta
+        root = np.sqrt(self.problem.system.weights)
+        h, beta = self.steps.h, self.steps.first.beta
         # A run that diverged overflows; its motion is not small.
         with np.errstate(over="ignore"):
             q, A = (np.linalg.norm(root * x.real, axis=1) for x in (self.run.q, self.run.a))
@@ -133,6 +128,9 @@ class Nodes:
         allowed = _QUIET_DERIVATIVES * beta * h**2 * np.maximum(A[1:], A[:-1])
         return np.append(False, _EPS * q[:-1] > allowed)
 
-    def row(self, system: MechanicalSystem, n: int) -> ConstraintRow | None:
+    def row(self, n: int) -> ConstraintRow | None:
         """Return the row of the step to instant n; None where that is not small."""
-        return ConstraintRow.of(system, self.steps.of(n), self.before(n), self.after(n))
+        before = self.first
+        if n > 1:
+            before = rescaled(self.after(n - 1), self.steps.ratio(n - 1))
+        return ConstraintRow.of(self.problem.system, self.steps.of(n), before, self.after(n))

@@ -67,7 +67,7 @@ class Stepper(OneStepMethod[State]):
 
     def start(self, h: float) -> State:
         """Return the start of a run whose first step has the size h."""
-        c = Coefficients.of(h, self._alpha)
+        c = Coefficients(h, self._alpha)
         start, derivative = RecurrenceStart.of(self._problem, c), self._problem.derivative
         return start.node, derivative and start.sensitivity(derivative)
 
@@ -78,7 +78,7 @@ class Stepper(OneStepMethod[State]):
 
     def advance(self, h: float, before: State, t: float) -> State | None:
         """Solve the equations at t; None if Newton's method fails."""
-        (last, node_b), c = before, Coefficients.of(h, self._alpha)
+        (last, node_b), c = before, Coefficients(h, self._alpha)
         node = self._solver.advance(c, last, t)
         if node is None:
             return None
@@ -108,7 +108,7 @@ class Stepper(OneStepMethod[State]):
 
     def start_error(self) -> float:
         """Return e of a first step of size 1, from the third derivative at the start."""
-        own, still = self._problem.derivative, Coefficients.of(0.0, self._alpha)
+        own, still = self._problem.derivative, Coefficients(0.0, self._alpha)
         start = RecurrenceStart.of(self._problem, still)
         motion = start.jerks[0].jerk.real, np.abs(self._problem.initial.q.real)
         if own is None:
@@ -127,7 +127,7 @@ class Stepper(OneStepMethod[State]):
         """Return the larger e; NaN, which no step passes, if one of them is NaN."""
         if self._tolerance is None:
             return 0.0
-        scale = constraint_error(Coefficients.of(h, self._alpha))
+        scale = constraint_error(Coefficients(h, self._alpha))
         error = self._tolerance.of_motion(h, scale * increment, size)
         if increment_b is None or size_b is None:
             return error

@@ -88,10 +88,6 @@ class AdjointEquations:
     def _on_design(self, mu: Array, zeta: Array) -> Array:
         system, t, q, v, a = self._system, self._t, self._q, self._v, self._a
         states = (q[None], v[None], a[None], self.lam[None])
-        still = np.zeros((system.n_q, system.n_b))
-        side_b = system.constraint_q_times_total(q, a, t, still)
-        side_b = side_b - system.acceleration_side_total(q, v, t, still, still)
         none = np.zeros((1, system.n_lam))
         force = system.pull_back(np.array([t]), states, (mu[None], none))
-        on_b: Array = -force - zeta @ side_b
-        return on_b
+        return np.asarray(-force - zeta @ system.constraint_rate_b(t, q, v, a))
