@@ -155,9 +155,7 @@ class _ExplicitMarch(March):
         points = _stacked(_STAGES, h, [x.t for x in used], [x.state for x in used])
         lam_b = [x.lam_b for x in used if x.lam_b is not None]
         yield replace(
-            points,
-            lam=np.array([x.lam for x in used]),
-            lam_b=np.array(lam_b) if lam_b else None,
+            points, lam=np.array([x.lam for x in used]), lam_b=np.array(lam_b) if lam_b else None
         )
         dense = [self._repeated(x) for x in steps]
         for n in _PANELS:

@@ -28,11 +28,7 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        system: MechanicalSystem,
-        rows: int,
-        degree: int = 1,
-        sensitivities: bool = False,
+        self, system: MechanicalSystem, rows: int, degree: int = 1, sensitivities: bool = False
     ) -> None:
         self._system, self._degree = system, degree
         dtype = np.result_type(system.b, system.start()[0], float)

@@ -414,10 +414,7 @@ class MechanicalSystem(abc.ABC):
         return DesignPartials(np.array(f_b), np.array(Phi_b))
 
     def pull_back(
-        self,
-        t: Array,
-        states: tuple[Array, Array, Array, Array],
-        covectors: tuple[Array, Array],
+        self, t: Array, states: tuple[Array, Array, Array, Array], covectors: tuple[Array, Array]
     ) -> Array:
         """Return the sum over k instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
 

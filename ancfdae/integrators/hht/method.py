@@ -20,11 +20,7 @@ from ancfdae.errors import (
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
-from ancfdae.integrators.hht.equations import (
-    Coefficients,
-    Steps,
-    constraint_error,
-)
+from ancfdae.integrators.hht.equations import Coefficients, Steps, constraint_error
 from ancfdae.integrators.hht.small_steps import Nodes
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper

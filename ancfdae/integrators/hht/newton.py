@@ -17,11 +17,7 @@ from ancfdae.integrators.hht.equations import (
     predict_increment,
     residual,
 )
-from ancfdae.integrators.hht.small_steps import (
-    constraint_increment,
-    motion_size,
-    share_of_defect,
-)
+from ancfdae.integrators.hht.small_steps import constraint_increment, motion_size, share_of_defect
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.numerics.arrays import Array, is_finite, real_norm
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint

@@ -147,12 +147,7 @@ class IndexReduced(abc.ABC):
 
     @final
     def jacobian(
-        self,
-        t: float,
-        y: Array,
-        yp: Array,
-        c_j: float,
-        system: MechanicalSystem | None = None,
+        self, t: float, y: Array, yp: Array, c_j: float, system: MechanicalSystem | None = None
     ) -> Array:
         """Return the raw entries of J; of another system of the same kind if one is given."""
         system = self._system if system is None else system
@@ -291,10 +286,7 @@ class Index1(IndexReduced):
         system = self._system
         side = system.constraint_q_times_total(x.q, xp.v, t, X.q)
         side = side + system.constraint_pattern.dot(system.constraint_q(x.q, t), Xp.v)
-        return [
-            np.zeros_like(X.q),
-            side - system.acceleration_side_total(x.q, x.v, t, X.q, X.v),
-        ]
+        return [np.zeros_like(X.q), side - system.acceleration_side_total(x.q, x.v, t, X.q, X.v)]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
         B, n_q = self._system.constraint_pattern, self._system.n_q
