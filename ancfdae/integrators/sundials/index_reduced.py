@@ -54,6 +54,16 @@ class _Unknowns(NamedTuple):
     eta: Array
 
 
+class _Instant(NamedTuple):
+    """A system at x and x', with Phi_q there."""
+
+    system: MechanicalSystem
+    t: float
+    x: _Unknowns
+    xp: _Unknowns
+    Phi_q: Array
+
+
 class IndexReduced(abc.ABC):
     """An index-reduced form of one system in n unknowns; arguments and results are scaled.
 
@@ -85,13 +95,11 @@ class IndexReduced(abc.ABC):
         """Sizes of the unknowns and of the equations, shape (n,)."""
 
     @abc.abstractmethod
-    def _residual(self, t: float, x: _Unknowns, xp: _Unknowns) -> list[Array]:
+    def _residual(self, at: _Instant) -> list[Array]:
         """Return what F adds to q' - v, and its rows below those of the forces."""
 
     @abc.abstractmethod
-    def _residual_b(
-        self, t: float, x: _Unknowns, xp: _Unknowns, X: _Unknowns, Xp: _Unknowns
-    ) -> list[Array]:
+    def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
         """Differentiate `_residual`: F_x X + F_x' X' + F_b, with n_b columns."""
 
     @abc.abstractmethod
@@ -99,16 +107,8 @@ class IndexReduced(abc.ABC):
         """Rows and columns of the blocks of J that a form adds to those that both have."""
 
     @abc.abstractmethod
-    def _entries(
-        self,
-        system: MechanicalSystem,
-        t: float,
-        x: _Unknowns,
-        xp: _Unknowns,
-        c_j: float,
-        Phi_q: Array,
-    ) -> list[Array]:
-        """Entries of these blocks, for the system or for one at moved design values."""
+    def _entries(self, at: _Instant, c_j: float) -> list[Array]:
+        """Entries of these blocks."""
 
     @final
     def tolerances(self, rtol: float) -> Array:
@@ -121,8 +121,9 @@ class IndexReduced(abc.ABC):
     @final
     def residual(self, t: float, y: Array, yp: Array) -> Array:
         """Return F, shape (n,)."""
-        system, x, xp = self._system, self._split(y * self._size), self._split(yp * self._size)
-        drift, *sides = self._residual(t, x, xp)
+        system, at = self._system, self._at(self._system, t, y, yp)
+        x, xp = at.x, at.xp
+        drift, *sides = self._residual(at)
         force = system.mass_times(x.q, xp.v) + system.constraint_force(x.q, x.lam, t)
         force = force - system.force(x.q, x.v, t)
         return np.concatenate([xp.q - x.v + drift, force, *sides]) / self._unit
@@ -133,33 +134,29 @@ class IndexReduced(abc.ABC):
 
         Column i of Y is the derivative in ln b_i (in b_i where it is zero), scaled as y.
         """
-        system, b, size = self._system, self._scales.b, self._size[:, None]
-        x, xp = self._split(y * self._size), self._split(yp * self._size)
-        X, Xp = self._split(Y * size / b), self._split(Yp * size / b)
-        drift, *sides = self._residual_b(t, x, xp, X, Xp)
-        force = system.mass_times(x.q, Xp.v) + inertia_total(system, x.q, xp.v, X.q)
+        system, at, b = self._system, self._at(self._system, t, y, yp), self._scales.b
+        X, Xp = (self._split(Z * self._size[:, None] / b) for Z in (Y, Yp))
+        x, (drift, *sides) = at.x, self._residual_b(at, X, Xp)
+        force = system.mass_times(x.q, Xp.v) + inertia_total(system, x.q, at.xp.v, X.q)
         force = force + constraint_force_total(system, x.q, x.lam, t, X.q)
-        reaction = system.constraint_pattern.dot_transposed(system.constraint_q(x.q, t), X.lam)
-        force = force + reaction - system.force_total(x.q, x.v, t, X.q, X.v)
+        force = force + system.constraint_pattern.dot_transposed(at.Phi_q, X.lam)
+        force = force - system.force_total(x.q, x.v, t, X.q, X.v)
         R = np.concatenate([Xp.q - X.v + drift, force, *sides])
-        scaled: Array = R * b / self._unit[:, None]
-        return scaled
+        return np.asarray(R * b / self._unit[:, None])
 
     @final
     def jacobian(
         self, t: float, y: Array, yp: Array, c_j: float, system: MechanicalSystem | None = None
     ) -> Array:
         """Return the raw entries of J; of another system of the same kind if one is given."""
-        system = self._system if system is None else system
-        x, xp = self._split(y * self._size), self._split(yp * self._size)
-        states = (z[None] for z in (x.q, x.v, xp.v, x.lam))
-        local = system.linearise(np.array([t]), *states)
-        one, rates = np.ones(system.n_q), c_j * local.M[0]
+        at = self._at(system or self._system, t, y, yp)
+        states = (z[None] for z in (at.x.q, at.x.v, at.xp.v, at.x.lam))
+        local = at.system.linearise(np.array([t]), *states)
+        one, rates = np.ones(at.system.n_q), c_j * local.M[0]
         if local.f_v is not None:
             rates = rates + local.f_v[0]
-        Phi_q = local.Phi_q[0]
-        own = self._entries(system, t, x, xp, c_j, Phi_q)
-        entries = np.concatenate([c_j * one, -one, local.f_q[0], rates, Phi_q, *own])
+        own = self._entries(at, c_j)
+        entries = np.concatenate([c_j * one, -one, local.f_q[0], rates, at.Phi_q, *own])
         return np.asarray(entries * self._factors)
 
     @final
@@ -171,7 +168,7 @@ class IndexReduced(abc.ABC):
     @final
     def start_b(self, initial: InitialSensitivity) -> tuple[Array, Array]:
         """Return Y and Y' of a consistent start, shape (n, n_b)."""
-        Y, Yp = self._vectors(initial.q_b, initial.v_b, initial.a_b, initial.lam_b)
+        Y, Yp = self._vectors(*initial)
         factor = self._scales.b / self._size[:, None]
         return Y * factor, Yp * factor
 
@@ -191,8 +188,7 @@ class IndexReduced(abc.ABC):
     @final
     def per_design(self, x: Array) -> Array:
         """Return derivatives in b, shape (..., n_q, n_b), of those in ln b, (..., n_b, n_q)."""
-        per: Array = np.swapaxes(x, -1, -2) / self._scales.b
-        return per
+        return np.asarray(np.swapaxes(x, -1, -2) / self._scales.b)
 
     def _vectors(self, q: Array, v: Array, a: Array, lam: Array) -> tuple[Array, Array]:
         """Pack x and x' at the start; multipliers start with derivative zero."""
@@ -205,6 +201,10 @@ class IndexReduced(abc.ABC):
         n_q, n_lam = self._system.n_q, self._system.n_lam
         return _Unknowns(*np.split(x, np.cumsum([n_q, n_q, n_lam])))
 
+    def _at(self, system: MechanicalSystem, t: float, y: Array, yp: Array) -> _Instant:
+        x, xp = self._split(y * self._size), self._split(yp * self._size)
+        return _Instant(system, t, x, xp, system.constraint_q(x.q, t))
+
 
 @final
 class StabilisedIndex2(IndexReduced):
@@ -215,28 +215,20 @@ class StabilisedIndex2(IndexReduced):
         size = np.concatenate([s.q, s.v, s.lam, s.eta])
         return size, np.concatenate([s.v, s.force, s.row * s.speed, s.row * s.position])
 
-    def _residual(self, t: float, x: _Unknowns, xp: _Unknowns) -> list[Array]:
-        system = self._system
-        side = system.constraint_pattern.dot(system.constraint_q(x.q, t), x.v)
-        return [
-            system.constraint_force(x.q, x.eta, t) / system.weights,
-            side - system.velocity_side(x.q, t),
-            system.constraint(x.q, t),
-        ]
+    def _residual(self, at: _Instant) -> list[Array]:
+        system, t, x = self._system, at.t, at.x
+        drift = system.constraint_force(x.q, x.eta, t) / system.weights
+        side = system.constraint_pattern.dot(at.Phi_q, x.v) - system.velocity_side(x.q, t)
+        return [drift, side, system.constraint(x.q, t)]
 
-    def _residual_b(
-        self, t: float, x: _Unknowns, xp: _Unknowns, X: _Unknowns, Xp: _Unknowns
-    ) -> list[Array]:
-        system, dot = self._system, self._system.constraint_pattern.dot
-        Phi_q = system.constraint_q(x.q, t)
+    def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
+        system, B, t, x = self._system, self._system.constraint_pattern, at.t, at.x
         drift = constraint_force_total(system, x.q, x.eta, t, X.q)
-        drift = drift + system.constraint_pattern.dot_transposed(Phi_q, X.eta)
-        side = system.constraint_q_times_total(x.q, x.v, t, X.q) + dot(Phi_q, X.v)
-        return [
-            drift / system.weights[:, None],
-            side - system.velocity_side_total(x.q, t, X.q),
-            dot(Phi_q, X.q) + system.constraint_b(x.q, t),
-        ]
+        drift = drift + B.dot_transposed(at.Phi_q, X.eta)
+        side = system.constraint_q_times_total(x.q, x.v, t, X.q) + B.dot(at.Phi_q, X.v)
+        side = side - system.velocity_side_total(x.q, t, X.q)
+        Phi_total = B.dot(at.Phi_q, X.q) + system.constraint_b(x.q, t)
+        return [drift / system.weights[:, None], side, Phi_total]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
         K, B = self._system.pattern, self._system.constraint_pattern
@@ -250,19 +242,12 @@ class StabilisedIndex2(IndexReduced):
             (eta + B.rows, B.columns),
         ]
 
-    def _entries(
-        self,
-        system: MechanicalSystem,
-        t: float,
-        x: _Unknowns,
-        xp: _Unknowns,
-        c_j: float,
-        Phi_q: Array,
-    ) -> list[Array]:
-        w, curvature = system.weights, np.zeros(system.pattern.size)
+    def _entries(self, at: _Instant, c_j: float) -> list[Array]:
+        system, Phi_q, x, w = at.system, at.Phi_q, at.x, at.system.weights
+        curvature = np.zeros(system.pattern.size)
         if not system.linear_constraints:
-            curvature = system.constraint_force_q(x.q, x.eta, t) / w[system.pattern.rows]
-        rate = system.constraint_q_rate(x.q, x.v, t)
+            curvature = system.constraint_force_q(x.q, x.eta, at.t) / w[system.pattern.rows]
+        rate = system.constraint_q_rate(x.q, x.v, at.t)
         return [curvature, Phi_q / w[system.constraint_pattern.columns], rate, Phi_q, Phi_q]
 
 
@@ -275,34 +260,26 @@ class Index1(IndexReduced):
         acceleration = s.load * s.row
         return np.concatenate([s.q, s.v, s.lam]), np.concatenate([s.v, s.force, acceleration])
 
-    def _residual(self, t: float, x: _Unknowns, xp: _Unknowns) -> list[Array]:
-        system = self._system
-        side = system.constraint_pattern.dot(system.constraint_q(x.q, t), xp.v)
-        return [np.zeros_like(x.q), side - system.acceleration_side(x.q, x.v, t)]
+    def _residual(self, at: _Instant) -> list[Array]:
+        side = self._system.constraint_pattern.dot(at.Phi_q, at.xp.v)
+        side = side - self._system.acceleration_side(at.x.q, at.x.v, at.t)
+        return [np.zeros_like(at.x.q), side]
 
-    def _residual_b(
-        self, t: float, x: _Unknowns, xp: _Unknowns, X: _Unknowns, Xp: _Unknowns
-    ) -> list[Array]:
-        system = self._system
-        side = system.constraint_q_times_total(x.q, xp.v, t, X.q)
-        side = side + system.constraint_pattern.dot(system.constraint_q(x.q, t), Xp.v)
-        return [np.zeros_like(X.q), side - system.acceleration_side_total(x.q, x.v, t, X.q, X.v)]
+    def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
+        system, x = self._system, at.x
+        side = system.constraint_q_times_total(x.q, at.xp.v, at.t, X.q)
+        side = side + system.constraint_pattern.dot(at.Phi_q, Xp.v)
+        side = side - system.acceleration_side_total(x.q, x.v, at.t, X.q, X.v)
+        return [np.zeros_like(X.q), side]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
         B, n_q = self._system.constraint_pattern, self._system.n_q
         return [(2 * n_q + B.rows, B.columns), (2 * n_q + B.rows, n_q + B.columns)]
 
-    def _entries(
-        self,
-        system: MechanicalSystem,
-        t: float,
-        x: _Unknowns,
-        xp: _Unknowns,
-        c_j: float,
-        Phi_q: Array,
-    ) -> list[Array]:
-        rate = c_j * Phi_q + 2 * system.constraint_q_rate(x.q, x.v, t)
-        return [system.constraint_q_second_rate(x.q, x.v, xp.v, t), rate]
+    def _entries(self, at: _Instant, c_j: float) -> list[Array]:
+        system, x, t = at.system, at.x, at.t
+        rate = c_j * at.Phi_q + 2 * system.constraint_q_rate(x.q, x.v, t)
+        return [system.constraint_q_second_rate(x.q, x.v, at.xp.v, t), rate]
 
 
 class IndexReduction(Enum):

@@ -88,10 +88,8 @@ class StepPoints:
         return self._form.coordinates(np.array(rows).reshape(len(rows), self._m + 1, -1))
 
     def _points(self, h: Array, t: Array, q: Array, v: Array) -> Points:
-        if self._m == 0:
-            return Points(KRONROD, h, t, q[:, 0], v[:, 0])
-        q_b, v_b = (self._form.per_design(x[:, 1:]) for x in (q, v))
-        return Points(KRONROD, h, t, q[:, 0], v[:, 0], q_b, v_b)
+        derivatives = (self._form.per_design(x[:, 1:]) for x in ((q, v) if self._m else ()))
+        return Points(KRONROD, h, t, q[:, 0], v[:, 0], *derivatives)
 
 
 def _panels(t: Array, per_step: float) -> Array:
