@@ -24,7 +24,7 @@ import numpy as np
 from scipy.integrate import DOP853, DenseOutput
 
 from ancfdae.errors import SingularMatrix, Verdict
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Progress
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import State, project
 from ancfdae.integrators.integrand import Points, Rule
 from ancfdae.integrators.problem import Problem
@@ -90,10 +90,9 @@ class _ExplicitMarch(March):
     def __init__(
         self, settings: Explicit, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
-        super().__init__()
+        super().__init__(t_end, settings.max_steps)
         self._quadrature, self._stages = quadrature, list[_Stage]()
-        self._max_steps, self._problem, self._t_end = settings.max_steps, problem, t_end
-        self._progress, self._trouble = Progress(1.0), Verdict.ERROR_TEST
+        self._problem, self._trouble = problem, Verdict.ERROR_TEST
         system, s, b = problem.system, problem.scales, problem.derivative
         self._m = 0 if b is None else system.n_b
         own = np.concatenate([s.q, s.v])[:, None]
@@ -105,22 +104,20 @@ class _ExplicitMarch(March):
         self._solver = self._new_solver(0.0, self._vector(start), 1.0)
         self._first = self._stages[0]
 
-    def to(self, t: float) -> State | Verdict:
+    def _step(self) -> Verdict | None:
+        solver, y = self._solver, self._solver.y
+        self._trouble = Verdict.ERROR_TEST
+        self._stages.clear()
+        solver.step()
+        if solver.status == "failed":
+            return self._trouble
+        self.steps += 1
+        self._t, self._between = solver.t * self._t_end, None
+        self._accept(y)
+        return None
+
+    def _state(self, t: float) -> State:
         solver, s = self._solver, t / self._t_end
-        while solver.t < s:
-            if self.steps == self._max_steps:
-                return Verdict.STEP_LIMIT
-            self._trouble = Verdict.ERROR_TEST
-            self._stages.clear()
-            y = solver.y
-            solver.step()
-            if solver.status == "failed":
-                return self._trouble
-            if self._progress.stalls(solver.t):
-                return Verdict.ERROR_TEST
-            self.steps += 1
-            self._between = None
-            self._accept(y)
         if solver.t == s:
             return self._point(solver.y)
         if self._between is None:

@@ -59,17 +59,36 @@ class NotFinite(Exception):
 
 
 class March(abc.ABC):
-    """One run of a solver, from instant to instant; it counts as `Statistics` do."""
+    """One run of a solver, step by step; it counts as `Statistics` do."""
 
-    def __init__(self) -> None:
+    def __init__(self, t_end: float, max_steps: int) -> None:
         self.steps = self.iterations = self.factorisations = self.residuals = 0
+        self._t, self._t_end, self._max_steps = 0.0, t_end, max_steps
+        self._progress = Progress(t_end)
 
-    @abc.abstractmethod
+    @final
     def to(self, t: float) -> State | Verdict:
-        """Go on to the time t; return the state there, or why it was not reached.
+        """Step until t lies behind; return the state there, or why it was not reached.
 
         NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
         """
+        while self._t < t:
+            if self.steps == self._max_steps:
+                return Verdict.STEP_LIMIT
+            trouble = self._step()
+            if trouble is not None:
+                return trouble
+            if self._progress.stalls(self._t):
+                return Verdict.ERROR_TEST
+        return self._state(t)
+
+    @abc.abstractmethod
+    def _step(self) -> Verdict | None:
+        """Take a step, or return why there is none."""
+
+    @abc.abstractmethod
+    def _state(self, t: float) -> State:
+        """Interpolate in the last step."""
 
     @abc.abstractmethod
     def finish(self) -> None:

@@ -21,7 +21,7 @@ import sksundae
 from scipy import sparse
 
 from ancfdae.errors import Verdict, require_kind
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Progress
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
@@ -80,8 +80,7 @@ class _IdaMarch(March):
     def __init__(
         self, settings: IDA, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
-        super().__init__()
-        self._settings, self._t_end, self._progress = settings, t_end, Progress(t_end)
+        super().__init__(t_end, settings.max_steps)
         self._form = settings.form.form(problem.system, problem.scales)
         system, b = problem.system, problem.derivative
         self._m = 0 if b is None else system.n_b
@@ -95,50 +94,43 @@ class _IdaMarch(March):
         if b is not None:
             blocks, rates = self._form.start_b(b)
             Y, Yp = _join(Y, blocks), _join(Yp, rates)
-        self._t, self._y, self._last = 0.0, Y, 0.0
+        self._y, self._last = Y, 0.0
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, Y, Yp)
         self._solver = self._set_up(settings)
         _keep(self._solver)
         self._solver.init_step(0.0, Y, Yp)
 
-    def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind, then interpolate."""
+    def _step(self) -> Verdict | None:
         with without_messages():
-            return self._to(t)
-
-    def _to(self, t: float) -> State | Verdict:
-        while self._t < t:
-            if self.steps == self._settings.max_steps:
-                return Verdict.STEP_LIMIT
             result = self._solver.step(self._t_end, "onestep", self._t_end)
-            if not result.success:
-                return _FAILURES.get(result.status, Verdict.NO_CONVERGENCE)
-            if self.steps == 0:
-                _release(self._solver)
-            # After an interpolation IDA returns its last step once more before it goes on.
-            if result.t > self._t:
-                self.steps += 1
-                self._t, self._y = result.t, result.y.copy()
-                if self._points.wanted:
-                    self._points.add(self._t, self._y, result.yp.copy())
-            if self._progress.stalls(self._t):
-                return Verdict.ERROR_TEST
-        y = self._y if self._t == t else self._solver.step(t, "normal", self._t_end).y.copy()
+        if not result.success:
+            return _FAILURES.get(result.status, Verdict.NO_CONVERGENCE)
+        if self.steps == 0:
+            _release(self._solver)
+        # After an interpolation IDA returns its last step once more before it goes on.
+        if result.t > self._t:
+            self.steps += 1
+            self._t, self._y = result.t, result.y.copy()
+            if self._points.wanted:
+                self._points.add(self._t, self._y, result.yp.copy())
+        return None
+
+    def _state(self, t: float) -> State:
+        y = self._y
+        if self._t != t:
+            with without_messages():
+                y = self._solver.step(t, "normal", self._t_end).y.copy()
         if not is_finite(y):
             raise NotFinite
         states, blocks = self._split(y)
-        q, v = self._form.coordinates(states)
-        if self._m == 0:
-            return State(q, v)
-        return State(q, v, *self._form.coordinates_b(blocks))
+        derivatives = self._form.coordinates_b(blocks) if self._m else ()
+        return State(*self._form.coordinates(states), *derivatives)
 
     def finish(self) -> None:
-        """Take the last steps into the integrals."""
         self._points.finish()
 
     def residual(self) -> float:
-        """Largest scaled residual of the states."""
         return self._last
 
     def _set_up(self, settings: IDA) -> Any:

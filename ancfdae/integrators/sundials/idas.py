@@ -13,7 +13,7 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.errors import Verdict, require_kind
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Progress
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.problem import Problem
@@ -77,52 +77,47 @@ class _IdasMarch(March):
         t_end: float,
         quadrature: Quadrature,
     ) -> None:
-        super().__init__()
+        super().__init__(t_end, settings.max_steps)
         idas, check = bindings.idas, bindings.check
-        self._bindings, self._settings, self._t_end = bindings, settings, t_end
-        self._progress = Progress(t_end)
+        self._bindings, self._rtol = bindings, settings.rtol
         self._form = settings.form.form(problem.system, problem.scales)
         start = self._form.start(problem.initial)
         equations = IdasEquations(bindings, self._form, settings.rtol, start)
         self._equations, self._memory = equations, equations.memory
-        self._t, self._out = 0.0, bindings.vector(equations.context, np.zeros(self._form.n))
-        self._m = 0 if problem.derivative is None else problem.system.n_b
+        self._out = bindings.vector(equations.context, np.zeros(self._form.n))
         Y = Yp = np.zeros((self._form.n, 0))
         if problem.derivative is not None:
             Y, Yp = self._form.start_b(problem.derivative)
+        self._m = Y.shape[1]
         if self._m:
             self._add_sensitivities(Y, Yp)
         check(idas.IDASetStopTime(self._memory, t_end))
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, np.append(start[0], Y.T), np.append(start[1], Yp.T))
 
-    def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind, then interpolate."""
+    def _step(self) -> Verdict | None:
         idas, e = self._bindings.idas, self._equations
-        while self._t < t:
-            if self.steps == self._settings.max_steps:
-                return Verdict.STEP_LIMIT
-            flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
-            self._count()
-            not_finite = e.guard.raise_kept()
-            if flag < 0:
-                return Verdict.NOT_FINITE if not_finite else self._bindings.verdict(flag)
-            self._t = reached
-            if self._points.wanted:
-                self._points.add(reached, *self._reached(reached))
-            if self._progress.stalls(reached):
-                return Verdict.ERROR_TEST
-        array, out = self._bindings.array, self._out
-        self._bindings.check(idas.IDAGetDky(self._memory, t, 0, out))
-        if not is_finite(array(out)):
+        flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
+        self._count()
+        not_finite = e.guard.raise_kept()
+        if flag < 0:
+            return Verdict.NOT_FINITE if not_finite else self._bindings.verdict(flag)
+        self._t = reached
+        if self._points.wanted:
+            self._points.add(reached, *self._reached(reached))
+        return None
+
+    def _state(self, t: float) -> State:
+        self._bindings.check(self._bindings.idas.IDAGetDky(self._memory, t, 0, self._out))
+        y = self._bindings.array(self._out)
+        if not is_finite(y):
             raise NotFinite
-        q, v = self._form.coordinates(array(out))
+        q, v = self._form.coordinates(y)
         if self._m == 0:
             return State(q, v)
         return State(q, v, *self._form.coordinates_b(self._sensitivities(t, 0).T))
 
     def finish(self) -> None:
-        """Take the last steps into the integrals."""
         self._points.finish()
 
     def _reached(self, t: float) -> tuple[Array, Array]:
@@ -145,12 +140,11 @@ class _IdasMarch(March):
         return rows
 
     def residual(self) -> float:
-        """Largest scaled residual of the states."""
         return self._equations.last
 
     def _add_sensitivities(self, Y: Array, Yp: Array) -> None:
         bindings, idas, context = self._bindings, self._bindings.idas, self._equations.context
-        tolerances = self._form.tolerances(self._settings.rtol)
+        tolerances = self._form.tolerances(self._rtol)
         # IDAS keeps references to the vectors, not the vectors.
         self._Y = [bindings.vector(context, column) for column in Y.T]
         self._Yp = [bindings.vector(context, column) for column in Yp.T]
@@ -159,7 +153,7 @@ class _IdasMarch(March):
         check(
             idas.IDASensInit(self._memory, self._m, staggered, self._residual_b, self._Y, self._Yp)
         )
-        check(idas.IDASensSVtolerances(self._memory, self._settings.rtol, self._atol))
+        check(idas.IDASensSVtolerances(self._memory, self._rtol, self._atol))
         check(idas.IDASetSensErrCon(self._memory, 1))
 
     def _residual_b(
