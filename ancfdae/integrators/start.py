@@ -13,7 +13,7 @@ stand, so they are exact for projected starts too.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -152,33 +152,72 @@ class Covectors(NamedTuple):
         return Covectors(*(x + y for x, y in zip(self, other, strict=True)))
 
 
+@final
+class AccelerationsAdjoint:
+    """Transpose of the derivatives of a and lam in q, v and b at one instant.
+
+    With g_1 = M a + Phi_q^T lam - Q, g_2 = Phi_q a - gamma, and mu and zeta from covectors on a and
+    lam by a solve with the transposed matrix,
+
+        on_q = -((g_1)_q^T mu + (g_2)_q^T zeta)     (g_2)_q = d^2Phi_q/dt^2
+        on_v = -((g_1)_v^T mu + (g_2)_v^T zeta)     (g_2)_v = 2 dPhi_q/dt
+        on_b = -((g_1)_b^T mu + (g_2)_b^T zeta).
+    """
+
+    def __init__(
+        self, system: MechanicalSystem, factors: Factorization, state: InitialState
+    ) -> None:
+        self._system, self._factors, self.state = system, factors, state
+        t, q, v, a, lam = state
+        self._t, self._states = np.array([t]), (q[None], v[None], a[None], lam[None])
+        self._local = system.linearise(self._t, *self._states)
+        self.rate = system.constraint_q_rate(q, v, t)
+        self._second_rate = system.constraint_q_second_rate(q, v, a, t)
+
+    def pull_back(self, on_a: Array, on_lam: Array) -> tuple[Array, Array, Array]:
+        """Return on_q, on_v and on_b."""
+        mu, zeta = solve_transposed(self._factors, on_a, on_lam)
+        system, (t, q, v, a, lam) = self._system, self.state
+        on_b = -system.pull_back(self._t, self._states, (mu[None], np.zeros_like(lam[None])))
+        on_b = on_b - zeta @ system.constraint_rate_b(t, q, v, a)
+        return *self._on_states(mu, zeta), on_b
+
+    def matrices(self) -> tuple[Array, Array]:
+        """Return the derivatives of on_q and on_v in on_a, shape (n_q, n_q)."""
+        n_q, n_lam = self._system.n_q, self._system.n_lam
+        return self._on_states(
+            *solve_transposed(self._factors, np.eye(n_q), np.zeros((n_lam, n_q)))
+        )
+
+    def _on_states(self, mu: Array, zeta: Array) -> tuple[Array, Array]:
+        K, B = self._system.pattern.dot_transposed, self._system.constraint_pattern.dot_transposed
+        on_q = -K(self._local.f_q[0], mu) - B(self._second_rate, zeta)
+        on_v = -2 * B(self.rate, zeta)
+        if self._local.f_v is not None:
+            on_v = on_v - K(self._local.f_v[0], mu)
+        return on_q, on_v
+
+
 def pull_back_start(
     system: MechanicalSystem, matrices: SaddlePoint, state: InitialState, on: Covectors
 ) -> Array:
     """Return the design derivative of a number through the start, shape (n_b,).
 
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
-    and 1, whatever the number of design variables. With Phi'' = Phi_q a - gamma and
-    Phi' = Phi_q v - nu the rules are (Phi'')_q = Phi_q'', (Phi'')_v = 2 Phi_q', (Phi')_q = Phi_q'.
+    and 1, whatever the number of design variables. With Phi' = Phi_q v - nu, (Phi')_q = Phi_q'.
     """
-    t, q, v, a, lam = state
+    t, q, v, _, lam = state
     q_start, v_start = system.start()
     sigma_q, moving, sigma_v, factors = _projections(system, matrices, state)
-    K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
-    none, states = np.zeros_like(lam), (q[None], v[None], a[None], lam[None])
-    local = system.linearise(np.array([t]), *states)
-    rate = system.constraint_q_rate(q, v, t)
+    B, none = system.constraint_pattern.dot_transposed, np.zeros_like(lam)
 
-    m, z = solve_transposed(factors, on.a, on.lam)
-    on_q = on.q - K(local.f_q[0], m) - B(system.constraint_q_second_rate(q, v, a, t), z)
-    on_v = on.v - 2 * B(rate, z)
-    if local.f_v is not None:
-        on_v = on_v - K(local.f_v[0], m)
-    on_b = on.b - z @ system.constraint_rate_b(t, q, v, a)
-    on_b = on_b - system.pull_back(np.array([t]), states, (m[None], none[None]))
+    accelerations = AccelerationsAdjoint(system, factors, state)
+    through = accelerations.pull_back(on.a, on.lam)
+    on_q, on_v, on_b = on.q + through[0], on.v + through[1], on.b + through[2]
 
     m, z = solve_transposed(factors, on_v, none)
-    on_q = on_q - curvature(system, t, q, v - v_start, sigma_v, m) - B(rate, z)
+    on_q = on_q - curvature(system, t, q, v - v_start, sigma_v, m)
+    on_q = on_q - B(accelerations.rate, z)
     on_b = on_b - z @ system.constraint_rate_b(t, q, v)
     on_b = on_b - system.pull_back_inertia(t, q, v - v_start, sigma_v, m)
     on_v_start = system.mass_times(q, m)

@@ -19,7 +19,7 @@ from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import Bindings
-from ancfdae.integrators.sundials.idas_adjoint import pull_back
+from ancfdae.integrators.sundials.idas_adjoint import BackwardRun
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.integrators.sundials.step_points import StepPoints
@@ -54,15 +54,8 @@ class IDAS(HighOrder, AdjointIntegrator):
         """Return the gradient of an objective by the adjoint with checkpoints."""
         t_end = float(solution.t[-1])
         problem = Problem.of(system, t_end).differentiated()
-        return pull_back(
-            Bindings.load(),
-            problem,
-            self.form.form(problem.system, problem.scales),
-            self.rtol,
-            self.max_steps,
-            solution,
-            seeds,
-        )
+        form = self.form.form(system, problem.scales)
+        return BackwardRun(Bindings.load(), problem, form, self, solution, seeds).gradient()
 
 
 @final
