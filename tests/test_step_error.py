@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start, saddle_point
 from ancfdae.integrators.step_control import ControlledSteps

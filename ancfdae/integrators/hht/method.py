@@ -17,7 +17,6 @@ from ancfdae.errors import (
     require_finite,
     require_positive,
 )
-from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import Coefficients, Steps, constraint_error
@@ -25,7 +24,7 @@ from ancfdae.integrators.hht.small_steps import Nodes
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
-from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, StepControl

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ancfdae.errors import Verdict
-from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.problem import Scales
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution import Solution
 

@@ -25,7 +25,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import EstimatedErrors, Sensitivities

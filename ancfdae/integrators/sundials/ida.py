@@ -7,14 +7,20 @@ of that matrix along the sensitivities, which affects the convergence of Newton'
 What the wrapper does not guard against is guarded here: steps are taken one
 by one and counted, a solver that has not factorised is never freed, views are copied, residuals
 that are not finite end the run.
+
+scikit-sundae prints error messages and has no switch for it; they are kept off the terminal: the
+outcome of a run reports the same.
 """
 
 from __future__ import annotations
 
 import ctypes
+import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, TextIO, final
 
 import numpy as np
 import sksundae
@@ -26,9 +32,46 @@ from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage, IndexReduction
-from ancfdae.integrators.sundials.messages import without_messages
 from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.numerics.arrays import Array, is_finite
+
+# How scikit-sundae begins what it prints.
+_MESSAGE = "\n[IDA"
+
+
+@contextmanager
+def without_messages() -> Iterator[None]:
+    """Drop what SUNDIALS prints inside the block; whatever else is printed comes through."""
+    stream = sys.stdout
+    if isinstance(stream, _Filter):  # Another thread is at it.
+        stream = stream.stream
+    if stream is not None:
+        sys.stdout = _Filter(stream)
+    try:
+        yield
+    finally:
+        sys.stdout = stream
+
+
+@final
+class _Filter:
+    """A stream without messages of SUNDIALS."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream, self._dropped = stream, False
+
+    def write(self, text: str) -> int:
+        """Write the text, unless it is a message or the line end after one."""
+        message = text.startswith(_MESSAGE)
+        if message or (self._dropped and text == "\n"):
+            self._dropped = message
+            return len(text)
+        self._dropped = False
+        return self.stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
 
 # Below round-off of a double, with what an integrator of order five needs on top.
 _LEAST_RTOL = 1e-13

@@ -30,7 +30,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
