@@ -57,7 +57,6 @@ class Explicit(HighOrder):
     max_steps: int = 20_000
 
     def __post_init__(self) -> None:
-        """Validate."""
         self.require_settings(_LEAST_RTOL)
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:

@@ -124,17 +124,14 @@ class Solution:
         s, naming = self._known_sensitivities(), self.naming
         if not s.names:
             return np.zeros((*np.shape(function(self)), 0))
-        columns = []
+        columns, states_b = [], {"q": s.q_b, "v": s.v_b, "a": s.a_b, "lam": s.lam_b}
         for i in range(len(s.names)):
             if naming is not None and self.naming is not None:
                 lengths = self.naming.lengths + 1j * _STEP * naming.lengths_b[:, i]
                 naming = replace(self.naming, lengths=lengths)
             shifted = replace(
                 self,
-                q=self.q + 1j * _STEP * s.q_b[..., i],
-                v=self.v + 1j * _STEP * s.v_b[..., i],
-                a=self.a + 1j * _STEP * s.a_b[..., i],
-                lam=self.lam + 1j * _STEP * s.lam_b[..., i],
+                **{x: getattr(self, x) + 1j * _STEP * x_b[..., i] for x, x_b in states_b.items()},
                 naming=naming,
                 sensitivities=None,
             )
@@ -233,17 +230,9 @@ class Solution:
         outcome = self.outcome
         if verdict is not Verdict.FINISHED:
             outcome = Outcome(verdict, float(self.t[steps]), steps, 0.0)
-        rows = slice(steps + 1)
-        return replace(
-            self.with_pass(steps, seconds),
-            t=self.t[rows],
-            q=self.q[rows],
-            v=self.v[rows],
-            a=self.a[rows],
-            lam=self.lam[rows],
-            outcome=outcome,
-            sensitivities=own,
-        )
+        kept = {x: getattr(self, x)[: steps + 1] for x in ("t", "q", "v", "a", "lam")}
+        full = self.with_pass(steps, seconds)
+        return replace(full, **kept, outcome=outcome, sensitivities=own)
 
     def with_pass(self, factorisations: int, seconds: float) -> Solution:
         """Return the solution with the cost of a pass over it added to the statistics."""
@@ -266,13 +255,10 @@ class Solution:
         return Solution(**solution_file.read(Path(path)))
 
     def __repr__(self) -> str:
-        """Return sizes, outcome and design variables."""
         own, errors = self.sensitivities, self.estimated_errors
-        sizes = (
-            f"Solution: {len(self.t)} instants from t = {self.t[0]:.6g} to {self.t[-1]:.6g}, "
-            f"{self.q.shape[1]} coordinates, {self.lam.shape[1]} multipliers"
-        )
-        lines = [sizes, str(self.outcome)]
+        span = f"{len(self.t)} instants from t = {self.t[0]:.6g} to {self.t[-1]:.6g}"
+        sizes = f"{self.q.shape[1]} coordinates, {self.lam.shape[1]} multipliers"
+        lines = [f"Solution: {span}, {sizes}", str(self.outcome)]
         lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
         lines += [] if errors is None else [repr(errors)]
         return "\n".join(lines)

@@ -65,7 +65,6 @@ class EstimatedErrors:
     derivatives: tuple[float, ...] | None = None
 
     def __repr__(self) -> str:
-        """Return the errors on one line."""
         own = (
             "not computed"
             if self.derivatives is None
@@ -90,7 +89,6 @@ class Sensitivities:
     lam_b: Array
 
     def __repr__(self) -> str:
-        """Return the variables, their values and the size of the derivatives of q."""
         largest = np.max(np.abs(self.q_b), axis=(0, 1), initial=0.0)
         rows = zip(self.names, _short(self.values), _short(largest), strict=True)
         head = ("design variable", "value", "largest |q_b|")

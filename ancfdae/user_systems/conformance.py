@@ -33,7 +33,6 @@ class Finding:
         return self.error <= self.tolerance
 
     def __str__(self) -> str:
-        """Return name, error, tolerance and verdict."""
         verdict = "ok" if self.passed else "WRONG"
         return f"{self.name:<58} {self.error:9.1e} {self.tolerance:9.1e}  {verdict}"
 
@@ -68,12 +67,10 @@ class Conformance:
             )
 
     def __repr__(self) -> str:
-        """Return how many checks failed, and which."""
         wrong = f"wrong: {listed(x.name for x in self.wrong)}" if self.wrong else "all ok"
         return f"{self.name}: {len(self.findings)} checks, {wrong}"
 
     def __str__(self) -> str:
-        """Return a table."""
         head = f"{self.name:<58} {'error':>9} {'tolerance':>9}"
         lines = [head, "-" * len(head), *(str(finding) for finding in self.findings)]
         wrong = f"{len(self.wrong)} wrong" if self.wrong else "all ok"

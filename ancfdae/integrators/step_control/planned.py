@@ -86,7 +86,6 @@ class GivenSteps(_KnownSteps):
     times: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Validate."""
         where, t = "GivenSteps.times", require_array("GivenSteps.times", self.times)
         repair = "Take the instants of a solution, or np.linspace(0, t_end, n)."
         if t.ndim != 1 or len(t) < 2:

@@ -107,7 +107,6 @@ class IDA(HighOrder):
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
 
     def __post_init__(self) -> None:
-        """Validate."""
         self.require_settings(_LEAST_RTOL)
         require_kind("IDA.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
 

@@ -42,7 +42,6 @@ class IDAS(HighOrder, AdjointIntegrator):
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
 
     def __post_init__(self) -> None:
-        """Validate."""
         self.require_settings(_LEAST_RTOL)
         require_kind("IDAS.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
 
