@@ -31,6 +31,7 @@ from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
+from ancfdae.integrators.sundials.bindings import verdict
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage, IndexReduction
 from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.numerics.arrays import Array, is_finite
@@ -83,15 +84,6 @@ _MOST_DENSE = 100
 # Corrector iterations per step: the sensitivities are linear in themselves, so they need one more
 # than the states.
 _ITERATIONS = 6
-# Return codes of IDA, see its manual.
-_FAILURES = {
-    -1: Verdict.STEP_LIMIT,
-    -2: Verdict.TOO_ACCURATE,
-    -3: Verdict.ERROR_TEST,
-    -4: Verdict.NO_CONVERGENCE,
-    -6: Verdict.SINGULAR,
-    -7: Verdict.SINGULAR,
-}
 
 
 @final
@@ -147,7 +139,7 @@ class _IdaMarch(March):
         with without_messages():
             result = self._solver.step(self._t_end, "onestep", self._t_end)
         if not result.success:
-            return _FAILURES.get(result.status, Verdict.NO_CONVERGENCE)
+            return verdict(result.status)
         if self.steps == 0:
             _release(self._solver)
         # After an interpolation IDA returns its last step once more before it goes on.

@@ -18,7 +18,7 @@ from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
-from ancfdae.integrators.sundials.bindings import Bindings
+from ancfdae.integrators.sundials.bindings import Bindings, verdict
 from ancfdae.integrators.sundials.idas_adjoint import BackwardRun
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
@@ -93,7 +93,7 @@ class _IdasMarch(March):
         self._count()
         not_finite = e.guard.raise_kept()
         if flag < 0:
-            return Verdict.NOT_FINITE if not_finite else self._bindings.verdict(flag)
+            return Verdict.NOT_FINITE if not_finite else verdict(flag)
         self._t = reached
         if self._points.wanted:
             self._points.add(reached, *self._reached(reached))
@@ -141,28 +141,22 @@ class _IdasMarch(March):
         self._Y = [bindings.vector(context, column) for column in Y.T]
         self._Yp = [bindings.vector(context, column) for column in Yp.T]
         self._atol = [bindings.vector(context, tolerances) for _ in range(self._m)]
-        check, staggered = bindings.check, idas.IDA_STAGGERED
-        check(
-            idas.IDASensInit(self._memory, self._m, staggered, self._residual_b, self._Y, self._Yp)
-        )
+        check, residual = bindings.check, self._equations.guard.callback(self._residual_b)
+        vectors = self._Y, self._Yp
+        check(idas.IDASensInit(self._memory, self._m, idas.IDA_STAGGERED, residual, *vectors))
         check(idas.IDASensSVtolerances(self._memory, self._rtol, self._atol))
         check(idas.IDASetSensErrCon(self._memory, 1))
 
     def _residual_b(
         self, m: int, t: float, y: Any, yp: Any, R: Any, Y: Any, Yp: Any, RY: Any, *_: Any
-    ) -> int:
+    ) -> None:
         array = self._bindings.array
-
-        def evaluate() -> None:
-            columns = np.stack([array(x) for x in Y], axis=1)
-            rates = np.stack([array(x) for x in Yp], axis=1)
-            values = self._form.residual_b(t, array(y), array(yp), columns, rates)
-            if not is_finite(values):
-                raise NotFinite
-            for i, vector in enumerate(RY):
-                array(vector)[:] = values[:, i]
-
-        return self._equations.guard.run(evaluate)
+        columns, rates = (np.stack([array(x) for x in X], axis=1) for X in (Y, Yp))
+        values = self._form.residual_b(t, array(y), array(yp), columns, rates)
+        if not is_finite(values):
+            raise NotFinite
+        for i, vector in enumerate(RY):
+            array(vector)[:] = values[:, i]
 
     def _count(self) -> None:
         idas, memory = self._bindings.idas, self._memory

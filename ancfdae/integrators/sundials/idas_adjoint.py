@@ -25,7 +25,7 @@ from ancfdae.integrators.high_order import HighOrder, NotFinite, Progress
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.start import AccelerationsAdjoint, InitialState
-from ancfdae.integrators.sundials.bindings import Bindings
+from ancfdae.integrators.sundials.bindings import Bindings, verdict
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.numerics.arrays import Array, is_finite
@@ -126,7 +126,7 @@ class BackwardRun:
         flag, _, _ = idas.IDASolveF(self._memory, self._t_end, e.y, e.yp, idas.IDA_NORMAL)
         e.guard.raise_kept()
         if flag < 0:
-            raise PassFailed(bindings.verdict(flag))
+            raise PassFailed(verdict(flag))
 
     # -- backward ------------------------------------------------------------------------------
 
@@ -141,7 +141,7 @@ class BackwardRun:
         flag = idas.IDASolveB(self._memory, stop, idas.IDA_NORMAL)
         self._equations.guard.raise_kept()
         if flag < 0:
-            raise PassFailed(bindings.verdict(flag))
+            raise PassFailed(verdict(flag))
         check(idas.IDAGetB(self._memory, self._which, self._y, self._yp)[0])
         check(idas.IDAGetQuadB(self._memory, self._which, self._quadrature)[0])
         p = bindings.array(self._y) / self._scale
@@ -150,6 +150,7 @@ class BackwardRun:
     def _set_up(self, t: float, y: Array, yp: Array) -> None:
         bindings, idas, check = self._bindings, self._bindings.idas, self._bindings.check
         core, context = bindings.core, self._equations.context
+        call = self._equations.guard.callback
         if self._which is not None:
             for vector, values in ((self._y, y), (self._yp, yp), (self._quadrature, 0.0)):
                 bindings.array(vector)[:] = values
@@ -161,15 +162,15 @@ class BackwardRun:
         self._which = which
         self._y, self._yp = bindings.vector(context, y), bindings.vector(context, yp)
         self._quadrature = bindings.vector(context, np.zeros(self._problem.system.n_b))
-        check(idas.IDAInitB(self._memory, which, self._residual, t, self._y, self._yp))
+        check(idas.IDAInitB(self._memory, which, call(self._residual), t, self._y, self._yp))
         atol = _SMALL * self._rtol
         check(idas.IDASStolerancesB(self._memory, which, self._rtol, atol))
         check(idas.IDASetMaxNumStepsB(self._memory, which, self._max_steps))
         self._matrix = core.SUNDenseMatrix(self._n, self._n, context)
         self._solver = core.SUNLinSol_Dense(self._y, self._matrix, context)
         check(idas.IDASetLinearSolverB(self._memory, which, self._solver, self._matrix))
-        check(idas.IDASetJacFnB(self._memory, which, self._jacobian))
-        check(idas.IDAQuadInitB(self._memory, which, self._integrand, self._quadrature))
+        check(idas.IDASetJacFnB(self._memory, which, call(self._jacobian)))
+        check(idas.IDAQuadInitB(self._memory, which, call(self._integrand), self._quadrature))
         check(idas.IDAQuadSStolerancesB(self._memory, which, self._rtol, atol))
         check(idas.IDASetQuadErrConB(self._memory, which, 1))
 
@@ -197,46 +198,30 @@ class BackwardRun:
         *through, on_b = self._at(float(t), q, v).pull_back(np.zeros_like(on_q), on_lam)
         return np.concatenate([on_q, on_v]) + np.concatenate(through), on_b
 
-    def _residual(self, t: float, y: Any, yp: Any, z: Any, zp: Any, R: Any, _: Any) -> int:
+    def _residual(self, t: float, y: Any, yp: Any, z: Any, zp: Any, R: Any, _: Any) -> None:
         array = self._bindings.array
+        rates, _ = self._rates(t, *self._form.coordinates(array(y)), array(z) / self._scale)
+        value = array(zp) - rates * self._scale
+        if not is_finite(value):
+            raise NotFinite
+        array(R)[:] = value
 
-        def evaluate() -> None:
-            q, v = self._form.coordinates(array(y))
-            rates, _ = self._rates(t, q, v, array(z) / self._scale)
-            value = array(zp) - rates * self._scale
-            if not is_finite(value):
-                raise NotFinite
-            array(R)[:] = value
-
-        return self._equations.guard.run(evaluate)
-
-    def _integrand(self, t: float, y: Any, yp: Any, z: Any, zp: Any, out: Any, _: Any) -> int:
+    def _integrand(self, t: float, y: Any, yp: Any, z: Any, zp: Any, out: Any, _: Any) -> None:
         array = self._bindings.array
-
-        def evaluate() -> None:
-            # This is called once or twice a step; IDAS itself counts from checkpoint to checkpoint.
-            self._calls += 1
-            stalls, limit = self._progress.stalls(self._t_end - t), 2 * self._max_steps
-            if stalls or self._calls > limit:
-                raise PassFailed(Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT)
-            q, v = self._form.coordinates(array(y))
-            # Backward in time the integral counts negative.
-            array(out)[:] = -self._rates(t, q, v, array(z) / self._scale)[1] * self._b_scale
-
-        return self._equations.guard.run(evaluate)
+        # This is called once or twice a step; IDAS itself counts from checkpoint to checkpoint.
+        self._calls += 1
+        stalls, limit = self._progress.stalls(self._t_end - t), 2 * self._max_steps
+        if stalls or self._calls > limit:
+            raise PassFailed(Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT)
+        _, on_b = self._rates(t, *self._form.coordinates(array(y)), array(z) / self._scale)
+        array(out)[:] = -on_b * self._b_scale  # Backward in time the integral counts negative.
 
     def _jacobian(
         self, t: float, c_j: float, y: Any, yp: Any, z: Any, zp: Any, R: Any, J: Any, *_: Any
-    ) -> int:
-        array, n_q = self._bindings.array, self._problem.system.n_q
-
-        def evaluate() -> None:
-            q, v = self._form.coordinates(array(y))
-            on_q, on_v = self._at(t, q, v).matrices()
-            zero, one = np.zeros((n_q, n_q)), np.eye(n_q)
-            rates = -np.block([[zero, on_q], [one, on_v]])
-            scaled = rates * self._scale[:, None] / self._scale
-            dense = self._bindings.core.SUNDenseMatrix_Data(J)
-            dense[:] = c_j * np.eye(2 * n_q) - scaled
-
-        return self._equations.guard.run(evaluate)
+    ) -> None:
+        n_q = self._problem.system.n_q
+        q, v = self._form.coordinates(self._bindings.array(y))
+        on_q, on_v = self._at(t, q, v).matrices()
+        rates = -np.block([[np.zeros((n_q, n_q)), on_q], [np.eye(n_q), on_v]])
+        scaled = rates * self._scale[:, None] / self._scale
+        self._bindings.core.SUNDenseMatrix_Data(J)[:] = c_j * np.eye(2 * n_q) - scaled
