@@ -176,14 +176,19 @@ class _ExplicitMarch(March):
         return 0.0  # An explicit step has no equations left over.
 
     def _vector(self, point: State) -> Array:
-        columns = np.concatenate([point.q, point.v])[:, None]
+        n_q = self._problem.system.n_q
+        columns = np.empty(self._size.shape)
+        columns[:n_q, 0], columns[n_q:, 0] = point.q, point.v
         if point.q_b is not None and point.v_b is not None:
-            columns = np.hstack([columns, np.concatenate([point.q_b, point.v_b])])
+            columns[:n_q, 1:], columns[n_q:, 1:] = point.q_b, point.v_b
         return np.asarray((columns / self._size).ravel())
 
     def _point(self, y: Array) -> State:
-        q, v = np.split(y.reshape(self._size.shape) * self._size, 2)
-        return State(q[:, 0], v[:, 0], *((q[:, 1:], v[:, 1:]) if self._m else ()))
+        n_q = self._problem.system.n_q
+        x = y.reshape(self._size.shape) * self._size
+        if self._m == 0:
+            return State(x[:n_q, 0], x[n_q:, 0])
+        return State(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
 
     def _projected(self, s: float, y: Array) -> State:
         if not is_finite(y):

@@ -8,7 +8,8 @@ accurate than what a solver carries along. Integrals follow the steps, not the i
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self, final
 
@@ -59,12 +60,17 @@ class NotFinite(Exception):
 
 
 class March(abc.ABC):
-    """One run of a solver, step by step; it counts as `Statistics` do."""
+    """One run of a solver, step by step, in a context; it counts as `Statistics` do."""
 
-    def __init__(self, t_end: float, max_steps: int) -> None:
+    def __init__(
+        self,
+        t_end: float,
+        max_steps: int,
+        context: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
         self.steps = self.iterations = self.factorisations = self.residuals = 0
         self._t, self._t_end, self._max_steps = 0.0, t_end, max_steps
-        self._progress = Progress(t_end)
+        self._progress, self._context = Progress(t_end), context
 
     @final
     def to(self, t: float) -> State | Verdict:
@@ -72,15 +78,16 @@ class March(abc.ABC):
 
         NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
         """
-        while self._t < t:
-            if self.steps == self._max_steps:
-                return Verdict.STEP_LIMIT
-            trouble = self._step()
-            if trouble is not None:
-                return trouble
-            if self._progress.stalls(self._t):
-                return Verdict.ERROR_TEST
-        return self._state(t)
+        with self._context():
+            while self._t < t:
+                if self.steps == self._max_steps:
+                    return Verdict.STEP_LIMIT
+                trouble = self._step()
+                if trouble is not None:
+                    return trouble
+                if self._progress.stalls(self._t):
+                    return Verdict.ERROR_TEST
+            return self._state(t)
 
     @abc.abstractmethod
     def _step(self) -> Verdict | None:

@@ -114,7 +114,7 @@ class _IdaMarch(March):
     def __init__(
         self, settings: IDA, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
-        super().__init__(t_end, settings.max_steps)
+        super().__init__(t_end, settings.max_steps, without_messages)
         self._form = settings.form.form(problem.system, problem.scales)
         system, b = problem.system, problem.derivative
         self._m = 0 if b is None else system.n_b
@@ -136,8 +136,7 @@ class _IdaMarch(March):
         self._solver.init_step(0.0, Y, Yp)
 
     def _step(self) -> Verdict | None:
-        with without_messages():
-            result = self._solver.step(self._t_end, "onestep", self._t_end)
+        result = self._solver.step(self._t_end, "onestep", self._t_end)
         if not result.success:
             return verdict(result.status)
         if self.steps == 0:
@@ -153,8 +152,7 @@ class _IdaMarch(March):
     def _state(self, t: float) -> State:
         y = self._y
         if self._t != t:
-            with without_messages():
-                y = self._solver.step(t, "normal", self._t_end).y.copy()
+            y = self._solver.step(t, "normal", self._t_end).y.copy()
         if not is_finite(y):
             raise NotFinite
         states, blocks = self._split(y)

@@ -198,8 +198,9 @@ class IndexReduced(abc.ABC):
         return y, yp
 
     def _split(self, x: Array) -> _Unknowns:
-        n_q, n_lam = self._system.n_q, self._system.n_lam
-        return _Unknowns(*np.split(x, np.cumsum([n_q, n_q, n_lam])))
+        v = self._system.n_q
+        lam, eta = 2 * v, 2 * v + self._system.n_lam
+        return _Unknowns(x[:v], x[v:lam], x[lam:eta], x[eta:])
 
     def _at(self, system: MechanicalSystem, t: float, y: Array, yp: Array) -> _Instant:
         x, xp = self._split(y * self._size), self._split(yp * self._size)
