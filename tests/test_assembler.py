@@ -43,6 +43,7 @@ from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.start import RecurrenceStart
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
 from ancfdae.numerics import linear_solvers
 from ancfdae.numerics.extrapolation import real_derivative
@@ -918,11 +919,10 @@ def test_start_sensitivity_is_the_complex_step_of_the_consistent_start(setting):
 
 
 def test_start_of_the_recurrence_is_differentiated_exactly(setting):
-    s, c = setting, Coefficients.of(0.01, -0.3)
+    s, c = setting, Coefficients(0.01, -0.3)
 
     def start(x):
-        matrices = saddle_point(x, 0.0)
-        return RecurrenceStart.of(x, matrices, c, consistent_start(x, matrices, 0.0))
+        return RecurrenceStart.of(Problem.of(x, 1.0), c)
 
     first, moved_nodes = start(s.system), {}
     matrices = saddle_point(s.system, 0.0)

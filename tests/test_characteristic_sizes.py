@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ancfdae import ComplexStepSystem
-from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import consistent_start, saddle_point
 
 from mechanisms import CartesianPendulum, chain

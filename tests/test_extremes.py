@@ -171,7 +171,7 @@ def test_constraints_do_not_drift_over_many_tiny_steps():
 
 @pytest.mark.parametrize("system", [CartesianPendulum(), GuidedDoublePendulum(), chain()])
 def test_increment_of_constraints_is_their_difference(system):
-    rng, c = np.random.default_rng(0), Coefficients.of(1e-2, -0.3)
+    rng, c = np.random.default_rng(0), Coefficients(1e-2, -0.3)
     q, v = system.start()
     dq = 0.02 * rng.standard_normal(system.n_q)
     node = Node(0.3, q, v, v, np.zeros(system.n_lam), v)

@@ -57,10 +57,10 @@ def every_method(rtol, intervals=2):
     """All integrators of high order at a tolerance."""
     return [
         Explicit(rtol, intervals),
-        IDA(rtol, GGL, intervals),
-        IDA(rtol, INDEX_1, intervals),
-        idas(IDAS(rtol, GGL, intervals)),
-        idas(IDAS(rtol, INDEX_1, intervals)),
+        IDA(rtol, intervals, form=GGL),
+        IDA(rtol, intervals, form=INDEX_1),
+        idas(IDAS(rtol, intervals, form=GGL)),
+        idas(IDAS(rtol, intervals, form=INDEX_1)),
     ]
 
 
@@ -236,10 +236,10 @@ def exact_gradient(name):
 @pytest.mark.parametrize(
     ("integrator", "method"),
     [
-        (IDA(1e-8, GGL, 4), Direct()),
-        idas(IDAS(1e-8, GGL, 4), Direct()),
-        idas(IDAS(1e-8, GGL, 4), Adjoint()),
-        idas(IDAS(1e-8, INDEX_1, 4), Adjoint()),
+        (IDA(1e-8, 4, form=GGL), Direct()),
+        idas(IDAS(1e-8, 4, form=GGL), Direct()),
+        idas(IDAS(1e-8, 4, form=GGL), Adjoint()),
+        idas(IDAS(1e-8, 4, form=INDEX_1), Adjoint()),
     ],
     ids=name_of,
 )
@@ -256,7 +256,10 @@ def test_adjoint_of_idas_on_a_driven_scene():
     system, tip = driven(), position(Point("b", 1.0), 1)
     results = [
         gradient(system, Integral(tip**2), T_END, integrator, method=method).gradient
-        for integrator, method in ((IDAS(1e-7, GGL, 2), Adjoint()), (Explicit(1e-9, 2), Direct()))
+        for integrator, method in (
+            (IDAS(1e-7, 2, form=GGL), Adjoint()),
+            (Explicit(1e-9, 2), Direct()),
+        )
     ]
     np.testing.assert_allclose(results[0] * system.b, results[1] * system.b, rtol=1e-4, atol=1e-11)
 

@@ -26,12 +26,10 @@ from ancfdae import (
 )
 from ancfdae.integrators.hht.equations import Coefficients, NodeSensitivity
 from ancfdae.integrators.hht.start import RecurrenceStart
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.start import (
     Covectors,
-    consistent_start,
     pull_back_start,
-    saddle_point,
-    start_sensitivity,
 )
 from validation.scenes import crank_slider
 
@@ -148,17 +146,16 @@ def test_gradients_through_a_damped_start_are_exact(step):
     ids=["damped", "spatial", "curved constraint", "driven"],
 )
 def test_the_start_is_pulled_back_by_its_transpose(system):
-    matrices = saddle_point(system, 0.0)
-    initial = consistent_start(system, matrices, 0.0)
-    derivative = start_sensitivity(system, matrices, initial)
-    start = RecurrenceStart.of(system, matrices, Coefficients.of(0.01, -0.3), initial)
+    problem = Problem.of(system, 1.0).differentiated()
+    initial, derivative = problem.initial, problem.derivative
+    start = RecurrenceStart.of(problem, Coefficients(0.01, -0.3))
     node_b = start.sensitivity(derivative)
     rng = np.random.default_rng(0)
     on = [rng.standard_normal(system.n_q) * np.sqrt(system.weights) for _ in range(4)]
     on_lam = rng.standard_normal(system.n_lam)
     back = start.pull_back(NodeSensitivity(on[0], on[1], on[2], 0 * on_lam, on[3]))
     back = back.plus(Covectors(0 * on[0], 0 * on[0], 0 * on[0], on_lam, 0 * back.b))
-    found = pull_back_start(system, matrices, initial, back)
+    found = pull_back_start(system, problem.matrices, initial, back)
     parts = [x[:, None] * y for x, y in zip(on, (node_b.q_b, node_b.v_b, node_b.a_b), strict=False)]
     parts += [on[3][:, None] * node_b.A_b, on_lam[:, None] * derivative.lam_b]
     expected = sum(part.sum(axis=0) for part in parts)

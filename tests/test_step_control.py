@@ -5,7 +5,7 @@ import pytest
 
 from ancfdae import ControlledSteps, Explicit, FixedSteps, GivenSteps, simulate
 from ancfdae.errors import Verdict
-from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start, saddle_point
 from ancfdae.integrators.step_control.contracts import OneStepMethod

@@ -1,14 +1,16 @@
 """Error of a step of HHT-I3 and sizes of derivatives, against their formulas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
+from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
+from ancfdae.integrators.start import consistent_start, saddle_point
 from ancfdae.integrators.step_control import ControlledSteps
 from ancfdae.integrators.step_control.derivative_sizes import (
     derivative_sizes,
@@ -27,9 +29,11 @@ VALUES = np.array([[0.0, 1.0, -4.0], [0.5, 1.0, 3.0]])
 
 def stepper(initial=None, derivative=None, alpha=-0.3, sizes_b=SIZES_B):
     system = CartesianPendulum()
-    tolerance, matrices = STEPS.tolerance(T_END, SIZES, sizes_b), saddle_point(system, 0.0)
-    recorder = Recorder(system, 1)
-    return Stepper(system, matrices, initial, derivative, alpha, (1.0, 1), tolerance, recorder)
+    tolerance, problem = STEPS.tolerance(T_END, SIZES, sizes_b), Problem.of(system, T_END)
+    if initial is not None:
+        problem = replace(problem, initial=initial)
+    problem = replace(problem, derivative=derivative)
+    return Stepper(problem, alpha, (1.0, 1), tolerance, Recorder(system, 1))
 
 
 def expected_error(j, alpha):
@@ -54,11 +58,10 @@ def test_error_of_a_step_is_the_formula_of_its_module(alone):
 
 def test_error_at_the_start_follows_from_the_third_derivative():
     system, alpha, sizes_b = CartesianPendulum(0.3, 1.0), -0.3, np.array([3.0, 10.0])
-    matrices = saddle_point(system, 0.0)
-    initial = consistent_start(system, matrices, 0.0)
-    derivative = start_sensitivity(system, matrices, initial)
+    problem = Problem.of(system, 1.0).differentiated()
+    initial, derivative = problem.initial, problem.derivative
     # Without velocity forces it is the same for every first step.
-    start = RecurrenceStart.of(system, matrices, Coefficients.of(0.7, alpha), initial)
+    start = RecurrenceStart.of(problem, Coefficients(0.7, alpha))
     jerk = start.jerks[0]
     jerk_b = start.jerk_total(jerk, derivative, derivative.a_b)
     C = (1 + 3 * alpha**2) / 12

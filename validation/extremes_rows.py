@@ -227,7 +227,7 @@ def _condition(system: MechanicalSystem, case: Case) -> float | None:
     q, v = system.start()
     t, zero = np.zeros(1), np.zeros((1, n))
     local = system.linearise(t, q[None], v[None], zero, np.zeros((1, m)))
-    c = Coefficients.of(case.step, case.alpha)
+    c = Coefficients(case.step, case.alpha)
     K = system.pattern.dense(iteration_matrices(c, local)[0])
     B = system.constraint_pattern.dense(local.Phi_q[0])
     scale = saddle_point(system, 0.0).scale

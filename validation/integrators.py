@@ -96,9 +96,9 @@ def _settings(extent: _Extent) -> list[Integrator]:
     n = _intervals(extent)
     found: list[Integrator] = [HHT(2.0**-k) for k in extent.exponents]
     found += [IDA(rtol, intervals=n, max_steps=MANY) for rtol in extent.tolerances]
-    found += [IDA(rtol, _INDEX_1, n, max_steps=MANY) for rtol in extent.tolerances[-2:]]
+    found += [IDA(rtol, n, MANY, _INDEX_1) for rtol in extent.tolerances[-2:]]
     found += [IDAS(rtol, intervals=n, max_steps=MANY) for rtol in extent.tolerances]
-    found += [IDAS(rtol, _INDEX_1, n, max_steps=MANY) for rtol in extent.tolerances[-2:]]
+    found += [IDAS(rtol, n, MANY, _INDEX_1) for rtol in extent.tolerances[-2:]]
     return [*found, *(Explicit(rtol, n, max_steps=MANY) for rtol in extent.tolerances)]
 
 

@@ -18,19 +18,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, final
+from typing import NamedTuple, final
 
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput
 
-from ancfdae.errors import SingularMatrix, Verdict, require_count
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import State, project
 from ancfdae.integrators.integrand import Points, Rule
-from ancfdae.integrators.integrator import require_rtol
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.numerics.arrays import Array, is_finite
-from ancfdae.protocol.solution import Solution
 
 # SciPy raises smaller ones to 100 eps with a warning.
 _LEAST_RTOL = 3e-14
@@ -51,49 +50,21 @@ _TOGETHER = 8
 class Explicit(HighOrder):
     """Explicit integration of order 8 with error control; for soft scenes.
 
-    The step is bounded by the highest frequency, so stiff scenes need many steps.
-
-    Parameters
-    ----------
-    rtol : float
-        Relative tolerance per step.
-    intervals : int
-        As in `HighOrder`.
-    max_steps : int
-        Steps of the whole run before it ends with an outcome; a small system takes 1,000 in a
-        second.
-
-    Raises
-    ------
-    InvalidInput
-        If a setting is out of range.
+    The step is bounded by the highest frequency, so stiff scenes need many steps; a small system
+    takes 1,000 in a second. Parameters: see `HighOrder`.
     """
 
-    # SciPy's solver is real wherever the start is, and would drop imaginary parts of the forces.
-    real_only: ClassVar[bool] = True
-
-    rtol: float = 1e-8
-    intervals: int = 64
     max_steps: int = 20_000
 
     def __post_init__(self) -> None:
-        """Validate."""
-        require_rtol("Explicit.rtol", self.rtol, _LEAST_RTOL)
-        require_count("Explicit.intervals", self.intervals, "64 is a good number.")
-        require_count("Explicit.max_steps", self.max_steps, "20000 is plenty.")
-
-    def refined(self, solution: Solution) -> Explicit:
-        """Return the integrator with a tenth of the tolerance."""
-        return replace(self, rtol=self.rtol / 10)
+        self.require_settings(_LEAST_RTOL)
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up DOP853."""
         return _ExplicitMarch(self, problem, t_end, quadrature)
 
 
-@final
-@dataclass(frozen=True)
-class _Stage:
+class _Stage(NamedTuple):
     """A state at which the rate was evaluated, with its multipliers."""
 
     t: float
@@ -102,9 +73,7 @@ class _Stage:
     lam_b: Array | None
 
 
-@final
-@dataclass(frozen=True)
-class _Step:
+class _Step(NamedTuple):
     """A step from left to right, the vector before it, and its stages that carry weight."""
 
     left: float
@@ -120,59 +89,57 @@ class _ExplicitMarch(March):
     def __init__(
         self, settings: Explicit, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
+        super().__init__(t_end, settings.max_steps)
         self._quadrature, self._stages = quadrature, list[_Stage]()
-        self._max_steps, self._problem, self._t_end = settings.max_steps, problem, t_end
-        self._progress, self._trouble = Progress(1.0), Verdict.ERROR_TEST
+        self._problem, self._trouble = problem, Verdict.ERROR_TEST
         system, s, b = problem.system, problem.scales, problem.derivative
         self._m = 0 if b is None else system.n_b
-        self.steps = self.iterations = self.factorisations = self.residuals = 0
         own = np.concatenate([s.q, s.v])[:, None]
         self._size = np.concatenate([own, own / s.b[: self._m]], axis=1)
         first = problem.initial
-        start = State(first.q, first.v)
-        if b is not None:
-            start = State(first.q, first.v, b.q_b, b.v_b)
+        start = State(first.q, first.v, *(b or ())[:2])
         self._between: DenseOutput | None = None
         self._rtol, self._steps = settings.rtol, list[_Step]()
         self._solver = self._new_solver(0.0, self._vector(start), 1.0)
         self._first = self._stages[0]
 
-    def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind, then interpolate."""
+    def _step(self) -> Verdict | None:
+        solver, y = self._solver, self._solver.y
+        self._trouble = Verdict.ERROR_TEST
+        self._stages.clear()
+        solver.step()
+        if solver.status == "failed":
+            return self._trouble
+        self.steps += 1
+        self._t, self._between = solver.t * self._t_end, None
+        self._accept(y)
+        return None
+
+    def _state(self, t: float) -> State:
         solver, s = self._solver, t / self._t_end
-        while solver.t < s:
-            if self.steps == self._max_steps:
-                return Verdict.STEP_LIMIT
-            self._trouble = Verdict.ERROR_TEST
-            self._stages.clear()
-            y = solver.y
-            solver.step()
-            if solver.status == "failed":
-                return self._trouble
-            if self._progress.stalls(solver.t):
-                return Verdict.ERROR_TEST
-            self.steps += 1
-            self._between = None
-            # The last twelve evaluations: stages 1 to 11, and the state after the step.
-            stages = [self._first, *self._stages[-12:]]
-            self._first = stages[-1]
-            if self._quadrature.wanted:
-                used = [stages[i] for i in _USED]
-                self._steps.append(_Step(solver.t_old, solver.t, y, used))
-                if len(self._steps) == _TOGETHER:
-                    self.finish()
-            if self._problem.system.n_lam:
-                solver.y = self._vector(self._projected(solver.t, solver.y))
-                solver.f = self._rate(solver.t, solver.y)
-                self._first = self._stages[-1]
         if solver.t == s:
             return self._point(solver.y)
         if self._between is None:
             self._between = solver.dense_output()
         return self._projected(s, self._between(s))
 
+    def _accept(self, y: Array) -> None:
+        """Keep the stages of a step from y for the integrals, and project its end."""
+        solver = self._solver
+        # The last twelve evaluations: stages 1 to 11, and the state after the step.
+        stages = [self._first, *self._stages[-12:]]
+        self._first = stages[-1]
+        if self._quadrature.wanted:
+            used = [stages[i] for i in _USED]
+            self._steps.append(_Step(solver.t_old, solver.t, y, used))
+            if len(self._steps) == _TOGETHER:
+                self.finish()
+        if self._problem.system.n_lam:
+            solver.y = self._vector(self._projected(solver.t, solver.y))
+            solver.f = self._rate(solver.t, solver.y)
+            self._first = self._stages[-1]
+
     def finish(self) -> None:
-        """Take the last steps into the integrals."""
         if self._steps:
             self._quadrature.add(self._points(self._steps))
             self._steps = []
@@ -184,9 +151,7 @@ class _ExplicitMarch(March):
         points = _stacked(_STAGES, h, [x.t for x in used], [x.state for x in used])
         lam_b = [x.lam_b for x in used if x.lam_b is not None]
         yield replace(
-            points,
-            lam=np.array([x.lam for x in used]),
-            lam_b=np.array(lam_b) if lam_b else None,
+            points, lam=np.array([x.lam for x in used]), lam_b=np.array(lam_b) if lam_b else None
         )
         dense = [self._repeated(x) for x in steps]
         for n in _PANELS:
@@ -208,17 +173,15 @@ class _ExplicitMarch(March):
         return DOP853(self._rate, s, y, end, first_step=first, rtol=rtol, atol=_SMALL * rtol)
 
     def residual(self) -> float:
-        """Return zero: an explicit step has no equations left over."""
-        return 0.0
+        return 0.0  # An explicit step has no equations left over.
 
     def _vector(self, point: State) -> Array:
         n_q = self._problem.system.n_q
-        columns = np.empty(self._size.shape, dtype=np.result_type(point.q, point.v))
+        columns = np.empty(self._size.shape)
         columns[:n_q, 0], columns[n_q:, 0] = point.q, point.v
         if point.q_b is not None and point.v_b is not None:
             columns[:n_q, 1:], columns[n_q:, 1:] = point.q_b, point.v_b
-        vector: Array = (columns / self._size).ravel()
-        return vector
+        return np.asarray((columns / self._size).ravel())
 
     def _point(self, y: Array) -> State:
         n_q = self._problem.system.n_q
@@ -251,8 +214,7 @@ class _ExplicitMarch(March):
         a, lam = accelerations.solve(t, x.q, x.v)
         rate, lam_b = State(x.v, a), None
         if x.q_b is not None and x.v_b is not None:
-            state = (x.q, x.v, a, lam)
-            a_b, lam_b = accelerations.solve_b(t, state, x.q_b, x.v_b)
+            a_b, lam_b = accelerations.solve_b(t, (x.q, x.v, a, lam), x.q_b, x.v_b)
             rate = State(x.v, a, x.v_b, a_b)
         vector = self._vector(rate) * self._t_end
         if not is_finite(vector):
@@ -262,9 +224,8 @@ class _ExplicitMarch(March):
 
 
 def _stacked(rule: Rule, h: Array, t: Sequence[float] | Array, states: list[State]) -> Points:
-    q, v = np.array([x.q for x in states]), np.array([x.v for x in states])
-    q_b = [x.q_b for x in states if x.q_b is not None]
-    v_b = [x.v_b for x in states if x.v_b is not None]
-    if not q_b:
-        return Points(rule, h, np.asarray(t), q, v)
-    return Points(rule, h, np.asarray(t), q, v, np.array(q_b), np.array(v_b))
+    arrays = [
+        np.array([getattr(x, name) for x in states])
+        for name in (("q", "v") if states[0].q_b is None else ("q", "v", "q_b", "v_b"))
+    ]
+    return Points(rule, h, np.asarray(t), *arrays)

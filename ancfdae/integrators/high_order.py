@@ -8,27 +8,21 @@ accurate than what a solver carries along. Integrals follow the steps, not the i
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self, final
 
 import numpy as np
 from tqdm import tqdm
 
-from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_positive
-from ancfdae.integrators.characteristic_sizes import Scales
-from ancfdae.integrators.index_1 import Accelerations, State
+from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_count
+from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrand import Integrand
-from ancfdae.integrators.integrator import QuadratureIntegrator
+from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import (
-    InitialSensitivity,
-    InitialState,
-    consistent_start,
-    saddle_point,
-    start_sensitivity,
-)
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.protocol import MechanicalSystem
@@ -42,12 +36,7 @@ _STEPS, _SHARE = 100, 1e-12
 
 @final
 class Progress:
-    """Watches the times that a solver reaches.
-
-    Parameters
-    ----------
-    t_end : float
-    """
+    """Watches the times that a solver reaches."""
 
     def __init__(self, t_end: float) -> None:
         self._mark, self._least, self._taken = 0.0, _SHARE * t_end, 0
@@ -70,74 +59,43 @@ class NotFinite(Exception):
     """Raised inside a callback to leave a solver; never reaches the user."""
 
 
-@final
-@dataclass(frozen=True)
-class Problem:
-    """A system at its consistent start.
-
-    Attributes
-    ----------
-    system : MechanicalSystem
-    initial : InitialState
-    derivative : InitialSensitivity or None
-        None where no sensitivities are asked for.
-    scales : Scales
-    accelerations : Accelerations
-    """
-
-    system: MechanicalSystem
-    initial: InitialState
-    derivative: InitialSensitivity | None
-    scales: Scales
-    accelerations: Accelerations
-
-    @staticmethod
-    def of(system: MechanicalSystem, t_end: float, sensitivities: bool) -> Problem:
-        """Find the consistent start.
-
-        Raises
-        ------
-        InvalidInput
-            Also if accelerations, multipliers or design derivatives at the start are not finite.
-        """
-        require_positive("t_end", t_end)
-        matrices = saddle_point(system, 0.0)
-        initial = consistent_start(system, matrices, 0.0)
-        _require_finite("accelerations at the start", initial.a, initial.lam)
-        derivative = None
-        if sensitivities:
-            with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
-                derivative = start_sensitivity(system, matrices, initial)
-            d = derivative
-            _require_finite("design derivatives at the start", d.q_b, d.v_b, d.a_b, d.lam_b)
-        scales = Scales.of(system, initial, t_end)
-        return Problem(system, initial, derivative, scales, Accelerations(system, matrices))
-
-
 class March(abc.ABC):
-    """One run of a solver, from instant to instant.
+    """One run of a solver, step by step, in a context; it counts as `Statistics` do."""
 
-    Attributes
-    ----------
-    steps, iterations, factorisations, residuals : int
-        As in `Statistics`.
-    """
+    def __init__(
+        self,
+        t_end: float,
+        max_steps: int,
+        context: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
+        self.steps = self.iterations = self.factorisations = self.residuals = 0
+        self._t, self._t_end, self._max_steps = 0.0, t_end, max_steps
+        self._progress, self._context = Progress(t_end), context
 
-    steps: int
-    iterations: int
-    factorisations: int
-    residuals: int
+    @final
+    def to(self, t: float) -> State | Verdict:
+        """Step until t lies behind; return the state there, or why it was not reached.
+
+        NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
+        """
+        with self._context():
+            while self._t < t:
+                if self.steps == self._max_steps:
+                    return Verdict.STEP_LIMIT
+                trouble = self._step()
+                if trouble is not None:
+                    return trouble
+                if self._progress.stalls(self._t):
+                    return Verdict.ERROR_TEST
+            return self._state(t)
 
     @abc.abstractmethod
-    def to(self, t: float) -> State | Verdict:
-        """Go on to the time t; return the state there, or why it was not reached.
+    def _step(self) -> Verdict | None:
+        """Take a step, or return why there is none."""
 
-        Raises
-        ------
-        NotFinite
-            If the equations yield NaN or infinity.
-        SingularMatrix
-        """
+    @abc.abstractmethod
+    def _state(self, t: float) -> State:
+        """Interpolate in the last step."""
 
     @abc.abstractmethod
     def finish(self) -> None:
@@ -151,19 +109,45 @@ class March(abc.ABC):
         """
 
 
+@dataclass(frozen=True)
 class HighOrder(QuadratureIntegrator):
     """An integrator that controls its error.
 
-    Attributes
+    Parameters
     ----------
     rtol : float
+        Relative tolerance per step.
     intervals : int
         Equal intervals of the run; each has nine Gauss-Lobatto instants, ends included. They
         say where the trajectory is reported, nothing else.
+    max_steps : int
+        Steps of the whole run before it ends with an outcome.
+
+    Raises
+    ------
+    InvalidInput
+        If a setting is out of range.
     """
 
-    rtol: float
-    intervals: int
+    # The solvers are real wherever the start is, and would drop imaginary parts of the forces.
+    real_only: ClassVar[bool] = True
+
+    rtol: float = 1e-8
+    intervals: int = 64
+    max_steps: int = 100_000
+
+    @final
+    def require_settings(self, least_rtol: float) -> None:
+        """Validate the settings that all have."""
+        name = type(self).__name__
+        require_rtol(f"{name}.rtol", self.rtol, least_rtol)
+        require_count(f"{name}.intervals", self.intervals, "64 is a good number.")
+        require_count(f"{name}.max_steps", self.max_steps, f"{type(self).max_steps} is plenty.")
+
+    @final
+    def refined(self, solution: Solution) -> Self:
+        """Return the integrator with a tenth of the tolerance."""
+        return replace(self, rtol=self.rtol / 10)
 
     @abc.abstractmethod
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
@@ -194,13 +178,17 @@ class HighOrder(QuadratureIntegrator):
         progress: bool = False,
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, integrals beside the motion."""
-        if self.real_only:
-            _refuse_complex(type(self).__name__, system)
-        problem = Problem.of(system, t_end, sensitivities)
+        if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
+            rule, got = "computes in real numbers", "a complex system"
+            raise InvalidInput(type(self).__name__, rule, got, "Use HHT.")
+        with np.errstate(all="ignore"):  # What is not finite is refused, not warned about.
+            problem = Problem.of(system, t_end)
+            problem = problem.differentiated() if sensitivities else problem
+        problem.require_finite()
         grid = TimeGrid.lobatto(t_end, self.intervals)
         recorder = Recorder(system, len(grid.t), grid.degree, sensitivities)
         recorder.accepted = 0
-        _record_start(problem, recorder)
+        recorder.record(*problem.initial, problem.derivative or ())
         verdict, march = Verdict.FINISHED, None
         quadrature = Quadrature(integrands, problem.accelerations, self.rtol)
         try:
@@ -230,34 +218,15 @@ class HighOrder(QuadratureIntegrator):
         return recorder.solution(Outcome(verdict, recorder.time, recorder.accepted, size))
 
 
-def _refuse_complex(name: str, system: MechanicalSystem) -> None:
-    if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
-        raise InvalidInput(name, "computes in real numbers", "a complex system", "Use HHT.")
-
-
-def _require_finite(what: str, *arrays: Array) -> None:
-    if not all(is_finite(x) for x in arrays):
-        raise InvalidInput(what, "must be finite", "NaN or infinity", "Check forces and start.")
-
-
-def _record_start(problem: Problem, recorder: Recorder) -> None:
-    """Store the consistent start as the first row."""
-    s, d = problem.initial, problem.derivative
-    derivatives = () if d is None else (d.q_b, d.v_b, d.a_b, d.lam_b)
-    recorder.record(0.0, s.q, s.v, s.a, s.lam, derivatives)
-
-
 def _record(problem: Problem, recorder: Recorder, t: float, point: State) -> None:
     """Complete a state by accelerations and multipliers, and store it."""
-    q, v = point.q, point.v
+    q, v, q_b, v_b = point.q, point.v, point.q_b, point.v_b
     a, lam = problem.accelerations.solve(t, q, v)
-    if not (is_finite(a) and is_finite(lam)):
+    found: tuple[Array, ...] = (a, lam)
+    derivatives: tuple[Array, ...] = ()
+    if q_b is not None and v_b is not None:
+        found += problem.accelerations.solve_b(t, (q, v, a, lam), q_b, v_b)
+        derivatives = (q_b, v_b, *found[2:])
+    if not all(is_finite(x) for x in found):
         raise NotFinite
-    if point.q_b is None or point.v_b is None:
-        recorder.record(t, q, v, a, lam)
-        return
-    q_b, v_b = point.q_b, point.v_b
-    a_b, lam_b = problem.accelerations.solve_b(t, (q, v, a, lam), q_b, v_b)
-    if not (is_finite(a_b) and is_finite(lam_b)):
-        raise NotFinite
-    recorder.record(t, q, v, a, lam, (q_b, v_b, a_b, lam_b))
+    recorder.record(t, q, v, a, lam, derivatives)

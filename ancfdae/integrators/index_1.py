@@ -35,13 +35,7 @@ _INVERTED_SIZE = 200
 @final
 @dataclass(frozen=True)
 class State:
-    """Coordinates and velocities with their design derivatives, or None without.
-
-    Attributes
-    ----------
-    q, v : array, shape (n_q,)
-    q_b, v_b : array, shape (n_q, n_b), or None
-    """
+    """Coordinates and velocities with their design derivatives, or None without."""
 
     q: Array
     v: Array
@@ -64,12 +58,7 @@ class Accelerations:
         self.factorisations = 0
 
     def factors(self, t: float, q: Array) -> Factorization:
-        """Return the factorised matrix at q.
-
-        Raises
-        ------
-        SingularMatrix
-        """
+        """Return the factorised matrix at q."""
         Phi_q = self._system.constraint_q(q, t)
         if self._factors is None or not self._unchanged(Phi_q):
             self._factors = self._matrices.factor(self._system.mass(q), Phi_q)
@@ -111,12 +100,7 @@ class Accelerations:
 def project(
     system: MechanicalSystem, accelerations: Accelerations, t: float, state: State
 ) -> State:
-    """Return the state moved onto the constraints.
-
-    Raises
-    ------
-    SingularMatrix
-    """
+    """Return the state moved onto the constraints."""
     factors = accelerations.factors(t, state.q)
     q = state.q - _nearest(factors, system.n_q, system.constraint(state.q, t))
     B, pattern = system.constraint_q(q, t), system.constraint_pattern

@@ -23,13 +23,8 @@ _COARSE = 0.1
 class Rule:
     """Quadrature on a panel of length one.
 
-    Attributes
-    ----------
-    weights : array, shape (p,)
-    error : array, shape (p,)
-        Weights minus those of a rule of lower order.
-    coarse : array, shape (p,)
-        The same for a rule of lower order yet; zero without one.
+    `error` is the weights minus those of a rule of lower order, `coarse` the same for a rule of
+    lower order yet; zero without one.
     """
 
     weights: Array
@@ -40,21 +35,10 @@ class Rule:
 @final
 @dataclass(frozen=True)
 class Points:
-    """States at the points of some panels, panel after panel, k in all.
+    """States at k points of some panels, panel after panel; h are the lengths of the panels.
 
-    Attributes
-    ----------
-    rule : Rule
-        Of each panel.
-    h : array, shape (number of panels,)
-        Lengths.
-    t : array, shape (k,)
-    q, v : array, shape (k, n_q)
-    q_b, v_b : array, shape (k, n_q, n_b), or None
-        None where no sensitivities are integrated.
-    lam : array, shape (k, n_lam), or None
-        None where no integrand asks for multipliers.
-    lam_b : array, shape (k, n_lam, n_b), or None
+    q, v and lam have the shape (k, n), q_b, v_b and lam_b (k, n, n_b). What is not asked for is
+    None.
     """
 
     rule: Rule
@@ -95,17 +79,9 @@ class Points:
 class Part:
     """What an integrand makes of a part of the run.
 
-    Attributes
-    ----------
-    duration : float
-    value : float
-    slopes : array, shape (n_b,)
-    size : array, shape (n,)
-        Integrals of what is integrated without their signs.
-    error : float
-        Estimated, relative to the size of the integral; nan if anything is not finite.
-    not_finite : float or None
-        Time of the first point at which anything is not finite.
+    `slopes` has the shape (n_b,); `size`, (n,), are integrals without signs. The error is
+    estimated, relative to the size of the integral, nan if anything is not finite; `not_finite` is
+    the time of the first such point.
     """
 
     duration: float

@@ -17,12 +17,8 @@ from ancfdae.protocol.solution import Solution
 class Integrator(abc.ABC):
     """Frozen settings of an integration method.
 
-    Attributes
-    ----------
-    real_only : bool
-        Whether it refuses systems at complex design values, as the complex step needs them.
-    order : int or None
-        Power of the step with which errors fall; None where a tolerance controls them.
+    `real_only` ones refuse systems at complex design values, as the complex step needs them;
+    `order` is the power of the step with which errors fall, None where a tolerance controls them.
     """
 
     real_only: ClassVar[bool] = False
@@ -31,25 +27,14 @@ class Integrator(abc.ABC):
     def frozen(self, solution: Solution) -> Integrator:
         """Return the integrator that repeats the steps of a run at another design.
 
-        Where steps follow from an error estimate they jump with the design, and differences of
-        runs show the jumps. `HHT` can repeat them; other integrators return themselves.
+        Steps that follow from an error estimate jump with the design, and differences of runs show
+        it. `HHT` can repeat them; other integrators return themselves.
         """
         return self
 
     @abc.abstractmethod
     def refined(self, solution: Solution) -> Integrator:
-        """Return the integrator of a more accurate run: half the step, or a tenth of the tolerance.
-
-        Parameters
-        ----------
-        solution : Solution
-            The run to be refined.
-
-        Raises
-        ------
-        InvalidInput
-            If there is no better setting.
-        """
+        """Return the integrator of a finer run: half the steps or a tenth of the tolerance."""
 
     @abc.abstractmethod
     def integrate(
@@ -60,16 +45,14 @@ class Integrator(abc.ABC):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate from t = 0 to `t_end`.
+        """Integrate from t = 0 to `t_end` (s).
 
         Parameters
         ----------
         system : MechanicalSystem
         t_end : float
-            End time; s.
         sensitivities : bool
-            Whether the design derivatives of the trajectory are integrated along
-            (direct differentiation).
+            Whether the design derivatives are integrated along (direct differentiation).
         progress : bool
             Whether to show a progress bar.
 
@@ -86,10 +69,7 @@ class Integrator(abc.ABC):
 
 
 class QuadratureIntegrator(Integrator):
-    """An integrator that takes integrals beside the motion, on points of its own.
-
-    Those of the others are sums over the instants of their solutions.
-    """
+    """An integrator that takes integrals beside the motion; others sum over their instants."""
 
     @abc.abstractmethod
     def integrate_with(
@@ -101,24 +81,15 @@ class QuadratureIntegrator(Integrator):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate as `integrate`, and feed the integrands on the way.
-
-        They are complete where the run reached `t_end`.
-        """
+        """Integrate, and feed the integrands; they are complete where the run reached `t_end`."""
 
 
 @final
 @dataclass(frozen=True)
 class Seeds:
-    """Partials of an objective in the states.
+    """Partials of an objective in the states of every instant, rows; None for none.
 
-    Attributes
-    ----------
-    q, v : array, shape (n_t, n_q), or None
-        Of every instant, rows; None for none.
-    lam : array, shape (n_t, n_lam), or None
-    densities : tuple of (float, Density)
-        Partials in integrals that a `QuadratureIntegrator` took beside the motion.
+    `densities` are the partials in integrals that a `QuadratureIntegrator` took beside the motion.
     """
 
     q: Array | None
@@ -132,30 +103,15 @@ class AdjointIntegrator(Integrator):
 
     @abc.abstractmethod
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
-        """Return the gradient of an objective from its partials in the states (adjoint).
+        """Return the gradient of an objective from its partials in the states (adjoint), (n_b,).
 
-        Parameters
-        ----------
-        system : MechanicalSystem
-        solution : Solution
-            A finished run of this integrator on this system.
-        seeds : Seeds
-            dPsi/dq, dPsi/dv, dPsi/dlam at every instant, and in integrals.
-
-        Returns
-        -------
-        array, shape (n_b,)
-            Without the explicit partial of the objective in b.
+        The solution is a finished run of this integrator on this system. The explicit partial of
+        the objective in b is left out.
         """
 
 
 def require_rtol(where: str, rtol: float, least: float) -> None:
-    """Refuse a relative tolerance outside the range that makes sense.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse a relative tolerance outside the range that makes sense."""
     require_positive(where, rtol)
     if not least <= rtol <= 1e-2:
         raise InvalidInput(where, f"must lie in [{least:.0e}, 1e-2]", rtol, "Try 1e-8.")

@@ -22,15 +22,7 @@ KRONROD = Rule(_W, _W - _LOBATTO, np.zeros(7))
 
 @final
 class Quadrature:
-    """Feeds integrands part by part.
-
-    Parameters
-    ----------
-    integrands : sequence of Integrand
-    accelerations : Accelerations
-        For multipliers at points that come without.
-    rtol : float
-    """
+    """Feeds integrands part by part; multipliers at points without come from `accelerations`."""
 
     def __init__(
         self, integrands: Sequence[Integrand], accelerations: Accelerations, rtol: float
@@ -46,11 +38,8 @@ class Quadrature:
     def add(self, choices: Iterable[Points]) -> None:
         """Take in the next part of the run.
 
-        Parameters
-        ----------
-        choices : iterable of Points
-            The same part on ever finer panels; each integrand takes the first on which its error
-            is within the tolerance, or the last.
+        The choices are the same part on ever finer panels; each integrand takes the first on which
+        its error is within the tolerance, or the last.
         """
         pending, unfinished = self._integrands, list[tuple[Integrand, Part]]()
         for choice in choices:

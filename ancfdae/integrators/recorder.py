@@ -16,24 +16,10 @@ from ancfdae.protocol.solution_parts import Sensitivities, Statistics
 
 @final
 class Recorder:
-    """Arrays that a run fills row by row, and the counters of its cost.
+    """Arrays that a run fills row by row, and the counters of its cost (`Statistics`).
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    rows : int
-        Number of instants, the start included; the arrays grow if there are more.
-    degree : int
-        Degree of the polynomials between the instants, see `Solution`.
-    sensitivities : bool
-        Whether design derivatives are recorded too.
-
-    Attributes
-    ----------
-    accepted : int or None
-        Accepted steps, where the instants are not the steps.
-    iterations, factorisations, residuals, round_off_steps, rejected : int
-        As in `Statistics`.
+    There are `rows` instants, the start included; the arrays grow if there are more. `accepted` are
+    the accepted steps where the instants, of a solution of this degree, are not the steps.
 
     Raises
     ------
@@ -42,21 +28,15 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        system: MechanicalSystem,
-        rows: int,
-        degree: int = 1,
-        sensitivities: bool = False,
+        self, system: MechanicalSystem, rows: int, degree: int = 1, sensitivities: bool = False
     ) -> None:
         self._system, self._degree = system, degree
         dtype = np.result_type(system.b, system.start()[0], float)
         sizes = (system.n_q, system.n_q, system.n_q, system.n_lam)
-        self._derivatives: list[Array] = []
         try:
-            self._t = np.zeros(rows)
-            self._state = [np.zeros((rows, n), dtype=dtype) for n in sizes]
+            self._arrays = [np.zeros(rows), *(np.zeros((rows, n), dtype=dtype) for n in sizes)]
             if sensitivities:
-                self._derivatives = [np.zeros((rows, n, system.n_b)) for n in sizes]
+                self._arrays += [np.zeros((rows, n, system.n_b)) for n in sizes]
         except MemoryError as error:
             raise InvalidInput(
                 "trajectory",
@@ -78,7 +58,7 @@ class Recorder:
     @property
     def time(self) -> float:
         """Time of the last recorded instant."""
-        return float(self._t[max(self._rows - 1, 0)])
+        return float(self._arrays[0][max(self._rows - 1, 0)])
 
     def record(
         self,
@@ -94,12 +74,9 @@ class Recorder:
         The row counts only when all of it is stored, so that an interrupt leaves whole rows.
         """
         row = self._rows
-        if row == len(self._t):
-            self._grow()
-        self._t[row] = t
-        for array, value in zip(self._derivatives, derivatives, strict=True):
-            array[row] = value
-        for array, value in zip(self._state, (q, v, a, lam), strict=True):
+        if row == len(self._arrays[0]):
+            self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
+        for array, value in zip(self._arrays, (t, q, v, a, lam, *derivatives), strict=True):
             array[row] = value
         self._rows = row + 1
 
@@ -107,26 +84,12 @@ class Recorder:
         """Forget all instants but the first."""
         self._rows = 1
 
-    def _grow(self) -> None:
-        """Double the room."""
-
-        def longer(x: Array) -> Array:
-            return np.concatenate([x, np.zeros_like(x)])
-
-        self._state = [longer(x) for x in self._state]
-        self._derivatives = [longer(x) for x in self._derivatives]
-        self._t = longer(self._t)
-
     def solution(self, outcome: Outcome) -> Solution:
         """Return what was recorded."""
-        rows, system = self._rows, self._system
-        q, v, a, lam = (array[:rows] for array in self._state)
-        own = None
-        if self._derivatives:
-            parts = (array[:rows] for array in self._derivatives)
-            own = Sensitivities(system.design_names, system.b, *parts)
+        system = self._system
+        t, q, v, a, lam, *own = (array[: self._rows] for array in self._arrays)
         return Solution(
-            t=self._t[:rows],
+            t=t,
             q=q,
             v=v,
             a=a,
@@ -142,6 +105,6 @@ class Recorder:
             ),
             outcome=outcome,
             naming=system.naming,
-            sensitivities=own,
+            sensitivities=Sensitivities(system.design_names, system.b, *own) if own else None,
             degree=self._degree,
         )

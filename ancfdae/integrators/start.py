@@ -13,8 +13,7 @@ stand, so they are exact for projected starts too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -38,17 +37,8 @@ _DEPENDENT = 1e-11
 _PROJECTION_ITERATIONS = 50
 
 
-@final
-@dataclass(frozen=True)
-class InitialState:
-    """Consistent start at one instant.
-
-    Attributes
-    ----------
-    t : float
-    q, v, a : array, shape (n_q,)
-    lam : array, shape (n_lam,)
-    """
+class InitialState(NamedTuple):
+    """Consistent start at one instant."""
 
     t: float
     q: Array
@@ -57,9 +47,7 @@ class InitialState:
     lam: Array
 
 
-@final
-@dataclass(frozen=True)
-class InitialSensitivity:
+class InitialSensitivity(NamedTuple):
     """Design derivatives of an `InitialState`; shapes (n_q, n_b) and (n_lam, n_b)."""
 
     q_b: Array
@@ -69,13 +57,7 @@ class InitialSensitivity:
 
 
 def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
-    """Check the constraints at the start and return the system's saddle-point matrices.
-
-    Raises
-    ------
-    RedundantConstraints
-        If constraint rows are linearly dependent.
-    """
+    """Return the saddle-point matrices of a system; RedundantConstraints if rows are dependent."""
     q, _ = system.start()
     values = system.constraint_q(q, t)
     _refuse_redundant(system, values)
@@ -85,13 +67,8 @@ def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
 def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) -> InitialState:
     """Solve steps 1 to 3 of the module description.
 
-    Raises
-    ------
-    InconsistentStart
-        If the declared start violates a constraint and `project_start` is false, or if the
-        projection does not converge.
-    InvalidInput
-        If the start or the forces at it are not finite.
+    InconsistentStart if the declared start violates a constraint and `project_start` is false, or
+    if the projection does not converge; InvalidInput if it or the forces at it are not finite.
     """
     q, v = system.start()
     if not (is_finite(q) and is_finite(v)):
@@ -125,24 +102,19 @@ def start_sensitivity(
     system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
 ) -> InitialSensitivity:
     """Differentiate `consistent_start` in the design variables."""
-    t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
+    t, q, v, a, lam = state
     q_start, v_start = system.start()
     q_sb, v_sb = system.start_b()
-    sigma_q = _project_position(system, matrices, q_start, t)[1]
+    sigma_q, moving, sigma_v, factors = _projections(system, matrices, state)
 
     # 1. With s = sigma_q,
     # (M + (Phi_q^T s)_q) q_b + Phi_q^T s_b = M q_sb - M_total (q - q_start) - (Phi_q^T s)_b
-    K, B = system.mass(q_start), system.constraint_q(q, t)
-    if not system.linear_constraints:
-        K = K + system.constraint_force_q(q, sigma_q, t)
     right = system.mass_times(q_start, q_sb)
     right = right - inertia_total(system, q_start, q - q_start, q_sb)
     right = right - system.constraint_force_b(q, sigma_q, t)
-    q_b, _ = solve(matrices.factor(K, B), right, -system.constraint_b(q, t))
+    q_b, _ = solve(moving, right, -system.constraint_b(q, t))
 
     # 2. M v_b + Phi_q^T s_b = M v_sb - M_total (v - v_start) - (Phi_q^T s)_total, s = sigma_v
-    factors = _factor_mass(system, matrices, q, t)
-    sigma_v = solve(factors, system.mass_times(q, v_start - v), np.zeros(system.n_lam))[1]
     right = system.mass_times(q, v_sb) - inertia_total(system, q, v - v_start, q_b)
     right = right - constraint_force_total(system, q, sigma_v, t, q_b)
     side = system.velocity_side_total(q, t, q_b) - system.constraint_q_times_total(q, v, t, q_b)
@@ -153,17 +125,21 @@ def start_sensitivity(
     return InitialSensitivity(q_b, v_b, a_b, lam_b)
 
 
-@final
-@dataclass(frozen=True)
-class Covectors:
-    """Derivatives of a number in the consistent start, and what goes past it to the design.
+def _projections(
+    system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
+) -> tuple[Array, Factorization, Array, Factorization]:
+    """Return sigma_q with the matrix of 1, and sigma_v with that of 2 and 3."""
+    q_start, v_start = system.start()
+    sigma_q = _project_position(system, matrices, q_start, state.t)[1]
+    moving = _factor_position(system, matrices, q_start, state.q, sigma_q, state.t)
+    factors = _factor_mass(system, matrices, state.q, state.t)
+    right = system.mass_times(state.q, v_start - state.v)
+    sigma_v = solve(factors, right, np.zeros(system.n_lam))[1]
+    return sigma_q, moving, sigma_v, factors
 
-    Attributes
-    ----------
-    q, v, a : array, shape (n_q,)
-    lam : array, shape (n_lam,)
-    b : array, shape (n_b,)
-    """
+
+class Covectors(NamedTuple):
+    """Derivatives of a number in the consistent start, and what goes past it to the design."""
 
     q: Array
     v: Array
@@ -173,13 +149,53 @@ class Covectors:
 
     def plus(self, other: Covectors) -> Covectors:
         """Add."""
-        return Covectors(
-            self.q + other.q,
-            self.v + other.v,
-            self.a + other.a,
-            self.lam + other.lam,
-            self.b + other.b,
+        return Covectors(*(x + y for x, y in zip(self, other, strict=True)))
+
+
+@final
+class AccelerationsAdjoint:
+    """Transpose of the derivatives of a and lam in q, v and b at one instant.
+
+    With g_1 = M a + Phi_q^T lam - Q, g_2 = Phi_q a - gamma, and mu and zeta from covectors on a and
+    lam by a solve with the transposed matrix,
+
+        on_q = -((g_1)_q^T mu + (g_2)_q^T zeta)     (g_2)_q = d^2Phi_q/dt^2
+        on_v = -((g_1)_v^T mu + (g_2)_v^T zeta)     (g_2)_v = 2 dPhi_q/dt
+        on_b = -((g_1)_b^T mu + (g_2)_b^T zeta).
+    """
+
+    def __init__(
+        self, system: MechanicalSystem, factors: Factorization, state: InitialState
+    ) -> None:
+        self._system, self._factors, self.state = system, factors, state
+        t, q, v, a, lam = state
+        self._t, self._states = np.array([t]), (q[None], v[None], a[None], lam[None])
+        self._local = system.linearise(self._t, *self._states)
+        self.rate = system.constraint_q_rate(q, v, t)
+        self._second_rate = system.constraint_q_second_rate(q, v, a, t)
+
+    def pull_back(self, on_a: Array, on_lam: Array) -> tuple[Array, Array, Array]:
+        """Return on_q, on_v and on_b."""
+        mu, zeta = solve_transposed(self._factors, on_a, on_lam)
+        system, (t, q, v, a, lam) = self._system, self.state
+        on_b = -system.pull_back(self._t, self._states, (mu[None], np.zeros_like(lam[None])))
+        on_b = on_b - zeta @ system.constraint_rate_b(t, q, v, a)
+        return *self._on_states(mu, zeta), on_b
+
+    def matrices(self) -> tuple[Array, Array]:
+        """Return the derivatives of on_q and on_v in on_a, shape (n_q, n_q)."""
+        n_q, n_lam = self._system.n_q, self._system.n_lam
+        return self._on_states(
+            *solve_transposed(self._factors, np.eye(n_q), np.zeros((n_lam, n_q)))
         )
+
+    def _on_states(self, mu: Array, zeta: Array) -> tuple[Array, Array]:
+        K, B = self._system.pattern.dot_transposed, self._system.constraint_pattern.dot_transposed
+        on_q = -K(self._local.f_q[0], mu) - B(self._second_rate, zeta)
+        on_v = -2 * B(self.rate, zeta)
+        if self._local.f_v is not None:
+            on_v = on_v - K(self._local.f_v[0], mu)
+        return on_q, on_v
 
 
 def pull_back_start(
@@ -188,40 +204,27 @@ def pull_back_start(
     """Return the design derivative of a number through the start, shape (n_b,).
 
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
-    and 1, whatever the number of design variables. With Phi'' = Phi_q a - gamma and
-    Phi' = Phi_q v - nu the rules are (Phi'')_q = Phi_q'', (Phi'')_v = 2 Phi_q', (Phi')_q = Phi_q'.
+    and 1, whatever the number of design variables. With Phi' = Phi_q v - nu, (Phi')_q = Phi_q'.
     """
-    t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
+    t, q, v, _, lam = state
     q_start, v_start = system.start()
-    K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
-    at, factors, none = np.array([t]), _factor_mass(system, matrices, q, t), np.zeros_like(lam)
-    local = system.linearise(at, q[None], v[None], a[None], lam[None])
-    rate = system.constraint_q_rate(q, v, t)
+    sigma_q, moving, sigma_v, factors = _projections(system, matrices, state)
+    B, none = system.constraint_pattern.dot_transposed, np.zeros_like(lam)
 
-    m, z = solve_transposed(factors, on.a, on.lam)
-    on_q = on.q - K(local.f_q[0], m) - B(system.constraint_q_second_rate(q, v, a, t), z)
-    on_v = on.v - 2 * B(rate, z)
-    if local.f_v is not None:
-        on_v = on_v - K(local.f_v[0], m)
-    states = (q[None], v[None], a[None], lam[None])
-    on_b = on.b - z @ system.constraint_rate_b(t, q, v, a)
-    on_b = on_b - system.pull_back(at, states, (m[None], none[None]))
+    accelerations = AccelerationsAdjoint(system, factors, state)
+    through = accelerations.pull_back(on.a, on.lam)
+    on_q, on_v, on_b = on.q + through[0], on.v + through[1], on.b + through[2]
 
     m, z = solve_transposed(factors, on_v, none)
-    sigma_v = solve(factors, system.mass_times(q, v_start - v), none)[1]
-    on_q = on_q - curvature(system, t, q, v - v_start, sigma_v, m) - B(rate, z)
+    on_q = on_q - curvature(system, t, q, v - v_start, sigma_v, m)
+    on_q = on_q - B(accelerations.rate, z)
     on_b = on_b - z @ system.constraint_rate_b(t, q, v)
     on_b = on_b - system.pull_back_inertia(t, q, v - v_start, sigma_v, m)
     on_v_start = system.mass_times(q, m)
 
-    sigma_q = _project_position(system, matrices, q_start, t)[1]
-    K_start = system.mass(q_start)
-    if not system.linear_constraints:
-        K_start = K_start + system.constraint_force_q(q, sigma_q, t)
-    m, z = solve_transposed(matrices.factor(K_start, system.constraint_q(q, t)), on_q, none)
+    m, z = solve_transposed(moving, on_q, none)
     moved = q - q_start
-    on_q_start = system.mass_times(q_start, m)
-    on_q_start = on_q_start - curvature(system, t, q_start, moved, none, m)
+    on_q_start = system.mass_times(q_start, m) - curvature(system, t, q_start, moved, none, m)
     on_b = on_b - z @ system.constraint_b(q, t)
     on_b = on_b - system.pull_back_inertia(t, q_start, moved, none, m)
     on_b = on_b - system.pull_back_inertia(t, q, np.zeros_like(q), sigma_q, m)
@@ -248,9 +251,23 @@ def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Arr
 
 
 def solve_transposed(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
-    """Solve with the transposed saddle-point matrix; returns the two parts of the solution."""
+    """Solve with the transposed matrix; returns the two parts of the solution."""
     x = factors.solve_transposed(np.concatenate([force, side]))
     return x[: len(force)], x[len(force) :]
+
+
+def _factor_position(
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    q_start: Array,
+    q: Array,
+    sigma_q: Array,
+    t: float,
+) -> Factorization:
+    K = system.mass(q_start)
+    if not system.linear_constraints:
+        K = K + system.constraint_force_q(q, sigma_q, t)
+    return matrices.factor(K, system.constraint_q(q, t))
 
 
 def _factor_mass(
@@ -277,12 +294,9 @@ def _project_position(
     q, sigma_q = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
     scale, settled = real_norm(q_start, system.weights), 0
     for _ in range(_PROJECTION_ITERATIONS):
-        K = system.mass(q_start)
-        if not system.linear_constraints:
-            K = K + system.constraint_force_q(q, sigma_q, t)
         force = system.mass_times(q_start, q_start - q) - system.constraint_force(q, sigma_q, t)
         try:
-            factors = matrices.factor(K, system.constraint_q(q, t))
+            factors = _factor_position(system, matrices, q_start, q, sigma_q, t)
         except SingularMatrix:
             _refuse_redundant(system, system.constraint_q(q, t))
             break

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Self, final
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,18 +14,10 @@ from ancfdae.numerics.arrays import Array
 _RELATIVE, _ABSOLUTE = 1e-12, 1e-20
 
 
-@final
-@dataclass(frozen=True)
-class Motion:
-    """State at one instant, or a change of it.
+class Motion(NamedTuple):
+    """State at one instant, or a change of it; what a quantity does not depend on is zero.
 
-    Attributes
-    ----------
-    q, v, a : array, shape (n_q,)
-        What a quantity does not depend on is zero.
-    lam : array, shape (n_lam,)
-    t : float or complex
-        Real in the protocol; complex only while derivatives are taken.
+    t is real in the protocol, and complex only while derivatives are taken.
     """
 
     q: Array
@@ -35,50 +26,30 @@ class Motion:
     lam: Array
     t: Any
 
-    def at(self, s: complex) -> Self:
+    def at(self, s: complex) -> Motion:
         """Move on by the time s with the acceleration held."""
         q = self.q + s * (self.v + (0.5 * s) * self.a)
-        return type(self)(q, self.v + s * self.a, self.a, self.lam, self.t + s)
+        return Motion(q, self.v + s * self.a, self.a, self.lam, self.t + s)
 
-    def plus(self, e: complex, change: Self) -> Self:
+    def plus(self, e: complex, change: Motion) -> Motion:
         """Add e times a change."""
-        return type(self)(
-            self.q + e * change.q,
-            self.v + e * change.v,
-            self.a + e * change.a,
-            self.lam + e * change.lam,
-            self.t + e * change.t,
-        )
+        return Motion(*(x + e * dx for x, dx in zip(self, change, strict=True)))
 
     @property
     def is_zero(self) -> bool:
         """Whether every part is zero."""
-        return not any(np.any(x) for x in (self.q, self.v, self.a, self.lam, self.t))
+        return not any(np.any(x) for x in self)
 
-    def parts(self) -> tuple[Self, Self]:
-        """Real part, and imaginary part as a change.
-
-        Raises
-        ------
-        InvalidInput
-            If the imaginary part is more than the perturbation of a complex step.
-        """
-        values = (self.q, self.v, self.a, self.lam)
+    def parts(self) -> tuple[Motion, Motion]:
+        """Return the real part, and the imaginary part as a change; see `require_perturbation`."""
         # Everything is linear in a and lam, where any complex number is treated exactly.
         require_perturbation("q", self.q)
         require_perturbation("v", self.v)
-        q, v, a, lam = values
-        real = type(self)(q.real, v.real, a.real, lam.real, np.real(self.t))
-        return real, type(self)(q.imag, v.imag, a.imag, lam.imag, np.imag(self.t))
+        return Motion(*map(np.real, self)), Motion(*map(np.imag, self))
 
 
 def require_perturbation(name: str, x: Array) -> None:
-    """Refuse complex numbers whose imaginary part is too large for a complex step.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse complex numbers whose imaginary part is too large for a complex step."""
     if x.dtype.kind != "c":
         return
     size, imaginary = (np.max(np.abs(part), initial=0.0) for part in (x.real, x.imag))

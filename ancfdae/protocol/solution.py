@@ -34,9 +34,7 @@ class Solution:
     t : array, shape (n_t,)
         Times; a run that failed holds what was reached.
     q, v, a : array, shape (n_t, n_q)
-        Coordinates, velocities and accelerations at these times.
     lam : array, shape (n_t, n_lam)
-        Multipliers.
     statistics : Statistics
     outcome : Outcome
     naming : Naming or None
@@ -68,19 +66,9 @@ class Solution:
         return self._nodes(self.q, beam)
 
     def position(self, point: Point) -> Array:
-        """Position of a material point, shape (n_t, d).
+        """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
 
-        Parameters
-        ----------
-        point : Point
-            For example ``rod.at_end``, ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such beam.
-        InvalidInput
-            If it is no point, or its z is not zero in the plane.
+        UnknownName if there is no such beam, InvalidInput if its z is not zero in the plane.
         """
         return self._vector(self.q, point, Quantity.POSITION)
 
@@ -107,15 +95,9 @@ class Solution:
         return self.lam[:, place.first_row : place.first_row + place.rows]
 
     def reaction(self, joint: str) -> Array:
-        """Force of a joint on its first point, shape (n_t, d).
+        """Force of a joint on its first point, shape (n_t, d): minus its multipliers (eq. 1).
 
-        For joints whose first d equations equate positions: the force is minus their
-        multipliers (eq. 1).
-
-        Raises
-        ------
-        InvalidInput
-            If the joint is of another kind; see `multipliers`.
+        InvalidInput if its first equations do not equate positions; see `multipliers`.
         """
         layout = self._known_naming().layout
         if not layout.joint(joint).holds_position:
@@ -128,18 +110,11 @@ class Solution:
         return -self.multipliers(joint)[:, : layout.d]
 
     def derivative(self, function: Callable[[Solution], Array]) -> Array:
-        """Total design derivative of anything computed from a solution.
+        """Total design derivative of anything computed from a solution, shape (n_t, ..., n_b).
 
-        Parameters
-        ----------
-        function : callable
-            Takes a solution and returns an array, shape (n_t, ...); written with operations
-            that accept complex numbers (no abs, norm or comparison). It is evaluated at
-            q + i eps q_b, which is exact to round-off.
-
-        Returns
-        -------
-        array, shape (n_t, ..., n_b)
+        The function takes a solution and returns an array, shape (n_t, ...), by operations that
+        accept complex numbers (no abs, norm or comparison): it is evaluated at q + i eps q_b, which
+        is exact to round-off.
 
         Raises
         ------
@@ -149,17 +124,14 @@ class Solution:
         s, naming = self._known_sensitivities(), self.naming
         if not s.names:
             return np.zeros((*np.shape(function(self)), 0))
-        columns = []
+        columns, states_b = [], {"q": s.q_b, "v": s.v_b, "a": s.a_b, "lam": s.lam_b}
         for i in range(len(s.names)):
             if naming is not None and self.naming is not None:
                 lengths = self.naming.lengths + 1j * _STEP * naming.lengths_b[:, i]
                 naming = replace(self.naming, lengths=lengths)
             shifted = replace(
                 self,
-                q=self.q + 1j * _STEP * s.q_b[..., i],
-                v=self.v + 1j * _STEP * s.v_b[..., i],
-                a=self.a + 1j * _STEP * s.a_b[..., i],
-                lam=self.lam + 1j * _STEP * s.lam_b[..., i],
+                **{x: getattr(self, x) + 1j * _STEP * x_b[..., i] for x, x_b in states_b.items()},
                 naming=naming,
                 sensitivities=None,
             )
@@ -177,20 +149,10 @@ class Solution:
     def at(self, times: Sequence[float]) -> Solution:
         """Return the solution at asked times, by interpolation of the order of its integrator.
 
-        Between the steps of HHT: coordinates by the cubic through q and v at both ends, velocities
-        by that through v and a, accelerations and multipliers linearly. Between Gauss-Lobatto
-        instants: the polynomial of a panel. Derivatives are interpolated alike. Statistics,
-        outcome and estimated errors stay those of the run.
-
-        Parameters
-        ----------
-        times : sequence of float
-            Increasing, within the run; s.
-
-        Raises
-        ------
-        InvalidInput
-            If they are not.
+        The times increase and lie within the run; s. Between the steps of HHT: coordinates by the
+        cubic through q and v at both ends, velocities by that through v and a, accelerations and
+        multipliers linearly. Between Gauss-Lobatto instants: the polynomial of a panel. Derivatives
+        alike. Statistics, outcome and estimated errors stay those of the run.
         """
         asked = np.array(times, dtype=float, ndmin=1)
         good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))
@@ -220,12 +182,7 @@ class Solution:
         ]
 
     def design_index(self, name: str) -> int:
-        """Return the place of a design variable in the last axis of every sensitivity.
-
-        Raises
-        ------
-        UnknownName
-        """
+        """Return the place of a design variable in the last axis of every sensitivity."""
         names = self._known_sensitivities().names
         if name not in names:
             raise UnknownName("design variable", name, names)
@@ -266,32 +223,16 @@ class Solution:
     def with_sensitivities(
         self, own: Sensitivities, verdict: Verdict, steps: int, seconds: float
     ) -> Solution:
-        """Return the solution with derivatives, cut to the steps that have them.
+        """Return the solution with derivatives, cut to the `steps` that have them.
 
-        Parameters
-        ----------
-        own : Sensitivities
-        verdict : Verdict
-            How the pass ended; the outcome of the run stays if it finished.
-        steps : int
-            Steps with derivatives.
-        seconds : float
-            Time of the pass, added to the statistics.
+        The verdict tells how the pass ended, its seconds are added to the statistics.
         """
         outcome = self.outcome
         if verdict is not Verdict.FINISHED:
             outcome = Outcome(verdict, float(self.t[steps]), steps, 0.0)
-        rows = slice(steps + 1)
-        return replace(
-            self.with_pass(steps, seconds),
-            t=self.t[rows],
-            q=self.q[rows],
-            v=self.v[rows],
-            a=self.a[rows],
-            lam=self.lam[rows],
-            outcome=outcome,
-            sensitivities=own,
-        )
+        kept = {x: getattr(self, x)[: steps + 1] for x in ("t", "q", "v", "a", "lam")}
+        full = self.with_pass(steps, seconds)
+        return replace(full, **kept, outcome=outcome, sensitivities=own)
 
     def with_pass(self, factorisations: int, seconds: float) -> Solution:
         """Return the solution with the cost of a pass over it added to the statistics."""
@@ -305,34 +246,19 @@ class Solution:
     # -- files and text ------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the solution to one file, complete or not at all, and return its path.
-
-        Parameters
-        ----------
-        path : path-like
-            By convention with the ending ``.npz``.
-        """
+        """Write the solution to one file (``.npz``), complete or not at all; return its path."""
         return solution_file.write(Path(path), vars(self))
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Solution:
-        """Read a solution written by `save`.
-
-        Raises
-        ------
-        InvalidInput
-            If the file is not such a solution.
-        """
+        """Read a solution written by `save`; InvalidInput if the file is no such solution."""
         return Solution(**solution_file.read(Path(path)))
 
     def __repr__(self) -> str:
-        """Return sizes, outcome and design variables."""
         own, errors = self.sensitivities, self.estimated_errors
-        sizes = (
-            f"Solution: {len(self.t)} instants from t = {self.t[0]:.6g} to {self.t[-1]:.6g}, "
-            f"{self.q.shape[1]} coordinates, {self.lam.shape[1]} multipliers"
-        )
-        lines = [sizes, str(self.outcome)]
+        span = f"{len(self.t)} instants from t = {self.t[0]:.6g} to {self.t[-1]:.6g}"
+        sizes = f"{self.q.shape[1]} coordinates, {self.lam.shape[1]} multipliers"
+        lines = [f"Solution: {span}, {sizes}", str(self.outcome)]
         lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
         lines += [] if errors is None else [repr(errors)]
         return "\n".join(lines)

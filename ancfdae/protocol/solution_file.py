@@ -44,13 +44,7 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Return the fields of a solution.
-
-    Raises
-    ------
-    InvalidInput
-        If the file is not one written by `write`.
-    """
+    """Return the fields of a solution; InvalidInput if the file is not one written by `write`."""
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:

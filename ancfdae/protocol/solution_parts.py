@@ -19,22 +19,16 @@ class Statistics:
 
     Attributes
     ----------
-    steps : int
-        Accepted steps.
-    iterations : int
-        Newton iterations.
+    steps, rejected : int
+        Accepted steps, and steps of `HHT` repeated with a smaller size.
+    iterations, residuals : int
+        Newton iterations, and evaluations of the residual.
     factorisations : int
-        Factorised iteration matrices; those of passes for derivatives too, but for the pass back
-        of IDAS, which does not tell.
-    residuals : int
-        Evaluations of the residual.
+        Those of passes for derivatives too, but for the pass back of IDAS, which does not tell.
     round_off_steps : int
         Steps of `HHT` whose Newton corrections stopped shrinking, at round-off, above the
         tolerance, or that round-off of the elastic forces leaves less than seven digits.
     wall_seconds : float
-        Elapsed time of the integration.
-    rejected : int
-        Steps of `HHT` repeated with a smaller size; SUNDIALS and SciPy do not tell.
     """
 
     steps: int
@@ -71,7 +65,6 @@ class EstimatedErrors:
     derivatives: tuple[float, ...] | None = None
 
     def __repr__(self) -> str:
-        """Return the errors on one line."""
         own = (
             "not computed"
             if self.derivatives is None
@@ -83,15 +76,9 @@ class EstimatedErrors:
 @final
 @dataclass(frozen=True)
 class Sensitivities:
-    """Total derivatives of a trajectory in the design variables.
+    """Total derivatives of a trajectory in the design variables of given values.
 
-    Attributes
-    ----------
-    names : tuple of str
-    values : array, shape (n_b,)
-        Design variables and their values.
-    q_b, v_b, a_b : array, shape (n_t, n_q, n_b)
-    lam_b : array, shape (n_t, n_lam, n_b)
+    q_b, v_b, a_b have the shape (n_t, n_q, n_b), lam_b (n_t, n_lam, n_b).
     """
 
     names: tuple[str, ...]
@@ -102,7 +89,6 @@ class Sensitivities:
     lam_b: Array
 
     def __repr__(self) -> str:
-        """Return the variables, their values and the size of the derivatives of q."""
         largest = np.max(np.abs(self.q_b), axis=(0, 1), initial=0.0)
         rows = zip(self.names, _short(self.values), _short(largest), strict=True)
         head = ("design variable", "value", "largest |q_b|")

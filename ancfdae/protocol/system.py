@@ -6,8 +6,7 @@ Q holds every force that is not inertia M a: for a mass that depends on q, the
 quadratic velocity forces too.
 
 Integrators and sensitivity methods see this and nothing else: no beam, no
-joint. Matrices are value vectors on a fixed `Pattern`; for a small system of
-your own use ``Pattern.full((n, n))`` and return ``matrix.ravel()``.
+joint. Matrices are value vectors on a fixed `Pattern`, by default ``matrix.ravel()``.
 
 A partial ``X_y`` has shape X.shape + y.shape. A name that ends in ``_total``
 is the derivative in the design variables *along* given derivatives of its
@@ -37,17 +36,10 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class Linearisation:
-    """Jacobians at k instants as values on the system's patterns.
+    """Jacobians at k instants as values on the system's patterns, shape (k, nnz).
 
-    Attributes
-    ----------
-    M : array, shape (k, nnz) or (1, nnz)
-        One row if the mass is constant.
-    f_q : array, shape (k, nnz)
-        f = M a + Phi_q^T lam - Q with a held.
-    f_v : array, shape (k, nnz), or None
-        None where f does not depend on v.
-    Phi_q : array, shape (k, nnz of the constraint pattern)
+    f = M a + Phi_q^T lam - Q with a held. M has one row if the mass is constant; f_v is None where
+    f does not depend on v.
     """
 
     M: Array
@@ -61,11 +53,7 @@ class Linearisation:
 class DesignPartials:
     """Design partials at k instants with everything else held.
 
-    Attributes
-    ----------
-    f_b : array, shape (k, n_q, n_b)
-        (M a)_b + (Phi_q^T lam)_b - Q_b.
-    Phi_b : array, shape (k, n_lam, n_b)
+    f_b = (M a)_b + (Phi_q^T lam)_b - Q_b has the shape (k, n_q, n_b), Phi_b (k, n_lam, n_b).
     """
 
     f_b: Array
@@ -77,14 +65,11 @@ class MechanicalSystem(abc.ABC):
 
     Attributes
     ----------
-    n_q, n_lam : int
-        Numbers of coordinates and constraints.
+    n_q, n_lam, n_b : int
+        Numbers of coordinates, constraints and design variables.
     design_names : tuple of str
-        Names of the design variables.
     b : array, shape (n_b,)
-        Their values; complex in a complex-step run.
-    n_b : int
-        Number of design variables; by default of their names.
+        Values of the design variables; complex in a complex-step run.
     pattern : Pattern
         Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q together; full by default.
     constraint_pattern : Pattern
@@ -166,16 +151,8 @@ class MechanicalSystem(abc.ABC):
     def along(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
         """Differentiate in the design variables along given derivatives of states.
 
-        Parameters
-        ----------
-        value : callable
-            ``value(system, *states)``; exact in complex numbers.
-        *states : pair of array, shape (n,) and (n, n_b)
-            States with their derivatives.
-
-        Returns
-        -------
-        array, shape of the value + (n_b,)
+        `value(system, *states)` is exact in complex numbers; every state, shape (n,), comes with
+        its derivative, (n, n_b). The result has the shape of the value + (n_b,).
         """
         columns = [
             np.imag(value(self.moved(i), *(x + 1j * STEP * x_b[:, i] for x, x_b in states)))
@@ -186,10 +163,7 @@ class MechanicalSystem(abc.ABC):
         return np.asarray(np.stack(columns, axis=-1) / STEP)
 
     def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
-        """Differentiate in the numbers of x; values on a pattern.
-
-        What is imaginary already, in a complex-step run, does not count.
-        """
+        """Differentiate in the numbers of x; what is imaginary already does not count."""
         still = np.imag(value(x))
         columns = [np.imag(value(x + 1j * STEP * e)) - still for e in np.eye(self.n_q)]
         matrix = np.stack(columns, axis=-1) / STEP
@@ -209,8 +183,7 @@ class MechanicalSystem(abc.ABC):
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
         """Return q_b^T on_q + v_b^T on_v for the partials of `start`, shape (n_b,)."""
         q_b, v_b = self.start_b()
-        product: Array = on_q @ q_b + on_v @ v_b
-        return product
+        return np.asarray(on_q @ q_b + on_v @ v_b)
 
     # -- inertia -------------------------------------------------------------------------------
 
@@ -227,13 +200,7 @@ class MechanicalSystem(abc.ABC):
         return self.along(lambda s: s.mass_times(q, a))
 
     def inertia_q(self, q: Array, a: Array) -> Array:
-        """Return the values of (M a)_q with a held; to be written unless `constant_mass`.
-
-        Raises
-        ------
-        InvalidInput
-            If it is not.
-        """
+        """Return the values of (M a)_q with a held; to be written unless `constant_mass`."""
         if self.constant_mass:
             return np.zeros(self.pattern.size)
         raise InvalidInput(
@@ -246,15 +213,10 @@ class MechanicalSystem(abc.ABC):
     def inertia_rate_total(
         self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
-        """Return the total design derivative of (dM/dt) a, that is of (M a)_q v, (n_q, n_b).
-
-        Asked for only unless `constant_mass`.
-        """
-
-        def rate(s: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
-            return s.pattern.dot(s.inertia_q(q, a), v)
-
-        return self.along(rate, (q, q_b), (v, v_b), (a, a_b))
+        """Return the total design derivative of (dM/dt) a = (M a)_q v, (n_q, n_b)."""
+        return self.along(
+            lambda s, q, v, a: s.pattern.dot(s.inertia_q(q, a), v), (q, q_b), (v, v_b), (a, a_b)
+        )
 
     # -- forces --------------------------------------------------------------------------------
 
@@ -286,11 +248,7 @@ class MechanicalSystem(abc.ABC):
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
         """Return the total design derivative of `force_rate`, shape (n_q, n_b)."""
-
-        def rate(s: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
-            return s.force_rate(q, v, a, t)
-
-        return self.along(rate, (q, q_b), (v, v_b), (a, a_b))
+        return self.along(lambda s, *x: s.force_rate(*x, t), (q, q_b), (v, v_b), (a, a_b))
 
     # -- constraints ---------------------------------------------------------------------------
 
@@ -320,11 +278,7 @@ class MechanicalSystem(abc.ABC):
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """Return the total design derivative of Phi_q x with x held, shape (n_lam, n_b)."""
-
-        def product(s: MechanicalSystem, q: Array) -> Array:
-            return s.constraint_pattern.dot(s.constraint_q(q, t), x)
-
-        return self.along(product, (q, q_b))
+        return self.along(lambda s, q: s.constraint_pattern.dot(s.constraint_q(q, t), x), (q, q_b))
 
     @abc.abstractmethod
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
@@ -335,12 +289,9 @@ class MechanicalSystem(abc.ABC):
 
     def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return the values of d^2 Phi_q/dt^2 on `constraint_pattern`; also (d^2 Phi/dt^2)_q."""
-
-        def second_rate(x: Array) -> Array:
-            Phi_q = self.constraint_pattern.dot(self.constraint_q(x, t), a)
-            return Phi_q - self.acceleration_side(x, v, t)
-
-        return self._by_coordinate(second_rate, q, self.constraint_pattern)
+        return self._by_coordinate(
+            lambda x: self._constraint_rate(t, x, v, a), q, self.constraint_pattern
+        )
 
     @abc.abstractmethod
     def velocity_side(self, q: Array, t: float) -> Array:
@@ -368,11 +319,7 @@ class MechanicalSystem(abc.ABC):
         self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
     ) -> Array:
         """Return the total design derivative of `jerk_side`, shape (n_lam, n_b)."""
-
-        def side(s: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
-            return s.jerk_side(q, v, a, t)
-
-        return self.along(side, (q, q_b), (v, v_b), (a, a_b))
+        return self.along(lambda s, *x: s.jerk_side(*x, t), (q, q_b), (v, v_b), (a, a_b))
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
         """Return (dPhi_q^T/dt) lam along the motion, shape (n_q,)."""
@@ -382,52 +329,38 @@ class MechanicalSystem(abc.ABC):
         self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
     ) -> Array:
         """Return the total design derivative of `constraint_force_rate`, shape (n_q, n_b)."""
-
-        def rate(s: MechanicalSystem, q: Array, v: Array, lam: Array) -> Array:
-            return s.constraint_force_rate(q, v, lam, t)
-
-        return self.along(rate, (q, q_b), (v, v_b), (lam, lam_b))
+        states = (q, q_b), (v, v_b), (lam, lam_b)
+        return self.along(lambda s, *x: s.constraint_force_rate(*x, t), *states)
 
     # -- for the transpose of the start --------------------------------------------------------
 
     def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
         """Return the values of d^3 Phi_q/dt^3 on `constraint_pattern`; also (d^3 Phi/dt^3)_q."""
-
-        def third_rate(x: Array) -> Array:
-            Phi_q = self.constraint_pattern.dot(self.constraint_q(x, t), jerk)
-            return Phi_q - self.jerk_side(x, v, a, t)
-
-        return self._by_coordinate(third_rate, q, self.constraint_pattern)
+        return self._by_coordinate(
+            lambda x: self._constraint_rate(t, x, v, a, jerk), q, self.constraint_pattern
+        )
 
     def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
         """Return the design partial of a time derivative of Phi, states held, (n_lam, n_b).
 
         Its order, 1 to 3, is the number of time derivatives of q that are given.
         """
+        return self.along(lambda s: s._constraint_rate(t, q, *rates))
 
-        def rate(s: MechanicalSystem) -> Array:
-            moving = s.constraint_pattern.dot(s.constraint_q(q, t), rates[-1])
-            if len(rates) == 1:
-                return moving - s.velocity_side(q, t)
-            if len(rates) == 2:
-                return moving - s.acceleration_side(q, rates[0], t)
-            return moving - s.jerk_side(q, rates[0], rates[1], t)
-
-        return self.along(rate)
+    def _constraint_rate(self, t: float, q: Array, *rates: Array) -> Array:
+        moving = self.constraint_pattern.dot(self.constraint_q(q, t), rates[-1])
+        side: Callable[..., Array] = self.jerk_side
+        if len(rates) < 3:
+            side = self.velocity_side if len(rates) == 1 else self.acceleration_side
+        return moving - side(q, *rates[:-1], t)
 
     def force_rate_partials(
         self, t: float, states: tuple[Array, ...], later: Array
     ) -> tuple[Array, Array, Array]:
         """Return values of f'_q, f'_v and dM/dt, with f' the rate of f = M a + Phi_q^T lam - Q.
 
-        a and lam are held in time; the acceleration by which velocities change, `later`, need not
-        be a.
-
-        Parameters
-        ----------
-        t : float
-        states : (q, v, a, lam)
-        later : array, shape (n_q,)
+        The states are (q, v, a, lam); a and lam are held in time. The acceleration by which
+        velocities change, `later`, need not be a.
         """
         q, v, a, lam = states
 
@@ -440,8 +373,7 @@ class MechanicalSystem(abc.ABC):
 
     def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
         """Return mu^T f'_b with states held, shape (n_b,); f' as in `force_rate_partials`."""
-        total: Array = mu @ self.along(lambda s: s._held_rate(t, states, later))
-        return total
+        return np.asarray(mu @ self.along(lambda s: s._held_rate(t, states, later)))
 
     def _held_rate(self, t: float, states: tuple[Array, ...], later: Array) -> Array:
         q, v, a, lam = states
@@ -452,15 +384,15 @@ class MechanicalSystem(abc.ABC):
 
     def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
         """Return mu^T (M a + Phi_q^T lam)_b with q, a and lam held, shape (n_b,)."""
-        total: Array = mu @ (self.mass_b_times(q, a) + self.constraint_force_b(q, lam, t))
-        return total
+        return np.asarray(mu @ (self.mass_b_times(q, a) + self.constraint_force_b(q, lam, t)))
 
     # -- many instants at once -----------------------------------------------------------------
 
     def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
         """Linearise f = M a + Phi_q^T lam - Q and Phi at k instants; states are rows (k, n)."""
-        M: list[Array] = []
-        f_q, f_v, Phi_q = [], [], []
+        M = np.array([self.mass(x) for x in (q[:1] if self.constant_mass else q)])
+        Phi_q = np.array([self.constraint_q(x, s) for s, x in zip(t, q, strict=True)])
+        f_q, f_v = [], []
         for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True):
             value = -self.force_q(q_k, v_k, time)
             if not self.linear_constraints:
@@ -468,13 +400,9 @@ class MechanicalSystem(abc.ABC):
             if not self.constant_mass:
                 value = value + self.inertia_q(q_k, a_k)
             f_q.append(value)
-            if not (M and self.constant_mass):
-                M.append(self.mass(q_k))
-            Phi_q.append(self.constraint_q(q_k, time))
             if self.velocity_forces:
                 f_v.append(-self.force_v(q_k, v_k, time))
-        rates = np.array(f_v) if self.velocity_forces else None
-        return Linearisation(np.array(M), np.array(f_q), rates, np.array(Phi_q))
+        return Linearisation(M, np.array(f_q), np.array(f_v) if f_v else None, Phi_q)
 
     def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
         """Return the design partials of f = M a + Phi_q^T lam - Q and Phi at k instants."""
@@ -486,21 +414,13 @@ class MechanicalSystem(abc.ABC):
         return DesignPartials(np.array(f_b), np.array(Phi_b))
 
     def pull_back(
-        self,
-        t: Array,
-        states: tuple[Array, Array, Array, Array],
-        covectors: tuple[Array, Array],
+        self, t: Array, states: tuple[Array, Array, Array, Array], covectors: tuple[Array, Array]
     ) -> Array:
-        """Return the sum over instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
+        """Return the sum over k instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
 
-        Parameters
-        ----------
-        t : array, shape (k,)
-        states : (q, v, a, lam), arrays with k rows
-        covectors : (mu, zeta), arrays with k rows
+        The states are (q, v, a, lam) and the covectors (mu, zeta), arrays with k rows.
         """
         partials = self.design_partials(t, *states)
         mu, zeta = covectors
-        total: Array = np.einsum("knb,kn->b", partials.f_b, mu)
-        total = total + np.einsum("knb,kn->b", partials.Phi_b, zeta)
-        return total
+        on_f = np.einsum("knb,kn->b", partials.f_b, mu)
+        return np.asarray(on_f + np.einsum("knb,kn->b", partials.Phi_b, zeta))

@@ -31,12 +31,10 @@ def acceleration_totals(
     q_b: Array,
     v_b: Array,
 ) -> tuple[Array, Array]:
-    """Right sides of the saddle-point system for a_b and lam_b.
+    """Right sides of the saddle-point system for a_b and lam_b, (n_q, n_b) and (n_lam, n_b).
 
     M a_b + Phi_q^T lam_b = Q_total - (M a)_total - (Phi_q^T lam)_total
-    Phi_q a_b             = gamma_total - (Phi_q a)_total
-
-    with a and lam held in the totals; shapes (n_q, n_b) and (n_lam, n_b).
+    Phi_q a_b             = gamma_total - (Phi_q a)_total,     a and lam held in the totals.
     """
     q, v, a, lam = state
     force = system.force_total(q, v, t, q_b, v_b) - inertia_total(system, q, a, q_b)

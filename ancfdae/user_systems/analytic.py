@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self, final
+from typing import Any, Self, final
 
 import numpy as np
 
@@ -32,12 +32,7 @@ _DISAGREE = 1e-3
 class Reach:
     """How far M, Q and Phi may be followed into the complex plane.
 
-    Attributes
-    ----------
-    q, v : float
-        In the norm of the weights; v is infinite for what does not depend on velocities.
-    t : float
-    weights : array, shape (n_q,)
+    q and v are meant in the norm of the weights; v is infinite for what does not depend on it.
     """
 
     q: float
@@ -55,13 +50,8 @@ class Reach:
 
         def along_q(s: complex) -> Array:
             x = q + s * direction
-            return np.concatenate(
-                [
-                    system.force(x, v, 0.0),
-                    system.constraint(x, 0.0),
-                    system.mass_times(x, direction),
-                ]
-            )
+            Q, Phi = system.force(x, v, 0.0), system.constraint(x, 0.0)
+            return np.concatenate([Q, Phi, system.mass_times(x, direction)])
 
         def along_v(s: complex) -> Array:
             return system.force(q, v + s * direction, 0.0)
@@ -110,10 +100,7 @@ class Reach:
 def require_analytic(system: MechanicalSystem) -> None:
     """Evaluate M, Q, Phi and the start with complex numbers, near the start.
 
-    Raises
-    ------
-    InvalidInput
-        If one of them fails on complex numbers, drops an imaginary part or has another shape.
+    InvalidInput if one fails on complex numbers, drops an imaginary part or has another shape.
     """
     for name, along, shape in _probes(system):
         where = f"{type(system).__name__}.{name}"
@@ -157,23 +144,23 @@ def _probes(
     db = db * np.cos(0.5 + np.arange(n_b))
     q, v = q + 1e-2 * dq, v + 1e-2 * dv
 
-    def at(s: complex) -> MechanicalSystem:
-        return system.with_values(b + s * db)
+    def at(s: complex) -> tuple[Any, Array, Array, complex]:
+        return system.with_values(b + s * db), q + s * dq, v + s * dv, 0.01 + s
 
     def mass(s: complex) -> Array:
-        return at(s).mass(q + s * dq)
+        x, q, _, _ = at(s)
+        return np.asarray(x.mass(q))
 
     def force(s: complex) -> Array:
-        return at(s).force(q + s * dq, v + s * dv, 0.01 + s)  # type: ignore[arg-type]
+        x, q, v, t = at(s)
+        return np.asarray(x.force(q, v, t))
 
     def constraint(s: complex) -> Array:
-        return at(s).constraint(q + s * dq, 0.01 + s)  # type: ignore[arg-type]
-
-    def start(s: complex) -> Array:
-        return np.concatenate(at(s).start())
+        x, q, _, t = at(s)
+        return np.asarray(x.constraint(q, t))
 
     return [
-        ("start", start, (2 * n_q,)),
+        ("start", lambda s: np.concatenate(at(s)[0].start()), (2 * n_q,)),
         ("mass_matrix", mass, (n_q * n_q,)),
         ("force", force, (n_q,)),
         ("constraint", constraint, (n_lam,)),

@@ -24,19 +24,21 @@ the protocol derives by complex steps need nothing of their own. Only tangents t
 method, Q_q, Q_v and (Phi_q^T lam)_q, drop the perturbation.
 Imaginary parts of q, v or b that are too large for a perturbation are refused.
 
-**Radii.** A circle should reach as far as M, Q and Phi are smooth, and no less. How far that is
-in q, v and t is found by trial once per system: of radii that round-off resolves, the one with
-the least max|f| / r^3. Lengths of q and v are taken in the norm of the weights, so units do not
-matter; a path is followed as long as it stays within all three lengths. Errors are relative to
-the terms at that distance: a prescribed motion that is a million times slower than the rest has
-an acceleration that is lost next to theirs.
+**Radii.** A circle should reach as far as M, Q and Phi are smooth. How far that is in q, v and t is
+found by trial once per system: of radii that round-off resolves, the one with the least
+max|f| / r^3, in the norm of the weights. A path is followed as long as it stays within all three
+lengths. Errors are relative to the terms at that distance: a prescribed motion that is a million
+times slower than the rest has an acceleration that is lost next to theirs.
 """
 
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, cached_property
-from typing import Self, final
+from itertools import combinations_with_replacement
+from typing import Self, TypeAlias, final
 
 import numpy as np
 
@@ -44,10 +46,122 @@ from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.contour import derivative
 from ancfdae.numerics.patterns import Pattern
-from ancfdae.protocol.motion import Motion
+from ancfdae.protocol.motion import Motion, require_perturbation
 from ancfdae.protocol.system import MechanicalSystem
-from ancfdae.user_systems.analytic import require_analytic
-from ancfdae.user_systems.differentiator import Differentiator, Kernel
+from ancfdae.user_systems.analytic import Reach, require_analytic
+
+# What is differentiated: a function of a system, a motion and further numbers.
+Kernel: TypeAlias = Callable[..., Array]
+# Systems at other design values that are kept.
+_KEPT = 1000
+
+
+@final
+class Differentiator:
+    """Derivatives of kernels, in the numbers they take, along changes of the motion and in b.
+
+    Kernels that depend on no velocity (`of_forces` false) are followed further.
+    """
+
+    def __init__(self, system: MechanicalSystem, of_forces: bool) -> None:
+        self._system, self._of_forces = system, of_forces
+        self._moved: dict[bytes, MechanicalSystem] = {}
+
+    def of(self, system: MechanicalSystem) -> Differentiator:
+        """Return the differentiator of the same system with imaginary parts in b."""
+        other = Differentiator(system, self._of_forces)
+        other.base, other.reach, other._moved = self.base, self.reach, self._moved
+        return other
+
+    @cached_property
+    def base(self) -> MechanicalSystem:
+        """The system at the real part of b."""
+        if self._system.b.dtype.kind != "c":
+            return self._system
+        require_perturbation("b", self._system.b)
+        return self._system.with_values(self._system.b.real.copy())
+
+    @cached_property
+    def reach(self) -> Reach:
+        """How far circles reach."""
+        reach = Reach.of(self.base)
+        return reach if self._of_forces else replace(reach, v=np.inf)
+
+    def motion(
+        self,
+        q: Array | None = None,
+        v: Array | None = None,
+        a: Array | None = None,
+        lam: Array | None = None,
+        *,
+        t: complex = 0.0,
+    ) -> Motion:
+        """Put zeros for what is left out."""
+        n_q, n_lam = self._system.n_q, self._system.n_lam
+        q, v, a = (np.zeros(n_q) if x is None else np.asarray(x) for x in (q, v, a))
+        return Motion(q, v, a, np.zeros(n_lam) if lam is None else np.asarray(lam), t)
+
+    def value(self, kernel: Kernel, m: Motion, radii: tuple[float, ...], order: int = 1) -> Array:
+        """Differentiate in the numbers of the kernel; carry what is imaginary in m and b."""
+        base = self.base
+        m, change = m.parts()
+        value = derivative(
+            lambda *z: kernel(base, m, *z), radii, order, lambda: self._beside(kernel, m, radii)
+        )
+        db = self._system.b.imag
+        if not np.any(db) and change.is_zero:
+            return value
+        return value + 1j * self._total(kernel, m, change, db, radii, order)
+
+    def gradient(
+        self, kernel: Kernel, m: Motion, radii: tuple[float, ...] = (), order: int = 1
+    ) -> Array:
+        """Differentiate in every coordinate, which the kernel moves by its last number."""
+        reach = self.reach.coordinates
+
+        def towards(unit: Array) -> Kernel:
+            return lambda system, m, *z: kernel(system, m, *z, unit)
+
+        parts = [
+            self.value(towards(unit), m, (*radii, reach[j]), order)
+            for j, unit in enumerate(np.eye(self._system.n_q))
+        ]
+        return np.stack(parts, axis=-1)
+
+    def _total(
+        self,
+        kernel: Kernel,
+        m: Motion,
+        change: Motion,
+        db: Array,
+        radii: tuple[float, ...],
+        order: int,
+    ) -> Array:
+        """Differentiate once more, along a change of the state and of b."""
+        base, changed = self.base, bool(np.any(db))
+
+        def moved(*numbers: complex) -> Array:
+            *z, e = numbers
+            system = self._at(e * db) if changed else base
+            return kernel(system, m.plus(e, change), *z)
+
+        radius = self.reach.along(change, base.b, db, radii[0] if radii else 0.0)
+        return derivative(moved, (*radii, radius), order, lambda: self._beside(kernel, m, radii))
+
+    def _at(self, db: Array) -> MechanicalSystem:
+        """Return the system at other design values; the same ones come again and again."""
+        key = db.tobytes()
+        if key not in self._moved:
+            if len(self._moved) >= _KEPT:
+                self._moved.clear()
+            self._moved[key] = self.base.with_values(self.base.b + db)
+        return self._moved[key]
+
+    def _beside(self, kernel: Kernel, m: Motion, radii: tuple[float, ...]) -> Array:
+        """Value at another configuration: of the size of the terms of the kernel."""
+        beside = m._replace(q=m.q + self.reach.coordinates)
+        value: Array = kernel(self.base, beside, *(0.0 for _ in radii))
+        return value
 
 
 class ComplexStepSystem(MechanicalSystem):
@@ -73,25 +187,18 @@ class ComplexStepSystem(MechanicalSystem):
 
     def __init__(self, b: Array | tuple[complex, ...]) -> None:
         self.b = np.asarray(b) * 1.0
+        where = type(self).__name__
         if self.b.shape != (self.n_b,):
-            raise InvalidInput(
-                f"{type(self).__name__}.b",
-                f"must have shape ({self.n_b},)",
-                self.b.shape,
-                "Name all.",
-            )
+            rule = f"must have shape ({self.n_b},)"
+            raise InvalidInput(f"{where}.b", rule, self.b.shape, "Name all.")
         self.pattern = _full(self.n_q, self.n_q)
         self.constraint_pattern = _full(self.n_lam, self.n_q)
         if self.b.dtype.kind != "c":
             require_analytic(self)
         self.weights = self.coordinate_weights()
         if not np.all(self.weights > 0):
-            raise InvalidInput(
-                f"{type(self).__name__}.weights",
-                "must be positive",
-                self.weights,
-                "Override coordinate_weights.",
-            )
+            repair = "Override coordinate_weights."
+            raise InvalidInput(f"{where}.weights", "must be positive", self.weights, repair)
 
     # -- what a user writes --------------------------------------------------------------------
 
@@ -103,12 +210,8 @@ class ComplexStepSystem(MechanicalSystem):
         """Return `weights`; by default the diagonal of M at the start."""
         M = np.asarray(self.mass_matrix(self.start()[0]))
         if M.shape != (self.n_q, self.n_q):
-            raise InvalidInput(
-                f"{type(self).__name__}.mass_matrix",
-                f"must have shape ({self.n_q}, {self.n_q})",
-                M.shape,
-                "Return an array.",
-            )
+            where, rule = f"{type(self).__name__}.mass_matrix", f"must have shape {(self.n_q,) * 2}"
+            raise InvalidInput(where, rule, M.shape, "Return an array.")
         return np.diagonal(M).real.astype(float)
 
     def moved(self, i: int) -> Self:
@@ -127,11 +230,10 @@ class ComplexStepSystem(MechanicalSystem):
 
     def inertia_q(self, q: Array, a: Array) -> Array:
         """Differentiate M a in q."""
-
-        def inertia(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
-            return system.mass_times(m.q + x * unit, m.a)
-
-        return self._d.gradient(inertia, self._d.motion(q, a=a)).ravel()
+        return self._d.gradient(
+            lambda system, m, x, unit: system.mass_times(m.q + x * unit, m.a),
+            self._d.motion(q, a=a),
+        ).ravel()
 
     # -- forces --------------------------------------------------------------------------------
 
@@ -149,17 +251,14 @@ class ComplexStepSystem(MechanicalSystem):
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
         """Differentiate lam . Phi twice in q."""
         m, _ = self._d.motion(q, lam=lam, t=t).parts()
-        base, n, reach = self._d.base, self.n_q, self._d.reach.coordinates
-        directions = np.eye(n)
+        base, n, reach, unit = self._d.base, self.n_q, self._d.reach.coordinates, np.eye(self.n_q)
         result = np.zeros((n, n))
-        for i in range(n):
-            for j in range(i + 1):
+        for i, j in combinations_with_replacement(range(n), 2):
 
-                def reaction(x: complex, y: complex, i: int = i, j: int = j) -> Array:
-                    moved = m.q + x * directions[i] + y * directions[j]
-                    return np.asarray(m.lam @ base.constraint(moved, m.t))
+            def reaction(x: complex, y: complex, i: int = i, j: int = j) -> Array:
+                return np.asarray(m.lam @ base.constraint(m.q + x * unit[i] + y * unit[j], m.t))
 
-                result[i, j] = result[j, i] = derivative(reaction, (reach[i], reach[j]))
+            result[i, j] = result[j, i] = derivative(reaction, (reach[i], reach[j]))
         return result.ravel()
 
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
@@ -169,18 +268,19 @@ class ComplexStepSystem(MechanicalSystem):
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """Differentiate -Phi in t."""
-        m = self._d.motion(q, t=t)
-        return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), 1)
+        return self._side(1, t, q)
 
     def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
         """Differentiate -Phi twice along the motion without acceleration."""
-        m = self._d.motion(q, v, t=t)
-        return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), 2)
+        return self._side(2, t, q, v)
 
     def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Differentiate -Phi three times along the motion with its acceleration held."""
-        m = self._d.motion(q, v, a, t=t)
-        return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), 3)
+        return self._side(3, t, q, v, a)
+
+    def _side(self, order: int, t: float, *states: Array) -> Array:
+        m = self._d.motion(*states, t=t)
+        return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), order)
 
     @cached_property
     def _d(self) -> Differentiator:
@@ -194,11 +294,6 @@ class ComplexStepSystem(MechanicalSystem):
 @cache
 def _full(rows: int, columns: int) -> Pattern:
     return Pattern.full((rows, columns))
-
-
-def _towards(kernel: Kernel, unit: Array) -> Kernel:
-    """Fix the direction in which a kernel moves a coordinate."""
-    return lambda system, m, *z: kernel(system, m, *z, unit)
 
 
 def _force_at(system: MechanicalSystem, m: Motion, s: complex) -> Array:

@@ -10,9 +10,8 @@ import numpy as np
 from ancfdae.errors import InvalidInput, require_count, require_kind
 from ancfdae.protocol.system import MechanicalSystem
 from ancfdae.text import listed
-from ancfdae.user_systems.conformance_bulk import BULK_CHECKS
 from ancfdae.user_systems.conformance_checks import CHECKS
-from ancfdae.user_systems.conformance_shapes import complex_numbers, shapes
+from ancfdae.user_systems.conformance_members import complex_numbers, shapes
 from ancfdae.user_systems.probe import Probe
 
 # Design values that vanish are varied by parts of one, the largest of which is half of this.
@@ -22,17 +21,7 @@ _AWAY = 0.1
 @final
 @dataclass(frozen=True)
 class Finding:
-    """One line of a report.
-
-    Attributes
-    ----------
-    name : str
-        The member, and what it was compared with.
-    error : float
-        Largest relative difference met; free of units.
-    tolerance : float
-        What round-off and the differences explain.
-    """
+    """The largest relative error met of a member, and what round-off and differences explain."""
 
     name: str
     error: float
@@ -44,7 +33,6 @@ class Finding:
         return self.error <= self.tolerance
 
     def __str__(self) -> str:
-        """Return name, error, tolerance and verdict."""
         verdict = "ok" if self.passed else "WRONG"
         return f"{self.name:<58} {self.error:9.1e} {self.tolerance:9.1e}  {verdict}"
 
@@ -52,14 +40,7 @@ class Finding:
 @final
 @dataclass(frozen=True)
 class Conformance:
-    """What `check_system` found; print it.
-
-    Attributes
-    ----------
-    name : str
-        Class of the system.
-    findings : tuple of Finding
-    """
+    """What `check_system` found of a system of the class `name`; print it."""
 
     name: str
     findings: tuple[Finding, ...]
@@ -75,13 +56,7 @@ class Conformance:
         return tuple(finding for finding in self.findings if not finding.passed)
 
     def raise_if_wrong(self) -> None:
-        """Refuse a system that does not conform.
-
-        Raises
-        ------
-        InvalidInput
-            Naming what is wrong.
-        """
+        """Raise InvalidInput, naming what is wrong, unless all passed."""
         if self.wrong:
             names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
             raise InvalidInput(
@@ -92,12 +67,10 @@ class Conformance:
             )
 
     def __repr__(self) -> str:
-        """Return how many checks failed, and which."""
         wrong = f"wrong: {listed(x.name for x in self.wrong)}" if self.wrong else "all ok"
         return f"{self.name}: {len(self.findings)} checks, {wrong}"
 
     def __str__(self) -> str:
-        """Return a table."""
         head = f"{self.name:<58} {'error':>9} {'tolerance':>9}"
         lines = [head, "-" * len(head), *(str(finding) for finding in self.findings)]
         wrong = f"{len(self.wrong)} wrong" if self.wrong else "all ok"
@@ -108,11 +81,10 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
     """Check every member of a mechanical system against the others.
 
     Shapes and declarations are checked, products against the matrices they stand for, and every
-    partial and total against differences of real values, extrapolated to about 1e-10; a sign, a
-    factor or a forgotten term shows as an error of order one. A value that refuses complex numbers
-    is named if other members are complex steps of it. Where complex numbers are accepted, the
-    complex steps of values are compared as well. States are random, beside the start; they need
-    not lie on the constraints.
+    partial and total against differences of real values, extrapolated to about 1e-10; a wrong sign
+    or factor is an error of order one. A value that refuses complex numbers is named if other
+    members are complex steps of it; where they are accepted, the steps are compared too. States
+    are random, beside the start; they need not lie on the constraints.
 
     Parameters
     ----------
@@ -137,18 +109,23 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
     if np.asarray(system.b).dtype.kind != "f":
         raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
     rng = np.random.default_rng(seed)
-    rows, system = _Rows(), _inside(system)
+    found, system = dict[str, Finding](), _inside(system)
+
+    def add(name: str, error: float, tolerance: float) -> None:
+        before = found[name].error if name in found else 0.0
+        found[name] = Finding(name, max(before, float(error)), tolerance)
+
     # Values that fail or have the wrong shape would make nonsense of everything that follows.
     for first in (complex_numbers, shapes):
-        if rows.passed:
-            first(rows.add, system)
-    if rows.passed:
+        if all(x.passed for x in found.values()):
+            first(add, system)
+    if all(x.passed for x in found.values()):
         for _ in range(samples):
             probe = Probe(system, rng)
             with np.errstate(all="ignore"):
-                for check in (*CHECKS, *BULK_CHECKS):
-                    check(rows.add, probe)
-    return Conformance(type(system).__name__, rows.findings())
+                for check in CHECKS:
+                    check(add, probe)
+    return Conformance(type(system).__name__, tuple(found.values()))
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:
@@ -162,22 +139,3 @@ def _inside(system: MechanicalSystem) -> MechanicalSystem:
         except InvalidInput:
             b[i] = _AWAY
     return system if np.array_equal(b, system.b) else system.with_values(b)
-
-
-@final
-class _Rows:
-    """Largest error of every check, in the order of their first results."""
-
-    def __init__(self) -> None:
-        self._rows: dict[str, tuple[float, float]] = {}
-
-    def add(self, name: str, error: float, tolerance: float) -> None:
-        before = self._rows.get(name, (0.0, tolerance))
-        self._rows[name] = max(before[0], float(error)), tolerance
-
-    @property
-    def passed(self) -> bool:
-        return all(error <= tolerance for error, tolerance in self._rows.values())
-
-    def findings(self) -> tuple[Finding, ...]:
-        return tuple(Finding(name, *row) for name, row in self._rows.items())

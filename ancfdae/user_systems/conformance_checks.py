@@ -11,12 +11,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array, real_norm
 from ancfdae.protocol.motion import Motion
 from ancfdae.protocol.system import MechanicalSystem
+from ancfdae.user_systems.conformance_members import Add, accepted, call, unasked
 from ancfdae.user_systems.probe import Probe, gap
 
-Add: TypeAlias = Callable[[str, float, float], None]
 Value: TypeAlias = Callable[[MechanicalSystem, Motion], Array]
 
 # Sums in another order; extrapolated differences, whose own error is up to 1e-8 where values
@@ -28,7 +28,7 @@ _CONSISTENT = 1e-8
 
 def start(add: Add, p: Probe) -> None:
     """Check the start against the constraints, and its partials."""
-    system, s = p.system, p.system
+    s = p.system
     q, v = s.start()
     if not s.project_start:
         values, pattern = s.constraint_q(q, 0.0), s.constraint_pattern
@@ -37,12 +37,12 @@ def start(add: Add, p: Probe) -> None:
         defect = pattern.dot(values, v) - s.velocity_side(q, 0.0)
         for what, phi, x in (("q", s.constraint(q, 0.0), q), ("v", defect, v)):
             # A velocity that vanishes leaves nothing to compare with but the time of motion.
-            size = np.sqrt(s.weights @ x**2) or 1e-3 * np.sqrt(s.weights @ q**2) / p.time
-            ratio = np.max(np.abs(phi) / lengths, initial=0.0) / (size or 1.0)
+            size = real_norm(x, s.weights) or 1e-3 * real_norm(q, s.weights) / p.time or 1.0
+            ratio = np.max(np.abs(phi) / lengths, initial=0.0) / size
             add(f"start, {what} on the constraints", ratio, _CONSISTENT)
-    for name, k in (("q", 0), ("v", 1)):
+    for k, name in enumerate("qv"):
         found = p.by_design(lambda x, m, k=k: x.start()[k], False)  # type: ignore[misc]
-        claimed = system.start_b()[k] * p.b_sizes
+        claimed = s.start_b()[k] * p.b_sizes
         add(f"start_b, {name}: differences of start", gap(claimed, found, (q, v)[k]), _DIFFERENCES)
     on_q, on_v = p.d.q * s.weights, p.d.v * s.weights
     q_b, v_b = (x * p.b_sizes for x in s.start_b())
@@ -81,162 +81,191 @@ def declarations(add: Add, p: Probe) -> None:
         add("velocity_forces", gap(s.force(m.q, m.v + d.v, m.t), Q, 0.0), _SAME)
 
 
-def inertia(add: Add, p: Probe) -> None:
-    """Check everything that is derived from M."""
+def products(add: Add, p: Probe) -> None:
+    """Check the mass matrix, and products against the matrices they stand for."""
     s, m, d = p.system, p.m, p.d
-    M = s.pattern.dense(s.mass(m.q))
+    M, dot_t = s.pattern.dense(s.mass(m.q)), s.constraint_pattern.dot_transposed
     add("mass: symmetric", gap(M, M.T, 0.0), _SAME)
     add("mass: not negative", float(d.v @ M @ d.v < 0), 0.0)
     both = np.stack([m.a, d.a], axis=1)
     add("mass_times: M x", gap(s.mass_times(m.q, m.a), M @ m.a, 0.0), _SAME)
     add("mass_times: M x, columns", gap(s.mass_times(m.q, both), M @ both, 0.0), _SAME)
-    value = s.mass_times(m.q, m.a)
-    found = p.by_design(lambda x, m: x.mass_times(m.q, m.a), False)
-    claimed = s.mass_b_times(m.q, m.a) * p.b_sizes
-    add("mass_b_times: differences of M a", gap(claimed, found, value), _DIFFERENCES)
-    if s.constant_mass:
-        return
-    found = p.along(lambda x: s.mass_times(x.q, m.a))
-    claimed = s.pattern.dot(s.inertia_q(m.q, m.a), d.q)
-    add("inertia_q: differences of M a", gap(claimed, found, value), _DIFFERENCES)
-    rate = s.pattern.dot(s.inertia_q(m.q, m.a), m.v)
-    found = p.by_design(lambda x, m: x.pattern.dot(x.inertia_q(m.q, m.a), m.v), True)
-    claimed = s.inertia_rate_total(m.q, m.v, m.a, p.columns("q"), p.columns("v"), p.columns("a"))
-    error = gap(claimed * p.b_sizes, found, np.abs(rate) + np.abs(value) / p.time)
-    add("inertia_rate_total: differences of (M a)_q v", error, _DIFFERENCES)
-
-
-def forces(add: Add, p: Probe) -> None:
-    """Check everything that is derived from Q."""
-    s, m, d = p.system, p.m, p.d
-    value = s.force(m.q, m.v, m.t)
-    found = p.along(lambda x: s.force(x.q, m.v, m.t))
-    claimed = s.pattern.dot(s.force_q(m.q, m.v, m.t), d.q)
-    add("force_q: differences of Q", gap(claimed, found, value), _DIFFERENCES)
-    if s.velocity_forces:
-        found = p.along(lambda x: s.force(m.q, x.v, m.t))
-        claimed = s.pattern.dot(s.force_v(m.q, m.v, m.t), d.v)
-        add("force_v: differences of Q", gap(claimed, found, value), _DIFFERENCES)
-    found = p.by_design(lambda x, m: x.force(m.q, m.v, m.t), False)
-    claimed = s.force_b(m.q, m.v, m.t) * p.b_sizes
-    add("force_b: differences of Q", gap(claimed, found, value), _DIFFERENCES)
-    found = p.by_design(lambda x, m: x.force(m.q, m.v, p.m.t), True)
-    claimed = s.force_total(m.q, m.v, m.t, p.columns("q"), p.columns("v")) * p.b_sizes
-    add("force_total: differences of Q", gap(claimed, found, value), _DIFFERENCES)
-    rate = s.force_rate(m.q, m.v, m.a, m.t)
-    found = p.in_time(lambda x: s.force(x.q, x.v, x.t))
-    error = gap(rate, found, value / p.time)
-    add("force_rate: differences of Q along a motion", error, _DIFFERENCES)
-    found = p.by_design(lambda x, m: x.force_rate(m.q, m.v, m.a, m.t), True)
-    columns = p.columns("q"), p.columns("v"), p.columns("a")
-    claimed = s.force_rate_total(m.q, m.v, m.a, m.t, *columns) * p.b_sizes
-    error = gap(claimed, found, np.abs(rate) + np.abs(value) / p.time)
-    add("force_rate_total: differences of force_rate", error, _DIFFERENCES)
-
-
-def constraints(add: Add, p: Probe) -> None:
-    """Check everything that is derived from Phi, but the sides."""
-    s, m, d = p.system, p.m, p.d
-    dot, dot_t = s.constraint_pattern.dot, s.constraint_pattern.dot_transposed
-    value, Phi_q = s.constraint(m.q, m.t), s.constraint_q(m.q, m.t)
-    size = np.abs(value) + np.abs(dot(Phi_q, d.q))
-    found = p.along(lambda x: s.constraint(x.q, m.t))
-    add("constraint_q: differences of Phi", gap(dot(Phi_q, d.q), found, size), _DIFFERENCES)
-    found = p.by_design(lambda x, m: x.constraint(m.q, m.t), False)
-    error = gap(s.constraint_b(m.q, m.t) * p.b_sizes, found, size)
-    add("constraint_b: differences of Phi", error, _DIFFERENCES)
     reaction = s.constraint_force(m.q, m.lam, m.t)
-    add("constraint_force: Phi_q^T lam", gap(reaction, dot_t(Phi_q, m.lam), 0.0), _SAME)
-    if not s.linear_constraints:
-        found = p.along(lambda x: s.constraint_force(x.q, m.lam, m.t))
-        claimed = s.pattern.dot(s.constraint_force_q(m.q, m.lam, m.t), d.q)
-        error = gap(claimed, found, reaction)
-        add("constraint_force_q: differences of Phi_q^T lam", error, _DIFFERENCES)
-    found = p.by_design(lambda x, m: x.constraint_force(m.q, m.lam, m.t), False)
-    claimed = s.constraint_force_b(m.q, m.lam, m.t) * p.b_sizes
-    error = gap(claimed, found, reaction)
-    add("constraint_force_b: differences of Phi_q^T lam", error, _DIFFERENCES)
-    # The pattern may depend on b: a joint's axis that turns out of a plane fills entries.
-    found = p.by_design(lambda x, m: x.constraint_pattern.dot(x.constraint_q(m.q, m.t), d.q), True)
-    claimed = s.constraint_q_times_total(m.q, d.q, m.t, p.columns("q")) * p.b_sizes
-    error = gap(claimed, found, dot(Phi_q, d.q))
-    add("constraint_q_times_total: differences of Phi_q x", error, _DIFFERENCES)
-
-
-def constraint_rates(add: Add, p: Probe) -> None:
-    """Check the time derivatives of Phi_q."""
-    s, m = p.system, p.m
-    Phi_q = s.constraint_q(m.q, m.t)
-    rate = s.constraint_q_rate(m.q, m.v, m.t)
-    found = p.in_time(lambda x: s.constraint_q(x.q, x.t))
-    error = gap(rate, found, Phi_q / p.time)
-    add("constraint_q_rate: differences of Phi_q along a motion", error, _DIFFERENCES)
-    second = s.constraint_q_second_rate(m.q, m.v, m.a, m.t)
-    found = p.in_time(lambda x: s.constraint_q_rate(x.q, x.v, x.t))
-    error = gap(second, found, Phi_q / p.time**2)
-    add("constraint_q_second_rate: differences of the rate", error, _DIFFERENCES)
-    value = s.constraint_force_rate(m.q, m.v, m.lam, m.t)
-    expected = s.constraint_pattern.dot_transposed(rate, m.lam)
-    reaction = s.constraint_force(m.q, m.lam, m.t)
-    error = gap(value, expected, reaction / p.time)
+    expected = dot_t(s.constraint_q(m.q, m.t), m.lam)
+    add("constraint_force: Phi_q^T lam", gap(reaction, expected, 0.0), _SAME)
+    expected = dot_t(s.constraint_q_rate(m.q, m.v, m.t), m.lam)
+    error = gap(s.constraint_force_rate(m.q, m.v, m.lam, m.t), expected, reaction / p.time)
     add("constraint_force_rate: (dPhi_q/dt)^T lam", error, _SAME)
-    found = p.by_design(lambda x, m: x.constraint_force_rate(m.q, m.v, m.lam, m.t), True)
-    columns = p.columns("q"), p.columns("v"), p.columns("lam")
-    claimed = s.constraint_force_rate_total(m.q, m.v, m.lam, m.t, *columns) * p.b_sizes
-    error = gap(claimed, found, reaction / p.time)
-    add("constraint_force_rate_total: differences", error, _DIFFERENCES)
 
 
-def sides(add: Add, p: Probe) -> None:
-    """Check the right sides nu, gamma and S by differences along motions."""
-    s, m = p.system, p.m
-    dot = s.constraint_pattern.dot
+def partials(add: Add, p: Probe) -> None:
+    """Check the partials in q and v."""
+    known = _values(p)
+    for name, value, part in (
+        ("inertia_q", "mass_times", "q"),
+        ("force_q", "force", "q"),
+        ("force_v", "force", "v"),
+        ("constraint_q", "constraint", "q"),
+        ("constraint_force_q", "constraint_force", "q"),
+    ):
+        if name in unasked(p.system):
+            continue
+        of, size = known[value]
+        pattern = p.system.constraint_pattern if name == "constraint_q" else p.system.pattern
+        change = p.d.q if part == "q" else p.d.v
+        claimed = pattern.dot(call(p.system, name, p.arguments), change)
+        found = p.along(lambda m, of=of: of(p.system, m), part)  # type: ignore[misc]
+        add(f"{name}: differences of {value}", gap(claimed, found, size), _DIFFERENCES)
+
+
+def design_derivatives(add: Add, p: Probe) -> None:
+    """Check the partials in b, and the totals along changes of all arguments."""
+    known = _values(p)
+    rows = [(f"{value}_b", value, False) for value in ("force", "constraint", "constraint_force")]
+    rows += [("mass_b_times", "mass_times", False), ("inertia_rate_total", "inertia_rate", True)]
+    rows += [("constraint_q_times_total", "constraint_q", True)]
+    rows += [
+        (f"{value}_total", value, True)
+        for value in (
+            "force",
+            "force_rate",
+            "constraint_force_rate",
+            "velocity_side",
+            "acceleration_side",
+            "jerk_side",
+        )
+    ]
+    for name, value, moving in rows:
+        if name in unasked(p.system):
+            continue
+        of, size = known[value]
+        claimed = call(p.system, name, p.arguments) * p.b_sizes
+        error = gap(claimed, p.by_design(of, moving), size)
+        add(f"{name}: differences of {value}", error, _DIFFERENCES)
+
+
+def time_derivatives(add: Add, p: Probe) -> None:
+    """Check rates, and the right sides nu, gamma and S, by differences along motions."""
+    s, m, T = p.system, p.m, p.time
+    dot, size = s.constraint_pattern.dot, _values(p)["constraint"][1] / T
     Phi_q = s.constraint_q(m.q, m.t)
-    # Of the size of the terms, also where the constraints do not depend on time.
-    size = np.abs(dot(Phi_q, p.d.q)) / p.time
-    nu = s.velocity_side(m.q, m.t)
-    found = dot(Phi_q, m.v) - p.in_time(lambda x: s.constraint(x.q, x.t))
-    add("velocity_side: differences of Phi", gap(nu, found, size), _DIFFERENCES)
 
     def speed(x: Motion) -> Array:
         return np.asarray(dot(s.constraint_q(x.q, x.t), x.v) - s.velocity_side(x.q, x.t))
 
-    gamma = s.acceleration_side(m.q, m.v, m.t)
-    found = dot(Phi_q, m.a) - p.in_time(speed)
-    error = gap(gamma, found, size / p.time)
-    add("acceleration_side: differences of Phi_q v - nu", error, _DIFFERENCES)
-
     def acceleration(x: Motion) -> Array:
         gamma = s.acceleration_side(x.q, x.v, x.t)
-        return np.asarray(gamma - dot(s.constraint_q(x.q, x.t), m.a))
+        return np.asarray(dot(s.constraint_q(x.q, x.t), m.a) - gamma)
 
-    S, found = s.jerk_side(m.q, m.v, m.a, m.t), p.in_time(acceleration)
-    error = gap(S, found, size / p.time**2)
-    add("jerk_side: differences of gamma - Phi_q a", error, _DIFFERENCES)
-    q_b, v_b, a_b = p.columns("q"), p.columns("v"), p.columns("a")
-    totals: list[tuple[str, Value, Array, Array]] = [
+    checks: list[tuple[str, str, Callable[[Motion], Array], Array | float, Array]] = [
+        ("force_rate", "Q", lambda x: s.force(x.q, x.v, x.t), 0.0, s.force(m.q, m.v, m.t) / T),
+        ("constraint_q_rate", "Phi_q", lambda x: s.constraint_q(x.q, x.t), 0.0, Phi_q / T),
         (
-            "velocity_side_total",
-            lambda x, m: x.velocity_side(m.q, m.t),
-            s.velocity_side_total(m.q, m.t, q_b),
-            size,
+            "constraint_q_second_rate",
+            "the rate",
+            lambda x: s.constraint_q_rate(x.q, x.v, x.t),
+            0.0,
+            Phi_q / T**2,
         ),
-        (
-            "acceleration_side_total",
-            lambda x, m: x.acceleration_side(m.q, m.v, m.t),
-            s.acceleration_side_total(m.q, m.v, m.t, q_b, v_b),
-            size / p.time,
-        ),
-        (
-            "jerk_side_total",
-            lambda x, m: x.jerk_side(m.q, m.v, m.a, m.t),
-            s.jerk_side_total(m.q, m.v, m.a, m.t, q_b, v_b, a_b),
-            size / p.time**2,
-        ),
+        ("velocity_side", "Phi", lambda x: s.constraint(x.q, x.t), dot(Phi_q, m.v), size),
+        ("acceleration_side", "Phi_q v - nu", speed, dot(Phi_q, m.a), size / T),
+        ("jerk_side", "gamma - Phi_q a", acceleration, 0.0, size / T**2),
     ]
-    for name, value, claimed, scale in totals:
-        error = gap(claimed * p.b_sizes, p.by_design(value, True), scale)
-        add(f"{name}: differences", error, _DIFFERENCES)
+    for name, of, value, whole, scale in checks:
+        claimed, found = call(s, name, p.arguments), p.in_time(value)
+        # A side is what the highest derivative leaves of a rate.
+        found = whole - found if name.endswith("side") else found
+        add(f"{name}: differences of {of}", gap(claimed, found, scale), _DIFFERENCES)
+
+
+def bulk(add: Add, p: Probe) -> None:
+    """Check what handles many instants at once against the single methods."""
+    s = p.system
+    states = [p.m.plus(0.1 * k, p.d) for k in range(3)]
+    q, v, a, lam, t = (np.array(x) for x in zip(*states, strict=True))
+
+    def each(name: str) -> Array:
+        return np.array([call(s, name, m._asdict()) for m in states])
+
+    local, partials = s.linearise(t, q, v, a, lam), s.design_partials(t, q, v, a, lam)
+    f_q = -each("force_q")
+    for name in {"constraint_force_q", "inertia_q"} - unasked(s):
+        f_q = f_q + each(name)
+    f_b = each("mass_b_times") + each("constraint_force_b") - each("force_b")
+    f_b, Phi_b = f_b * p.b_sizes, each("constraint_b") * p.b_sizes
+    rows = [
+        ("linearise: M", local.M, each("mass")[: len(local.M)]),
+        ("linearise: f_q", local.f_q, f_q),
+        ("linearise: Phi_q", local.Phi_q, each("constraint_q")),
+        ("design_partials: f_b", partials.f_b * p.b_sizes, f_b),
+        ("design_partials: Phi_b", partials.Phi_b * p.b_sizes, Phi_b),
+    ]
+    if s.velocity_forces and local.f_v is not None:
+        rows.append(("linearise: f_v", local.f_v, -each("force_v")))
+    for name, claimed, expected in rows:
+        same = claimed.shape == expected.shape
+        add(name, gap(claimed, expected, 0.0) if same else np.inf, _SAME)
+    add("linearise: f_v is there", float((local.f_v is None) == s.velocity_forces), 0.0)
+    # Covectors that bring both terms to one size.
+    mu = np.cos(np.arange(q.size)).reshape(q.shape) / (np.max(np.abs(f_b), initial=0.0) or 1.0)
+    zeta = np.sin(1.0 + np.arange(lam.size)).reshape(lam.shape)
+    zeta = zeta / (np.max(np.abs(Phi_b), initial=0.0) or 1.0)
+    expected = np.einsum("knb,kn->b", f_b, mu) + np.einsum("knb,kn->b", Phi_b, zeta)
+    pulled = s.pull_back(t, (q, v, a, lam), (mu, zeta)) * p.b_sizes
+    add("pull_back: f_b^T mu + Phi_b^T zeta", gap(pulled, expected, 1.0), _SAME)
+
+
+def complex_steps(add: Add, p: Probe) -> None:
+    """Compare complex steps of values, along all changes at once, with sums of differences.
+
+    A value that refuses complex numbers passes: the system is integrated in real ones.
+    """
+    db, still = np.cos(0.3 + np.arange(p.system.n_b)), p.d._replace(t=0.0)
+    for name, (value, size) in _values(p).items():
+        if name in unasked(p.system):
+            continue
+
+        def moved(e: complex, value: Value = value) -> Array:
+            return np.asarray(value(p.at(e * db), p.m.plus(e, still)))
+
+        claimed = accepted(lambda moved=moved: np.imag(moved(1j * STEP)) / STEP)  # type: ignore[misc]
+        if claimed is not None:
+            error = gap(claimed, p.differences(moved), size)
+            add(f"complex step of {name}: differences", error, _DIFFERENCES)
+
+
+def _values(p: Probe) -> dict[str, tuple[Value, Array]]:
+    """Return the values that others differentiate, and the size of their terms.
+
+    The values themselves may vanish.
+    """
+    s, m, x, t, T = p.system, p.m, p.d.q, p.m.t, p.time
+    M_a, Q = s.mass_times(m.q, m.a), s.force(m.q, m.v, t)
+    reaction = s.constraint_force(m.q, m.lam, t)
+    turned = s.constraint_pattern.dot(s.constraint_q(m.q, t), x)
+    Phi = np.abs(s.constraint(m.q, t)) + np.abs(turned)
+    members: dict[str, tuple[Value, Array]] = {
+        "start": (lambda s, m: np.concatenate(s.start()), np.zeros(1)),
+        "mass": (lambda s, m: s.mass(m.q), s.mass(m.q)),
+        "mass_times": (lambda s, m: s.mass_times(m.q, p.m.a), M_a),
+        "force": (lambda s, m: s.force(m.q, m.v, t), Q),
+        "force_rate": (lambda s, m: s.force_rate(m.q, m.v, m.a, t), Q / T),
+        "constraint": (lambda s, m: s.constraint(m.q, t), Phi),
+        # Patterns may depend on b: a joint's axis that turns out of a plane fills entries.
+        "constraint_q": (lambda s, m: s.constraint_pattern.dot(s.constraint_q(m.q, t), x), turned),
+        "constraint_force": (lambda s, m: s.constraint_force(m.q, p.m.lam, t), reaction),
+        "constraint_force_rate": (
+            lambda s, m: s.constraint_force_rate(m.q, m.v, m.lam, t),
+            reaction / T,
+        ),
+        "velocity_side": (lambda s, m: s.velocity_side(m.q, t), Phi / T),
+        "acceleration_side": (lambda s, m: s.acceleration_side(m.q, m.v, t), Phi / T**2),
+        "jerk_side": (lambda s, m: s.jerk_side(m.q, m.v, m.a, t), Phi / T**3),
+    }
+    if not s.constant_mass:
+        rate: Value = lambda s, m: s.pattern.dot(s.inertia_q(m.q, m.a), m.v)  # noqa: E731
+        members["inertia_rate"] = rate, M_a / T
+    return members
 
 
 # Every check, in the order of the report.
@@ -244,9 +273,10 @@ CHECKS: tuple[Callable[[Add, Probe], None], ...] = (
     start,
     values,
     declarations,
-    inertia,
-    forces,
-    constraints,
-    constraint_rates,
-    sides,
+    products,
+    partials,
+    design_derivatives,
+    time_derivatives,
+    bulk,
+    complex_steps,
 )

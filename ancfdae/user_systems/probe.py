@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -21,23 +20,11 @@ _SMALL = 1e-3
 
 @final
 class Probe:
-    """A system at a random state, with changes of the size of the state itself.
+    """A system at a random state m, with changes of the size of the state itself.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    rng : numpy.random.Generator
-
-    Attributes
-    ----------
-    m : Motion
-        The state.
-    d : Motion
-        A change of it.
-    b_sizes : array, shape (n_b,)
-        Sizes of the design variables.
-    time : float
-        Time in which the system moves by its own size.
+    d is a change of it, d_b one for every design variable, of the size b_sizes; `arguments` are the
+    state, the change "x" of q and the changes "q_b", ... per unit of b, as members take them. In
+    `time` the system moves by its own size.
     """
 
     def __init__(self, system: MechanicalSystem, rng: np.random.Generator) -> None:
@@ -51,6 +38,11 @@ class Probe:
         self.m = self._state(q, v)
         self.d = self.change()
         self.d_b = [self.change() for _ in range(system.n_b)]
+        self.arguments: dict[str, Any] = {**self.m._asdict(), "x": self.d.q}
+        for name in ("q", "v", "a", "lam"):
+            rows = np.array([getattr(d, name) for d in self.d_b])
+            columns = rows.reshape(system.n_b, len(self.arguments[name])).T
+            self.arguments[f"{name}_b"] = columns / self.b_sizes
 
     def change(self) -> Motion:
         """Return a random change of the size of the state, and of a natural time."""
@@ -60,17 +52,11 @@ class Probe:
         speeds = self._v_sizes
         return Motion(q * self._q_sizes, v * speeds, a * speeds / self.time, lam, self.time)
 
-    def columns(self, name: str) -> Array:
-        """Return changes of q, v, a or lam as derivatives in b, shape (n, n_b)."""
-        parts = [{"q": d.q, "v": d.v, "a": d.a, "lam": d.lam}[name] for d in self.d_b]
-        n = self.system.n_lam if name == "lam" else self.system.n_q
-        columns = np.array(parts).reshape(self.system.n_b, n).T
-        return columns / self.b_sizes
-
-    def along(self, f: Callable[[Motion], Array]) -> Array:
-        """Differentiate f along the change `d`, time held."""
-        still = replace(self.d, t=0.0)
-        return real_derivative(lambda e: f(self.m.plus(e, still)))
+    def along(self, f: Callable[[Motion], Array], part: str) -> Array:
+        """Differentiate f along the change of one part of the state."""
+        still = self.d.plus(-1.0, self.d)
+        change = still._replace(**{part: getattr(self.d, part)})
+        return real_derivative(lambda e: f(self.m.plus(e, change)))
 
     def differences(self, f: Callable[[float], Array]) -> Array:
         """Differentiate a function of one number of the order of one."""
@@ -84,7 +70,7 @@ class Probe:
         """Differentiate f in b, times b, along the changes `d_b` or with the state held."""
         columns = []
         for unit, d in zip(np.eye(self.system.n_b), self.d_b, strict=True):
-            still = replace(d, t=0.0)
+            still = d._replace(t=0.0)
 
             def moved(e: float, unit: Array = unit, still: Motion = still) -> Array:
                 m = self.m.plus(e, still) if moving else self.m
@@ -120,12 +106,8 @@ class Probe:
 def gap(claimed: Array, found: Array, value: Array | float) -> float:
     """Largest difference, entry by entry against its size or a small part of the largest.
 
-    Parameters
-    ----------
-    claimed, found : array
-    value : array
-        What was differentiated, along a change of its arguments by their size: entries that
-        vanish beside it are compared with it.
+    `value` is what was differentiated, along a change of its arguments by their size: entries that
+    vanish beside it are compared with it.
     """
     if not np.size(claimed):
         return 0.0

@@ -25,12 +25,7 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Defects:
-    """Defects of the steps that end at each instant; row 0 is zero.
-
-    Attributes
-    ----------
-    q, v, A : array, shape (n_t, n_q)
-    """
+    """Defects of the steps that end at each instant, shape (n_t, n_q); row 0 is zero."""
 
     q: Array
     v: Array
@@ -38,15 +33,7 @@ class Defects:
 
     @staticmethod
     def of(t: Array, A: Array, steps: Steps) -> Defects:
-        """Estimate the defects of a run from its instants and accelerations.
-
-        Parameters
-        ----------
-        t : array, shape (n_t,)
-            At least three.
-        A : array, shape (n_t, n_q)
-        steps : Steps
-        """
+        """Estimate the defects of a run from its instants, three at least, and accelerations."""
         h, alpha = steps.h[:, None], steps.alpha
         snap = np.gradient(np.gradient(A, t, axis=0, edge_order=2), t, axis=0, edge_order=2)
         q, v, own = np.zeros_like(A), np.zeros_like(A), np.zeros_like(A)

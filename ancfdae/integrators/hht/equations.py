@@ -23,14 +23,12 @@ A is the acceleration at t_{n+1}; the algorithm's a stands for t_{n+1} + alpha h
 mass (Phi_q^T lam - Q)_n = -M A_n turns R_1 into the paper's (4). Where the mass depends on q, the
 paper's form would multiply M at one instant with an acceleration at another and drop to first
 order; this one stays second order.
-
-The start of the recurrence has a module of its own (`start`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, final
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -42,36 +40,26 @@ from ancfdae.protocol import Linearisation, MechanicalSystem
 @final
 @dataclass(frozen=True)
 class Coefficients:
-    """Step size and Newmark coefficients (below eq. 6).
-
-    Attributes
-    ----------
-    h : float or array
-        An array for many steps at once.
-    alpha, beta, gamma : float
-    """
+    """Step size, an array for many steps at once, and Newmark coefficients (below eq. 6)."""
 
     h: Any
     alpha: float
-    beta: float
-    gamma: float
 
-    @staticmethod
-    def of(step: float, hht_alpha: float) -> Coefficients:
-        """Return the coefficients of a step."""
-        return Coefficients(step, *newmark(hht_alpha))
+    @property
+    def beta(self) -> float:
+        """(1 - alpha)^2/4."""
+        return (1 - self.alpha) ** 2 / 4
+
+    @property
+    def gamma(self) -> float:
+        """(1 - 2 alpha)/2."""
+        return (1 - 2 * self.alpha) / 2
 
 
 @final
 @dataclass(frozen=True)
 class Steps:
-    """Step sizes of a run.
-
-    Attributes
-    ----------
-    h : array, shape (n,)
-    alpha : float
-    """
+    """Step sizes of a run, shape (n,)."""
 
     h: Array
     alpha: float
@@ -83,7 +71,7 @@ class Steps:
 
     def of(self, n: int) -> Coefficients:
         """Coefficients of the step that ends at instant n."""
-        return Coefficients.of(float(self.h[n - 1]), self.alpha)
+        return Coefficients(float(self.h[n - 1]), self.alpha)
 
     def ratio(self, n: int) -> float:
         """Size of the step from instant n relative to the one that ends there."""
@@ -92,23 +80,13 @@ class Steps:
     def columns(self, steps: slice) -> Coefficients:
         """Coefficients of the steps that end at some instants; h has shape (k, 1)."""
         h = self.h[steps.start - 1 : steps.stop - 1]
-        return Coefficients(h[:, None], *newmark(self.alpha))
+        return Coefficients(h[:, None], self.alpha)
 
 
-@final
-@dataclass(frozen=True)
-class Node:
+class Node(NamedTuple):
     """State of the recurrence after a step.
 
-    Attributes
-    ----------
-    t : float
-    q, v : array, shape (n_q,)
-    a : array, shape (n_q,)
-        The algorithm's acceleration, q'' at t + alpha h.
-    lam : array, shape (n_lam,)
-    A : array, shape (n_q,)
-        The acceleration q'' at t.
+    a is the acceleration of the algorithm, q'' at t + alpha h, and A is q'' at t.
     """
 
     t: float
@@ -119,9 +97,7 @@ class Node:
     A: Array
 
 
-@final
-@dataclass(frozen=True)
-class NodeSensitivity:
+class NodeSensitivity(NamedTuple):
     """Design derivatives of a `Node`; every array has a trailing axis n_b."""
 
     q_b: Array
@@ -129,11 +105,6 @@ class NodeSensitivity:
     a_b: Array
     lam_b: Array
     A_b: Array
-
-
-def newmark(alpha: float) -> tuple[float, float, float]:
-    """Return alpha, beta = (1 - alpha)^2/4 and gamma = (1 - 2 alpha)/2 (below eq. 6)."""
-    return alpha, (1 - alpha) ** 2 / 4, (1 - 2 * alpha) / 2
 
 
 def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
@@ -165,17 +136,16 @@ def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, A
 def rescaled(node: Node, ratio: float) -> Node:
     """Return the node for a step whose size is `ratio` times that of the step before.
 
-    a stands for q'' at t + alpha h, and changes with h along the straight line through it and A
-    at t, which keeps second order.
+    a changes with h along the straight line through it and A, which keeps second order.
     """
-    return node if ratio == 1.0 else replace(node, a=node.A + ratio * (node.a - node.A))
+    return node if ratio == 1.0 else node._replace(a=node.A + ratio * (node.a - node.A))
 
 
 def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity:
     """Differentiate `rescaled`."""
     if ratio == 1.0:
         return node
-    return replace(node, a_b=node.A_b + ratio * (node.a_b - node.A_b))
+    return node._replace(a_b=node.A_b + ratio * (node.a_b - node.A_b))
 
 
 def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
@@ -201,12 +171,7 @@ def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
 def factor_jacobian(
     system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, node: Node
 ) -> Factorization:
-    """Factorise eq. (6) at a state.
-
-    Raises
-    ------
-    SingularMatrix
-    """
+    """Factorise eq. (6) at a state."""
     states = (x[None] for x in (node.q, node.v, node.A, node.lam))
     local = system.linearise(np.array([node.t]), *states)
     return matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])

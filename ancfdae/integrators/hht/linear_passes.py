@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 
@@ -37,7 +37,6 @@ from ancfdae.integrators.hht.equations import (
     correct,
     increment_from_velocities,
     iteration_matrices,
-    newmark,
     predict,
 )
 from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes
@@ -50,26 +49,18 @@ from ancfdae.protocol import DesignPartials, Linearisation, MechanicalSystem
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).
 _CHUNK_NUMBERS = 350_000
+# q, v, A and lam, instants as rows.
+States: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 @final
 @dataclass(frozen=True)
 class LinearSteps:
-    """A chunk of steps linearised at their converged states, and the matrices that link steps.
+    """A chunk of k steps linearised at their converged states; h has the shape (k, 1).
 
     One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
     (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The pass back takes the transposes
-    of both: `solve_transposed`, which stands beside `solve`, and the same matrix transposed.
-
-    Attributes
-    ----------
-    system : MechanicalSystem
-    c : Coefficients
-        h of shape (k, 1).
-    q : array, shape (k, n_q)
-    local : Linearisation
-    constraints_q : array
-        Phi_q / (beta h^2).
+    of both. `constraints_q` is Phi_q / (beta h^2).
     """
 
     system: MechanicalSystem
@@ -79,13 +70,10 @@ class LinearSteps:
     constraints_q: Array
 
     @staticmethod
-    def of(
-        system: MechanicalSystem, c: Coefficients, t: Array, states: tuple[Array, ...]
-    ) -> LinearSteps:
+    def of(system: MechanicalSystem, c: Coefficients, t: Array, states: States) -> LinearSteps:
         """Linearise at states (q, v, A, lam), instants as rows."""
-        q, v, A, lam = states
-        local = system.linearise(t, q, v, A, lam)
-        return LinearSteps(system, c, q, local, local.Phi_q / (c.beta * c.h**2))
+        local = system.linearise(t, *states)
+        return LinearSteps(system, c, states[0], local, local.Phi_q / (c.beta * c.h**2))
 
     def factorised(self, matrices: SaddlePoint, order: range) -> Iterator[Factorization]:
         """Factorise eq. (6) step by step, forward or backward."""
@@ -146,27 +134,19 @@ class LinearSteps:
         return through, mu, zeta / float(self.c.beta * self.c.h[k, 0] ** 2)
 
 
-def differentiate(
-    system: MechanicalSystem,
-    matrices: SaddlePoint,
-    nodes: Nodes,
-    start: NodeSensitivity,
-) -> tuple[list[Array], Verdict]:
-    """Run the derivative recurrence forward.
+def differentiate(nodes: Nodes, start: NodeSensitivity) -> tuple[list[Array], Verdict]:
+    """Run the derivative recurrence forward from the start.
 
-    Returns
-    -------
-    arrays : list of q_b, v_b, A_b, lam_b
-        Shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the steps done; row 0 is the start.
-    verdict : Verdict
-        How the pass ended.
+    Returns q_b, v_b, A_b, lam_b, shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the steps
+    done, and how the pass ended.
     """
-    n_t, n_b, n_q = len(nodes.run.t), system.n_b, system.n_q
+    system, n_t = nodes.problem.system, len(nodes.run.t)
+    n_b, n_q = system.n_b, system.n_q
     states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
     states[0], lam_b[0] = (start.q_b.T, start.v_b.T, start.A_b.T), start.lam_b.T
     done, verdict = 1, Verdict.FINISHED
     try:
-        for _ in _advance(system, matrices, nodes, start, states, lam_b):
+        for _ in _advance(nodes, start, states, lam_b):
             done += 1
     except SingularMatrix:
         verdict = Verdict.SINGULAR
@@ -176,31 +156,23 @@ def differentiate(
     return [array.transpose(0, 2, 1) for array in arrays], verdict
 
 
-def _advance(
-    system: MechanicalSystem,
-    matrices: SaddlePoint,
-    nodes: Nodes,
-    start: NodeSensitivity,
-    states: Array,
-    lam_b: Array,
-) -> Iterator[None]:
+def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) -> Iterator[None]:
     """Fill the rows of the arrays one by one and yield after each.
 
     States are q_b, v_b, A_b with design variables as rows, (n_t, 3, n_b, n_q), and so is lam_b:
     right-hand sides then stand in memory as LAPACK wants them.
     """
     n_t, _, n_b, n_q = states.shape
-    run, all_steps, maybe_small = nodes.run, nodes.steps, nodes.maybe_small(system)
+    system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
     z = np.zeros((4, n_b, n_q))  # q~_b, v~_b, A~_b, a_b of a step
     z[:3] = _predicted(all_steps.first, start)
     matrix, stacked = step_matrices(all_steps), Stack(system.pattern, system.constraint_pattern)
     for steps in _chunks(system, n_t, 2 * n_b * (n_q + system.n_lam)):
-        t, *rows = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
-        linear = LinearSteps.of(system, all_steps.columns(steps), t, tuple(rows))
+        t, rows, linear = _linearised(nodes, steps)
         given = linear.given(system.design_partials(t, *rows))
-        for k, jacobian in enumerate(linear.factorised(matrices, range(len(t)))):
+        for k, jacobian in enumerate(linear.factorised(nodes.problem.matrices, range(len(t)))):
             n = steps.start + k
-            row = nodes.row(system, n) if maybe_small[n] else None
+            row = nodes.row(n) if maybe_small[n] else None
             side = None
             if row is not None:
                 Phi_q, before = linear.local.Phi_q[k], states[n - 1]
@@ -219,16 +191,10 @@ def advance(
     after: Node,
     row: ConstraintRow | None,
 ) -> NodeSensitivity:
-    """Take one step of the derivative recurrence, to a node that is computed.
-
-    The row is that of a small step.
-
-    Raises
-    ------
-    SingularMatrix
-    """
-    t, states = np.array([after.t]), tuple(x[None] for x in (after.q, after.v, after.A, after.lam))
-    columns = Coefficients(np.array([[c.h]]), c.alpha, c.beta, c.gamma)
+    """Take one step of the derivative recurrence to a computed node; the row is of a small step."""
+    t = np.array([after.t])
+    states = (after.q[None], after.v[None], after.A[None], after.lam[None])
+    columns = Coefficients(np.array([[c.h]]), c.alpha)
     linear, z = LinearSteps.of(system, columns, t, states), _predicted(c, before)
     (right,) = linear.given(system.design_partials(t, *states))
     side = None
@@ -244,39 +210,30 @@ def advance(
 
 
 def pull_back(
-    system: MechanicalSystem,
-    matrices: SaddlePoint,
-    nodes: Nodes,
-    seeds: Seeds,
-    defects: Defects | None = None,
+    nodes: Nodes, seeds: Seeds, defects: Defects | None = None
 ) -> tuple[Array, NodeSensitivity, float]:
     """Run the transposed recurrence backward (discrete adjoint).
 
-    Returns
-    -------
-    gradient : array, shape (n_b,)
-        Everything but what goes through the start.
-    start : NodeSensitivity
-        Covectors on the start: the derivative through it is the sum of their products with the
-        start's derivatives. Its arrays have no design axis.
-    change : float
-        What the defects of all steps change in the objective; zero without them.
+    Returns the gradient, (n_b,), but what goes through the start; covectors on the start, whose
+    products with its derivatives are that; and what the defects of all steps change in the
+    objective.
     """
-    run, all_steps, maybe_small = nodes.run, nodes.steps, nodes.maybe_small(system)
-    n_t, n_q, matrix = len(run.t), system.n_q, step_matrices(nodes.steps)
+    system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
+    n_t, n_q, matrix = len(nodes.run.t), system.n_q, step_matrices(all_steps)
     gradient, change = np.zeros(system.n_b), 0.0
     # Covectors on (q_b, v_b, A_b) of an instant and on (q~_b, v~_b, A~_b) of the step from it.
     on = np.zeros((6, n_q))
     for steps in reversed(_chunks(system, n_t, 0)):
-        t, *rows = (x[steps] for x in (run.t, run.q, run.v, run.a, run.lam))
-        linear = LinearSteps.of(system, all_steps.columns(steps), t, tuple(rows))
+        t, rows, linear = _linearised(nodes, steps)
         mu, zeta = np.zeros_like(rows[0]), np.zeros_like(rows[3])
         order = range(len(t) - 1, -1, -1)
-        for k, jacobian in zip(order, linear.factorised(matrices, order), strict=True):
+        for k, jacobian in zip(
+            order, linear.factorised(nodes.problem.matrices, order), strict=True
+        ):
             n = steps.start + k
             on[0], on[1] = _seeded(on[0], seeds.q, n), _seeded(on[1], seeds.v, n)
             on_lam = _seeded(np.zeros(system.n_lam), seeds.lam, n)
-            row = nodes.row(system, n) if maybe_small[n] else None
+            row = nodes.row(n) if maybe_small[n] else None
             on_step, before = matrix[n - 1].T @ on, np.zeros((6, n_q))
             before[3:], mu[k], zeta[k] = linear.solve_transposed(
                 k, jacobian, on_step, on_lam, row is not None
@@ -295,8 +252,16 @@ def pull_back(
             by_v, by_predicted = increment_from_velocities(all_steps.of(n), *np.eye(2))
             before[1], before[4] = by_v * on_dq, before[4] + by_predicted * on_dq
             on = before
-        gradient -= system.pull_back(t, (rows[0], rows[1], rows[2], rows[3]), (mu, zeta))
+        gradient -= system.pull_back(t, rows, (mu, zeta))
     return gradient, _start_covectors(all_steps.first, on), float(change)
+
+
+def _linearised(nodes: Nodes, steps: slice) -> tuple[Array, States, LinearSteps]:
+    """Linearise the steps that end at some instants; return times and states there with it."""
+    run = nodes.run
+    t, states = run.t[steps], (run.q[steps], run.v[steps], run.a[steps], run.lam[steps])
+    c = nodes.steps.columns(steps)
+    return t, states, LinearSteps.of(nodes.problem.system, c, t, states)
 
 
 def _predicted(c: Coefficients, start: NodeSensitivity) -> Array:
@@ -332,13 +297,13 @@ def _small_side(
 def step_matrices(steps: Steps) -> Array:
     """Return the maps from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~), (n, 6, 4).
 
-    All of a step but its solution in one small product; the coefficients come from all steps at
-    once with unit vectors. After the last step the same size is taken once more.
+    The coefficients of all steps come at once from unit vectors; after the last step the same size
+    is taken once more.
     """
     h = steps.h[:, None]
     following = np.append(steps.h[1:], steps.h[-1])[:, None]
     alpha = steps.alpha
-    c, ahead = (Coefficients(x, *newmark(alpha)) for x in (h, following))
+    c, ahead = Coefficients(h, alpha), Coefficients(following, alpha)
     q_p, v_p, A_p, a = np.eye(4)
     q, v = correct(c, q_p, v_p, a)
     A = A_p + a / (1 + alpha)

@@ -17,33 +17,21 @@ from ancfdae.errors import (
     require_finite,
     require_positive,
 )
-from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
-from ancfdae.integrators.hht.equations import (
-    Coefficients,
-    Steps,
-    constraint_error,
-)
+from ancfdae.integrators.hht.equations import Coefficients, Steps, constraint_error
 from ancfdae.integrators.hht.small_steps import Nodes
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
+from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import (
-    Covectors,
-    InitialState,
-    consistent_start,
-    pull_back_start,
-    saddle_point,
-    start_sensitivity,
-)
+from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, StepControl
 from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
 from ancfdae.integrators.step_control.march import march
 from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities
@@ -134,8 +122,8 @@ class HHT(AdjointIntegrator):
     def frozen(self, solution: Solution) -> HHT:
         """Return the integrator that repeats the steps of a run, whatever the design.
 
-        With error control the steps depend on the design and jump with it, so no derivative of
-        the run exists. Every method differentiates it at the steps as they were taken.
+        Steps under error control jump with the design, so no derivative of the run exists. Every
+        method differentiates it at the steps as they were taken.
         """
         steps = self.steps.frozen(solution.t)
         return self if steps is self.steps else self._changed(steps=steps)
@@ -156,27 +144,23 @@ class HHT(AdjointIntegrator):
         progress: bool = False,
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, which must be the end of a step."""
-        steps, started, derivative = self.steps, time.perf_counter(), None
+        steps, started = self.steps, time.perf_counter()
         rows, along = steps.count(t_end) + 1, self._derivatives_along(system)
-        matrices = saddle_point(system, 0.0)
-        initial = consistent_start(system, matrices, 0.0)
-        scales = Scales.of(system, initial, t_end)
-        if along:
-            derivative = start_sensitivity(system, matrices, initial)
+        problem = Problem.of(system, t_end)
+        problem = problem.differentiated() if along else problem
+        scales = problem.scales
 
         def run(sizes_b: Array) -> Solution:
             recorder = Recorder(system, rows, sensitivities=along)
             newton = self.newton_tolerance, self.max_iterations
             tolerance = steps.tolerance(t_end, scales.q, sizes_b)
-            stepper = Stepper(
-                system, matrices, initial, derivative, self.hht_alpha, newton, tolerance, recorder
-            )
+            stepper = Stepper(problem, self.hht_alpha, newton, tolerance, recorder)
             return march(stepper, steps.controller(t_end, stepper), recorder, t_end, progress)
 
         if not along:
             solution = run(np.zeros(0))
             if sensitivities:
-                return self._differentiate(system, matrices, initial, scales, solution)
+                return self._differentiate(problem, solution)
             return self._estimated(solution, scales)
         rough = self._rough().integrate(system, t_end, sensitivities=True, progress=progress)
         solution = with_own_sizes(rough, run, scales)
@@ -204,7 +188,7 @@ class HHT(AdjointIntegrator):
         The accelerations at the instants serve as those of the recurrence.
         """
         own, delta_b = solution.sensitivities, None
-        scale = constraint_error(Coefficients.of(1.0, self.hht_alpha)) * np.diff(solution.t) ** 2
+        scale = constraint_error(Coefficients(1.0, self.hht_alpha)) * np.diff(solution.t) ** 2
         with np.errstate(over="ignore", invalid="ignore"):
             delta = scale[:, None] * np.diff(solution.a.real, axis=0)
             if own is not None:
@@ -229,42 +213,28 @@ class HHT(AdjointIntegrator):
         If a matrix is singular or the pass is interrupted, the solution is cut to what has
         derivatives and its outcome says so.
         """
-        matrices = saddle_point(system, 0.0)
-        initial = consistent_start(system, matrices, 0.0)
-        # The length of a run of one instant scales nothing.
-        scales = Scales.of(system, initial, float(solution.t[-1]) or 1.0)
-        return self._differentiate(system, matrices, initial, scales, solution)
+        return self._differentiate(Problem.of(system, float(solution.t[-1]) or 1.0), solution)
 
-    def _differentiate(
-        self,
-        system: MechanicalSystem,
-        matrices: SaddlePoint,
-        initial: InitialState,
-        scales: Scales,
-        solution: Solution,
-    ) -> Solution:
+    def _differentiate(self, problem: Problem, solution: Solution) -> Solution:
         started, steps = time.perf_counter(), self.steps_of(solution)
-        derivative = start_sensitivity(system, matrices, initial)
-        start = (derivative.q_b, derivative.v_b, derivative.a_b, derivative.lam_b)
+        system, derivative = problem.system, problem.differentiated().derivative
+        assert derivative is not None
         # A run that ended in its first step has the derivatives of its start.
-        arrays, verdict = [x[None] for x in start], Verdict.FINISHED
+        arrays, verdict = [x[None] for x in derivative], Verdict.FINISHED
         if len(steps.h):
-            first = RecurrenceStart.of(system, matrices, steps.first, initial)
-            nodes, node_b = Nodes(solution, steps, first.node), first.sensitivity(derivative)
-            arrays, verdict = linear_passes.differentiate(system, matrices, nodes, node_b)
+            first = RecurrenceStart.of(problem, steps.first)
+            nodes = Nodes(problem, solution, steps, first.node)
+            arrays, verdict = linear_passes.differentiate(nodes, first.sensitivity(derivative))
             arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
         own = Sensitivities(system.design_names, system.b, *arrays)
         seconds = time.perf_counter() - started
         full = solution.with_sensitivities(own, verdict, len(arrays[0]) - 1, seconds)
-        return self._estimated(full, scales)
+        return self._estimated(full, problem.scales)
 
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
         """Return the gradient of an objective by the discrete adjoint."""
-        steps, matrices = self.steps_of(solution), saddle_point(system, 0.0)
-        initial = consistent_start(system, matrices, 0.0)
-        first = RecurrenceStart.of(system, matrices, steps.first, initial)
-        nodes = Nodes(solution, steps, first.node)
-        gradient, back, _ = linear_passes.pull_back(system, matrices, nodes, seeds)
+        first, nodes = self._opened(system, solution)
+        gradient, back, _ = linear_passes.pull_back(nodes, seeds)
         on = first.pull_back(back)
         # What an objective reads at t = 0 is the consistent start, not the shifted one.
         q, v, lam = (
@@ -272,25 +242,28 @@ class HHT(AdjointIntegrator):
             for x, seed in ((on.q, seeds.q), (on.v, seeds.v), (on.lam, seeds.lam))
         )
         on = Covectors(q, v, on.a, lam, on.b + gradient)
-        return pull_back_start(system, matrices, initial, on)
+        return pull_back_start(system, nodes.problem.matrices, nodes.problem.initial, on)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
     ) -> float:
         """Return what an objective would change without the defects of the steps.
 
-        Parameters
-        ----------
-        system, solution, seeds
-            As for `pull_back`; three instants at least.
+        The arguments are those of `pull_back`; there are three instants at least.
         """
-        steps, matrices = self.steps_of(solution), saddle_point(system, 0.0)
-        initial = consistent_start(system, matrices, 0.0)
-        node = RecurrenceStart.of(system, matrices, steps.first, initial).node
-        defects = Defects.of(solution.t, solution.a, steps)
-        nodes = Nodes(solution, steps, node)
-        _, back, change = linear_passes.pull_back(system, matrices, nodes, seeds, defects)
-        return change + float(back.v_b @ (initial.v - node.v))
+        first, nodes = self._opened(system, solution)
+        defects = Defects.of(solution.t, solution.a, nodes.steps)
+        _, back, change = linear_passes.pull_back(nodes, seeds, defects)
+        return change - float(back.v_b @ first.dv)
+
+    def _opened(
+        self, system: MechanicalSystem, solution: Solution
+    ) -> tuple[RecurrenceStart, Nodes]:
+        """Return what a pass over a run begins with."""
+        # The length of a run of one instant scales nothing.
+        steps, problem = self.steps_of(solution), Problem.of(system, float(solution.t[-1]) or 1.0)
+        first = RecurrenceStart.of(problem, steps.first)
+        return first, Nodes(problem, solution, steps, first.node)
 
     def steps_of(self, solution: Solution) -> Steps:
         """Return the steps of a run of this integrator."""

@@ -17,11 +17,7 @@ from ancfdae.integrators.hht.equations import (
     predict_increment,
     residual,
 )
-from ancfdae.integrators.hht.small_steps import (
-    constraint_increment,
-    motion_size,
-    share_of_defect,
-)
+from ancfdae.integrators.hht.small_steps import constraint_increment, motion_size, share_of_defect
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.numerics.arrays import Array, is_finite, real_norm
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
@@ -41,22 +37,7 @@ _JUMP = 100.0
 class StepSolver:
     """Newton's method for one step after another, with the matrix kept while it serves.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    matrices : SaddlePoint
-    tolerance : float
-        Estimated error of a and lam after the last iteration, relative to the forces.
-    max_iterations : int
-    recorder : Recorder
-        Whose counters go on.
-
-    Attributes
-    ----------
-    verdict : Verdict
-        Why the last step failed.
-    correction : float
-        Size of the last correction.
+    `verdict` tells why the last step failed, `correction` is the size of the last correction.
     """
 
     def __init__(
@@ -79,12 +60,7 @@ class StepSolver:
         self.correction = math.inf
 
     def advance(self, c: Coefficients, before: Node, t: float) -> Node | None:
-        """Solve eqs. (4) and (5) at t; None, with `verdict` set, if that fails.
-
-        Raises
-        ------
-        SingularMatrix
-        """
+        """Solve eqs. (4) and (5) at t; None, with `verdict` set, if that fails."""
         system, tolerance = self._system, self._tolerance
         dq_p, v_p = predict_increment(c, before.v, before.a)
         q_p = before.q + dq_p
@@ -178,9 +154,6 @@ class StepSolver:
         return self._last_motion
 
     def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
-        """Size of inertia, reactions and forces in the same norm.
-
-        Where all of them vanish, as in a body at rest, corrections are compared with round-off.
-        """
+        """Size of the motion; in a body at rest corrections are compared with round-off."""
         size = motion_size(self._system, a, reaction, Q)
         return max(size, self._blur, float(np.finfo(float).tiny))

@@ -25,6 +25,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.hht.equations import Coefficients, Node, Steps, predict_increment, rescaled
+from ancfdae.integrators.problem import Problem
 from ancfdae.numerics.arrays import Array, real_norm
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
@@ -54,14 +55,7 @@ def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion:
 @final
 @dataclass(frozen=True)
 class ConstraintRow:
-    """Derivative of the constraints over a small step.
-
-    Attributes
-    ----------
-    G : array
-        Values on `constraint_pattern`.
-    g : array, shape (n_lam, n_b)
-    """
+    """Derivative of the constraints over a small step: values of G on their pattern, and g."""
 
     G: Array
     g: Array
@@ -84,22 +78,17 @@ class ConstraintRow:
         chi = share_of_defect(system, c, q, motion)
         dq = predict_increment(c, before.v, before.a)[0] + (c.beta * c.h**2) * after.a
         G, g = chi * system.constraint_q(q, t), chi * system.constraint_b(q, t)
-        fixed = np.zeros((system.n_q, system.n_b))
         for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
             q, t = before.q + place * dq, before.t + place * c.h
             G = G + (weight * c.h) * system.constraint_q_rate(q, dq / c.h, t)
-            side = c.h * system.velocity_side_total(q, t, fixed)
-            g = g + weight * (system.constraint_q_times_total(q, dq, t, fixed) - side)
+            g = g + (weight * c.h) * system.constraint_rate_b(t, q, dq / c.h)
         return ConstraintRow(G, g)
 
 
 def constraint_increment(
     system: MechanicalSystem, c: Coefficients, before: Node, dq: Array
 ) -> Array:
-    """Return I, free of the round-off of Phi itself; exact for joints, which are quadratic in q.
-
-    A drive A sin(w t) leaves A (w h)^7 / 2e6.
-    """
+    """Return I; exact for joints, quadratic in q. A drive A sin(w t) leaves A (w h)^7 / 2e6."""
     total = np.zeros(system.n_lam)
     for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
         q, t = before.q + place * dq, before.t + place * c.h
@@ -113,24 +102,14 @@ def constraint_increment(
 class Nodes:
     """States of the recurrence at the instants of a finished run.
 
-    Attributes
-    ----------
-    run : Solution
-        Its accelerations are A; a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n.
-    steps : Steps
-    first : Node
-        The start of the recurrence.
+    The accelerations of the run are A; a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n. `first` is the
+    start of the recurrence.
     """
 
+    problem: Problem
     run: Solution
     steps: Steps
     first: Node
-
-    def before(self, n: int) -> Node:
-        """Return the node that the step to instant n starts from, for its size."""
-        if n == 1:
-            return self.first
-        return rescaled(self.after(n - 1), self.steps.ratio(n - 1))
 
     def after(self, n: int) -> Node:
         """Return the node that the step to instant n arrives at."""
@@ -138,9 +117,10 @@ class Nodes:
         a = (1 + alpha) * run.a[n] - alpha * run.a[n - 1]
         return Node(float(run.t[n]), run.q[n], run.v[n], a, run.lam[n], run.a[n])
 
-    def maybe_small(self, system: MechanicalSystem) -> Array:
+    def maybe_small(self) -> Array:
         """Return for every instant whether the step that ends there may be small, shape (n_t,)."""
-        root, h, beta = np.sqrt(system.weights), self.steps.h, self.steps.first.beta
+        root = np.sqrt(self.problem.system.weights)
+        h, beta = self.steps.h, self.steps.first.beta
         # A run that diverged overflows; its motion is not small.
         with np.errstate(over="ignore"):
             q, A = (np.linalg.norm(root * x.real, axis=1) for x in (self.run.q, self.run.a))
@@ -148,6 +128,9 @@ class Nodes:
         allowed = _QUIET_DERIVATIVES * beta * h**2 * np.maximum(A[1:], A[:-1])
         return np.append(False, _EPS * q[:-1] > allowed)
 
-    def row(self, system: MechanicalSystem, n: int) -> ConstraintRow | None:
+    def row(self, n: int) -> ConstraintRow | None:
         """Return the row of the step to instant n; None where that is not small."""
-        return ConstraintRow.of(system, self.steps.of(n), self.before(n), self.after(n))
+        before = self.first
+        if n > 1:
+            before = rescaled(self.after(n - 1), self.steps.ratio(n - 1))
+        return ConstraintRow.of(self.problem.system, self.steps.of(n), before, self.after(n))

@@ -35,6 +35,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity, constraint_error
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.start import (
     Covectors,
     InitialSensitivity,
@@ -44,7 +45,7 @@ from ancfdae.integrators.start import (
     solve_transposed,
 )
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
 
@@ -52,13 +53,7 @@ from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_t
 @final
 @dataclass(frozen=True)
 class _Jerk:
-    """The third derivative at an acceleration (j_1 or j_2 of the module description).
-
-    Attributes
-    ----------
-    a, jerk : array, shape (n_q,)
-    lam_rate : array, shape (n_lam,)
-    """
+    """The third derivative at an acceleration (j_1 or j_2 of the module description)."""
 
     a: Array
     jerk: Array
@@ -84,23 +79,9 @@ class _Jerk:
 @final
 @dataclass(frozen=True)
 class RecurrenceStart:
-    """The start for a first step of given coefficients.
+    """The start for a first step, with s = -alpha h, scale = C h^2 and one jerk or two.
 
-    Attributes
-    ----------
-    system : MechanicalSystem
-    s : float
-        -alpha h.
-    scale : float
-        C h^2.
-    initial : InitialState
-        The consistent start.
-    jerks : tuple of _Jerk
-        One, or two where forces depend on velocities.
-    dv : array, shape (n_q,)
-    eta : array, shape (n_lam,)
-    factors, damped : Factorization
-        Of M and of M - s Q_v, with Phi_q.
+    The factors are those of M and of M - s Q_v, with Phi_q.
     """
 
     system: MechanicalSystem
@@ -114,16 +95,10 @@ class RecurrenceStart:
     damped: Factorization
 
     @staticmethod
-    def of(
-        system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, initial: InitialState
-    ) -> RecurrenceStart:
-        """Solve the equations of the module description.
-
-        Raises
-        ------
-        SingularMatrix
-        """
-        x, s, scale = initial, -c.alpha * c.h, constraint_error(c)
+    def of(problem: Problem, c: Coefficients) -> RecurrenceStart:
+        """Solve the equations of the module description."""
+        system, matrices, x = problem.system, problem.matrices, problem.initial
+        s, scale = -c.alpha * c.h, constraint_error(c)
         M, Phi_q = system.mass(x.q), system.constraint_q(x.q, x.t)
         factors = damped = matrices.factor(M, Phi_q)
         if system.velocity_forces:
@@ -214,7 +189,7 @@ class RecurrenceStart:
     def _pull_back_jerk(self, jerk: _Jerk, on_jerk: Array) -> tuple[Covectors, Array]:
         """Pull a covector on a third derivative back; that on its acceleration comes beside."""
         system, x = self.system, self.initial
-        t, q, v, a, lam, j = x.t, x.q, x.v, x.a, x.lam, jerk.jerk
+        (t, q, v, a, lam), j = x, jerk.jerk
         K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
         m, z = solve_transposed(self.damped, on_jerk, np.zeros_like(lam))
         states, later = (q, v, a, lam), jerk.a + self.s * j

@@ -29,13 +29,11 @@ from ancfdae.integrators.hht.equations import (
 from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.integrators.hht.small_steps import ConstraintRow
 from ancfdae.integrators.hht.start import RecurrenceStart
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.integrators.step_control.contracts import OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.protocol import MechanicalSystem
 
 # State of the recurrence at an instant, and of its derivatives if they are integrated.
 State = tuple[Node, NodeSensitivity | None]
@@ -43,53 +41,35 @@ State = tuple[Node, NodeSensitivity | None]
 
 @final
 class Stepper(OneStepMethod[State]):
-    """Takes the steps of a run.
+    """Takes the steps of a run, with derivatives where those of the start are given.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    matrices : SaddlePoint
-    initial : InitialState
-    derivative : InitialSensitivity or None
-        Where derivatives are integrated too.
-    alpha : float
-    newton : tuple of float and int
-        Tolerance and most iterations of Newton's method.
-    tolerance : Tolerance or None
-        Of the error of a step, where it is controlled.
-    recorder : Recorder
-        Whose counters go on.
+    The tolerance, of the error of a step, is None where nothing controls it; the counters of the
+    recorder go on.
     """
 
     order: ClassVar[int] = 2
 
     def __init__(
         self,
-        system: MechanicalSystem,
-        matrices: SaddlePoint,
-        initial: InitialState,
-        derivative: InitialSensitivity | None,
+        problem: Problem,
         alpha: float,
         newton: tuple[float, int],
         tolerance: Tolerance | None,
         recorder: Recorder,
     ) -> None:
-        self._system, self._matrices, self._alpha = system, matrices, alpha
-        self._initial, self._derivative = initial, derivative
-        self._solver = StepSolver(system, matrices, *newton, recorder)
+        self._problem, self._alpha = problem, alpha
+        self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
         self._tolerance, self._recorder = tolerance, recorder
 
     def consistent(self) -> Record:
         """Return what a solution keeps of the start, which is the consistent one."""
-        x, b = self._initial, self._derivative
-        derivatives = () if b is None else (b.q_b, b.v_b, b.a_b, b.lam_b)
-        return x.t, x.q, x.v, x.a, x.lam, derivatives
+        return *self._problem.initial, self._problem.derivative or ()
 
     def start(self, h: float) -> State:
         """Return the start of a run whose first step has the size h."""
-        c = Coefficients.of(h, self._alpha)
-        start = RecurrenceStart.of(self._system, self._matrices, c, self._initial)
-        return start.node, self._derivative and start.sensitivity(self._derivative)
+        c = Coefficients(h, self._alpha)
+        start, derivative = RecurrenceStart.of(self._problem, c), self._problem.derivative
+        return start.node, derivative and start.sensitivity(derivative)
 
     def resized(self, state: State, ratio: float) -> State:
         """Return a state for a step whose size is `ratio` times that of the step before."""
@@ -97,20 +77,16 @@ class Stepper(OneStepMethod[State]):
         return rescaled(node, ratio), node_b and rescaled_sensitivity(node_b, ratio)
 
     def advance(self, h: float, before: State, t: float) -> State | None:
-        """Solve the equations at t; None if Newton's method fails.
-
-        Raises
-        ------
-        SingularMatrix
-        """
-        (last, node_b), c = before, Coefficients.of(h, self._alpha)
+        """Solve the equations at t; None if Newton's method fails."""
+        (last, node_b), c = before, Coefficients(h, self._alpha)
         node = self._solver.advance(c, last, t)
         if node is None:
             return None
         if node_b is not None:
             self._recorder.factorisations += 1
-            row = ConstraintRow.of(self._system, c, last, node)
-            node_b = linear_passes.advance(self._system, self._matrices, c, node_b, node, row)
+            system, matrices = self._problem.system, self._problem.matrices
+            row = ConstraintRow.of(system, c, last, node)
+            node_b = linear_passes.advance(system, matrices, c, node_b, node, row)
         return node, node_b
 
     def failure(self) -> tuple[Verdict, float]:
@@ -132,9 +108,9 @@ class Stepper(OneStepMethod[State]):
 
     def start_error(self) -> float:
         """Return e of a first step of size 1, from the third derivative at the start."""
-        initial, own, still = self._initial, self._derivative, Coefficients.of(0.0, self._alpha)
-        start = RecurrenceStart.of(self._system, self._matrices, still, initial)
-        motion = start.jerks[0].jerk.real, np.abs(initial.q.real)
+        own, still = self._problem.derivative, Coefficients(0.0, self._alpha)
+        start = RecurrenceStart.of(self._problem, still)
+        motion = start.jerks[0].jerk.real, np.abs(self._problem.initial.q.real)
         if own is None:
             return self._error(1.0, *motion)
         jerk_b = start.jerk_total(start.jerks[0], own, own.a_b)
@@ -151,7 +127,7 @@ class Stepper(OneStepMethod[State]):
         """Return the larger e; NaN, which no step passes, if one of them is NaN."""
         if self._tolerance is None:
             return 0.0
-        scale = constraint_error(Coefficients.of(h, self._alpha))
+        scale = constraint_error(Coefficients(h, self._alpha))
         error = self._tolerance.of_motion(h, scale * increment, size)
         if increment_b is None or size_b is None:
             return error

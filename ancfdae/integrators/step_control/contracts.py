@@ -20,10 +20,7 @@ Record = tuple[float, Array, Array, Array, Array, tuple[Array, ...]]
 class OneStepMethod(abc.ABC, Generic[State]):
     """A run of a method that goes from state to state; how far, others decide.
 
-    Attributes
-    ----------
-    order : int
-        Power of the step with which its error per unit of time falls.
+    Its error per unit of time falls with the step to the power `order`.
     """
 
     order: ClassVar[int]
@@ -42,12 +39,7 @@ class OneStepMethod(abc.ABC, Generic[State]):
 
     @abc.abstractmethod
     def advance(self, h: float, before: State, t: float) -> State | None:
-        """Return the state at t, after a step of size h; None if its equations were not solved.
-
-        Raises
-        ------
-        SingularMatrix
-        """
+        """Return the state at t, after a step of size h; None if it was not solved."""
 
     @abc.abstractmethod
     def failure(self) -> tuple[Verdict, float]:
@@ -77,11 +69,8 @@ class Controller(abc.ABC):
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
         """Judge a step of size h from instant n at time t by its e; None if it was not solved.
 
-        Returns
-        -------
-        int or Verdict
-            The instant to go on from: n + 1 if the step counts, n if another size is to be tried,
-            0 if the run begins anew; or why no step helps.
+        Returns the instant to go on from: n + 1 if the step counts, n if another size is to be
+        tried, 0 if the run begins anew; or why no step helps.
         """
 
 
@@ -90,13 +79,7 @@ class StepControl(abc.ABC):
 
     @abc.abstractmethod
     def count(self, t_end: float) -> int:
-        """Return the number of steps to `t_end`, or a guess where nobody knows.
-
-        Raises
-        ------
-        InvalidInput
-            If no step can end there.
-        """
+        """Return the number of steps to `t_end`, which must fit, or a guess."""
 
     @abc.abstractmethod
     def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
@@ -120,11 +103,6 @@ class StepControl(abc.ABC):
 
 
 def require_square(where: str, value: float) -> None:
-    """Refuse times whose square, or its inverse, is no number of full precision.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse times whose square, or its inverse, is no number of full precision."""
     if not sys.float_info.min < value * value < math.inf:
         raise InvalidInput(where, "must have a square that is a number", value, "Change units.")

@@ -132,17 +132,7 @@ class ControlledSteps(StepControl):
 
 @final
 class _Filter(Controller):
-    """The digital filter of the module description.
-
-    Parameters
-    ----------
-    order : int
-        p.
-    first : float
-        First step that is tried.
-    t_end : float
-    max_steps : int
-    """
+    """The digital filter of the module description; p is the order, `first` is tried first."""
 
     def __init__(self, order: int, first: float, t_end: float, max_steps: int) -> None:
         self._order, self._t_end, self._max_steps = order, t_end, max_steps

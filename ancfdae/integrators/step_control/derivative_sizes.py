@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ancfdae.errors import Verdict
-from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.problem import Scales
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution import Solution
 
@@ -24,16 +24,8 @@ _ROUND_OFF = 1e-12
 def with_own_sizes(rough: Solution, run: Callable[[Array], Solution], scales: Scales) -> Solution:
     """Repeat a run until its derivatives have the sizes that it was controlled under.
 
-    They come from a run under error control of the motion alone. Where that had them too large
-    the tolerance was too loose; then the sizes found count, and all is run again.
-
-    Parameters
-    ----------
-    rough : Solution
-        With derivatives, as `run` returns them.
-    run : callable
-        Runs under error control of motion and derivatives, whose sizes it is given.
-    scales : Scales
+    They come from a rough run under error control of the motion alone. Where that had them too
+    large the tolerance was too loose; then the sizes found count, and all is run again.
     """
     solution, sizes_b = rough, None
     while solution.outcome.verdict is not Verdict.INTERRUPTED:
@@ -65,7 +57,7 @@ def derivative_sizes(scales: Scales, q_b: Array) -> Array:
 def sizes_hold(assumed: Array, found: Array) -> bool:
     """Whether sizes under which a run was controlled are at most twice those it shows.
 
-    A derivative that turns out to be round-off has no size to compare with, and no error either.
+    Round-off has no size to compare with, and no error either.
     """
     return bool(np.all((found == 0) | ((assumed > 0) & (assumed <= _TWICE * found))))
 

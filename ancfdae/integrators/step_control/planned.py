@@ -24,21 +24,20 @@ _WHOLE = 1e-9
 _SHOWN = 6
 
 
+class _KnownSteps(StepControl):
+    @final
+    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
+        return None
+
+    @final
+    def frozen(self, t: Array) -> StepControl:
+        return self
+
+
 @final
 @dataclass(frozen=True)
-class FixedSteps(StepControl):
-    """Steps of one size.
-
-    Parameters
-    ----------
-    step : float
-        Step size h; s.
-
-    Raises
-    ------
-    InvalidInput
-        If the step is not positive, or so small or large that its square is no number.
-    """
+class FixedSteps(_KnownSteps):
+    """Steps of one size (s); InvalidInput if it is not positive, or its square is no number."""
 
     step: float
 
@@ -62,10 +61,6 @@ class FixedSteps(StepControl):
             )
         return count
 
-    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
-        """Return none."""
-        return None
-
     def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
         """Return the plan; its instants are multiples, without accumulated round-off."""
         count = self.count(t_end)
@@ -75,10 +70,6 @@ class FixedSteps(StepControl):
         """Return the step, free of the round-off of the instants."""
         return np.full(len(t) - 1, self.step)
 
-    def frozen(self, t: Array) -> StepControl:
-        """Return itself."""
-        return self
-
     def refined(self, t: Array) -> StepControl:
         """Halve the step."""
         return FixedSteps(self.step / 2)
@@ -86,24 +77,15 @@ class FixedSteps(StepControl):
 
 @final
 @dataclass(frozen=True)
-class GivenSteps(StepControl):
+class GivenSteps(_KnownSteps):
     """Steps between given instants, such as those of another run.
 
-    Parameters
-    ----------
-    times : sequence of float
-        Instants of the run, increasing from 0 on; s. The last one is its end.
-
-    Raises
-    ------
-    InvalidInput
-        If they are no such instants.
+    They increase from 0 on (s); the last one is the end of the run. InvalidInput if they do not.
     """
 
     times: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Validate."""
         where, t = "GivenSteps.times", require_array("GivenSteps.times", self.times)
         repair = "Take the instants of a solution, or np.linspace(0, t_end, n)."
         if t.ndim != 1 or len(t) < 2:
@@ -138,10 +120,6 @@ class GivenSteps(StepControl):
             )
         return len(self.times) - 1
 
-    def tolerance(self, t_end: float, sizes: Array, sizes_b: Array) -> Tolerance | None:
-        """Return none."""
-        return None
-
     def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
         """Return the plan."""
         return _Plan(np.diff(self.times), np.array(self.times[1:]))
@@ -149,10 +127,6 @@ class GivenSteps(StepControl):
     def sizes(self, t: Array) -> Array:
         """Return the distances of the instants."""
         return np.diff(t)
-
-    def frozen(self, t: Array) -> StepControl:
-        """Return itself."""
-        return self
 
     def refined(self, t: Array) -> StepControl:
         """Halve the distances."""
@@ -168,9 +142,7 @@ class _Plan(Controller):
         self._sizes, self._ends = sizes.tolist(), ends.tolist()
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
-        """Return the next step."""
         return (self._sizes[n], self._ends[n]) if n < len(self._ends) else Verdict.FINISHED
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
-        """Accept what was solved: nothing can be changed."""
         return Verdict.NO_CONVERGENCE if error is None else n + 1

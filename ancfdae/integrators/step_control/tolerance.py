@@ -25,7 +25,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import EstimatedErrors, Sensitivities
@@ -37,17 +37,7 @@ _FED = 2.0
 @final
 @dataclass(frozen=True)
 class Tolerance:
-    """What measures the error of a step (module description).
-
-    Attributes
-    ----------
-    rtol, atol : float
-    t_end : float
-    sizes : array, shape (n_q,)
-        Q_i.
-    sizes_b : array, shape (n_b,)
-        S_j; zero where the design variable has no influence.
-    """
+    """What measures the error of a step: sizes Q_i, and sizes_b S_j, zero without influence."""
 
     rtol: float
     atol: float

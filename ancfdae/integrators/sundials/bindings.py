@@ -16,6 +16,15 @@ from ancfdae.errors import AncfdaeError, Verdict
 from ancfdae.integrators.high_order import NotFinite
 
 _RECOVERABLE, _FATAL = 1, -1
+# Return codes of IDA and IDAS, see their manuals.
+_FAILURES = {
+    -1: Verdict.STEP_LIMIT,
+    -2: Verdict.TOO_ACCURATE,
+    -3: Verdict.ERROR_TEST,
+    -4: Verdict.NO_CONVERGENCE,
+    **dict.fromkeys((-6, -7), Verdict.SINGULAR),
+    **dict.fromkeys((-8, -9, -12, -41, -42), Verdict.NOT_FINITE),
+}
 
 
 @final
@@ -26,24 +35,14 @@ class MissingPackage(AncfdaeError, ImportError):
 @final
 @dataclass(frozen=True)
 class Bindings:
-    """Modules of sundials4py.
-
-    Attributes
-    ----------
-    core, idas : module
-    """
+    """Modules of sundials4py."""
 
     core: Any
     idas: Any
 
     @staticmethod
     def load() -> Bindings:
-        """Import sundials4py.
-
-        Raises
-        ------
-        MissingPackage
-        """
+        """Import sundials4py, or raise MissingPackage."""
         try:
             core = importlib.import_module("sundials4py.core")
             idas = importlib.import_module("sundials4py.idas")
@@ -67,32 +66,15 @@ class Bindings:
         return self.core.N_VGetNumpyArray(vector)
 
     def check(self, flag: int) -> None:
-        """Refuse a return code of a set-up call that is an error.
-
-        Raises
-        ------
-        AncfdaeError
-        """
+        """Refuse a return code of a set-up call that is an error."""
         if flag < 0:
             name = self.idas.IDAGetReturnFlagName(flag)
             raise AncfdaeError(f"IDAS: a call to set it up failed with {name}. Please report this.")
 
-    def verdict(self, flag: int) -> Verdict:
-        """Translate the return code of a failed step."""
-        idas = self.idas
-        known = {
-            idas.IDA_TOO_MUCH_WORK: Verdict.STEP_LIMIT,
-            idas.IDA_TOO_MUCH_ACC: Verdict.TOO_ACCURATE,
-            idas.IDA_ERR_FAIL: Verdict.ERROR_TEST,
-            idas.IDA_LSETUP_FAIL: Verdict.SINGULAR,
-            idas.IDA_LSOLVE_FAIL: Verdict.SINGULAR,
-            idas.IDA_REP_RES_ERR: Verdict.NOT_FINITE,
-            idas.IDA_RES_FAIL: Verdict.NOT_FINITE,
-            idas.IDA_SRES_FAIL: Verdict.NOT_FINITE,
-            idas.IDA_REP_SRES_ERR: Verdict.NOT_FINITE,
-            idas.IDA_FIRST_RES_FAIL: Verdict.NOT_FINITE,
-        }
-        return known.get(flag, Verdict.NO_CONVERGENCE)
+
+def verdict(flag: int) -> Verdict:
+    """Translate the return code of a failed step."""
+    return _FAILURES.get(flag, Verdict.NO_CONVERGENCE)
 
 
 @final
@@ -103,17 +85,21 @@ class Guard:
         self._error: BaseException | None = None
         self._not_finite = False
 
-    def run(self, callback: Callable[[], None]) -> int:
-        """Return zero, or the code that stops the solver; not finite is recoverable."""
-        try:
-            callback()
-        except NotFinite:
-            self._not_finite = True
-            return _RECOVERABLE
-        except BaseException as error:  # noqa: BLE001  # raised again outside the C code
-            self._error = error
-            return _FATAL
-        return 0
+    def callback(self, evaluate: Callable[..., None]) -> Callable[..., int]:
+        """Wrap a function for C code; not finite is a recoverable failure."""
+
+        def run(*arguments: Any) -> int:
+            try:
+                evaluate(*arguments)
+            except NotFinite:
+                self._not_finite = True
+                return _RECOVERABLE
+            except BaseException as error:  # noqa: BLE001  # raised again outside the C code
+                self._error = error
+                return _FATAL
+            return 0
+
+        return run
 
     def raise_kept(self) -> bool:
         """Raise what a callback raised since the last call; return whether one was not finite."""

@@ -7,29 +7,72 @@ of that matrix along the sensitivities, which affects the convergence of Newton'
 What the wrapper does not guard against is guarded here: steps are taken one
 by one and counted, a solver that has not factorised is never freed, views are copied, residuals
 that are not finite end the run.
+
+scikit-sundae prints error messages and has no switch for it; they are kept off the terminal: the
+outcome of a run reports the same.
 """
 
 from __future__ import annotations
 
 import ctypes
+import sys
 import warnings
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, final
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, TextIO, final
 
 import numpy as np
 import sksundae
 from scipy import sparse
 
-from ancfdae.errors import Verdict, require_count, require_kind
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.errors import Verdict, require_kind
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import State
-from ancfdae.integrators.integrator import require_rtol
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
+from ancfdae.integrators.sundials.bindings import verdict
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage, IndexReduction
-from ancfdae.integrators.sundials.messages import without_messages
 from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.numerics.arrays import Array, is_finite
-from ancfdae.protocol.solution import Solution
+
+# How scikit-sundae begins what it prints.
+_MESSAGE = "\n[IDA"
+
+
+@contextmanager
+def without_messages() -> Iterator[None]:
+    """Drop what SUNDIALS prints inside the block; whatever else is printed comes through."""
+    stream = sys.stdout
+    if isinstance(stream, _Filter):  # Another thread is at it.
+        stream = stream.stream
+    if stream is not None:
+        sys.stdout = _Filter(stream)
+    try:
+        yield
+    finally:
+        sys.stdout = stream
+
+
+@final
+class _Filter:
+    """A stream without messages of SUNDIALS."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream, self._dropped = stream, False
+
+    def write(self, text: str) -> int:
+        """Write the text, unless it is a message or the line end after one."""
+        message = text.startswith(_MESSAGE)
+        if message or (self._dropped and text == "\n"):
+            self._dropped = message
+            return len(text)
+        self._dropped = False
+        return self.stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
 
 # Below round-off of a double, with what an integrator of order five needs on top.
 _LEAST_RTOL = 1e-13
@@ -41,15 +84,6 @@ _MOST_DENSE = 100
 # Corrector iterations per step: the sensitivities are linear in themselves, so they need one more
 # than the states.
 _ITERATIONS = 6
-# Return codes of IDA, see its manual.
-_FAILURES = {
-    -1: Verdict.STEP_LIMIT,
-    -2: Verdict.TOO_ACCURATE,
-    -3: Verdict.ERROR_TEST,
-    -4: Verdict.NO_CONVERGENCE,
-    -6: Verdict.SINGULAR,
-    -7: Verdict.SINGULAR,
-}
 
 
 @final
@@ -57,41 +91,16 @@ _FAILURES = {
 class IDA(HighOrder):
     """Variable-order BDF of SUNDIALS with error control.
 
-    Parameters
-    ----------
-    rtol : float
-        Relative tolerance per step; the error of a run is 10 to 200 times larger. 1e-8 is good
-        for a cross-check, 1e-10 for a reference.
-    form : IndexReduction
-    intervals : int
-        As in `HighOrder`.
-    max_steps : int
-        Steps of the whole run before it ends with an outcome; a small system takes 10,000 in a
-        second.
-
-    Raises
-    ------
-    InvalidInput
-        If a setting is out of range.
+    The error of a run is 10 to 200 times `rtol`: 1e-8 is good for a cross-check, 1e-10 for a
+    reference. A small system takes 10,000 steps in a second. Parameters: `form`, and those of
+    `HighOrder`.
     """
 
-    real_only: ClassVar[bool] = True
-
-    rtol: float = 1e-8
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
-    intervals: int = 64
-    max_steps: int = 100_000
 
     def __post_init__(self) -> None:
-        """Validate."""
-        require_rtol("IDA.rtol", self.rtol, _LEAST_RTOL)
+        self.require_settings(_LEAST_RTOL)
         require_kind("IDA.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
-        require_count("IDA.intervals", self.intervals, "64 is a good number.")
-        require_count("IDA.max_steps", self.max_steps, "100000 is plenty.")
-
-    def refined(self, solution: Solution) -> IDA:
-        """Return the integrator with a tenth of the tolerance."""
-        return replace(self, rtol=self.rtol / 10)
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up IDA."""
@@ -105,11 +114,10 @@ class _IdaMarch(March):
     def __init__(
         self, settings: IDA, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
-        self._settings, self._t_end, self._progress = settings, t_end, Progress(t_end)
+        super().__init__(t_end, settings.max_steps, without_messages)
         self._form = settings.form.form(problem.system, problem.scales)
         system, b = problem.system, problem.derivative
         self._m = 0 if b is None else system.n_b
-        self.steps = self.iterations = self.factorisations = self.residuals = 0
         scale = problem.scales.b
         self._moved = [
             system.with_values(system.b + _CHANGE * scale * unit)
@@ -120,50 +128,41 @@ class _IdaMarch(March):
         if b is not None:
             blocks, rates = self._form.start_b(b)
             Y, Yp = _join(Y, blocks), _join(Yp, rates)
-        self._t, self._y, self._last = 0.0, Y, 0.0
+        self._y, self._last = Y, 0.0
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, Y, Yp)
         self._solver = self._set_up(settings)
         _keep(self._solver)
         self._solver.init_step(0.0, Y, Yp)
 
-    def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind, then interpolate."""
-        with without_messages():
-            return self._to(t)
+    def _step(self) -> Verdict | None:
+        result = self._solver.step(self._t_end, "onestep", self._t_end)
+        if not result.success:
+            return verdict(result.status)
+        if self.steps == 0:
+            _release(self._solver)
+        # After an interpolation IDA returns its last step once more before it goes on.
+        if result.t > self._t:
+            self.steps += 1
+            self._t, self._y = result.t, result.y.copy()
+            if self._points.wanted:
+                self._points.add(self._t, self._y, result.yp.copy())
+        return None
 
-    def _to(self, t: float) -> State | Verdict:
-        while self._t < t:
-            if self.steps == self._settings.max_steps:
-                return Verdict.STEP_LIMIT
-            result = self._solver.step(self._t_end, "onestep", self._t_end)
-            if not result.success:
-                return _FAILURES.get(result.status, Verdict.NO_CONVERGENCE)
-            if self.steps == 0:
-                _release(self._solver)
-            # After an interpolation IDA returns its last step once more before it goes on.
-            if result.t > self._t:
-                self.steps += 1
-                self._t, self._y = result.t, result.y.copy()
-                if self._points.wanted:
-                    self._points.add(self._t, self._y, result.yp.copy())
-            if self._progress.stalls(self._t):
-                return Verdict.ERROR_TEST
-        y = self._y if self._t == t else self._solver.step(t, "normal", self._t_end).y.copy()
+    def _state(self, t: float) -> State:
+        y = self._y
+        if self._t != t:
+            y = self._solver.step(t, "normal", self._t_end).y.copy()
         if not is_finite(y):
             raise NotFinite
         states, blocks = self._split(y)
-        q, v = self._form.coordinates(states)
-        if self._m == 0:
-            return State(q, v)
-        return State(q, v, *self._form.coordinates_b(blocks))
+        derivatives = self._form.coordinates_b(blocks) if self._m else ()
+        return State(*self._form.coordinates(states), *derivatives)
 
     def finish(self) -> None:
-        """Take the last steps into the integrals."""
         self._points.finish()
 
     def residual(self) -> float:
-        """Largest scaled residual of the states."""
         return self._last
 
     def _set_up(self, settings: IDA) -> Any:

@@ -7,18 +7,19 @@ matrix of the states. Backward: see `idas_adjoint`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, final
+from dataclasses import dataclass
+from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import Verdict, require_count, require_kind
-from ancfdae.integrators.high_order import HighOrder, March, NotFinite, Problem, Progress
+from ancfdae.errors import Verdict, require_kind
+from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import State
-from ancfdae.integrators.integrator import AdjointIntegrator, Seeds, require_rtol
+from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
+from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
-from ancfdae.integrators.sundials.bindings import Bindings
-from ancfdae.integrators.sundials.idas_adjoint import pull_back
+from ancfdae.integrators.sundials.bindings import Bindings, verdict
+from ancfdae.integrators.sundials.idas_adjoint import BackwardRun
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.integrators.sundials.step_points import StepPoints
@@ -34,44 +35,15 @@ _LEAST_RTOL = 1e-13
 class IDAS(HighOrder, AdjointIntegrator):
     """Variable-order BDF of SUNDIALS with its own sensitivity analysis.
 
-    Needs the package sundials4py (Python 3.12 or newer) when it runs.
-
-    Parameters
-    ----------
-    rtol : float
-        Relative tolerance per step of states, sensitivities and adjoint.
-    form : IndexReduction
-    intervals : int
-        As in `HighOrder`.
-    max_steps : int
-        Steps of the whole run before it ends with an outcome; a small system takes 10,000 in a
-        second.
-
-    Raises
-    ------
-    InvalidInput
-        If a setting is out of range.
-    MissingPackage
-        On integration, if sundials4py is not installed.
+    Needs the package sundials4py (Python 3.12 or newer) when it runs, or raises MissingPackage.
+    Parameters: `form`, and those of `HighOrder`.
     """
 
-    real_only: ClassVar[bool] = True
-
-    rtol: float = 1e-8
     form: IndexReduction = IndexReduction.STABILISED_INDEX_2
-    intervals: int = 64
-    max_steps: int = 100_000
 
     def __post_init__(self) -> None:
-        """Validate."""
-        require_rtol("IDAS.rtol", self.rtol, _LEAST_RTOL)
+        self.require_settings(_LEAST_RTOL)
         require_kind("IDAS.form", self.form, (IndexReduction,), "Use a member of IndexReduction.")
-        require_count("IDAS.intervals", self.intervals, "64 is a good number.")
-        require_count("IDAS.max_steps", self.max_steps, "100000 is plenty.")
-
-    def refined(self, solution: Solution) -> IDAS:
-        """Return the integrator with a tenth of the tolerance."""
-        return replace(self, rtol=self.rtol / 10)
 
     def start(self, problem: Problem, t_end: float, quadrature: Quadrature) -> March:
         """Set up IDAS."""
@@ -80,16 +52,9 @@ class IDAS(HighOrder, AdjointIntegrator):
     def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
         """Return the gradient of an objective by the adjoint with checkpoints."""
         t_end = float(solution.t[-1])
-        problem = Problem.of(system, t_end, sensitivities=True)
-        return pull_back(
-            Bindings.load(),
-            problem,
-            self.form.form(problem.system, problem.scales),
-            self.rtol,
-            self.max_steps,
-            solution,
-            seeds,
-        )
+        problem = Problem.of(system, t_end).differentiated()
+        form = self.form.form(system, problem.scales)
+        return BackwardRun(Bindings.load(), problem, form, self, solution, seeds).gradient()
 
 
 @final
@@ -104,52 +69,47 @@ class _IdasMarch(March):
         t_end: float,
         quadrature: Quadrature,
     ) -> None:
+        super().__init__(t_end, settings.max_steps)
         idas, check = bindings.idas, bindings.check
-        self._bindings, self._settings, self._t_end = bindings, settings, t_end
-        self._progress = Progress(t_end)
+        self._bindings, self._rtol = bindings, settings.rtol
         self._form = settings.form.form(problem.system, problem.scales)
         start = self._form.start(problem.initial)
         equations = IdasEquations(bindings, self._form, settings.rtol, start)
         self._equations, self._memory = equations, equations.memory
-        self._t, self._out = 0.0, bindings.vector(equations.context, np.zeros(self._form.n))
-        self._m = 0 if problem.derivative is None else problem.system.n_b
+        self._out = bindings.vector(equations.context, np.zeros(self._form.n))
         Y = Yp = np.zeros((self._form.n, 0))
         if problem.derivative is not None:
             Y, Yp = self._form.start_b(problem.derivative)
+        self._m = Y.shape[1]
         if self._m:
             self._add_sensitivities(Y, Yp)
         check(idas.IDASetStopTime(self._memory, t_end))
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, np.append(start[0], Y.T), np.append(start[1], Yp.T))
-        self.steps = self.iterations = self.factorisations = self.residuals = 0
 
-    def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind, then interpolate."""
+    def _step(self) -> Verdict | None:
         idas, e = self._bindings.idas, self._equations
-        while self._t < t:
-            if self.steps == self._settings.max_steps:
-                return Verdict.STEP_LIMIT
-            flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
-            self._count()
-            not_finite = e.guard.raise_kept()
-            if flag < 0:
-                return Verdict.NOT_FINITE if not_finite else self._bindings.verdict(flag)
-            self._t = reached
-            if self._points.wanted:
-                self._points.add(reached, *self._reached(reached))
-            if self._progress.stalls(reached):
-                return Verdict.ERROR_TEST
-        array, out = self._bindings.array, self._out
-        self._bindings.check(idas.IDAGetDky(self._memory, t, 0, out))
-        if not is_finite(array(out)):
+        flag, reached = idas.IDASolve(self._memory, self._t_end, e.y, e.yp, idas.IDA_ONE_STEP)
+        self._count()
+        not_finite = e.guard.raise_kept()
+        if flag < 0:
+            return Verdict.NOT_FINITE if not_finite else verdict(flag)
+        self._t = reached
+        if self._points.wanted:
+            self._points.add(reached, *self._reached(reached))
+        return None
+
+    def _state(self, t: float) -> State:
+        self._bindings.check(self._bindings.idas.IDAGetDky(self._memory, t, 0, self._out))
+        y = self._bindings.array(self._out)
+        if not is_finite(y):
             raise NotFinite
-        q, v = self._form.coordinates(array(out))
+        q, v = self._form.coordinates(y)
         if self._m == 0:
             return State(q, v)
         return State(q, v, *self._form.coordinates_b(self._sensitivities(t, 0).T))
 
     def finish(self) -> None:
-        """Take the last steps into the integrals."""
         self._points.finish()
 
     def _reached(self, t: float) -> tuple[Array, Array]:
@@ -172,38 +132,31 @@ class _IdasMarch(March):
         return rows
 
     def residual(self) -> float:
-        """Largest scaled residual of the states."""
         return self._equations.last
 
     def _add_sensitivities(self, Y: Array, Yp: Array) -> None:
         bindings, idas, context = self._bindings, self._bindings.idas, self._equations.context
-        tolerances = self._form.tolerances(self._settings.rtol)
+        tolerances = self._form.tolerances(self._rtol)
         # IDAS keeps references to the vectors, not the vectors.
         self._Y = [bindings.vector(context, column) for column in Y.T]
         self._Yp = [bindings.vector(context, column) for column in Yp.T]
         self._atol = [bindings.vector(context, tolerances) for _ in range(self._m)]
-        check, staggered = bindings.check, idas.IDA_STAGGERED
-        check(
-            idas.IDASensInit(self._memory, self._m, staggered, self._residual_b, self._Y, self._Yp)
-        )
-        check(idas.IDASensSVtolerances(self._memory, self._settings.rtol, self._atol))
+        check, residual = bindings.check, self._equations.guard.callback(self._residual_b)
+        vectors = self._Y, self._Yp
+        check(idas.IDASensInit(self._memory, self._m, idas.IDA_STAGGERED, residual, *vectors))
+        check(idas.IDASensSVtolerances(self._memory, self._rtol, self._atol))
         check(idas.IDASetSensErrCon(self._memory, 1))
 
     def _residual_b(
         self, m: int, t: float, y: Any, yp: Any, R: Any, Y: Any, Yp: Any, RY: Any, *_: Any
-    ) -> int:
+    ) -> None:
         array = self._bindings.array
-
-        def evaluate() -> None:
-            columns = np.stack([array(x) for x in Y], axis=1)
-            rates = np.stack([array(x) for x in Yp], axis=1)
-            values = self._form.residual_b(t, array(y), array(yp), columns, rates)
-            if not is_finite(values):
-                raise NotFinite
-            for i, vector in enumerate(RY):
-                array(vector)[:] = values[:, i]
-
-        return self._equations.guard.run(evaluate)
+        columns, rates = (np.stack([array(x) for x in X], axis=1) for X in (Y, Yp))
+        values = self._form.residual_b(t, array(y), array(yp), columns, rates)
+        if not is_finite(values):
+            raise NotFinite
+        for i, vector in enumerate(RY):
+            array(vector)[:] = values[:, i]
 
     def _count(self) -> None:
         idas, memory = self._bindings.idas, self._memory

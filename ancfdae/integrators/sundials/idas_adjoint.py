@@ -1,12 +1,17 @@
 """The adjoint of a run of IDAS (IDAA): forward with checkpoints, then backward.
 
-The backward problem is the adjoint of the index-1 form (`adjoint_equations`), scaled so that its
-tolerances are pure numbers: with P the sum of the sizes of the objective's partials,
+The backward problem is the adjoint of the index-1 form, where a and lam are functions of (q, v, b,
+t). With the covectors p_q, p_v of q_b and v_b, the objective int H(q, v, lam) dt, and on_q, on_v
+and on_b what p_v on a and H_lam on lam are pulled back to (`AccelerationsAdjoint`),
+
+    p_q' = -on_q - H_q,    p_v' = -p_q - on_v - H_v,
+
+and the gradient is int (on_b) dt + p_q(0) q_b(0) + p_v(0) v_b(0). A value at one instant adds its
+partials to p_q and p_v there, that in lam through the same pull-back: the backward run is started
+again. It is scaled so that its tolerances are pure numbers: with P the sum of the sizes of the
+objective's partials,
 
     y = [p_q S_q, p_v S_v] / P,        quadrature  on_b b / P.
-
-An integral over time is asked for H_q, H_v, H_lam at the states of the backward run; values at
-single instants make y jump, and the backward run is started again there.
 """
 
 from __future__ import annotations
@@ -16,10 +21,11 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.errors import PassFailed, Verdict
-from ancfdae.integrators.high_order import NotFinite, Problem, Progress
+from ancfdae.integrators.high_order import HighOrder, NotFinite, Progress
 from ancfdae.integrators.integrator import Seeds
-from ancfdae.integrators.sundials.adjoint_equations import AdjointEquations, PulledBack
-from ancfdae.integrators.sundials.bindings import Bindings
+from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.start import AccelerationsAdjoint, InitialState
+from ancfdae.integrators.sundials.bindings import Bindings, verdict
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.numerics.arrays import Array, is_finite
@@ -33,29 +39,22 @@ _SMALL = 1e-2
 
 @final
 class AdjointSeeds:
-    """What the objective contributes at a time: densities, and values at instants.
-
-    Parameters
-    ----------
-    problem : Problem
-    solution : Solution
-    seeds : Seeds
-    """
+    """What the objective contributes at a time: densities, and values at instants."""
 
     def __init__(self, problem: Problem, solution: Solution, seeds: Seeds) -> None:
         system, s = problem.system, problem.scales
-        self._t, self._densities = solution.t, seeds.densities
+        self._densities = seeds.densities
         sizes = (system.n_q, system.n_q, system.n_lam)
         given = (seeds.q, seeds.v, seeds.lam)
-        self._rows = [
+        self.rows = [
             np.zeros((len(solution.t), n)) if x is None else x
             for x, n in zip(given, sizes, strict=True)
         ]
-        used = np.any(np.concatenate(self._rows, axis=1) != 0, axis=1)
+        used = np.any(np.concatenate(self.rows, axis=1) != 0, axis=1)
         self.instants = [int(i) for i in np.flatnonzero(used)]
         weights = TimeGrid(solution.t, solution.degree).weights()[:, None]
         over_time = self.density(solution.t, solution.q, solution.v, solution.lam)
-        scaled = zip(self._rows, over_time, (s.q, s.v, s.lam), strict=True)
+        scaled = zip(self.rows, over_time, (s.q, s.v, s.lam), strict=True)
         self.size = sum(
             float(np.sum(np.linalg.norm(np.hstack([x, weights * H]) * np.tile(scale, 2), axis=1)))
             for x, H, scale in scaled
@@ -63,45 +62,15 @@ class AdjointSeeds:
 
     def density(self, t: Array, q: Array, v: Array, lam: Array) -> list[Array]:
         """H_q, H_v and H_lam at states, one row each."""
-        total = [np.zeros((len(t), x.shape[1])) for x in self._rows]
+        total = [np.zeros((len(t), x.shape[1])) for x in self.rows]
         for weight, density in self._densities:
             for H, own in zip(total, density.partials(t, q, v, lam), strict=True):
                 H += weight * own
         return total
 
-    def values(self, instant: int) -> list[Array]:
-        """Return the partials of a value at an instant."""
-        return [x[instant] for x in self._rows]
-
-    def time(self, instant: int) -> float:
-        """Time of an instant."""
-        return float(self._t[instant])
-
-
-def pull_back(
-    bindings: Bindings,
-    problem: Problem,
-    form: IndexReduced,
-    rtol: float,
-    max_steps: int,
-    solution: Solution,
-    seeds: Seeds,
-) -> Array:
-    """Return the gradient of an objective, without its explicit partial.
-
-    Raises
-    ------
-    PassFailed
-        If a step forward or backward fails.
-    """
-    adjoint_seeds = AdjointSeeds(problem, solution, seeds)
-    if adjoint_seeds.size == 0.0 or problem.system.n_b == 0:
-        return np.zeros(problem.system.n_b)
-    return _Backward(bindings, problem, form, rtol, max_steps, solution, adjoint_seeds).gradient()
-
 
 @final
-class _Backward:
+class BackwardRun:
     """One objective's backward run."""
 
     def __init__(
@@ -109,35 +78,35 @@ class _Backward:
         bindings: Bindings,
         problem: Problem,
         form: IndexReduced,
-        rtol: float,
-        max_steps: int,
+        settings: HighOrder,
         solution: Solution,
-        seeds: AdjointSeeds,
+        seeds: Seeds,
     ) -> None:
         self._bindings, self._problem, self._form = bindings, problem, form
-        self._rtol, self._max_steps, self._seeds = rtol, max_steps, seeds
+        self._rtol, self._max_steps = settings.rtol, settings.max_steps
         self._solution, self._t_end = solution, float(solution.t[-1])
         self._progress, self._calls = Progress(self._t_end), 0
-        s = problem.scales
-        self._scale = np.concatenate([s.q, s.v]) / seeds.size
-        self._b_scale = s.b / seeds.size
+        self._seeds = AdjointSeeds(problem, solution, seeds)
+        s, size = problem.scales, self._seeds.size or 1.0
+        self._scale, self._b_scale = np.concatenate([s.q, s.v]) / size, s.b / size
         self._n = len(self._scale)
         self._which: int | None = None
         self._y: Any = None
         self._yp: Any = None
         self._quadrature: Any = None
-        self._forward()
 
     def gradient(self) -> Array:
-        """Go back from the end to the start, jump by jump."""
+        """Return the gradient without the explicit partial; may raise PassFailed."""
         p, on_b = np.zeros(self._n), np.zeros(self._problem.system.n_b)
-        stops = [self._seeds.time(i) for i in self._seeds.instants]
+        if self._seeds.size == 0.0 or len(on_b) == 0:
+            return on_b
+        self._forward()
         t = self._t_end
-        for instant, time in reversed(list(zip(self._seeds.instants, stops, strict=True))):
+        for instant in reversed(self._seeds.instants):
+            time = float(self._solution.t[instant])
             p, share = self._back(t, time, p)
-            jump = self._jump(instant)
-            p = p + np.concatenate([jump.q, jump.v])
-            on_b, t = on_b + share + jump.b, time
+            jump, jump_b = self._jump(instant)
+            p, on_b, t = p + jump, on_b + share + jump_b, time
         p, share = self._back(t, 0.0, p)
         derivative, n_q = self._problem.derivative, self._problem.system.n_q
         assert derivative is not None
@@ -157,7 +126,7 @@ class _Backward:
         flag, _, _ = idas.IDASolveF(self._memory, self._t_end, e.y, e.yp, idas.IDA_NORMAL)
         e.guard.raise_kept()
         if flag < 0:
-            raise PassFailed(bindings.verdict(flag))
+            raise PassFailed(verdict(flag))
 
     # -- backward ------------------------------------------------------------------------------
 
@@ -172,7 +141,7 @@ class _Backward:
         flag = idas.IDASolveB(self._memory, stop, idas.IDA_NORMAL)
         self._equations.guard.raise_kept()
         if flag < 0:
-            raise PassFailed(bindings.verdict(flag))
+            raise PassFailed(verdict(flag))
         check(idas.IDAGetB(self._memory, self._which, self._y, self._yp)[0])
         check(idas.IDAGetQuadB(self._memory, self._which, self._quadrature)[0])
         p = bindings.array(self._y) / self._scale
@@ -181,6 +150,7 @@ class _Backward:
     def _set_up(self, t: float, y: Array, yp: Array) -> None:
         bindings, idas, check = self._bindings, self._bindings.idas, self._bindings.check
         core, context = bindings.core, self._equations.context
+        call = self._equations.guard.callback
         if self._which is not None:
             for vector, values in ((self._y, y), (self._yp, yp), (self._quadrature, 0.0)):
                 bindings.array(vector)[:] = values
@@ -192,15 +162,15 @@ class _Backward:
         self._which = which
         self._y, self._yp = bindings.vector(context, y), bindings.vector(context, yp)
         self._quadrature = bindings.vector(context, np.zeros(self._problem.system.n_b))
-        check(idas.IDAInitB(self._memory, which, self._residual, t, self._y, self._yp))
+        check(idas.IDAInitB(self._memory, which, call(self._residual), t, self._y, self._yp))
         atol = _SMALL * self._rtol
         check(idas.IDASStolerancesB(self._memory, which, self._rtol, atol))
         check(idas.IDASetMaxNumStepsB(self._memory, which, self._max_steps))
         self._matrix = core.SUNDenseMatrix(self._n, self._n, context)
         self._solver = core.SUNLinSol_Dense(self._y, self._matrix, context)
         check(idas.IDASetLinearSolverB(self._memory, which, self._solver, self._matrix))
-        check(idas.IDASetJacFnB(self._memory, which, self._jacobian))
-        check(idas.IDAQuadInitB(self._memory, which, self._integrand, self._quadrature))
+        check(idas.IDASetJacFnB(self._memory, which, call(self._jacobian)))
+        check(idas.IDAQuadInitB(self._memory, which, call(self._integrand), self._quadrature))
         check(idas.IDAQuadSStolerancesB(self._memory, which, self._rtol, atol))
         check(idas.IDASetQuadErrConB(self._memory, which, 1))
 
@@ -208,64 +178,50 @@ class _Backward:
         k = int(np.argmin(np.abs(self._solution.t - t)))
         return self._solution.q[k], self._solution.v[k]
 
-    def _at(self, t: float, q: Array, v: Array) -> AdjointEquations:
-        return AdjointEquations(self._problem.system, self._problem.accelerations, t, q, v)
+    def _at(self, t: float, q: Array, v: Array) -> AccelerationsAdjoint:
+        system, accelerations = self._problem.system, self._problem.accelerations
+        state = InitialState(t, q, v, *accelerations.solve(t, q, v))
+        return AccelerationsAdjoint(system, accelerations.factors(t, q), state)
 
     def _rates(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, Array]:
         """Rates of p, and on_b."""
-        equations, n_q = self._at(t, q, v), self._problem.system.n_q
-        states = (np.array([t]), q[None], v[None], equations.lam[None])
-        H_q, H_v, H_lam = (H[0] for H in self._seeds.density(*states))
-        on = equations.pull_back(p[n_q:], H_lam)
-        return np.concatenate([-on.q - H_q, -p[:n_q] - on.v - H_v]), on.b
+        at, n_q = self._at(t, q, v), self._problem.system.n_q
+        densities = self._seeds.density(np.array([t]), q[None], v[None], at.state.lam[None])
+        H_q, H_v, H_lam = (H[0] for H in densities)
+        on_q, on_v, on_b = at.pull_back(p[n_q:], H_lam)
+        return np.concatenate([-on_q - H_q, -p[:n_q] - on_v - H_v]), on_b
 
-    def _jump(self, instant: int) -> PulledBack:
-        t = self._seeds.time(instant)
-        on_q, on_v, on_lam = self._seeds.values(instant)
-        equations = self._at(t, *self._states_at_instant(t))
-        through = equations.pull_back(np.zeros_like(on_q), on_lam)
-        return PulledBack(on_q + through.q, on_v + through.v, through.b)
+    def _jump(self, instant: int) -> tuple[Array, Array]:
+        """Return what a value at an instant adds to p and to the gradient."""
+        q, v, t = (x[instant] for x in (self._solution.q, self._solution.v, self._solution.t))
+        on_q, on_v, on_lam = (x[instant] for x in self._seeds.rows)
+        *through, on_b = self._at(float(t), q, v).pull_back(np.zeros_like(on_q), on_lam)
+        return np.concatenate([on_q, on_v]) + np.concatenate(through), on_b
 
-    def _residual(self, t: float, y: Any, yp: Any, z: Any, zp: Any, R: Any, _: Any) -> int:
+    def _residual(self, t: float, y: Any, yp: Any, z: Any, zp: Any, R: Any, _: Any) -> None:
         array = self._bindings.array
+        rates, _ = self._rates(t, *self._form.coordinates(array(y)), array(z) / self._scale)
+        value = array(zp) - rates * self._scale
+        if not is_finite(value):
+            raise NotFinite
+        array(R)[:] = value
 
-        def evaluate() -> None:
-            q, v = self._form.coordinates(array(y))
-            rates, _ = self._rates(t, q, v, array(z) / self._scale)
-            value = array(zp) - rates * self._scale
-            if not is_finite(value):
-                raise NotFinite
-            array(R)[:] = value
-
-        return self._equations.guard.run(evaluate)
-
-    def _integrand(self, t: float, y: Any, yp: Any, z: Any, zp: Any, out: Any, _: Any) -> int:
+    def _integrand(self, t: float, y: Any, yp: Any, z: Any, zp: Any, out: Any, _: Any) -> None:
         array = self._bindings.array
-
-        def evaluate() -> None:
-            # This is called once or twice a step; IDAS itself counts from checkpoint to checkpoint.
-            self._calls += 1
-            stalls, limit = self._progress.stalls(self._t_end - t), 2 * self._max_steps
-            if stalls or self._calls > limit:
-                raise PassFailed(Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT)
-            q, v = self._form.coordinates(array(y))
-            # Backward in time the integral counts negative.
-            array(out)[:] = -self._rates(t, q, v, array(z) / self._scale)[1] * self._b_scale
-
-        return self._equations.guard.run(evaluate)
+        # This is called once or twice a step; IDAS itself counts from checkpoint to checkpoint.
+        self._calls += 1
+        stalls, limit = self._progress.stalls(self._t_end - t), 2 * self._max_steps
+        if stalls or self._calls > limit:
+            raise PassFailed(Verdict.ERROR_TEST if stalls else Verdict.STEP_LIMIT)
+        _, on_b = self._rates(t, *self._form.coordinates(array(y)), array(z) / self._scale)
+        array(out)[:] = -on_b * self._b_scale  # Backward in time the integral counts negative.
 
     def _jacobian(
         self, t: float, c_j: float, y: Any, yp: Any, z: Any, zp: Any, R: Any, J: Any, *_: Any
-    ) -> int:
-        array, n_q = self._bindings.array, self._problem.system.n_q
-
-        def evaluate() -> None:
-            q, v = self._form.coordinates(array(y))
-            on_q, on_v = self._at(t, q, v).matrices()
-            zero, one = np.zeros((n_q, n_q)), np.eye(n_q)
-            rates = -np.block([[zero, on_q], [one, on_v]])
-            scaled = rates * self._scale[:, None] / self._scale
-            dense = self._bindings.core.SUNDenseMatrix_Data(J)
-            dense[:] = c_j * np.eye(2 * n_q) - scaled
-
-        return self._equations.guard.run(evaluate)
+    ) -> None:
+        n_q = self._problem.system.n_q
+        q, v = self._form.coordinates(self._bindings.array(y))
+        on_q, on_v = self._at(t, q, v).matrices()
+        rates = -np.block([[np.zeros((n_q, n_q)), on_q], [np.eye(n_q), on_v]])
+        scaled = rates * self._scale[:, None] / self._scale
+        self._bindings.core.SUNDenseMatrix_Data(J)[:] = c_j * np.eye(2 * n_q) - scaled

@@ -22,26 +22,10 @@ _NEWTON = 0.01
 
 @final
 class IdasEquations:
-    """Memory of IDAS for a form, and the callbacks that it calls.
+    """Memory of IDAS for a form started at y and y', and the callbacks that it calls.
 
-    Parameters
-    ----------
-    bindings : Bindings
-    form : IndexReduced
-    rtol : float
-    start : tuple of array
-        y and y' at t = 0.
-
-    Attributes
-    ----------
-    memory : capsule
-        What the functions of IDAS take as first argument.
-    context : object
-    y, yp : N_Vector
-        Where IDAS writes results.
-    guard : Guard
-    last : float
-        Largest entry of the last finite residual.
+    The functions of IDAS take `memory` as first argument and write their results to y and yp;
+    `last` is the largest entry of the last finite residual.
     """
 
     def __init__(
@@ -56,6 +40,7 @@ class IdasEquations:
                 form.n,
                 "Use IDA, or fewer elements.",
             )
+        call = self.guard.callback
         flag, self.context = core.SUNContext_Create(0)
         check(flag)
         # Outcomes report failures, so messages of the C code are kept off the terminal.
@@ -65,38 +50,28 @@ class IdasEquations:
         self.memory = self._view.get()
         self.y = bindings.vector(self.context, start[0])
         self.yp = bindings.vector(self.context, start[1])
-        check(idas.IDAInit(self.memory, self._residual, 0.0, self.y, self.yp))
+        check(idas.IDAInit(self.memory, call(self._residual), 0.0, self.y, self.yp))
         self._tolerances = bindings.vector(self.context, form.tolerances(rtol))
         check(idas.IDASVtolerances(self.memory, rtol, self._tolerances))
         self._matrix = core.SUNDenseMatrix(form.n, form.n, self.context)
         self._solver = core.SUNLinSol_Dense(self.y, self._matrix, self.context)
         check(idas.IDASetLinearSolver(self.memory, self._solver, self._matrix))
-        check(idas.IDASetJacFn(self.memory, self._jacobian))
+        check(idas.IDASetJacFn(self.memory, call(self._jacobian)))
         check(idas.IDASetNonlinConvCoef(self.memory, _NEWTON))
 
-    def _residual(self, t: float, y: Any, yp: Any, R: Any, _: Any) -> int:
+    def _residual(self, t: float, y: Any, yp: Any, R: Any, _: Any) -> None:
         array = self._bindings.array
+        value = self._form.residual(t, array(y), array(yp))
+        if not is_finite(value):
+            raise NotFinite
+        self.last = float(np.max(np.abs(value)))
+        array(R)[:] = value
 
-        def evaluate() -> None:
-            value = self._form.residual(t, array(y), array(yp))
-            if not is_finite(value):
-                raise NotFinite
-            self.last = float(np.max(np.abs(value)))
-            array(R)[:] = value
-
-        return self.guard.run(evaluate)
-
-    def _jacobian(
-        self, t: float, c_j: float, y: Any, yp: Any, R: Any, J: Any, _: Any, *work: Any
-    ) -> int:
+    def _jacobian(self, t: float, c_j: float, y: Any, yp: Any, R: Any, J: Any, *_: Any) -> None:
         array, form = self._bindings.array, self._form
-
-        def evaluate() -> None:
-            values = form.jacobian(t, array(y), array(yp), c_j)
-            if not is_finite(values):
-                raise NotFinite
-            dense = self._bindings.core.SUNDenseMatrix_Data(J)
-            flat = np.bincount(form.columns * form.n + form.rows, values, minlength=form.n**2)
-            dense[:] = flat.reshape(form.n, form.n).T
-
-        return self.guard.run(evaluate)
+        values = form.jacobian(t, array(y), array(yp), c_j)
+        if not is_finite(values):
+            raise NotFinite
+        dense = self._bindings.core.SUNDenseMatrix_Data(J)
+        flat = np.bincount(form.columns * form.n + form.rows, values, minlength=form.n**2)
+        dense[:] = flat.reshape(form.n, form.n).T

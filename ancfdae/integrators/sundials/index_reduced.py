@@ -26,11 +26,11 @@ from __future__ import annotations
 
 import abc
 from enum import Enum
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.integrators.characteristic_sizes import Scales
+from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
@@ -45,27 +45,45 @@ _LOOSE = 1e3
 _SMALL = 1e-2
 
 
+class _Unknowns(NamedTuple):
+    """Parts of x, x' or their derivatives; eta is empty in the index-1 form."""
+
+    q: Array
+    v: Array
+    lam: Array
+    eta: Array
+
+
+class _Instant(NamedTuple):
+    """A system at x and x', with Phi_q there."""
+
+    system: MechanicalSystem
+    t: float
+    x: _Unknowns
+    xp: _Unknowns
+    Phi_q: Array
+
+
 class IndexReduced(abc.ABC):
-    """An index-reduced form of one system; arguments and results are scaled.
+    """An index-reduced form of one system in n unknowns; arguments and results are scaled.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    scales : Scales
-
-    Attributes
-    ----------
-    n : int
-        Number of unknowns.
-    rows, columns : array of int
-        Positions of the raw entries of J; entries at one position add up.
+    J has raw entries at `rows` and `columns`; those at one position add up.
     """
 
     def __init__(self, system: MechanicalSystem, scales: Scales) -> None:
         self._system, self._scales = system, scales
         self._size, self._unit = self._scaling()
         self.n = len(self._size)
-        blocks = self._blocks()
+        n_q, every = system.n_q, np.arange(system.n_q)
+        K, B = system.pattern, system.constraint_pattern
+        blocks = [
+            (every, every),
+            (every, n_q + every),
+            (n_q + K.rows, K.columns),
+            (n_q + K.rows, n_q + K.columns),
+            (n_q + B.columns, 2 * n_q + B.rows),
+            *self._blocks(),
+        ]
         self.rows = np.concatenate([rows for rows, _ in blocks])
         self.columns = np.concatenate([columns for _, columns in blocks])
         self._factors = self._size[self.columns] / self._unit[self.rows]
@@ -77,29 +95,24 @@ class IndexReduced(abc.ABC):
         """Sizes of the unknowns and of the equations, shape (n,)."""
 
     @abc.abstractmethod
-    def _residual(self, t: float, x: Array, xp: Array) -> Array:
-        """F."""
+    def _residual(self, at: _Instant) -> list[Array]:
+        """Return what F adds to q' - v, and its rows below those of the forces."""
 
     @abc.abstractmethod
-    def _residual_b(self, t: float, x: Array, xp: Array, X: Array, Xp: Array) -> Array:
-        """F_x X + F_x' X' + F_b, shape (n, n_b)."""
+    def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
+        """Differentiate `_residual`: F_x X + F_x' X' + F_b, with n_b columns."""
 
     @abc.abstractmethod
     def _blocks(self) -> list[tuple[Array, Array]]:
-        """Rows and columns of the blocks of J."""
+        """Rows and columns of the blocks of J that a form adds to those that both have."""
 
     @abc.abstractmethod
-    def _entries(
-        self, system: MechanicalSystem, t: float, x: Array, xp: Array, c_j: float
-    ) -> list[Array]:
-        """Entries of the blocks of J, for the system or for one at moved design values."""
+    def _entries(self, at: _Instant, c_j: float) -> list[Array]:
+        """Entries of these blocks."""
 
     @final
     def tolerances(self, rtol: float) -> Array:
-        """Return absolute tolerances of scaled unknowns or their sensitivities, shape (n,).
-
-        They error-control q and v only.
-        """
+        """Return absolute tolerances of scaled unknowns, (n,); they control q and v only."""
         tested = 2 * self._system.n_q
         return np.repeat([_SMALL * rtol, _LOOSE], [tested, self.n - tested])
 
@@ -108,7 +121,12 @@ class IndexReduced(abc.ABC):
     @final
     def residual(self, t: float, y: Array, yp: Array) -> Array:
         """Return F, shape (n,)."""
-        return self._residual(t, y * self._size, yp * self._size) / self._unit
+        system, at = self._system, self._at(self._system, t, y, yp)
+        x, xp = at.x, at.xp
+        drift, *sides = self._residual(at)
+        force = system.mass_times(x.q, xp.v) + system.constraint_force(x.q, x.lam, t)
+        force = force - system.force(x.q, x.v, t)
+        return np.concatenate([xp.q - x.v + drift, force, *sides]) / self._unit
 
     @final
     def residual_b(self, t: float, y: Array, yp: Array, Y: Array, Yp: Array) -> Array:
@@ -116,26 +134,30 @@ class IndexReduced(abc.ABC):
 
         Column i of Y is the derivative in ln b_i (in b_i where it is zero), scaled as y.
         """
-        b, size = self._scales.b, self._size[:, None]
-        X, Xp = Y * size / b, Yp * size / b
-        R = self._residual_b(t, y * self._size, yp * self._size, X, Xp)
-        scaled: Array = R * b / self._unit[:, None]
-        return scaled
+        system, at, b = self._system, self._at(self._system, t, y, yp), self._scales.b
+        X, Xp = (self._split(Z * self._size[:, None] / b) for Z in (Y, Yp))
+        x, (drift, *sides) = at.x, self._residual_b(at, X, Xp)
+        force = system.mass_times(x.q, Xp.v) + inertia_total(system, x.q, at.xp.v, X.q)
+        force = force + constraint_force_total(system, x.q, x.lam, t, X.q)
+        force = force + system.constraint_pattern.dot_transposed(at.Phi_q, X.lam)
+        force = force - system.force_total(x.q, x.v, t, X.q, X.v)
+        R = np.concatenate([Xp.q - X.v + drift, force, *sides])
+        return np.asarray(R * b / self._unit[:, None])
 
     @final
     def jacobian(
-        self,
-        t: float,
-        y: Array,
-        yp: Array,
-        c_j: float,
-        system: MechanicalSystem | None = None,
+        self, t: float, y: Array, yp: Array, c_j: float, system: MechanicalSystem | None = None
     ) -> Array:
         """Return the raw entries of J; of another system of the same kind if one is given."""
-        x, xp = y * self._size, yp * self._size
-        entries = self._entries(self._system if system is None else system, t, x, xp, c_j)
-        scaled: Array = np.concatenate(entries) * self._factors
-        return scaled
+        at = self._at(system or self._system, t, y, yp)
+        states = (z[None] for z in (at.x.q, at.x.v, at.xp.v, at.x.lam))
+        local = at.system.linearise(np.array([t]), *states)
+        one, rates = np.ones(at.system.n_q), c_j * local.M[0]
+        if local.f_v is not None:
+            rates = rates + local.f_v[0]
+        own = self._entries(at, c_j)
+        entries = np.concatenate([c_j * one, -one, local.f_q[0], rates, at.Phi_q, *own])
+        return np.asarray(entries * self._factors)
 
     @final
     def start(self, initial: InitialState) -> tuple[Array, Array]:
@@ -146,7 +168,7 @@ class IndexReduced(abc.ABC):
     @final
     def start_b(self, initial: InitialSensitivity) -> tuple[Array, Array]:
         """Return Y and Y' of a consistent start, shape (n, n_b)."""
-        Y, Yp = self._vectors(initial.q_b, initial.v_b, initial.a_b, initial.lam_b)
+        Y, Yp = self._vectors(*initial)
         factor = self._scales.b / self._size[:, None]
         return Y * factor, Yp * factor
 
@@ -166,8 +188,7 @@ class IndexReduced(abc.ABC):
     @final
     def per_design(self, x: Array) -> Array:
         """Return derivatives in b, shape (..., n_q, n_b), of those in ln b, (..., n_b, n_q)."""
-        per: Array = np.swapaxes(x, -1, -2) / self._scales.b
-        return per
+        return np.asarray(np.swapaxes(x, -1, -2) / self._scales.b)
 
     def _vectors(self, q: Array, v: Array, a: Array, lam: Array) -> tuple[Array, Array]:
         """Pack x and x' at the start; multipliers start with derivative zero."""
@@ -175,6 +196,15 @@ class IndexReduced(abc.ABC):
         y = np.concatenate([q, v, lam, rest])
         yp = np.concatenate([v, a, np.zeros_like(lam), rest])
         return y, yp
+
+    def _split(self, x: Array) -> _Unknowns:
+        v = self._system.n_q
+        lam, eta = 2 * v, 2 * v + self._system.n_lam
+        return _Unknowns(x[:v], x[v:lam], x[lam:eta], x[eta:])
+
+    def _at(self, system: MechanicalSystem, t: float, y: Array, yp: Array) -> _Instant:
+        x, xp = self._split(y * self._size), self._split(yp * self._size)
+        return _Instant(system, t, x, xp, system.constraint_q(x.q, t))
 
 
 @final
@@ -186,88 +216,40 @@ class StabilisedIndex2(IndexReduced):
         size = np.concatenate([s.q, s.v, s.lam, s.eta])
         return size, np.concatenate([s.v, s.force, s.row * s.speed, s.row * s.position])
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        n_q, n_lam = self._system.n_q, self._system.n_lam
-        lam = 2 * n_q
-        return x[:n_q], x[n_q:lam], x[lam : lam + n_lam], x[lam + n_lam :]
+    def _residual(self, at: _Instant) -> list[Array]:
+        system, t, x = self._system, at.t, at.x
+        drift = system.constraint_force(x.q, x.eta, t) / system.weights
+        side = system.constraint_pattern.dot(at.Phi_q, x.v) - system.velocity_side(x.q, t)
+        return [drift, side, system.constraint(x.q, t)]
 
-    def _residual(self, t: float, x: Array, xp: Array) -> Array:
-        system = self._system
-        q, v, lam, eta = self._split(x)
-        qp, vp, _, _ = self._split(xp)
-        side = system.constraint_pattern.dot(system.constraint_q(q, t), v)
-        return np.concatenate(
-            [
-                qp - v + system.constraint_force(q, eta, t) / system.weights,
-                system.mass_times(q, vp)
-                + system.constraint_force(q, lam, t)
-                - system.force(q, v, t),
-                side - system.velocity_side(q, t),
-                system.constraint(q, t),
-            ]
-        )
-
-    def _residual_b(self, t: float, x: Array, xp: Array, X: Array, Xp: Array) -> Array:
-        system = self._system
-        q, v, lam, eta = self._split(x)
-        _, vp, _, _ = self._split(xp)
-        q_b, v_b, lam_b, eta_b = self._split(X)
-        qp_b, vp_b, _, _ = self._split(Xp)
-        B, pattern = system.constraint_q(q, t), system.constraint_pattern
-        drift = constraint_force_total(system, q, eta, t, q_b) + pattern.dot_transposed(B, eta_b)
-        force = system.mass_times(q, vp_b) + inertia_total(system, q, vp, q_b)
-        force = force + constraint_force_total(system, q, lam, t, q_b)
-        force = force + pattern.dot_transposed(B, lam_b)
-        side = system.constraint_q_times_total(q, v, t, q_b) + pattern.dot(B, v_b)
-        return np.concatenate(
-            [
-                qp_b - v_b + drift / system.weights[:, None],
-                force - system.force_total(q, v, t, q_b, v_b),
-                side - system.velocity_side_total(q, t, q_b),
-                pattern.dot(B, q_b) + system.constraint_b(q, t),
-            ]
-        )
+    def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
+        system, B, t, x = self._system, self._system.constraint_pattern, at.t, at.x
+        drift = constraint_force_total(system, x.q, x.eta, t, X.q)
+        drift = drift + B.dot_transposed(at.Phi_q, X.eta)
+        side = system.constraint_q_times_total(x.q, x.v, t, X.q) + B.dot(at.Phi_q, X.v)
+        side = side - system.velocity_side_total(x.q, t, X.q)
+        Phi_total = B.dot(at.Phi_q, X.q) + system.constraint_b(x.q, t)
+        return [drift / system.weights[:, None], side, Phi_total]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
-        n_q, n_lam = self._system.n_q, self._system.n_lam
-        every = np.arange(n_q)
         K, B = self._system.pattern, self._system.constraint_pattern
-        v, lam, eta = n_q, 2 * n_q, 2 * n_q + n_lam
+        v, lam = self._system.n_q, 2 * self._system.n_q
+        eta = lam + self._system.n_lam
         return [
-            (every, every),
             (K.rows, K.columns),
-            (every, v + every),
             (B.columns, eta + B.rows),
-            (v + K.rows, K.columns),
-            (v + K.rows, v + K.columns),
-            (v + B.columns, lam + B.rows),
             (lam + B.rows, B.columns),
             (lam + B.rows, v + B.columns),
             (eta + B.rows, B.columns),
         ]
 
-    def _entries(
-        self, system: MechanicalSystem, t: float, x: Array, xp: Array, c_j: float
-    ) -> list[Array]:
-        q, v, lam, eta = self._split(x)
-        _, vp, _, _ = self._split(xp)
-        M, f_q, f_v, B = _local(system, t, q, v, vp, lam)
-        w, one = system.weights, np.ones(system.n_q)
+    def _entries(self, at: _Instant, c_j: float) -> list[Array]:
+        system, Phi_q, x, w = at.system, at.Phi_q, at.x, at.system.weights
         curvature = np.zeros(system.pattern.size)
         if not system.linear_constraints:
-            curvature = system.constraint_force_q(q, eta, t) / w[system.pattern.rows]
-        return [
-            c_j * one,
-            curvature,
-            -one,
-            B / w[system.constraint_pattern.columns],
-            f_q,
-            c_j * M + f_v,
-            B,
-            system.constraint_q_rate(q, v, t),
-            B,
-            B,
-        ]
+            curvature = system.constraint_force_q(x.q, x.eta, at.t) / w[system.pattern.rows]
+        rate = system.constraint_q_rate(x.q, x.v, at.t)
+        return [curvature, Phi_q / w[system.constraint_pattern.columns], rate, Phi_q, Phi_q]
 
 
 @final
@@ -279,83 +261,26 @@ class Index1(IndexReduced):
         acceleration = s.load * s.row
         return np.concatenate([s.q, s.v, s.lam]), np.concatenate([s.v, s.force, acceleration])
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array]:
-        n_q = self._system.n_q
-        return x[:n_q], x[n_q : 2 * n_q], x[2 * n_q :]
+    def _residual(self, at: _Instant) -> list[Array]:
+        side = self._system.constraint_pattern.dot(at.Phi_q, at.xp.v)
+        side = side - self._system.acceleration_side(at.x.q, at.x.v, at.t)
+        return [np.zeros_like(at.x.q), side]
 
-    def _residual(self, t: float, x: Array, xp: Array) -> Array:
-        system = self._system
-        q, v, lam = self._split(x)
-        qp, vp, _ = self._split(xp)
-        force = system.mass_times(q, vp) + system.constraint_force(q, lam, t)
-        side = system.constraint_pattern.dot(system.constraint_q(q, t), vp)
-        return np.concatenate(
-            [
-                qp - v,
-                force - system.force(q, v, t),
-                side - system.acceleration_side(q, v, t),
-            ]
-        )
-
-    def _residual_b(self, t: float, x: Array, xp: Array, X: Array, Xp: Array) -> Array:
-        system = self._system
-        q, v, lam = self._split(x)
-        _, vp, _ = self._split(xp)
-        q_b, v_b, lam_b = self._split(X)
-        qp_b, vp_b, _ = self._split(Xp)
-        B, pattern = system.constraint_q(q, t), system.constraint_pattern
-        force = system.mass_times(q, vp_b) + inertia_total(system, q, vp, q_b)
-        force = force + constraint_force_total(system, q, lam, t, q_b)
-        force = force + pattern.dot_transposed(B, lam_b)
-        side = system.constraint_q_times_total(q, vp, t, q_b) + pattern.dot(B, vp_b)
-        return np.concatenate(
-            [
-                qp_b - v_b,
-                force - system.force_total(q, v, t, q_b, v_b),
-                side - system.acceleration_side_total(q, v, t, q_b, v_b),
-            ]
-        )
+    def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
+        system, x = self._system, at.x
+        side = system.constraint_q_times_total(x.q, at.xp.v, at.t, X.q)
+        side = side + system.constraint_pattern.dot(at.Phi_q, Xp.v)
+        side = side - system.acceleration_side_total(x.q, x.v, at.t, X.q, X.v)
+        return [np.zeros_like(X.q), side]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
-        n_q = self._system.n_q
-        every = np.arange(n_q)
-        K, B = self._system.pattern, self._system.constraint_pattern
-        v, lam = n_q, 2 * n_q
-        return [
-            (every, every),
-            (every, v + every),
-            (v + K.rows, K.columns),
-            (v + K.rows, v + K.columns),
-            (v + B.columns, lam + B.rows),
-            (lam + B.rows, B.columns),
-            (lam + B.rows, v + B.columns),
-        ]
+        B, n_q = self._system.constraint_pattern, self._system.n_q
+        return [(2 * n_q + B.rows, B.columns), (2 * n_q + B.rows, n_q + B.columns)]
 
-    def _entries(
-        self, system: MechanicalSystem, t: float, x: Array, xp: Array, c_j: float
-    ) -> list[Array]:
-        q, v, lam = self._split(x)
-        _, vp, _ = self._split(xp)
-        M, f_q, f_v, B = _local(system, t, q, v, vp, lam)
-        one = np.ones(system.n_q)
-        return [
-            c_j * one,
-            -one,
-            f_q,
-            c_j * M + f_v,
-            B,
-            system.constraint_q_second_rate(q, v, vp, t),
-            c_j * B + 2 * system.constraint_q_rate(q, v, t),
-        ]
-
-
-def _local(
-    system: MechanicalSystem, t: float, q: Array, v: Array, a: Array, lam: Array
-) -> tuple[Array, Array, Array, Array]:
-    """M, f_q, f_v and Phi_q at one instant."""
-    local = system.linearise(np.array([t]), q[None], v[None], a[None], lam[None])
-    f_v = np.zeros(system.pattern.size) if local.f_v is None else local.f_v[0]
-    return local.M[0], local.f_q[0], f_v, local.Phi_q[0]
+    def _entries(self, at: _Instant, c_j: float) -> list[Array]:
+        system, x, t = at.system, at.x, at.t
+        rate = c_j * at.Phi_q + 2 * system.constraint_q_rate(x.q, x.v, t)
+        return [system.constraint_q_second_rate(x.q, x.v, at.xp.v, t), rate]
 
 
 class IndexReduction(Enum):
@@ -373,20 +298,9 @@ class IndexReduction(Enum):
 
 @final
 class ColumnStorage:
-    """Compressed sparse columns of a block lower triangular matrix.
+    """Compressed sparse columns of the matrix of a form with m sensitivity equations.
 
-        [ J             ]
-        [ L_1  J        ]
-        [ ...      ...  ]
-        [ L_m         J ]
-
-    It is the iteration matrix of a form with m sensitivity equations appended; all blocks share the
-    pattern of J.
-
-    Parameters
-    ----------
-    form : IndexReduced
-    m : int
+    J and its copies stand on the diagonal, blocks with the pattern of J below the first one.
     """
 
     def __init__(self, form: IndexReduced, m: int) -> None:

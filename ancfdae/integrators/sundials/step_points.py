@@ -41,15 +41,7 @@ _STEPS, _NUMBERS = 128, 5_000_000
 
 @final
 class StepPoints:
-    """Collects steps and hands their points to the integrals.
-
-    Parameters
-    ----------
-    form : IndexReduced
-    quadrature : Quadrature
-    m : int
-        Design variables whose sensitivities are integrated.
-    """
+    """Collects steps, with m sensitivities, and hands their points to the integrals."""
 
     def __init__(self, form: IndexReduced, quadrature: Quadrature, m: int) -> None:
         self._form, self._quadrature, self._m = form, quadrature, m
@@ -96,10 +88,8 @@ class StepPoints:
         return self._form.coordinates(np.array(rows).reshape(len(rows), self._m + 1, -1))
 
     def _points(self, h: Array, t: Array, q: Array, v: Array) -> Points:
-        if self._m == 0:
-            return Points(KRONROD, h, t, q[:, 0], v[:, 0])
-        q_b, v_b = (self._form.per_design(x[:, 1:]) for x in (q, v))
-        return Points(KRONROD, h, t, q[:, 0], v[:, 0], q_b, v_b)
+        derivatives = (self._form.per_design(x[:, 1:]) for x in ((q, v) if self._m else ()))
+        return Points(KRONROD, h, t, q[:, 0], v[:, 0], *derivatives)
 
 
 def _panels(t: Array, per_step: float) -> Array:

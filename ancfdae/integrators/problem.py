@@ -1,0 +1,123 @@
+"""What a run begins with: a system, its consistent start and the sizes of its unknowns.
+
+**Sizes.** Coordinates are compared in the weighted form sqrt(w_i) q_i, which has one unit for all
+of them. The scale of q is the root mean square of the start in that form; that of v is the speed
+that the start has or that its accelerations reach over that length; that of the multipliers follows
+from the forces at the start through the rows of Phi_q.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self, final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.integrators.index_1 import Accelerations
+from ancfdae.integrators.start import (
+    InitialSensitivity,
+    InitialState,
+    consistent_start,
+    saddle_point,
+    start_sensitivity,
+)
+from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.numerics.linear_solvers import SaddlePoint
+from ancfdae.protocol import MechanicalSystem
+
+
+@final
+@dataclass(frozen=True)
+class Scales:
+    """Positive sizes of q, v, forces and design variables, one per unknown.
+
+    `row` is the length of the rows of Phi_q in the norm of the inverse weights; position, speed and
+    load are the common sizes of sqrt(w) q, sqrt(w) v and Q / sqrt(w).
+    """
+
+    q: Array
+    v: Array
+    force: Array
+    row: Array
+    position: float
+    speed: float
+    load: float
+    b: Array
+
+    @property
+    def lam(self) -> Array:
+        """Size of the multipliers."""
+        return self.load / self.row
+
+    @property
+    def eta(self) -> Array:
+        """Size of the multipliers that keep positions on the constraints (GGL)."""
+        return self.speed / self.row
+
+    @staticmethod
+    def of(system: MechanicalSystem, initial: InitialState, t_end: float) -> Scales:
+        """Return the sizes for a run from the given start to `t_end`."""
+        t, q = initial.t, initial.q
+        root, count = np.sqrt(system.weights), np.sqrt(system.n_q)
+        reaction = system.constraint_force(q, initial.lam, t)
+        Q = system.force(q, initial.v, t)
+        inverse = 1 / system.weights
+        load = max(real_norm(x, inverse) for x in (Q, reaction)) / count
+        load = max(load, real_norm(initial.a, system.weights) / count)
+        v_0 = real_norm(initial.v, system.weights) / count
+        position = real_norm(q, system.weights) / count
+        position = position or v_0 * t_end or load * t_end**2 or 1.0
+        speed = max(v_0, min(load * t_end, np.sqrt(position * load))) or position / t_end
+        load = load or speed / t_end
+        pattern = system.constraint_pattern
+        squared = system.constraint_q(q, t).real ** 2 * inverse[pattern.columns]
+        row = np.sqrt(np.bincount(pattern.rows, squared, minlength=system.n_lam))
+        return Scales(
+            q=position / root,
+            v=speed / root,
+            force=load * root,
+            row=row,
+            position=position,
+            speed=speed,
+            load=load,
+            b=np.where(system.b.real == 0, 1.0, np.abs(system.b.real)),
+        )
+
+
+@final
+@dataclass(frozen=True)
+class Problem:
+    """A system at its consistent start, with derivatives where sensitivities are asked for."""
+
+    system: MechanicalSystem
+    matrices: SaddlePoint
+    initial: InitialState
+    scales: Scales
+    accelerations: Accelerations
+    derivative: InitialSensitivity | None = None
+
+    @classmethod
+    def of(cls, system: MechanicalSystem, t_end: float) -> Self:
+        """Find the consistent start."""
+        require_positive("t_end", t_end)
+        matrices = saddle_point(system, 0.0)
+        initial = consistent_start(system, matrices, 0.0)
+        scales = Scales.of(system, initial, t_end)
+        return cls(system, matrices, initial, scales, Accelerations(system, matrices))
+
+    def differentiated(self) -> Self:
+        """Add the design derivatives of the start."""
+        derivative = start_sensitivity(self.system, self.matrices, self.initial)
+        return replace(self, derivative=derivative)
+
+    def require_finite(self) -> None:
+        """Refuse a start at which accelerations, multipliers or derivatives are not finite."""
+        accelerations = (self.initial.a, self.initial.lam)
+        for what, arrays in (
+            ("accelerations", accelerations),
+            ("design derivatives", self.derivative or ()),
+        ):
+            if not all(is_finite(x) for x in arrays):
+                rule, got = "must be finite", "NaN or infinity"
+                raise InvalidInput(f"{what} at the start", rule, got, "Check forces and start.")
