@@ -93,7 +93,7 @@ from ancfdae.protocol import (
     Solution,
     Statistics,
 )
-from ancfdae.scene import NodeState, RigidMotion, Scene
+from ancfdae.scene import Scene
 from ancfdae.sections import Material, Rectangle
 from ancfdae.sensitivity import (
     Adjoint,
@@ -104,6 +104,7 @@ from ancfdae.sensitivity import (
     Gradient,
     UnfinishedRun,
 )
+from ancfdae.starts import AtRest, NodeState, RigidMotion
 from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.user_systems import ComplexStepSystem, Conformance, check_system
 
@@ -120,6 +121,7 @@ __all__ = [
     "AdjointError",
     "AncfSystem",
     "AncfdaeError",
+    "AtRest",
     "AtTimes",
     "Beam",
     "Clamp",

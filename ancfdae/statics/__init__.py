@@ -4,6 +4,7 @@ from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, NoEquilibrium, find_equilibrium
 from ancfdae.statics.mobility import FreeMechanism
 from ancfdae.statics.outcome import LoadOutcome
+from ancfdae.statics.rest import RestingStart
 
 __all__ = [
     "MAX_STEPS",
@@ -11,6 +12,7 @@ __all__ = [
     "FreeMechanism",
     "LoadOutcome",
     "NoEquilibrium",
+    "RestingStart",
     "Tangent",
     "find_equilibrium",
 ]

@@ -47,11 +47,12 @@ class LoadOutcome:
 
     def __str__(self) -> str:
         """Return the outcome as a sentence."""
-        text = f"{self.verdict.value} in {self.step} steps"
+        steps = f"{self.step} step{'s' if self.step != 1 else ''}"
+        text = f"{self.verdict.value} in {steps}"
         if not self.success:
             text = (
                 f"{self.verdict.value} at {100 * self.fraction:.6g} % of the load, after "
-                f"{self.step} steps, with a last relative correction of {self.residual:.3g}; what "
+                f"{steps}, with a last relative correction of {self.residual:.3g}; what "
                 "is in balance with that part is kept"
             )
         if self.unstable:
