@@ -146,7 +146,7 @@ class _Search:
 
     @cached_property
     def _at_start(self) -> Softness:
-        return softest(self.balance, self.balance.q_0, self.balance.lam_0)
+        return softest(self.balance, 0.0, self.balance.q_0, self.balance.lam_0)
 
     def outcome(self) -> LoadOutcome:
         """Return how it ended."""
@@ -163,16 +163,16 @@ class _Search:
     def _follow(self) -> None:
         balance = self.balance
         try:
-            factors = balance.factor(balance.tangent(self.q, self.lam), self.q)
+            factors = balance.factor(balance.tangent(0.0, self.q, self.lam), self.q)
         except SingularMatrix:
             self._verdict = Verdict.SINGULAR
             return
-        first = Place(0.0, self.q, self.lam, *balance.path_tangent(factors), factors.sign())
+        first = Place(0.0, self.q, self.lam, *balance.path_tangent(self.q, factors), factors.sign())
         path = LoadPath(balance, first, self._max_steps)
         self._verdict = path.follow()
         last = path.places[-1]
         self.q, self.lam, self._fraction = last.q, last.lam, last.s
-        self._unstable = self._is_unstable(last.sign)
+        self._unstable = last.sign != self.balance.stable_sign
         if self._verdict is not Verdict.EQUILIBRIUM:
             self._residual = path.residual
             self._verdict = self._reason(last, self._verdict)
@@ -181,7 +181,7 @@ class _Search:
         """Tell a load that cannot grow, and a branching of the path, from other failures."""
         if verdict in (Verdict.INTERRUPTED, Verdict.STEP_LIMIT):
             return verdict
-        now, before = softest(self.balance, last.q, last.lam), self._at_start
+        now, before = softest(self.balance, last.s, last.q, last.lam), self._at_start
         if len(now.kappa) == 0 or now.kappa[0] > _LOST * before.kappa[0]:
             return verdict
         along = now.aligned(last.q_s) > _ALONG
@@ -196,7 +196,7 @@ class _Search:
             raise self._free(balance.q_0, self._at_start.free)
         if self._verdict is not Verdict.EQUILIBRIUM:
             return
-        left = softest(balance, self.q, self.lam).free
+        left = softest(balance, 1.0, self.q, self.lam).free
         if left.shape[1]:
             raise self._free(self.q, left)
         found = balance.solve(1.0, self.q, self.lam)
@@ -205,11 +205,7 @@ class _Search:
             return
         self.q, self.lam = found.q, found.lam
         self._fraction, self._residual = 1.0, 0.0
-        self._unstable = self._is_unstable(found.factors.sign())
-
-    def _is_unstable(self, sign: float) -> bool:
-        """Compare with a stable tangent: as many negative eigenvalues as constraints."""
-        return sign != (-1.0) ** self.balance.system.n_lam
+        self._unstable = found.factors.sign() != balance.stable_sign
 
     def _free(self, q: Array, motions: Array) -> Exception:
         return free_mechanism(self.balance.system.naming, q, motions)

@@ -122,5 +122,5 @@ class LoadPath:
 
 def place_at(balance: Balance, point: Point) -> Place:
     """Return a solution with the tangent of the path."""
-    q_s, lam_s = balance.path_tangent(point.factors)
+    q_s, lam_s = balance.path_tangent(point.q, point.factors)
     return Place(point.s, point.q, point.lam, q_s, lam_s, point.factors.sign())

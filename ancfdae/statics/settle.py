@@ -62,6 +62,11 @@ class Settling:
                 continue
             balance.work.steps += 1
             moved = self._share(found.q - self.q)
+            if moved > _SETTLED and found.factors.sign() != balance.stable_sign:
+                # A step this long goes uphill.
+                balance.work.rejected += 1
+                mu *= 4.0
+                continue
             self.q, self.lam, self.residual, failures = found.q, found.lam, moved, 0
             if self._share(self.q - balance.q_0) > _GONE:
                 self.gone = True
@@ -77,9 +82,10 @@ class Settling:
     def _first_mu(self) -> float:
         """Mu with which the accelerations at the start move it by a tenth of its size."""
         b = self._balance
+        force = b.held_back(b.q_0)
         try:
-            a = solve(b.factor(b.M_0, b.q_0), b.r_0, 0 * b.Phi_0)[0]
+            a = solve(b.factor(b.M_0, b.q_0), force, 0 * b.Phi_0)[0]
         except SingularMatrix:
-            a = b.r_0 / b.system.weights
+            a = force / b.system.weights
         # Where nothing is to move any mu does.
         return b.length(a) / (_FIRST * b.extent) or 1.0

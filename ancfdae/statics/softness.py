@@ -52,10 +52,10 @@ class Softness:
         return float(abs(self.D @ (dq.real * phi)) / sizes) if sizes > 0 else 0.0
 
 
-def softest(balance: Balance, q: Array, lam: Array) -> Softness:
-    """Return the softest motions by inverse iteration on a block of vectors."""
+def softest(balance: Balance, s: float, q: Array, lam: Array) -> Softness:
+    """Return the softest motions at the load fraction s, by inverse iteration on a block."""
     system, q, lam = balance.system, q.real, lam.real
-    K = balance.tangent(q, lam).real
+    K = balance.tangent(s, q, lam).real
     D = _diagonal(balance, K)
     root = np.sqrt(D)[:, None]
     count = min(_MOTIONS, system.n_q - system.n_lam)
