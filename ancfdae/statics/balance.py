@@ -204,11 +204,6 @@ class Balance:
         """Return dq/ds and dlam/ds of the path of solutions."""
         return solve(factors, self.held_back(q), -self.Phi_0)
 
-    @property
-    def stable_sign(self) -> float:
-        """Sign of the determinant of a stable tangent: one negative eigenvalue per constraint."""
-        return float((-1.0) ** self.system.n_lam)
-
     # -- natural sizes -------------------------------------------------------------------------
 
     def length(self, dq: Array) -> float:

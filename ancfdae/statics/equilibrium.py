@@ -142,7 +142,7 @@ class _Search:
         self.balance, self._max_steps = balance, max_steps
         self.q, self.lam = balance.q_0, balance.lam_0
         self._verdict, self._fraction, self._residual = Verdict.INTERRUPTED, 0.0, 0.0
-        self._unstable = False
+        self._stable_to: float | None = None
 
     @cached_property
     def _at_start(self) -> Softness:
@@ -151,7 +151,7 @@ class _Search:
     def outcome(self) -> LoadOutcome:
         """Return how it ended."""
         steps = self.balance.work.steps
-        return LoadOutcome(self._verdict, self._fraction, steps, self._residual, self._unstable)
+        return LoadOutcome(self._verdict, self._fraction, steps, self._residual, self._stable_to)
 
     def run(self) -> None:
         """Search."""
@@ -167,25 +167,25 @@ class _Search:
         except SingularMatrix:
             self._verdict = Verdict.SINGULAR
             return
-        first = Place(0.0, self.q, self.lam, *balance.path_tangent(self.q, factors), factors.sign())
+        tangent = balance.path_tangent(self.q, factors)
+        first = Place(0.0, self.q, self.lam, *tangent, self._at_start.stable)
         path = LoadPath(balance, first, self._max_steps)
         self._verdict = path.follow()
         last = path.places[-1]
         self.q, self.lam, self._fraction = last.q, last.lam, last.s
-        self._unstable = last.sign != self.balance.stable_sign
+        self._stable_to = path.stable_to()
         if self._verdict is not Verdict.EQUILIBRIUM:
             self._residual = path.residual
             self._verdict = self._reason(last, self._verdict)
 
     def _reason(self, last: Place, verdict: Verdict) -> Verdict:
-        """Tell a load that cannot grow, and a branching of the path, from other failures."""
+        """Tell a load that cannot grow from other failures."""
         if verdict in (Verdict.INTERRUPTED, Verdict.STEP_LIMIT):
             return verdict
         now, before = softest(self.balance, last.s, last.q, last.lam), self._at_start
         if len(now.kappa) == 0 or now.kappa[0] > _LOST * before.kappa[0]:
             return verdict
-        along = now.aligned(last.q_s) > _ALONG
-        return Verdict.LIMIT_POINT if along else Verdict.BIFURCATION
+        return Verdict.LIMIT_POINT if now.aligned(last.q_s) > _ALONG else Verdict.SINGULAR
 
     def _settle(self) -> None:
         balance = self.balance
@@ -196,16 +196,16 @@ class _Search:
             raise self._free(balance.q_0, self._at_start.free)
         if self._verdict is not Verdict.EQUILIBRIUM:
             return
-        left = softest(balance, 1.0, self.q, self.lam).free
-        if left.shape[1]:
-            raise self._free(self.q, left)
+        settled = softest(balance, 1.0, self.q, self.lam)
+        if settled.free.shape[1]:
+            raise self._free(self.q, settled.free)
         found = balance.solve(1.0, self.q, self.lam)
         if isinstance(found, Failure):
             self._verdict, self._residual = found.verdict, found.residual
             return
         self.q, self.lam = found.q, found.lam
         self._fraction, self._residual = 1.0, 0.0
-        self._unstable = found.factors.sign() != balance.stable_sign
+        self._stable_to = None if settled.stable else 0.0
 
     def _free(self, q: Array, motions: Array) -> Exception:
         return free_mechanism(self.balance.system.naming, q, motions)

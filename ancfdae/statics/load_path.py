@@ -8,6 +8,7 @@ from typing import final
 from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Failure, Point
+from ancfdae.statics.softness import softest
 
 # Steps of the load fraction below this one are given up.
 _LEAST = 1e-6
@@ -15,8 +16,8 @@ _LEAST = 1e-6
 _EASY = 6
 # Secant and tangents of a step on one smooth path agree up to this part of the secant.
 _BEND = 0.25
-# In a step no larger than this a change of sign of the determinant is believed.
-_SMALL = 1.0 / 64.0
+# In a step no larger than this a loss of stability is believed.
+_SMALL = 1.0 / 128.0
 
 
 @final
@@ -28,8 +29,8 @@ class Place:
     ----------
     s : float
     q, lam, q_s, lam_s : array
-    sign : float
-        Of the determinant of the tangent.
+    stable : bool
+        Whether no motion meets a negative stiffness.
     """
 
     s: float
@@ -37,7 +38,7 @@ class Place:
     lam: Array
     q_s: Array
     lam_s: Array
-    sign: float
+    stable: bool
 
 
 @final
@@ -89,6 +90,11 @@ class LoadPath:
             return Verdict.INTERRUPTED
         return Verdict.STEP_LIMIT
 
+    def stable_to(self) -> float | None:
+        """Return the load fraction of the last place before the first unstable one."""
+        stable = [place.stable for place in self.places]
+        return None if all(stable) else self.places[max(stable.index(False) - 1, 0)].s
+
     def _attempt(self, s: float) -> tuple[Place, int] | Failure:
         """Solve at s from the extrapolated path, and see whether it is the same path."""
         before = self.places[-1]
@@ -102,7 +108,7 @@ class LoadPath:
         jumped = self._balance.length(bend) > _BEND * self._balance.length(secant)
         # Round-off of a motion too small to see is no bend.
         jumped &= self._balance.length(bend) > 1e-9 * self._balance.position
-        flipped = place.sign != before.sign and ds > _SMALL
+        flipped = place.stable != before.stable and ds > _SMALL
         if jumped or flipped:
             return Failure(Verdict.NO_CONVERGENCE, 0.0)
         return place, point.iterations
@@ -123,4 +129,5 @@ class LoadPath:
 def place_at(balance: Balance, point: Point) -> Place:
     """Return a solution with the tangent of the path."""
     q_s, lam_s = balance.path_tangent(point.q, point.factors)
-    return Place(point.s, point.q, point.lam, q_s, lam_s, point.factors.sign())
+    stable = softest(balance, point.s, point.q, point.lam).stable
+    return Place(point.s, point.q, point.lam, q_s, lam_s, stable)

@@ -25,16 +25,16 @@ class LoadOutcome:
     residual : float
         Size of the last correction of Newton's method, relative to positions and forces, zero
         where the search succeeded.
-    unstable : bool
-        Whether the tangent has an odd number of negative eigenvalues: this is an equilibrium that
-        the least disturbance ends, as beyond a buckling load.
+    stable_to : float or None
+        None if it is stable; else the part of the load above which a motion meets a negative
+        stiffness, as above a buckling load, to one per cent.
     """
 
     verdict: Verdict
     fraction: float
     step: int
     residual: float
-    unstable: bool
+    stable_to: float | None = None
 
     @property
     def success(self) -> bool:
@@ -55,6 +55,7 @@ class LoadOutcome:
                 f"{steps}, with a last relative correction of {self.residual:.3g}; what "
                 "is in balance with that part is kept"
             )
-        if self.unstable:
-            text += "; it is unstable, a negative stiffness of the tangent (buckling) was met"
+        if self.stable_to is not None:
+            above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
+            text += f"; it is unstable (buckled), with a negative stiffness{above}"
         return f"{text}."

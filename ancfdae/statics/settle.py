@@ -13,6 +13,7 @@ from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.saddle_points import solve
 from ancfdae.statics.balance import Balance, Failure
+from ancfdae.statics.softness import softest
 
 # The first step moves by about this part of the size of the system.
 _FIRST = 0.1
@@ -62,7 +63,7 @@ class Settling:
                 continue
             balance.work.steps += 1
             moved = self._share(found.q - self.q)
-            if moved > _SETTLED and found.factors.sign() != balance.stable_sign:
+            if moved > _SETTLED and not softest(balance, 1.0, found.q, found.lam, mu).stable:
                 # A step this long goes uphill.
                 balance.work.rejected += 1
                 mu *= 4.0
