@@ -264,7 +264,7 @@ class AncfSystem(MechanicalSystem):
 
     def following_load_q(self, q: Array, t: float) -> Array:
         """Their tangents."""
-        values = np.zeros((1, self.pattern.size))
+        values = np.zeros((1, self.pattern.size), dtype=np.result_type(q, self.b, float))
         self._loads.add_following_tangents(q, values)
         return only(values)
 

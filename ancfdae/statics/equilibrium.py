@@ -23,10 +23,6 @@ from ancfdae.statics.settle import Settling
 from ancfdae.statics.softness import Softness, softest
 from ancfdae.text import listed
 
-# The tangent has lost its stiffness where the softest motion keeps this part of that at the start.
-_LOST = 0.05
-# Cosine between path and softest motion above which the path turns back along it.
-_ALONG = 0.5
 # Attempted steps of the load.
 MAX_STEPS = 1000
 
@@ -176,16 +172,6 @@ class _Search:
         self._stable_to = path.stable_to()
         if self._verdict is not Verdict.EQUILIBRIUM:
             self._residual = path.residual
-            self._verdict = self._reason(last, self._verdict)
-
-    def _reason(self, last: Place, verdict: Verdict) -> Verdict:
-        """Tell a load that cannot grow from other failures."""
-        if verdict in (Verdict.INTERRUPTED, Verdict.STEP_LIMIT):
-            return verdict
-        now, before = softest(self.balance, last.s, last.q, last.lam), self._at_start
-        if len(now.kappa) == 0 or now.kappa[0] > _LOST * before.kappa[0]:
-            return verdict
-        return Verdict.LIMIT_POINT if now.aligned(last.q_s) > _ALONG else Verdict.SINGULAR
 
     def _settle(self) -> None:
         balance = self.balance

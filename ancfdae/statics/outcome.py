@@ -23,8 +23,8 @@ class LoadOutcome:
     step : int
         Steps of the load that converged.
     residual : float
-        Size of the last correction of Newton's method, relative to positions and forces, zero
-        where the search succeeded.
+        Size of the last correction of Newton's method where it failed, relative to positions and
+        forces; zero where it did not.
     stable_to : float or None
         None if it is stable; else the part of the load above which a motion meets a negative
         stiffness, as above a buckling load, to one per cent.
@@ -52,9 +52,10 @@ class LoadOutcome:
         if not self.success:
             text = (
                 f"{self.verdict.value} at {100 * self.fraction:.6g} % of the load, after "
-                f"{steps}, with a last relative correction of {self.residual:.3g}; what "
-                "is in balance with that part is kept"
+                f"{steps}; what is in balance with that part is kept"
             )
+            if self.residual:
+                text += f"; the last relative correction was {self.residual:.3g}"
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
             text += f"; it is unstable (buckled), with a negative stiffness{above}"
