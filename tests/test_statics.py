@@ -38,7 +38,6 @@ from ancfdae import (
     observe,
     position,
     reaction,
-    simulate,
     static_gradient,
     strain_energy,
 )
@@ -463,4 +462,10 @@ def test_an_outcome_is_a_sentence():
         "balance with that part is kept; the last relative correction was 0.001; it is unstable "
         "(buckled), with a negative stiffness above 12.5 % of the load."
     )
-    assert simulate is not None
+    assert str(LoadOutcome(Verdict.EQUILIBRIUM, 1.0, 1, 0.0, downhill=True)) == (
+        "the equilibrium was reached in 1 step downhill."
+    )
+    assert str(LoadOutcome(Verdict.STEP_LIMIT, 0.0, 9, 1e-3, downhill=True)) == (
+        "the limit of steps (max_steps) was reached after 9 steps downhill; where it has come is "
+        "kept."
+    )

@@ -95,9 +95,11 @@ class LoadPath:
         return Verdict.STEP_LIMIT
 
     def stable_to(self) -> float | None:
-        """Return the load fraction of the last place before the first unstable one."""
-        stable = [place.stable for place in self.places]
-        return None if all(stable) else self.places[max(stable.index(False) - 1, 0)].s
+        """Return the load fraction of the last stable place, None if that is the last one."""
+        stable = [place.s for place in self.places if place.stable]
+        if stable and stable[-1] == self.places[-1].s:
+            return None
+        return stable[-1] if stable else 0.0
 
     def _attempt(self, s: float) -> tuple[Place, int] | Failure:
         """Solve at s from the extrapolated path, and see whether it is the same path."""

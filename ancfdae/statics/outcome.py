@@ -21,13 +21,16 @@ class LoadOutcome:
         Part of the load that what was found is in balance with: one for an equilibrium. The load
         is what was unbalanced at the start (docs/theory.md, section 11).
     step : int
-        Steps of the load that converged.
+        Steps that converged, of the load or downhill.
     residual : float
         Size of the last correction of Newton's method where it failed, relative to positions and
         forces; zero where it did not.
     stable_to : float or None
         None if it is stable; else the part of the load above which a motion meets a negative
         stiffness, as above a buckling load, to one per cent.
+    downhill : bool
+        Whether the system settled under the full load, since no path of loads begins where it
+        starts (a mechanism, a slack cable) or it could not be followed.
     """
 
     verdict: Verdict
@@ -35,6 +38,7 @@ class LoadOutcome:
     step: int
     residual: float
     stable_to: float | None = None
+    downhill: bool = False
 
     @property
     def success(self) -> bool:
@@ -48,8 +52,11 @@ class LoadOutcome:
     def __str__(self) -> str:
         """Return the outcome as a sentence."""
         steps = f"{self.step} step{'s' if self.step != 1 else ''}"
+        steps += " downhill" if self.downhill else ""
         text = f"{self.verdict.value} in {steps}"
-        if not self.success:
+        if self.downhill and not self.success:
+            text = f"{self.verdict.value} after {steps}; where it has come is kept"
+        elif not self.success:
             text = (
                 f"{self.verdict.value} at {100 * self.fraction:.6g} % of the load, after "
                 f"{steps}; what is in balance with that part is kept"

@@ -33,8 +33,10 @@ class Settling:
     ----------
     q, lam : array
         Where it has come.
+    steps : int
+        Steps that converged.
     residual : float
-        Size of the last step.
+        Size of the last one.
     gone : bool
         Whether it ran away.
     """
@@ -42,7 +44,7 @@ class Settling:
     def __init__(self, balance: Balance, max_steps: int) -> None:
         self._balance, self._max_steps = balance, max_steps
         self.q, self.lam = balance.q_0, balance.lam_0
-        self.residual, self.gone = 0.0, False
+        self.steps, self.residual, self.gone = 0, 0.0, False
 
     def run(self) -> Verdict:
         """Settle, and tell how that ended."""
@@ -61,13 +63,14 @@ class Settling:
                 if failures > _FAILURES:
                     return found.verdict
                 continue
-            balance.work.steps += 1
             moved = self._share(found.q - self.q)
             if moved > _SETTLED and not softest(balance, 1.0, found.q, found.lam, mu).stable:
                 # A step this long goes uphill.
                 balance.work.rejected += 1
                 mu *= 4.0
                 continue
+            balance.work.steps += 1
+            self.steps += 1
             self.q, self.lam, self.residual, failures = found.q, found.lam, moved, 0
             if self._share(self.q - balance.q_0) > _GONE:
                 self.gone = True
