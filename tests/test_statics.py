@@ -129,6 +129,46 @@ def test_newton_s_method_is_quadratic_at_what_was_found():
     np.testing.assert_allclose(again.q, found.q, atol=1e-12)
 
 
+def gap():
+    """The scene of all loads, and its end off the support that it is pinned to."""
+    scene = bent()[0]
+    support = Pin(scene.beams[0].at_end, ground=(0.997, 0.01), name="support")
+    return Scene(scene.beams, [*scene.joints, support], scene.gravity, loads=scene.loads)
+
+
+def test_the_tangent_is_the_derivative_of_the_equations_all_along_the_path():
+    for system in (assemble(gap()), CartesianPendulum(0.4)):
+        rng = np.random.default_rng(2)
+        q_0 = system.start()[0]
+        balance = Balance.of(system, 0.0, q_0, np.zeros(system.n_lam))
+        q, lam = q_0 + 0.1 * rng.standard_normal(system.n_q), rng.standard_normal(system.n_lam)
+        dq = rng.standard_normal(system.n_q)
+        for s in (0.0, 0.4, 1.0):
+            moved = q + 1e-30j * dq
+            left = balance.unbalanced(moved, lam) - (1 - s) * balance.held_back(moved)
+            K = system.pattern.dense(balance.tangent(s, q, lam))
+            # Complex step; round-off.
+            np.testing.assert_allclose(-K @ dq, left.imag / 1e-30, rtol=1e-9, atol=1e-9)
+
+
+def test_the_path_closes_gaps_and_its_tangent_leads_along_it():
+    system = assemble(gap())
+    q_0, lam_0, s, ds = system.start()[0], np.zeros(system.n_lam), 0.3, 1e-3
+    balance = Balance.of(system, 0.0, q_0, lam_0)
+    point, ahead, behind = (balance.solve(x, q_0, lam_0) for x in (s, s + ds, s - ds))
+    np.testing.assert_allclose(
+        system.constraint(point.q, 0.0), 0.7 * system.constraint(q_0, 0.0), atol=1e-12
+    )
+    q_s, lam_s = balance.path_tangent(point.q, point.factors)
+    for ours, part in ((q_s, "q"), (lam_s, "lam")):
+        slope = (getattr(ahead, part) - getattr(behind, part)) / (2 * ds)
+        # ds^2 of the third derivative.
+        np.testing.assert_allclose(ours, slope, atol=1e-4 * np.max(np.abs(ours)))
+    found = equilibrium(gap())
+    assert found.outcome.success
+    assert found.solution.position(Point("rod", 1.0))[0] == pytest.approx((0.997, 0.01), abs=1e-12)
+
+
 def test_reactions_sum_up_to_the_loads():
     a, b = rod(), rod((1.0, 0.0), (2.0, 0.3), name="b")
     force = PointForce(b.at(0.5), (3.0, -7.0))
@@ -376,6 +416,12 @@ FREE = {
     ),
     "rod turns about the axis z through its start": Scene(
         [SPACE], [Revolute(SPACE.at_start, (0.0, 0.0, 1.0))]
+    ),
+    r"rod turns about the axis y through \(0.5, 0, 0\)": Scene(
+        [SPACE], [Revolute(SPACE.at(0.5), (0.0, 1.0, 0.0))]
+    ),
+    r"rod turns about the axis y through \(0.5, 0, 0.02\)": Scene(
+        [SPACE], [Revolute(SPACE.at(0.5, z=0.02), (0.0, 1.0, 0.0))]
     ),
     "rod turns about its own axis.": Scene([SPACE], [Pin(SPACE.at_start)], (0.0, 0.0, -G)),
 }
