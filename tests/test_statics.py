@@ -42,6 +42,7 @@ from ancfdae import (
     strain_energy,
 )
 from ancfdae.statics.balance import Balance
+from ancfdae.statics.mobility import free_mechanism
 
 from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum, chain
 
@@ -414,6 +415,9 @@ FREE = {
     "rod turns about its start while link moves along y; link turns about its start": Scene(
         [rod(), LINK], [Pin(rod().at_start), Pin(rod().at_end, LINK.at_start)]
     ),
+    "link turns about its start.": Scene(
+        [rod(), LINK], [Clamp(rod().at_start), Pin(LINK.at_start)]
+    ),
     "rod turns about the axis z through its start": Scene(
         [SPACE], [Revolute(SPACE.at_start, (0.0, 0.0, 1.0))]
     ),
@@ -446,6 +450,25 @@ def test_a_free_motion_of_a_system_without_names_is_told_by_coordinates():
 
     with pytest.raises(FreeMechanism, match="motion of coordinate 1"):
         equilibrium(Sliding())
+
+
+def test_a_motion_that_is_not_rigid_is_told_as_such():
+    system = assemble(bent()[0])
+    motion = np.random.default_rng(0).standard_normal((system.n_q, 1))
+    error = free_mechanism(system.naming, system.start()[0], motion)
+    assert "free to move: rod deforms without stiffness" in str(error)
+
+
+def test_bars_in_line_carry_a_load_across_by_their_stretch():
+    left, right = rod(elements=1), rod((1.0, 0.0), (2.0, 0.0), 1, name="right")
+    joints = [Pin(left.at_start), Pin(left.at_end, right.at_start, name="p"), Pin(right.at_end)]
+    found = equilibrium(
+        Scene([left, right], joints, loads=[PointForce(left.at_end, (0.0, -1.0), name="push")])
+    )
+    assert found.outcome.success
+    # P = E' A w^3 / L^3 of bars of St. Venant-Kirchhoff; plane strain, E' = E / (1 - nu^2).
+    sag = (1.0 / (1e7 / (1 - 0.09) * 0.05**2)) ** (1 / 3)
+    assert found.solution.position(left.at_end)[0, 1] == pytest.approx(-sag, rel=1e-3)
 
 
 def test_an_interrupt_and_a_limit_of_steps_keep_what_converged():
