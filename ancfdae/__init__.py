@@ -10,10 +10,12 @@ from ancfdae.api import (
     Tradeoff,
     adjoint_error,
     differentiate,
+    equilibrium,
     error_bars,
     gradient,
     gradients,
     simulate,
+    static_gradient,
     taylor_test,
     tradeoff,
 )
@@ -100,7 +102,7 @@ from ancfdae.protocol import (
     Solution,
     Statistics,
 )
-from ancfdae.scene import NodeState, RigidMotion, Scene
+from ancfdae.scene import Scene
 from ancfdae.sections import (
     Box,
     Circle,
@@ -120,6 +122,8 @@ from ancfdae.sensitivity import (
     Gradient,
     UnfinishedRun,
 )
+from ancfdae.starts import AtRest, NodeState, RigidMotion
+from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.user_systems import ComplexStepSystem, Conformance, check_system
 
 __version__ = "0.1.0"
@@ -135,6 +139,7 @@ __all__ = [
     "AdjointError",
     "AncfSystem",
     "AncfdaeError",
+    "AtRest",
     "AtTimes",
     "Beam",
     "Box",
@@ -153,12 +158,14 @@ __all__ = [
     "DistributedForce",
     "Drive",
     "EnhancedContinuum",
+    "Equilibrium",
     "ErrorBars",
     "EstimatedErrors",
     "Explicit",
     "FiniteDifference",
     "FixedSteps",
     "FollowerForce",
+    "FreeMechanism",
     "GivenSteps",
     "Gradient",
     "Guide",
@@ -171,11 +178,13 @@ __all__ = [
     "InvalidInput",
     "Joint",
     "Load",
+    "LoadOutcome",
     "Material",
     "MechanicalSystem",
     "MissingPackage",
     "Moment",
     "MomentSection",
+    "NoEquilibrium",
     "NodeState",
     "NonFiniteObjective",
     "Objective",
@@ -224,6 +233,7 @@ __all__ = [
     "design_value",
     "differentiate",
     "distribution",
+    "equilibrium",
     "error_bars",
     "gradient",
     "gradients",
@@ -235,6 +245,7 @@ __all__ = [
     "simulate",
     "slope",
     "slope_angle",
+    "static_gradient",
     "strain_energy",
     "taylor_test",
     "time",

@@ -81,6 +81,8 @@ class Verdict(Enum):
     STEP_LIMIT = "the limit of steps (max_steps) was reached"
     ERROR_TEST = "no step, however small, passed the error test"
     TOO_ACCURATE = "the tolerance is below what round-off allows"
+    EQUILIBRIUM = "the equilibrium was reached"
+    LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
 
 
 @final
@@ -106,24 +108,30 @@ class Outcome:
         Size of the last Newton correction relative to the motion, for integrators other than HHT
         of the residual of the equations in their scales (dimensionless); zero when the run
         finished.
+    load : float or None
+        Part of the load that was reached, of a search for an equilibrium; None for a motion.
     """
 
     verdict: Verdict
     time: float
     step: int
     residual: float
+    load: float | None = None
 
     @property
     def success(self) -> bool:
-        """Whether the end time was reached."""
-        return self.verdict is Verdict.FINISHED
+        """Whether the end time, or an equilibrium, was reached."""
+        return self.verdict in (Verdict.FINISHED, Verdict.EQUILIBRIUM)
 
     def __str__(self) -> str:
         """Return the outcome as a sentence."""
+        moving = self.load is None
         if self.success:
-            return f"{self.verdict.value} (t = {self.time:.6g}, {self.step} steps)."
+            when = f"t = {self.time:.6g}, " if moving else ""
+            return f"{self.verdict.value} ({when}{self.step} steps)."
+        where = f"t = {self.time:.6g}" if moving else f"{100 * (self.load or 0):.6g} % of the load"
         return (
-            f"{self.verdict.value} at t = {self.time:.6g}, after {self.step} accepted steps, with "
+            f"{self.verdict.value} at {where}, after {self.step} accepted steps, with "
             f"a last relative residual of {self.residual:.3g}; results up to there are kept."
         )
 

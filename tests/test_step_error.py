@@ -10,13 +10,14 @@ from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import consistent_start, saddle_point
+from ancfdae.integrators.start import consistent_start
 from ancfdae.integrators.step_control import ControlledSteps
 from ancfdae.integrators.step_control.derivative_sizes import (
     derivative_sizes,
     sizes_hold,
     smaller_sizes,
 )
+from ancfdae.protocol.saddle_points import saddle_point
 
 from mechanisms import CartesianPendulum
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -26,6 +27,7 @@ from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.scene import Scene
+from ancfdae.statics import RestingStart
 from ancfdae.text import listed
 
 
@@ -185,13 +187,25 @@ class AncfSystem(MechanicalSystem):
                 self._scene.check_value(variable, new)
         return AncfSystem(self._scene, self._design, self._mapping, b)
 
+    @cached_property
+    def _rest(self) -> RestingStart | None:
+        """The equilibrium that the motion starts from: of the same scene under other loads."""
+        scene = self._scene.at_rest()
+        if scene is None:
+            return None
+        return RestingStart(AncfSystem(scene, self._design, self._mapping, self.b))
+
     def start(self) -> tuple[Array, Array]:
-        """Return the declared start."""
+        """Return the declared start, or the equilibrium."""
+        if self._rest is not None:
+            return self._rest.q, np.zeros_like(self._rest.q)
         return self._start.q, self._start.v
 
     def start_b(self) -> tuple[Array, Array]:
-        """Return the partials of the declared start."""
+        """Return the partials of the start."""
         q_b, v_b = np.zeros((2, self.n_q, self.n_b))
+        if self._rest is not None:
+            return self._rest.q_b, v_b
         for i in self._start.active:
             moved = self._start.moved(i)
             q_b[:, i], v_b[:, i] = moved.q.imag / STEP, moved.v.imag / STEP
@@ -199,6 +213,8 @@ class AncfSystem(MechanicalSystem):
 
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
         """Contract over the variables that move the start."""
+        if self._rest is not None:
+            return self._rest.pull_back(on_q)
         total = np.zeros(self.n_b)
         for i in self._start.active:
             moved = self._start.moved(i)
@@ -241,6 +257,16 @@ class AncfSystem(MechanicalSystem):
         """Total design derivative of Q."""
         total = self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
         return total + self._loads.force_total(q, v, q_b, v_b) if self._scene.loads else total
+
+    def following_load(self, q: Array, t: float) -> Array:
+        """Follower forces and moments."""
+        return self._loads.following(q)
+
+    def following_load_q(self, q: Array, t: float) -> Array:
+        """Their tangents."""
+        values = np.zeros((1, self.pattern.size), dtype=np.result_type(q, self.b, float))
+        self._loads.add_following_tangents(q, values)
+        return only(values)
 
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Q_q v + Q_v a."""

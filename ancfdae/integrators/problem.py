@@ -19,12 +19,12 @@ from ancfdae.integrators.start import (
     InitialSensitivity,
     InitialState,
     consistent_start,
-    saddle_point,
     start_sensitivity,
 )
 from ancfdae.numerics.arrays import Array, is_finite, real_norm
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.saddle_points import saddle_point
 
 
 @final

@@ -28,6 +28,9 @@ class Load(Part):
     role = "load"
     #: Whether the force depends neither on positions nor on velocities.
     constant: ClassVar[bool] = False
+    #: Whether it is a stiffness rather than a load: a search for an equilibrium, which brings up
+    #: the loads, leaves it as it is.
+    elastic: ClassVar[bool] = False
     #: Numbers among the design fields without which the force does not depend on velocities.
     damping_fields: ClassVar[tuple[str, ...]] = ()
 

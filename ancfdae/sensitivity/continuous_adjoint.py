@@ -37,14 +37,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT
 from ancfdae.integrators.hht.equations import acceleration, correct, predict
 from ancfdae.integrators.index_1 import Accelerations
-from ancfdae.integrators.start import (
-    Covectors,
-    consistent_start,
-    pull_back_start,
-    saddle_point,
-    solve,
-    solve_transposed,
-)
+from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.objectives import Objective, ObjectivePartials
@@ -52,6 +45,7 @@ from ancfdae.objectives.reductions import OverTime
 from ancfdae.observables import states_of
 from ancfdae.observables.expression import leaves
 from ancfdae.protocol import Linearisation, MechanicalSystem
+from ancfdae.protocol.saddle_points import saddle_point, solve, solve_transposed
 from ancfdae.protocol.solution import Solution
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 

@@ -150,6 +150,6 @@ def keeping(solution: Solution) -> Iterator[None]:
 
 def finished(solution: Solution) -> Solution:
     """Return a solution that reached its end time; raise UnfinishedRun for another."""
-    if solution.outcome.verdict is not Verdict.FINISHED:
+    if not solution.outcome.success:
         raise UnfinishedRun(solution)
     return solution

@@ -105,6 +105,7 @@ def partials(add: Add, p: Probe) -> None:
         ("inertia_q", "mass_times", "q"),
         ("force_q", "force", "q"),
         ("force_v", "force", "v"),
+        ("following_load_q", "following_load", "q"),
         ("constraint_q", "constraint", "q"),
         ("constraint_force_q", "constraint_force", "q"),
     ):
@@ -249,6 +250,7 @@ def _values(p: Probe) -> dict[str, tuple[Value, Array]]:
         "mass": (lambda s, m: s.mass(m.q), s.mass(m.q)),
         "mass_times": (lambda s, m: s.mass_times(m.q, p.m.a), M_a),
         "force": (lambda s, m: s.force(m.q, m.v, t), Q),
+        "following_load": (lambda s, m: s.following_load(m.q, t), Q),
         "force_rate": (lambda s, m: s.force_rate(m.q, m.v, m.a, t), Q / T),
         "constraint": (lambda s, m: s.constraint(m.q, t), Phi),
         # Patterns may depend on b: a joint's axis that turns out of a plane fills entries.

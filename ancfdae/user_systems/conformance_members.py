@@ -24,6 +24,8 @@ MEMBERS = {
     "force": ("q v t", "q"),
     "force_q": ("q v t", "K"),
     "force_v": ("q v t", "K"),
+    "following_load": ("q t", "q"),
+    "following_load_q": ("q t", "K"),
     "force_b": ("q v t", "qb"),
     "force_total": ("q v t q_b v_b", "qb"),
     "force_rate": ("q v a t", "q"),

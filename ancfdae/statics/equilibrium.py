@@ -1,0 +1,147 @@
+"""The search for an equilibrium, and what it found."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import AncfdaeError
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.solution_parts import Sensitivities, Statistics
+from ancfdae.statics.balance import Balance, Work
+from ancfdae.statics.derivatives import Tangent
+from ancfdae.statics.outcome import LoadOutcome
+from ancfdae.statics.search import Found, search
+from ancfdae.text import listed
+
+# Attempted steps of the load.
+MAX_STEPS = 1000
+
+
+@final
+@dataclass(frozen=True)
+class Equilibrium:
+    """A state of rest under load, or how far a search for one has come.
+
+    Attributes
+    ----------
+    q : array, shape (n_q,)
+        Coordinates.
+    lam : array, shape (n_lam,)
+        Multipliers.
+    outcome : LoadOutcome
+        How the search ended; `success` only if this is an equilibrium under the full load.
+    solution : Solution
+        The same as a solution of one instant at rest, with which everything that takes a
+        solution works: `position`, `reaction`, `observe`, plots.
+    q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b), or None
+        Design derivatives; None without design variables or without success.
+    """
+
+    q: Array
+    lam: Array
+    outcome: LoadOutcome
+    solution: Solution
+    q_b: Array | None = None
+    lam_b: Array | None = None
+
+    @property
+    def fraction(self) -> float:
+        """Part of the load that it is in balance with; one if the search succeeded."""
+        return self.outcome.fraction
+
+    @property
+    def statistics(self) -> Statistics:
+        """What the search cost; steps are those of the load."""
+        return self.solution.statistics
+
+    def __repr__(self) -> str:
+        """Return sizes, outcome and design variables."""
+        own = self.solution.sensitivities
+        lines = [f"Equilibrium: {len(self.q)} coordinates, {len(self.lam)} multipliers"]
+        lines += [str(self.outcome)]
+        lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
+        return "\n".join(lines)
+
+
+@final
+class NoEquilibrium(AncfdaeError):
+    """A motion was to start from an equilibrium that was not found.
+
+    Attributes
+    ----------
+    equilibrium : Equilibrium
+        What was found.
+    """
+
+    def __init__(self, equilibrium: Equilibrium) -> None:
+        super().__init__(f"start at rest: {equilibrium.outcome}")
+        self.equilibrium = equilibrium
+
+
+def find_equilibrium(
+    system: MechanicalSystem,
+    *,
+    start: Equilibrium | None = None,
+    max_steps: int = MAX_STEPS,
+    sensitivities: bool = False,
+    t: float = 0.0,
+) -> Equilibrium:
+    """Search for q and lam with Q(q) = Phi_q^T lam and Phi(q) = 0.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    start : Equilibrium, optional
+        Where to start instead of at the start of the system.
+    max_steps : int
+        Attempted steps of the load.
+    sensitivities : bool
+        Whether to differentiate what was found.
+    t : float
+        Instant at which forces and constraints count; s.
+
+    Raises
+    ------
+    FreeMechanism
+        If a motion is held by nothing.
+    InvalidInput
+        If the start is not finite, or constraints depend on each other.
+    """
+    began = time.perf_counter()
+    q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else (start.q, start.lam)
+    balance = Balance.of(system, t, q, lam)
+    found, derivatives = search(balance, max_steps), None
+    if sensitivities and found.outcome.success:
+        balance.work.factorisations += 1
+        derivatives = Tangent(system, t, found.q, found.lam).sensitivities()
+    statistics = _statistics(balance.work, time.perf_counter() - began)
+    solution = _solution(system, t, found, derivatives, statistics)
+    return Equilibrium(found.q, found.lam, found.outcome, solution, *(derivatives or (None, None)))
+
+
+def _solution(
+    system: MechanicalSystem,
+    t: float,
+    found: Found,
+    derivatives: tuple[Array, Array] | None,
+    statistics: Statistics,
+) -> Solution:
+    q, lam, own = found.q[None], found.lam[None], None
+    if derivatives is not None:
+        q_b, lam_b = (x[None] for x in derivatives)
+        still = np.zeros_like(q_b)
+        own = Sensitivities(system.design_names, system.b, q_b, still, still, lam_b)
+    zero, outcome = np.zeros_like(q), found.outcome.of_run()
+    at = np.array([t])
+    return Solution(at, q, zero, zero, lam, statistics, outcome, system.naming, own)
+
+
+def _statistics(work: Work, seconds: float) -> Statistics:
+    counted = (work.steps, work.iterations, work.factorisations, work.residuals)
+    return Statistics(*counted, 0, seconds, work.rejected)
