@@ -118,12 +118,15 @@ class Outcome:
         Size of the last Newton correction relative to the motion, for integrators other than HHT
         of the residual of the equations in their scales (dimensionless); zero when the run
         finished.
+    advice : str
+        What may help, in words.
     """
 
     verdict: Verdict
     time: float
     step: int
     residual: float
+    advice: str = ""
 
     @property
     def success(self) -> bool:
@@ -134,10 +137,11 @@ class Outcome:
         """Return the outcome as a sentence."""
         if self.success:
             return f"{self.verdict.value} (t = {self.time:.6g}, {self.step} steps)."
-        return (
+        text = (
             f"{self.verdict.value} at t = {self.time:.6g}, after {self.step} accepted steps, with "
             f"a last relative residual of {self.residual:.3g}; results up to there are kept."
         )
+        return f"{text} {self.advice}" if self.advice else text
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:

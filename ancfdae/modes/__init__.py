@@ -1,0 +1,17 @@
+"""Small motions about a configuration: natural frequencies, shapes, damping, derivatives."""
+
+from ancfdae.modes.analysis import modes_about
+from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.periods import StepSuggestion, advice, suggestion
+from ancfdae.modes.result import Kind, ModeDerivatives, Modes
+
+__all__ = [
+    "Configuration",
+    "Kind",
+    "ModeDerivatives",
+    "Modes",
+    "StepSuggestion",
+    "advice",
+    "modes_about",
+    "suggestion",
+]

@@ -1,0 +1,127 @@
+"""Design derivatives of modes.
+
+With R_b the derivative of [F(z) x + Phi_q^T mu, Phi_q x] at z, x and mu held, and a solution
+[y, nu] of the transposed equations (itself [x, mu] where K and D are symmetric),
+
+    z_b = -[y, nu]^T R_b / y^T F' x
+
+Where modes coincide, X and Y are bases of theirs and the derivatives along one design variable
+are the eigenvalues of -(Y^T F' X)^{-1} [Y, N]^T R_b: each mode moves apart by its own.
+
+Shapes follow from the derivative of F(z) x + Phi_q^T mu = 0, singular along x: with the largest
+entry k of x held and equation k left out it is regular and keeps its pattern (Nelson 1976). The
+rest, c x, follows from the norm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from scipy import linalg
+
+from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.solver import Eigenpairs, largest_entries
+from ancfdae.modes.totals import Totals
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization
+
+# Inverse iteration at an eigenvalue known to round-off: the second sweep removes what the first
+# right-hand side had of other modes.
+_SWEEPS = 2
+
+
+@final
+@dataclass(frozen=True)
+class Derivatives:
+    """Design derivatives of eigenpairs.
+
+    Attributes
+    ----------
+    z_b : array, shape (count, n_b)
+    X_b : tuple of array, shape (n_q, n_b), or None
+        None for a mode that coincides with another: its shape is not unique.
+    """
+
+    z_b: Array
+    X_b: tuple[Array | None, ...]
+
+
+def differentiate(
+    small: Linearised, pairs: Eigenpairs, mu: Array, groups: list[list[int]]
+) -> Derivatives:
+    """Differentiate modes in the design variables."""
+    z_b = np.zeros((len(pairs.z), small.system.n_b), dtype=pairs.z.dtype)
+    X_b: list[Array | None] = [None] * len(pairs.z)
+    for group in groups:
+        changes = [Totals(small).pencil(pairs.z[j], pairs.X[:, j], mu[:, j]) for j in group]
+        R_b = np.stack([np.concatenate(change) for change in changes], axis=1)
+        if small.D is None or pairs.z[group[0]] != 0:  # What drifts stays at s = 0.
+            z_b[group] = _values_b(small, pairs, mu, group, R_b)
+        if len(group) == 1:
+            j = group[0]
+            X_b[j] = _shape_b(small, pairs.z[j], pairs.X[:, j], z_b[j], R_b[:, 0])
+    return Derivatives(z_b, tuple(X_b))
+
+
+def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[int]) -> Array:
+    """Return solutions [y, nu] of the transposed equations as columns."""
+    X, z, n = pairs.X[:, group], pairs.z[group[0]], small.system.n_q
+    if small.symmetric:
+        return np.concatenate([X, mu[:, group]])
+    right = np.zeros((n + small.system.n_lam, len(group)), dtype=X.dtype)
+    right[:n] = np.conj(small.times(small.M, X))
+    factors = small.saddle.factor(small.matrix(z), small.Phi_q)
+    for sweep in range(_SWEEPS):
+        if sweep:
+            right[:n] = small.system.pattern.dot_transposed(small.slope(z), right[:n])
+            right[n:] = 0.0
+        right = factors.solve_transposed(right)
+        right = right / np.max(np.abs(right), axis=0)
+    return right
+
+
+def _values_b(
+    small: Linearised, pairs: Eigenpairs, mu: Array, group: list[int], R_b: Array
+) -> Array:
+    """Return z_b of a group, shape (len(group), n_b)."""
+    n, z = small.system.n_q, pairs.z[group[0]]
+    Y = left_vectors(small, pairs, mu, group)
+    G = Y[:n].T @ small.slope_times(z, pairs.X[:, group])
+    A = -np.einsum("ki,kjb->bij", Y, R_b)
+    if len(group) == 1:
+        simple: Array = A[:, 0].T / G
+        return simple
+    if small.symmetric and small.D is None:
+        return np.array([linalg.eigvalsh(-(a + a.T) / 2) for a in A]).reshape(-1, len(group)).T
+    values = [np.sort_complex(linalg.eigvals(linalg.solve(G, a))) for a in A]
+    return np.array(values).reshape(-1, len(group)).T
+
+
+def _shape_b(small: Linearised, z: complex, x: Array, z_b: Array, R_b: Array) -> Array:
+    """Return x_b of a simple eigenvalue, shape (n_q, n_b)."""
+    n = small.system.n_q
+    k = int(largest_entries(small, x[:, None])[0])
+    right = -R_b.astype(np.result_type(R_b, z_b))
+    right[:n] -= np.outer(small.slope_times(z, x), z_b)
+    right[k] = 0.0
+    x_b = _held(small, z, k).solve(right)[:n]
+    # x^H M x = 1 with the entry that is the largest real: c is real.
+    Mx = small.times(small.M, x)
+    change = np.real(np.conj(x) @ Totals(small).mass(x))
+    shape_b: Array = x_b - np.outer(x, np.real(np.conj(Mx) @ x_b) + change / 2)
+    return shape_b
+
+
+def _held(small: Linearised, z: complex, k: int) -> Factorization:
+    """Factorise F(z) with coordinate k held."""
+    system = small.system
+    F, B = small.matrix(z).copy(), small.Phi_q.copy()
+    rows, columns = system.pattern.rows, system.pattern.columns
+    F[(rows == k) | (columns == k)] = 0.0
+    # Any size serves; one of its neighbours keeps the pivots alike.
+    size = np.max(np.abs(small.K) / np.sqrt(system.weights[rows] * system.weights[columns]))
+    F[system.pattern.index(np.array([k]), np.array([k]))] = (size or 1.0) * system.weights[k]
+    B[system.constraint_pattern.columns == k] = 0.0
+    return small.saddle.factor(F, B)
