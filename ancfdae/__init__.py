@@ -10,10 +10,12 @@ from ancfdae.api import (
     Tradeoff,
     adjoint_error,
     differentiate,
+    equilibrium,
     error_bars,
     gradient,
     gradients,
     simulate,
+    static_gradient,
     taylor_test,
     tradeoff,
 )
@@ -91,7 +93,7 @@ from ancfdae.protocol import (
     Solution,
     Statistics,
 )
-from ancfdae.scene import NodeState, RigidMotion, Scene
+from ancfdae.scene import Scene
 from ancfdae.sections import Material, Rectangle
 from ancfdae.sensitivity import (
     Adjoint,
@@ -102,6 +104,8 @@ from ancfdae.sensitivity import (
     Gradient,
     UnfinishedRun,
 )
+from ancfdae.starts import AtRest, NodeState, RigidMotion
+from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.user_systems import ComplexStepSystem, Conformance, check_system
 
 __version__ = "0.1.0"
@@ -117,6 +121,7 @@ __all__ = [
     "AdjointError",
     "AncfSystem",
     "AncfdaeError",
+    "AtRest",
     "AtTimes",
     "Beam",
     "Clamp",
@@ -132,12 +137,14 @@ __all__ = [
     "Distance",
     "DistributedForce",
     "Drive",
+    "Equilibrium",
     "ErrorBars",
     "EstimatedErrors",
     "Explicit",
     "FiniteDifference",
     "FixedSteps",
     "FollowerForce",
+    "FreeMechanism",
     "GivenSteps",
     "Gradient",
     "Guide",
@@ -149,10 +156,12 @@ __all__ = [
     "InvalidInput",
     "Joint",
     "Load",
+    "LoadOutcome",
     "Material",
     "MechanicalSystem",
     "MissingPackage",
     "Moment",
+    "NoEquilibrium",
     "NodeState",
     "NonFiniteObjective",
     "Objective",
@@ -195,6 +204,7 @@ __all__ = [
     "design_value",
     "differentiate",
     "distribution",
+    "equilibrium",
     "error_bars",
     "gradient",
     "gradients",
@@ -206,6 +216,7 @@ __all__ = [
     "simulate",
     "slope",
     "slope_angle",
+    "static_gradient",
     "strain_energy",
     "taylor_test",
     "time",

@@ -84,6 +84,9 @@ class Verdict(Enum):
     STEP_LIMIT = "the limit of steps (max_steps) was reached"
     ERROR_TEST = "no step, however small, passed the error test"
     TOO_ACCURATE = "the tolerance is below what round-off allows"
+    EQUILIBRIUM = "the equilibrium was reached"
+    LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
+    BIFURCATION = "the path of equilibria branches, the tangent being singular (buckling)"
 
 
 @final
@@ -130,8 +133,8 @@ class Outcome:
 
     @property
     def success(self) -> bool:
-        """Whether the end time was reached."""
-        return self.verdict is Verdict.FINISHED
+        """Whether the end time, or an equilibrium, was reached."""
+        return self.verdict in (Verdict.FINISHED, Verdict.EQUILIBRIUM)
 
     def __str__(self) -> str:
         """Return the outcome as a sentence."""

@@ -14,7 +14,6 @@ from ancfdae.elements import ElementParameter
 from ancfdae.errors import (
     InvalidInput,
     UnknownName,
-    require_array,
     require_finite,
     require_kind,
     require_sequence,
@@ -24,56 +23,12 @@ from ancfdae.joints import Joint
 from ancfdae.loads import Load
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Part
+from ancfdae.starts import AtRest, NodeState, RigidMotion, Start, checked_start
 from ancfdae.text import listed
 
 # Two targets hold the same value up to this relative difference: a length is summed from its n
 # elements, which moves it by n eps; this admits 4500 elements.
 _SAME = 1e-12
-
-
-@final
-@dataclass(frozen=True)
-class RigidMotion:
-    """Initial velocity of a beam: a rigid-body motion.
-
-    v = velocity + angular_velocity x (r - about); slopes turn with it.
-
-    Parameters
-    ----------
-    beam : str
-        Name of the beam.
-    angular_velocity : float or sequence of float
-        A number in the plane, three components in space; rad/s.
-    about : sequence of float
-        Reference point; m.
-    velocity : sequence of float, optional
-        Velocity of the reference point, zero by default; m/s.
-    """
-
-    beam: str
-    angular_velocity: float | Sequence[float]
-    about: Sequence[float]
-    velocity: Sequence[float] | None = None
-
-
-@final
-@dataclass(frozen=True)
-class NodeState:
-    """Initial coordinates and velocities of a beam, node by node.
-
-    Parameters
-    ----------
-    beam : str
-        Name of the beam.
-    coordinates : array, shape (n + 1, n_s, d)
-        Position and slopes of every node.
-    velocities : array, shape (n + 1, n_s, d), optional
-        Zero by default.
-    """
-
-    beam: str
-    coordinates: Array
-    velocities: Array | None = None
 
 
 @final
@@ -92,8 +47,9 @@ class Scene:
     loads : sequence of Load
     gravity : sequence of float, optional
         Acceleration of gravity; m/s^2.
-    start : sequence of RigidMotion or NodeState
-        Initial motion; beams not named start at rest in the reference configuration.
+    start : sequence of RigidMotion, NodeState or AtRest
+        Initial motion; beams not named start at rest in the reference configuration. With `AtRest`
+        everything starts from an equilibrium.
     project_start : bool
         Whether a start that violates the constraints is moved onto them (the nearest one in
         the norm of the mass matrix) instead of being refused.
@@ -109,7 +65,7 @@ class Scene:
     beams: Sequence[BeamBody]
     joints: Sequence[Joint] = ()
     gravity: Sequence[float] | None = None
-    start: Sequence[RigidMotion | NodeState] = ()
+    start: Sequence[Start] = ()
     loads: Sequence[Load] = ()
     project_start: bool = False
 
@@ -118,13 +74,14 @@ class Scene:
         self._freeze("beams", (BeamBody,), "Add a Beam.")
         self._freeze("joints", (Joint,), "Add a Pin.")
         self._freeze("loads", (Load,), "Add a PointForce.")
-        self._freeze("start", (RigidMotion, NodeState), "Add a RigidMotion.")
+        self._freeze("start", (RigidMotion, NodeState, AtRest), "Add a RigidMotion.")
         self._check_beams()
         self._check_names()
         self._check_parts()
         if self.gravity is not None:
             require_vector("Scene.gravity", self.gravity, (self.dimension,))
         object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
+        self._check_rest()
 
     @property
     def dimension(self) -> int:
@@ -154,8 +111,30 @@ class Scene:
         raise UnknownName("beam", name, (beam.name for beam in self.beams))
 
     def parts(self) -> dict[str, Part]:
-        """Return joints and loads by name; their numbers can be design targets."""
-        return {part.name: part for part in (*self.joints, *self.loads)}
+        """Return joints and loads, of the start at rest too; their numbers can be targets."""
+        return {part.name: part for part in (*self.joints, *self.loads, *self._rest_loads())}
+
+    @property
+    def rest(self) -> AtRest | None:
+        """How the scene starts from an equilibrium, None if it does not."""
+        return next((start for start in self.start if isinstance(start, AtRest)), None)
+
+    def at_rest(self) -> Scene | None:
+        """Return the scene whose equilibrium the motion starts from, None without `AtRest`."""
+        rest = self.rest
+        if rest is None:
+            return None
+        return replace(
+            self,
+            loads=self.loads if rest.loads is None else rest.loads,
+            gravity=self.gravity if rest.gravity is None else rest.gravity,
+            start=[start for start in self.start if start is not rest],
+        )
+
+    def start_of(self, beam: str) -> RigidMotion | NodeState | None:
+        """Return how a beam starts, None if from rest in the reference configuration."""
+        own = (start for start in self.start if not isinstance(start, AtRest))
+        return next((start for start in own if start.beam == beam), None)
 
     def part(self, target: Target) -> Part:
         """Return the joint or load that a target names, with the parameter checked.
@@ -207,12 +186,13 @@ class Scene:
         for text, value in values.items():
             target, _ = self._resolve(text)
             parts[target.owner] = _with_value(parts[target.owner], target, text, value)
-        changed = tuple(parts.values())
+        changed = [part for part in parts.values() if isinstance(part, Load)]
         return replace(
             self,
-            beams=tuple(part for part in changed if isinstance(part, BeamBody)),
-            joints=tuple(part for part in changed if isinstance(part, Joint)),
-            loads=tuple(part for part in changed if isinstance(part, Load)),
+            beams=tuple(part for part in parts.values() if isinstance(part, BeamBody)),
+            joints=tuple(part for part in parts.values() if isinstance(part, Joint)),
+            loads=tuple(changed[: len(self.loads)]),
+            start=tuple(s.with_loads(changed) if isinstance(s, AtRest) else s for s in self.start),
         )
 
     def check_value(self, variable: DesignVariable, value: float) -> None:
@@ -276,7 +256,12 @@ class Scene:
         return np.concatenate([beam.element_parameters() for beam in self.beams])
 
     def _all_parts(self) -> tuple[BeamBody | Part, ...]:
-        return (*self.beams, *self.joints, *self.loads)
+        return (*self.beams, *self.joints, *self.loads, *self._rest_loads())
+
+    def _rest_loads(self) -> tuple[Load, ...]:
+        """Return the loads of the start at rest that are not those of the motion."""
+        loads = () if self.rest is None else self.rest.loads or ()
+        return tuple(load for load in loads if not any(load is own for own in self.loads))
 
     def _resolve(self, text: str) -> tuple[Target, BeamBody | Part]:
         """Read a target and find its part; refuse one that the scene does not have."""
@@ -300,7 +285,7 @@ class Scene:
         _require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
         _require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)
         _require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
-        starts = [motion.beam for motion in self.start]
+        starts = [start.beam for start in self.start if not isinstance(start, AtRest)]
         _require_unique("Scene.start", "every beam starts once", starts, "Keep one of them.")
 
     def _check_beams(self) -> None:
@@ -322,7 +307,7 @@ class Scene:
 
     def _check_parts(self) -> None:
         element = self.beams[0].element
-        for part in (*self.joints, *self.loads):
+        for part in self.parts().values():
             where = f"{part.role} {part.name!r}"
             part.check_space(element)
             if part.whole_beam is not None:
@@ -355,25 +340,27 @@ class Scene:
                 "Move the point into the beam.",
             )
 
-    def _checked_start(self, motion: RigidMotion | NodeState) -> RigidMotion | NodeState:
-        """Return a start with its arrays as such; refuse vectors of another size."""
-        beam, d = self.beam(motion.beam), self.dimension
-        where = f"start of {beam.name!r}"
-        if isinstance(motion, RigidMotion):
-            require_vector(f"{where}, about", motion.about, (d,))
-            if motion.velocity is not None:
-                require_vector(f"{where}, velocity", motion.velocity, (d,))
-            if d == 2:
-                require_finite(f"{where}, angular_velocity", motion.angular_velocity)
-            else:
-                require_vector(f"{where}, angular_velocity", motion.angular_velocity, (3,))
-            return motion
-        shape = (beam.element_count + 1, beam.element.n_s, d)
-        coordinates = require_array(f"{where}, coordinates", motion.coordinates, shape)
-        velocities = None
-        if motion.velocities is not None:
-            velocities = require_array(f"{where}, velocities", motion.velocities, shape)
-        return replace(motion, coordinates=coordinates, velocities=velocities)
+    def _checked_start(self, start: Start) -> Start:
+        if isinstance(start, AtRest):
+            return start
+        return checked_start(start, self.beam(start.beam), self.dimension)
+
+    def _check_rest(self) -> None:
+        """Refuse a start at rest that moves."""
+        rests = [start for start in self.start if isinstance(start, AtRest)]
+        if not rests:
+            return
+        if rests[0].gravity is not None:
+            require_vector("AtRest.gravity", rests[0].gravity, (self.dimension,))
+        beams = [start for start in self.start if not isinstance(start, AtRest)]
+        moving = any(isinstance(s, RigidMotion) or s.velocities is not None for s in beams)
+        if len(rests) > 1 or moving:
+            raise InvalidInput(
+                "Scene.start",
+                "AtRest stands alone or with node states without velocities",
+                listed(type(start).__name__ for start in self.start),
+                "Leave out what moves; a NodeState tells where the search starts.",
+            )
 
 
 def _with_value(part: BeamBody | Part, target: Target, where: str, value: float) -> BeamBody | Part:

@@ -41,11 +41,12 @@ from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
+from ancfdae.integrators.start import consistent_start, start_sensitivity
 from ancfdae.numerics import linear_solvers
 from ancfdae.numerics.extrapolation import real_derivative
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.patterns import Pattern
+from ancfdae.protocol.saddle_points import saddle_point
 
 from oracle import plain_ancf as ancf
 from oracle import plain_cable

@@ -7,7 +7,8 @@ import pytest
 
 from ancfdae import ComplexStepSystem
 from ancfdae.integrators.characteristic_sizes import Scales
-from ancfdae.integrators.start import consistent_start, saddle_point
+from ancfdae.integrators.start import consistent_start
+from ancfdae.protocol.saddle_points import saddle_point
 
 from mechanisms import CartesianPendulum, chain
 

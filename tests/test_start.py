@@ -30,9 +30,9 @@ from ancfdae.integrators.start import (
     Covectors,
     consistent_start,
     pull_back_start,
-    saddle_point,
     start_sensitivity,
 )
+from ancfdae.protocol.saddle_points import saddle_point
 from validation.scenes import crank_slider
 
 from mechanisms import CartesianPendulum

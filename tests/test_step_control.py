@@ -7,9 +7,10 @@ from ancfdae import ControlledSteps, Explicit, FixedSteps, GivenSteps, simulate
 from ancfdae.errors import Verdict
 from ancfdae.integrators.characteristic_sizes import Scales
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import consistent_start, saddle_point
+from ancfdae.integrators.start import consistent_start
 from ancfdae.integrators.step_control.contracts import OneStepMethod
 from ancfdae.integrators.step_control.march import march
+from ancfdae.protocol.saddle_points import saddle_point
 
 from mechanisms import CartesianPendulum
 

@@ -8,13 +8,14 @@ from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivit
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import consistent_start, saddle_point, start_sensitivity
+from ancfdae.integrators.start import consistent_start, start_sensitivity
 from ancfdae.integrators.step_control import ControlledSteps
 from ancfdae.integrators.step_control.derivative_sizes import (
     derivative_sizes,
     sizes_hold,
     smaller_sizes,
 )
+from ancfdae.protocol.saddle_points import saddle_point
 
 from mechanisms import CartesianPendulum
 

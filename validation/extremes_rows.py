@@ -13,8 +13,8 @@ import numpy.typing as npt
 from ancfdae import HHT, Scene, Solution, StabilityWarning, assemble, simulate
 from ancfdae.errors import AncfdaeError
 from ancfdae.integrators.hht.equations import Coefficients, iteration_matrices
-from ancfdae.integrators.start import saddle_point
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.saddle_points import saddle_point
 from validation.report import Report
 
 __all__ = ["HEADER", "Case", "Row", "add_table", "measure"]

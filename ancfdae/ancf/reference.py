@@ -12,7 +12,8 @@ from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.bodies import ReferenceShape
 from ancfdae.elements import ElementParameter
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.scene import RigidMotion, Scene
+from ancfdae.scene import Scene
+from ancfdae.starts import NodeState, RigidMotion
 
 
 def length_partials(mapping: ParameterMap, n_b: int) -> Array:
@@ -70,10 +71,10 @@ class StartState:
             X = Z = _nodes(shape, own, beam.element.n_s)
             first += beam.element_count
             V = np.zeros_like(X)
-            for motion in (s for s in self._scene.start if s.beam == beam.name):
-                if isinstance(motion, RigidMotion):
-                    V = _rigid_velocity(motion, Z)
-                    continue
+            motion = self._scene.start_of(beam.name)
+            if isinstance(motion, RigidMotion):
+                V = _rigid_velocity(motion, Z)
+            elif isinstance(motion, NodeState):
                 Z = motion.coordinates.astype(X.dtype)
                 if motion.velocities is not None:
                     V = motion.velocities.astype(X.dtype)

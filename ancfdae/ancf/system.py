@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -26,6 +27,7 @@ from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.scene import Scene
+from ancfdae.statics import RestingStart
 from ancfdae.text import listed
 
 
@@ -185,13 +187,25 @@ class AncfSystem(MechanicalSystem):
                 self._scene.check_value(variable, new)
         return AncfSystem(self._scene, self._design, self._mapping, b)
 
+    @cached_property
+    def _rest(self) -> RestingStart | None:
+        """The equilibrium that the motion starts from: of the same scene under other loads."""
+        scene = self._scene.at_rest()
+        if scene is None:
+            return None
+        return RestingStart(AncfSystem(scene, self._design, self._mapping, self.b))
+
     def start(self) -> tuple[Array, Array]:
-        """Return the declared start."""
+        """Return the declared start, or the equilibrium."""
+        if self._rest is not None:
+            return self._rest.q, np.zeros_like(self._rest.q)
         return self._start.q, self._start.v
 
     def start_b(self) -> tuple[Array, Array]:
-        """Return the partials of the declared start."""
+        """Return the partials of the start."""
         q_b, v_b = np.zeros((2, self.n_q, self.n_b))
+        if self._rest is not None:
+            return self._rest.q_b, v_b
         for i in self._start.active:
             moved = self._start.moved(i)
             q_b[:, i], v_b[:, i] = moved.q.imag / STEP, moved.v.imag / STEP
@@ -199,6 +213,8 @@ class AncfSystem(MechanicalSystem):
 
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
         """Contract over the variables that move the start."""
+        if self._rest is not None:
+            return self._rest.pull_back(on_q)
         total = np.zeros(self.n_b)
         for i in self._start.active:
             moved = self._start.moved(i)

@@ -10,6 +10,7 @@ from ancfdae.api.calls import (
     simulate,
 )
 from ancfdae.api.error_bars import ErrorBars, error_bars
+from ancfdae.api.statics import equilibrium, static_gradient
 from ancfdae.api.taylor import TaylorTest, taylor_test
 from ancfdae.api.tradeoff import tradeoff
 from ancfdae.api.tradeoff_result import Setting, TargetNotReached, Tradeoff
@@ -25,10 +26,12 @@ __all__ = [
     "as_system",
     "cheapest",
     "differentiate",
+    "equilibrium",
     "error_bars",
     "gradient",
     "gradients",
     "simulate",
+    "static_gradient",
     "taylor_test",
     "tradeoff",
 ]

@@ -9,6 +9,7 @@ from ancfdae.integrators.integrator import (
     QuadratureIntegrator,
     Seeds,
 )
+from ancfdae.integrators.static import Static
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
 from ancfdae.integrators.sundials.bindings import MissingPackage
 from ancfdae.integrators.sundials.ida import IDA
@@ -33,5 +34,6 @@ __all__ = [
     "Points",
     "QuadratureIntegrator",
     "Seeds",
+    "Static",
     "StepControl",
 ]

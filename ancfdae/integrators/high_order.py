@@ -26,12 +26,12 @@ from ancfdae.integrators.start import (
     InitialSensitivity,
     InitialState,
     consistent_start,
-    saddle_point,
     start_sensitivity,
 )
 from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.saddle_points import saddle_point
 from ancfdae.protocol.solution import Solution
 
 # Steps that together advance by less than this share of the end time. Single steps may be lost in

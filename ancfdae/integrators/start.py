@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
-from ancfdae.errors import InconsistentStart, InvalidInput, RedundantConstraints, SingularMatrix
+from ancfdae.errors import InconsistentStart, InvalidInput, SingularMatrix
 from ancfdae.numerics.arrays import Array, is_finite, real_norm
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.saddle_points import refuse_redundant, solve, solve_transposed
 from ancfdae.protocol.total_derivatives import (
     acceleration_totals,
     constraint_force_total,
@@ -32,9 +32,6 @@ from ancfdae.protocol.total_derivatives import (
 # Relative violation of a constraint up to which a declared start counts as consistent: far
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
 _CONSISTENT = 1e-8
-# Singular-value ratio under which scaled constraint rows count as dependent; round-off leaves
-# dependent rows at 1e-16 times their number.
-_DEPENDENT = 1e-11
 _PROJECTION_ITERATIONS = 50
 
 
@@ -68,20 +65,6 @@ class InitialSensitivity:
     lam_b: Array
 
 
-def saddle_point(system: MechanicalSystem, t: float) -> SaddlePoint:
-    """Check the constraints at the start and return the system's saddle-point matrices.
-
-    Raises
-    ------
-    RedundantConstraints
-        If constraint rows are linearly dependent.
-    """
-    q, _ = system.start()
-    values = system.constraint_q(q, t)
-    _refuse_redundant(system, values)
-    return SaddlePoint(system.pattern, system.constraint_pattern, system.weights, values)
-
-
 def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) -> InitialState:
     """Solve steps 1 to 3 of the module description.
 
@@ -108,7 +91,7 @@ def _solve_start(
 ) -> InitialState:
     q, _ = _project_position(system, matrices, q, t)
     if not system.linear_constraints:
-        _refuse_redundant(system, system.constraint_q(q, t))
+        refuse_redundant(system, system.constraint_q(q, t))
     factors = _factor_mass(system, matrices, q, t)
     zero = np.zeros(system.n_lam)
     v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
@@ -241,18 +224,6 @@ def curvature(
     return total
 
 
-def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
-    """Solve a saddle-point system; returns the two parts of the solution."""
-    x = factors.solve(np.concatenate([force, side]))
-    return x[: len(force)], x[len(force) :]
-
-
-def solve_transposed(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
-    """Solve with the transposed saddle-point matrix; returns the two parts of the solution."""
-    x = factors.solve_transposed(np.concatenate([force, side]))
-    return x[: len(force)], x[len(force) :]
-
-
 def _factor_mass(
     system: MechanicalSystem, matrices: SaddlePoint, q: Array, t: float
 ) -> Factorization:
@@ -284,7 +255,7 @@ def _project_position(
         try:
             factors = matrices.factor(K, system.constraint_q(q, t))
         except SingularMatrix:
-            _refuse_redundant(system, system.constraint_q(q, t))
+            refuse_redundant(system, system.constraint_q(q, t))
             break
         dq, change = solve(factors, force, -system.constraint(q, t))
         q, sigma_q = q + dq, sigma_q + change
@@ -328,44 +299,3 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
                 f"a violation of {float(np.abs(phi[worst])):.3g}",
                 "Correct the start, or set project_start=True to move it onto the joints.",
             )
-
-
-def _refuse_redundant(system: MechanicalSystem, values: Array) -> None:
-    """Find dependent rows of the scaled Phi_q, component by component of its graph."""
-    if system.n_lam == 0:
-        return
-    pattern = system.constraint_pattern
-    matrix = pattern.csr(values.real / np.sqrt(system.weights[pattern.columns])).tocsr()
-    length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
-    empty = np.flatnonzero(length == 0)
-    if len(empty):
-        raise RedundantConstraints(
-            f"joint {system.constraint_names[int(empty[0])]!r}",
-            "every constraint must depend on a coordinate",
-            "a row of zeros in Phi_q",
-            "Remove the joint.",
-        )
-    connected = abs(matrix) @ abs(matrix).T
-    count, labels = connected_components(connected, directed=False)
-    dependent: list[str] = []
-    redundant = 0
-    for component in range(count):
-        rows = np.flatnonzero(labels == component)
-        if len(rows) == 1:
-            continue
-        part = matrix[rows]
-        part = part[:, np.unique(part.indices)].toarray() / length[rows, None]
-        U, s, _ = np.linalg.svd(part, full_matrices=True)
-        rank = int(np.sum(s > _DEPENDENT * s[0]))
-        if rank == len(rows):
-            continue
-        involved = np.any(np.abs(U[:, rank:]) > 1e-6, axis=1)
-        dependent += [system.constraint_names[int(row)] for row in rows[involved]]
-        redundant += len(rows) - rank
-    if redundant:
-        raise RedundantConstraints(
-            "joints " + ", ".join(repr(name) for name in sorted(set(dependent))),
-            "constraints must be independent",
-            f"{redundant} redundant of {system.n_lam}",
-            "Remove a joint, or replace it by one that holds fewer directions.",
-        )

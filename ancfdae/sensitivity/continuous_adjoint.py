@@ -37,17 +37,13 @@ from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT, Integrator
 from ancfdae.integrators.hht.equations import acceleration, correct, predict
 from ancfdae.integrators.index_1 import Accelerations
-from ancfdae.integrators.start import (
-    Covectors,
-    consistent_start,
-    pull_back_start,
-    saddle_point,
-)
+from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.objectives import Objective, ObjectivePartials
 from ancfdae.observables import states_of
 from ancfdae.protocol import Linearisation, MechanicalSystem
+from ancfdae.protocol.saddle_points import saddle_point
 from ancfdae.protocol.solution import Solution
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished, keeping
 

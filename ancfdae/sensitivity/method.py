@@ -139,7 +139,7 @@ def finished(solution: Solution) -> Solution:
     ------
     UnfinishedRun
     """
-    if solution.outcome.verdict is not Verdict.FINISHED:
+    if not solution.outcome.success:
         raise UnfinishedRun(solution)
     return solution
 

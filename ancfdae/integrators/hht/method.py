@@ -35,7 +35,6 @@ from ancfdae.integrators.start import (
     InitialState,
     consistent_start,
     pull_back_start,
-    saddle_point,
     start_sensitivity,
 )
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, StepControl
@@ -45,6 +44,7 @@ from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.saddle_points import saddle_point
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities
 

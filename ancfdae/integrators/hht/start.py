@@ -35,17 +35,11 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity, constraint_error
-from ancfdae.integrators.start import (
-    Covectors,
-    InitialSensitivity,
-    InitialState,
-    curvature,
-    solve,
-    solve_transposed,
-)
+from ancfdae.integrators.start import Covectors, InitialSensitivity, InitialState, curvature
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.saddle_points import solve, solve_transposed
 from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
 
 

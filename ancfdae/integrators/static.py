@@ -1,0 +1,53 @@
+"""Equilibrium as a run of one instant, so that every gradient method differentiates it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.statics import MAX_STEPS, Tangent, find_equilibrium
+
+
+@final
+@dataclass(frozen=True)
+class Static(AdjointIntegrator):
+    """Find the equilibrium instead of a motion; its solution has one instant.
+
+    Parameters
+    ----------
+    max_steps : int
+        Attempted steps of the load.
+    """
+
+    max_steps: int = MAX_STEPS
+
+    def refined(self, solution: Solution) -> Integrator:
+        """Refuse: an equilibrium has no error of discretisation in time."""
+        raise InvalidInput("Static", "has no better setting", repr(self), "Use more elements.")
+
+    def integrate(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        *,
+        sensitivities: bool = False,
+        progress: bool = False,
+    ) -> Solution:
+        """Return the equilibrium at t = 0 as a solution; `t_end` and `progress` do not matter."""
+        return find_equilibrium(
+            system, max_steps=self.max_steps, sensitivities=sensitivities
+        ).solution
+
+    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+        """One transposed solve."""
+        q, lam, t = solution.q[0], solution.lam[0], float(solution.t[0])
+        on_q = np.zeros_like(q) if seeds.q is None else seeds.q[0]
+        on_lam = np.zeros_like(lam) if seeds.lam is None else seeds.lam[0]
+        return Tangent(system, t, q, lam).pull_back(on_q, on_lam)

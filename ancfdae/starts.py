@@ -1,0 +1,132 @@
+"""How a motion starts: rigid motions, states of nodes, an equilibrium."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias, final
+
+from ancfdae.bodies import BeamBody
+from ancfdae.errors import (
+    require_array,
+    require_finite,
+    require_kind,
+    require_sequence,
+    require_vector,
+)
+from ancfdae.loads import Load
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class RigidMotion:
+    """Initial velocity of a beam: a rigid-body motion.
+
+    v = velocity + angular_velocity x (r - about); slopes turn with it.
+
+    Parameters
+    ----------
+    beam : str
+        Name of the beam.
+    angular_velocity : float or sequence of float
+        A number in the plane, three components in space; rad/s.
+    about : sequence of float
+        Reference point; m.
+    velocity : sequence of float, optional
+        Velocity of the reference point, zero by default; m/s.
+    """
+
+    beam: str
+    angular_velocity: float | Sequence[float]
+    about: Sequence[float]
+    velocity: Sequence[float] | None = None
+
+
+@final
+@dataclass(frozen=True)
+class NodeState:
+    """Initial coordinates and velocities of a beam, node by node.
+
+    Parameters
+    ----------
+    beam : str
+        Name of the beam.
+    coordinates : array, shape (n + 1, n_s, d)
+        Position and slopes of every node.
+    velocities : array, shape (n + 1, n_s, d), optional
+        Zero by default.
+    """
+
+    beam: str
+    coordinates: Array
+    velocities: Array | None = None
+
+
+@final
+@dataclass(frozen=True)
+class AtRest:
+    """Start from an equilibrium: a mechanism that hangs, or is pre-stressed, at rest.
+
+    The search for it starts from the reference configuration, or from the `NodeState` of a beam.
+    Its design derivatives are part of those of the motion.
+
+    Parameters
+    ----------
+    loads : sequence of Load, optional
+        What it carries; by default the loads of the scene. A load that acts during the motion too
+        must be the very same object; the numbers of the others are design targets as well.
+    gravity : sequence of float, optional
+        By default that of the scene; m/s^2.
+    """
+
+    loads: Sequence[Load] | None = None
+    gravity: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Freeze the loads and validate."""
+        if self.loads is not None:
+            loads = require_sequence("AtRest.loads", self.loads)
+            for load in loads:
+                require_kind("AtRest.loads", load, (Load,), "Add a PointForce.")
+            object.__setattr__(self, "loads", loads)
+        if self.gravity is not None:
+            require_vector("AtRest.gravity", self.gravity)
+
+    def with_loads(self, changed: Sequence[Load]) -> AtRest:
+        """Return the start with the loads of the same names among those given."""
+        if self.loads is None:
+            return self
+        by_name = {load.name: load for load in changed}
+        return replace(self, loads=tuple(by_name[load.name] for load in self.loads))
+
+
+Start: TypeAlias = RigidMotion | NodeState | AtRest
+
+
+def checked_start(
+    start: RigidMotion | NodeState, beam: BeamBody, d: int
+) -> RigidMotion | NodeState:
+    """Return a start with its arrays as such.
+
+    Raises
+    ------
+    InvalidInput
+        If vectors have another size.
+    """
+    where = f"start of {beam.name!r}"
+    if isinstance(start, RigidMotion):
+        require_vector(f"{where}, about", start.about, (d,))
+        if start.velocity is not None:
+            require_vector(f"{where}, velocity", start.velocity, (d,))
+        if d == 2:
+            require_finite(f"{where}, angular_velocity", start.angular_velocity)
+        else:
+            require_vector(f"{where}, angular_velocity", start.angular_velocity, (3,))
+        return start
+    shape = (beam.element_count + 1, beam.element.n_s, d)
+    coordinates = require_array(f"{where}, coordinates", start.coordinates, shape)
+    velocities = None
+    if start.velocities is not None:
+        velocities = require_array(f"{where}, velocities", start.velocities, shape)
+    return replace(start, coordinates=coordinates, velocities=velocities)

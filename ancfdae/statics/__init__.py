@@ -1,0 +1,18 @@
+"""Equilibria of mechanical systems under load, and their design derivatives."""
+
+from ancfdae.statics.derivatives import Tangent
+from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, NoEquilibrium, find_equilibrium
+from ancfdae.statics.mobility import FreeMechanism
+from ancfdae.statics.outcome import LoadOutcome
+from ancfdae.statics.rest import RestingStart
+
+__all__ = [
+    "MAX_STEPS",
+    "Equilibrium",
+    "FreeMechanism",
+    "LoadOutcome",
+    "NoEquilibrium",
+    "RestingStart",
+    "Tangent",
+    "find_equilibrium",
+]

@@ -1,0 +1,126 @@
+"""The path of equilibria from the start to the full load, in steps that adapt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.errors import Verdict
+from ancfdae.numerics.arrays import Array
+from ancfdae.statics.balance import Balance, Failure, Point
+
+# Steps of the load fraction below this one are given up.
+_LEAST = 1e-6
+# A step is followed by a larger one if Newton's method took no more iterations.
+_EASY = 6
+# Secant and tangents of a step on one smooth path agree up to this part of the secant.
+_BEND = 0.25
+# In a step no larger than this a change of sign of the determinant is believed.
+_SMALL = 1.0 / 64.0
+
+
+@final
+@dataclass(frozen=True)
+class Place:
+    """A point of the path with its derivatives in the load fraction.
+
+    Attributes
+    ----------
+    s : float
+    q, lam, q_s, lam_s : array
+    sign : float
+        Of the determinant of the tangent.
+    """
+
+    s: float
+    q: Array
+    lam: Array
+    q_s: Array
+    lam_s: Array
+    sign: float
+
+
+@final
+class LoadPath:
+    """Follows the path from s = 0 to s = 1.
+
+    Parameters
+    ----------
+    balance : Balance
+    first : Place
+        The start.
+    max_steps : int
+        Attempted steps.
+
+    Attributes
+    ----------
+    places : list of Place
+        What converged, the start first.
+    residual : float
+        Size of the last correction of the last failure.
+    """
+
+    def __init__(self, balance: Balance, first: Place, max_steps: int) -> None:
+        self._balance, self._max_steps = balance, max_steps
+        self.places, self.residual = [first], 0.0
+
+    def follow(self) -> Verdict:
+        """Go as far as the path leads, and tell why it ends."""
+        size, verdict = 1.0, Verdict.EQUILIBRIUM
+        try:
+            for _ in range(self._max_steps):
+                before = self.places[-1]
+                s = 1.0 if before.s + size > 1.0 - 0.1 * size else before.s + size
+                found = self._attempt(s)
+                if isinstance(found, Failure):
+                    self._balance.work.rejected += 1
+                    verdict, self.residual = found.verdict, found.residual
+                    size = 0.5 * (s - before.s)
+                    if size < _LEAST:
+                        return verdict
+                    continue
+                self._balance.work.steps += 1
+                place, iterations = found
+                self.places.append(place)
+                if s == 1.0:
+                    return Verdict.EQUILIBRIUM
+                size = (2.0 if iterations <= _EASY else 1.0) * (s - before.s)
+        except KeyboardInterrupt:
+            return Verdict.INTERRUPTED
+        return Verdict.STEP_LIMIT
+
+    def _attempt(self, s: float) -> tuple[Place, int] | Failure:
+        """Solve at s from the extrapolated path, and see whether it is the same path."""
+        before = self.places[-1]
+        point = self._balance.solve(s, *self._extrapolated(s))
+        if isinstance(point, Failure):
+            return point
+        place = place_at(self._balance, point)
+        ds = s - before.s
+        secant = place.q - before.q
+        bend = secant - (0.5 * ds) * (before.q_s + place.q_s)
+        jumped = self._balance.length(bend) > _BEND * self._balance.length(secant)
+        # Round-off of a motion too small to see is no bend.
+        jumped &= self._balance.length(bend) > 1e-9 * self._balance.position
+        flipped = place.sign != before.sign and ds > _SMALL
+        if jumped or flipped:
+            return Failure(Verdict.NO_CONVERGENCE, 0.0)
+        return place, point.iterations
+
+    def _extrapolated(self, s: float) -> tuple[Array, Array]:
+        """Cubic through the last two places and their tangents, or the tangent of the start."""
+        b = self.places[-1]
+        if len(self.places) == 1:
+            return b.q + (s - b.s) * b.q_s, b.lam + (s - b.s) * b.lam_s
+        a = self.places[-2]
+        h, x = b.s - a.s, (s - b.s) / (b.s - a.s)
+        w_a, w_b = x * x * (3 + 2 * x), (1 + x) ** 2 * (1 - 2 * x)
+        d_a, d_b = h * x * x * (1 + x), h * x * (1 + x) ** 2
+        q = w_a * a.q + w_b * b.q + d_a * a.q_s + d_b * b.q_s
+        return q, w_a * a.lam + w_b * b.lam + d_a * a.lam_s + d_b * b.lam_s
+
+
+def place_at(balance: Balance, point: Point) -> Place:
+    """Return a solution with the tangent of the path."""
+    q_s, lam_s = balance.path_tangent(point.factors)
+    return Place(point.s, point.q, point.lam, q_s, lam_s, point.factors.sign())

@@ -1,0 +1,172 @@
+"""What a mechanism that is free to move does, in words: which beams move, and how.
+
+A motion without stiffness strains no beam, so each beam moves as a rigid body: v of its start and
+omega are fitted to its node vectors. Several motions are combined so that each moves few beams in
+a simple way (row echelon form of these numbers).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.naming import BeamLayout, Naming
+from ancfdae.numerics.arrays import Array
+from ancfdae.text import listed
+
+# Parts of a motion below this are round-off of its null vector.
+_SMALL = 1e-6
+# Beams whose motion is told.
+_SHOWN = 3
+
+
+@final
+class FreeMechanism(InvalidInput):
+    """A system without an equilibrium because nothing holds a motion, which the message names."""
+
+
+def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMechanism:
+    """Return the error for motions, shape (n_q, k), that nothing holds at q."""
+    words = _of_coordinates(motions) if naming is None else _of_beams(naming, q.real, motions)
+    return FreeMechanism(
+        "equilibrium",
+        "every motion must be held by a joint, a stiffness or the weight",
+        f"a mechanism that is free to move: {words}",
+        "Add a joint, a spring or gravity, or simulate the motion.",
+    )
+
+
+def _of_coordinates(motions: Array) -> str:
+    share = np.sqrt(np.sum(motions**2, axis=1))
+    moving = np.flatnonzero(share > 0.1 * np.max(share))
+    return "motion of " + listed(f"coordinate {i + 1}" for i in moving)
+
+
+def _of_beams(naming: Naming, q: Array, motions: Array) -> str:
+    bodies = [_Body.of(naming, beam, q) for beam in naming.layout.beams]
+    fits = [body.fit(motions) for body in bodies]
+    basis, rigid = np.concatenate([fit for fit, _ in fits]), max(left for _, left in fits)
+    if rigid > 1e-3:
+        names = listed(body.name for body, (_, left) in zip(bodies, fits, strict=True) if left > 0)
+        return f"{names} deforms without stiffness"
+    texts = []
+    for motion in _simplified(basis).T:
+        parts = np.split(motion, len(bodies))
+        large = _SMALL * np.max(np.abs(motion))
+        both = zip(bodies, parts, strict=True)
+        words = [body.words(part) for body, part in both if np.max(np.abs(part)) > large]
+        more = [f"{len(words) - _SHOWN} more beams move"] if len(words) > _SHOWN else []
+        texts.append(" while ".join(words[:_SHOWN] + more))
+    return "; ".join(texts)
+
+
+def _simplified(basis: Array) -> Array:
+    """Combine columns so that each has a one where the others vanish, in the first rows."""
+    basis = basis.copy()
+    size, row = np.max(np.abs(basis)), 0
+    for k in range(basis.shape[1]):
+        while row < len(basis) and np.max(np.abs(basis[row, k:])) <= _SMALL * size:
+            row += 1
+        if row == len(basis):
+            return basis[:, :k]
+        best = k + int(np.argmax(np.abs(basis[row, k:])))
+        basis[:, [k, best]] = basis[:, [best, k]]
+        basis[:, k] /= basis[row, k]
+        others = [j for j in range(basis.shape[1]) if j != k]
+        basis[:, others] -= np.outer(basis[:, k], basis[row, others])
+        row += 1
+    return basis
+
+
+@final
+@dataclass(frozen=True)
+class _Body:
+    """A beam as it stands: node positions r (n, d), slopes (n, n_s - 1, d) and its length."""
+
+    name: str
+    r: Array
+    slopes: Array
+    length: float
+    columns: slice
+
+    @staticmethod
+    def of(naming: Naming, beam: BeamLayout, q: Array) -> _Body:
+        d, n_s = naming.layout.d, naming.layout.element.n_s
+        first, count = beam.first_node * n_s * d, len(beam.fractions) * n_s * d
+        X = q[first : first + count].reshape(-1, n_s, d)
+        elements = slice(beam.first_element, beam.first_element + beam.element_count)
+        length = float(np.sum(naming.lengths[elements].real))
+        return _Body(beam.name, X[:, 0], X[:, 1:], length, slice(first, first + count))
+
+    def fit(self, motions: Array) -> tuple[Array, float]:
+        """Rigid motions nearest to the given ones, v/L and omega as rows, and what they leave."""
+        d, count = self.r.shape[1], motions.shape[1]
+        turns = _generators(d)
+        arms = (self.r - self.r[0]) / self.length
+        # Columns: translations, then turns; rows: positions over the length, then slopes.
+        n_r, n_s = len(self.r), self.slopes.shape[1]
+        positions = np.concatenate(
+            [np.broadcast_to(np.eye(d), (n_r, d, d)), np.einsum("kij,nj->nik", turns, arms)], axis=2
+        )
+        turned = np.einsum("kij,nsj->nsik", turns, self.slopes)
+        slopes = np.concatenate([np.zeros((n_r, n_s, d, d)), turned], axis=3)
+        A = np.concatenate([positions.reshape(n_r * d, -1), slopes.reshape(n_r * n_s * d, -1)])
+        own = motions[self.columns].reshape(n_r, n_s + 1, d, count)
+        right = np.concatenate(
+            [own[:, 0].reshape(-1, count) / self.length, own[:, 1:].reshape(-1, count)]
+        )
+        x = np.linalg.lstsq(A, right, rcond=None)[0]
+        left, size = np.max(np.abs(right - A @ x)), np.max(np.abs(right))
+        return x, float(left / size) if size > 0 else 0.0
+
+    def words(self, motion: Array) -> str:
+        """Say how it moves; v/L and omega in one array."""
+        d = self.r.shape[1]
+        v, spin = motion[:d] * self.length, motion[d:]
+        turning = float(np.linalg.norm(spin))
+        if turning * self.length <= _SMALL * np.linalg.norm(v):
+            return f"{self.name} moves along {_direction(v)}"
+        if d == 2:
+            centre = self.r[0] + np.array([-v[1], v[0]]) / spin[0]
+            return f"{self.name} turns about {self._place(centre)}"
+        axis = spin / turning
+        centre = self.r[0] + np.cross(axis, v) / turning
+        about = f"the axis {_direction(axis)} through {self._place(centre, axis)}"
+        chord = (self.r[-1] - self.r[0]) / self.length
+        if np.linalg.norm(np.cross(axis, chord)) <= _SMALL and self._near(self.r[0], centre, axis):
+            about = "its own axis"
+        pitch = abs(v @ axis) > _SMALL * turning * self.length
+        return f"{self.name} turns about {about}{' and moves along it' if pitch else ''}"
+
+    def _place(self, centre: Array, axis: Array | None = None) -> str:
+        for name, place in (("its start", self.r[0]), ("its end", self.r[-1])):
+            if self._near(place, centre, axis):
+                return name
+        return f"({', '.join(f'{x:.4g}' for x in centre)})"
+
+    def _near(self, place: Array, centre: Array, axis: Array | None) -> bool:
+        """Whether a place is the centre, or on the axis through it."""
+        arm = place - centre
+        if axis is not None:
+            arm = arm - (arm @ axis) * axis
+        return bool(np.linalg.norm(arm) <= _SMALL * self.length)
+
+
+def _generators(d: int) -> Array:
+    """Skew matrices of unit turns, shape (1, 2, 2) or (3, 3, 3): axis, row, column."""
+    if d == 2:
+        return np.array([[[0.0, -1.0], [1.0, 0.0]]])
+    return np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
+
+
+def _direction(v: Array) -> str:
+    """Name an axis, or give its components."""
+    unit = v / np.linalg.norm(v)
+    for name, component in zip("xyz", unit, strict=False):
+        if abs(component) >= 1.0 - _SMALL:
+            return name
+    first = next(x for x in unit if abs(x) > _SMALL)
+    return f"({', '.join(f'{x:.3g}' for x in np.sign(first) * unit + 0.0)})"

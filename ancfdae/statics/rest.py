@@ -1,0 +1,58 @@
+"""An equilibrium as the start of a motion, with its design derivatives."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import final
+
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.statics.derivatives import Tangent
+from ancfdae.statics.equilibrium import Equilibrium, NoEquilibrium, find_equilibrium
+
+
+@final
+class RestingStart:
+    """The equilibrium of a system at t = 0; found, and factorised, when first asked for.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        With the coordinates and design variables of the system that moves; its own start is where
+        the search starts.
+    """
+
+    def __init__(self, system: MechanicalSystem) -> None:
+        self._system = system
+
+    @cached_property
+    def equilibrium(self) -> Equilibrium:
+        """The equilibrium.
+
+        Raises
+        ------
+        NoEquilibrium
+            If there is none under the full load; `FreeMechanism` if nothing holds a motion.
+        """
+        found = find_equilibrium(self._system)
+        if not found.outcome.success:
+            raise NoEquilibrium(found)
+        return found
+
+    @cached_property
+    def _tangent(self) -> Tangent:
+        return Tangent(self._system, 0.0, self.equilibrium.q, self.equilibrium.lam)
+
+    @property
+    def q(self) -> Array:
+        """Coordinates, shape (n_q,)."""
+        return self.equilibrium.q
+
+    @cached_property
+    def q_b(self) -> Array:
+        """Their design derivatives, shape (n_q, n_b)."""
+        return self._tangent.sensitivities()[0]
+
+    def pull_back(self, on_q: Array) -> Array:
+        """Return q_b^T on_q by one transposed solve, shape (n_b,)."""
+        return self._tangent.pull_back(on_q, 0 * self.equilibrium.lam)

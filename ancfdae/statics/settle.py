@@ -1,0 +1,85 @@
+"""Where a start without stiffness settles: implicit steps of the motion without inertia.
+
+A mechanism that its weight holds, such as a pendulum that starts level, has no stiffness at
+s = 0 and no path that begins there. Under the full load M_0 q' = Q - Phi_q^T lam goes downhill, in
+steps 1/mu that grow until mu vanishes; what is left is Newton's method at mu = 0.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol.saddle_points import solve
+from ancfdae.statics.balance import Balance, Failure
+
+# The first step moves by about this part of the size of the system.
+_FIRST = 0.1
+# A step is easy up to these iterations.
+_EASY = 6
+# A step that moves no more than this part has settled; one that ends farther away has left.
+_SETTLED, _GONE = 1e-10, 100.0
+# 4^30 is no reason to try once more.
+_FAILURES = 30
+
+
+@final
+class Settling:
+    """Goes downhill under the full load.
+
+    Attributes
+    ----------
+    q, lam : array
+        Where it has come.
+    residual : float
+        Size of the last step.
+    gone : bool
+        Whether it ran away.
+    """
+
+    def __init__(self, balance: Balance, max_steps: int) -> None:
+        self._balance, self._max_steps = balance, max_steps
+        self.q, self.lam = balance.q_0, balance.lam_0
+        self.residual, self.gone = 0.0, False
+
+    def run(self) -> Verdict:
+        """Settle, and tell how that ended."""
+        try:
+            return self._run()
+        except KeyboardInterrupt:
+            return Verdict.INTERRUPTED
+
+    def _run(self) -> Verdict:
+        balance, mu, failures = self._balance, self._first_mu(), 0
+        for _ in range(self._max_steps):
+            found = balance.solve(1.0, self.q, self.lam, mu, self.q)
+            if isinstance(found, Failure):
+                balance.work.rejected += 1
+                self.residual, failures, mu = found.residual, failures + 1, 4.0 * mu
+                if failures > _FAILURES:
+                    return found.verdict
+                continue
+            balance.work.steps += 1
+            moved = self._share(found.q - self.q)
+            self.q, self.lam, self.residual, failures = found.q, found.lam, moved, 0
+            if self._share(self.q - balance.q_0) > _GONE:
+                self.gone = True
+                return Verdict.NO_CONVERGENCE
+            if moved <= _SETTLED:
+                return Verdict.EQUILIBRIUM
+            mu /= 8.0 if found.iterations <= _EASY else 2.0
+        return Verdict.STEP_LIMIT
+
+    def _share(self, dq: Array) -> float:
+        return self._balance.length(dq) / self._balance.extent
+
+    def _first_mu(self) -> float:
+        """Mu with which the accelerations at the start move it by a tenth of its size."""
+        b = self._balance
+        try:
+            a = solve(b.factor(b.M_0, b.q_0), b.r_0, 0 * b.Phi_0)[0]
+        except SingularMatrix:
+            a = b.r_0 / b.system.weights
+        # Where nothing is to move any mu does.
+        return b.length(a) / (_FIRST * b.extent) or 1.0

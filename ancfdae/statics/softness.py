@@ -1,0 +1,84 @@
+"""Motions that meet the least stiffness, and those that meet none.
+
+Stiffness is measured against the diagonal of K, D = |diag K|: kappa = phi^T K phi / phi^T D phi
+over motions that keep the constraints, Phi_q phi = 0. Measured against the mass the slowest
+bending of a beam would be (h/L)^4, which round-off hides; against D it is (h/L)^2 / (12 n^2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import SingularMatrix
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol.saddle_points import solve
+from ancfdae.statics.balance import Balance
+
+# Motions looked for at once, and sweeps of the inverse iteration.
+_MOTIONS, _SWEEPS = 8, 6
+# Stiffness below this is round-off: tens of eps.
+_FREE = 1e-14
+
+
+@final
+@dataclass(frozen=True)
+class Softness:
+    """Softest motions of a configuration.
+
+    Attributes
+    ----------
+    kappa : array, shape (k,)
+        Stiffness of each, rising.
+    motions : array, shape (n_q, k)
+    D : array, shape (n_q,)
+    """
+
+    kappa: Array
+    motions: Array
+    D: Array
+
+    @property
+    def free(self) -> Array:
+        """Motions without stiffness, shape (n_q, number)."""
+        return self.motions[:, self.kappa <= _FREE]
+
+    def aligned(self, dq: Array) -> float:
+        """Return the cosine between a motion and the softest one."""
+        phi = self.motions[:, 0]
+        sizes = np.sqrt((self.D @ (dq.real**2)) * (self.D @ (phi**2)))
+        return float(abs(self.D @ (dq.real * phi)) / sizes) if sizes > 0 else 0.0
+
+
+def softest(balance: Balance, q: Array, lam: Array) -> Softness:
+    """Return the softest motions by inverse iteration on a block of vectors."""
+    system, q, lam = balance.system, q.real, lam.real
+    K = balance.tangent(q, lam).real
+    D = _diagonal(balance, K)
+    root = np.sqrt(D)[:, None]
+    count = min(_MOTIONS, system.n_q - system.n_lam)
+    if count <= 0:
+        return Softness(np.zeros(0), np.zeros((system.n_q, 0)), D)
+    diagonal = np.arange(system.n_q)
+    shifted = K.copy()
+    shifted[system.pattern.index(diagonal, diagonal)] += _FREE * D
+    none = np.zeros((system.n_lam, count))
+    X = np.random.default_rng(0).standard_normal((system.n_q, count)) / root
+    try:
+        factors = balance.factor(shifted, q)
+        for _ in range(_SWEEPS):
+            X = solve(factors, D[:, None] * X, none)[0].real
+            X = np.linalg.qr(root * X)[0] / root
+    except SingularMatrix:  # Of K and Phi_q together: constraints that depend on each other here.
+        return Softness(np.zeros(0), np.zeros((system.n_q, 0)), D)
+    _, kappa, V = np.linalg.svd(X.T @ system.pattern.dot(K, X))
+    return Softness(kappa[::-1], X @ V.T[:, ::-1], D)
+
+
+def _diagonal(balance: Balance, K: Array) -> Array:
+    """|diag K|; where it vanishes a trace of the stiffest one, by weight."""
+    n, w = np.arange(balance.system.n_q), balance.system.weights
+    D = np.abs(K[balance.system.pattern.index(n, n)])
+    return np.asarray(np.maximum(D, 1e-8 * np.max(D / w) * w) if np.any(D) else w)
