@@ -1,5 +1,6 @@
 """Small motions about a configuration: natural frequencies, shapes, damping, derivatives."""
 
+from ancfdae.modes.adjoint import PullBack
 from ancfdae.modes.analysis import modes_about
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.periods import StepSuggestion, advice, suggestion
@@ -10,6 +11,7 @@ __all__ = [
     "Kind",
     "ModeDerivatives",
     "Modes",
+    "PullBack",
     "StepSuggestion",
     "advice",
     "modes_about",

@@ -4,37 +4,53 @@ from __future__ import annotations
 
 import numpy as np
 
+from ancfdae.modes.adjoint import PullBack
 from ancfdae.modes.configuration import Configuration
-from ancfdae.modes.derivatives import differentiate
+from ancfdae.modes.derivatives import differentiate, differentiate_back
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.result import Kind, ModeDerivatives, Modes
 from ancfdae.modes.solver import coincident, solve
-from ancfdae.modes.totals import require_steady
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 
 
 def modes_about(
-    system: MechanicalSystem, at: Configuration, count: int, highest: bool, damped: bool | None
+    system: MechanicalSystem,
+    at: Configuration,
+    count: int,
+    highest: bool,
+    damped: bool | None,
+    pull_back: PullBack | None,
 ) -> Modes:
-    """Return modes about a configuration; see `ancfdae.modes`.
+    """Return modes about a configuration.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    at : Configuration
+    count : int
+    highest : bool
+        Whether the highest are wanted.
+    damped : bool, optional
+        Whether velocity forces count; by default if there are any.
+    pull_back : callable, optional
+        What takes derivatives in q, lam and b back to the design; by default derivatives go
+        forward, along those of the configuration.
 
     Raises
     ------
     InvalidInput
-        If the configuration does not fit the system, a motion has no inertia, or derivatives are
-        wanted of forces that depend on time.
+        If the configuration does not fit the system or a motion has no inertia.
     """
     small = Linearised.of(system, at, damped)
-    if system.n_b:
-        require_steady(small)
     pairs = solve(small, count, highest)
     mu = small.multipliers(pairs.z, pairs.X)
     groups = coincident(pairs)
     s = exponents(small, pairs.z)
     derivatives = None
     if system.n_b:
-        own = differentiate(small, pairs, mu, groups)
+        parts = small, pairs, mu, groups
+        own = differentiate(*parts) if pull_back is None else differentiate_back(*parts, pull_back)
         # A rigid motion of a design stays one: s = 0.
         slope = np.where(s == 0, 0.0, _slope(small, s))[:, None]
         derivatives = ModeDerivatives(system.design_names, slope * own.z_b, own.X_b)

@@ -21,6 +21,7 @@ from typing import final
 import numpy as np
 from scipy import linalg
 
+from ancfdae.modes.adjoint import PullBack, Transposed, pulled_back
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.solver import Eigenpairs, largest_entries
 from ancfdae.modes.totals import Totals
@@ -41,7 +42,7 @@ class Derivatives:
     ----------
     z_b : array, shape (count, n_b)
     X_b : tuple of array, shape (n_q, n_b), or None
-        None for a mode that coincides with another: its shape is not unique.
+        None for a mode that coincides with another, whose shape is not unique, and for adjoints.
     """
 
     z_b: Array
@@ -51,18 +52,45 @@ class Derivatives:
 def differentiate(
     small: Linearised, pairs: Eigenpairs, mu: Array, groups: list[list[int]]
 ) -> Derivatives:
-    """Differentiate modes in the design variables."""
+    """Differentiate eigenvalues and shapes, along the derivatives of the configuration."""
     z_b = np.zeros((len(pairs.z), small.system.n_b), dtype=pairs.z.dtype)
     X_b: list[Array | None] = [None] * len(pairs.z)
     for group in groups:
         changes = [Totals(small).pencil(pairs.z[j], pairs.X[:, j], mu[:, j]) for j in group]
         R_b = np.stack([np.concatenate(change) for change in changes], axis=1)
-        if small.D is None or pairs.z[group[0]] != 0:  # What drifts stays at s = 0.
-            z_b[group] = _values_b(small, pairs, mu, group, R_b)
+        if not _drifts(small, pairs, group):
+            Y = left_vectors(small, pairs, mu, group)
+            z_b[group] = _values_b(small, pairs, group, Y, np.einsum("ki,kjb->bij", Y, R_b))
         if len(group) == 1:
             j = group[0]
             X_b[j] = _shape_b(small, pairs.z[j], pairs.X[:, j], z_b[j], R_b[:, 0])
     return Derivatives(z_b, tuple(X_b))
+
+
+def differentiate_back(
+    small: Linearised, pairs: Eigenpairs, mu: Array, groups: list[list[int]], pull_back: PullBack
+) -> Derivatives:
+    """Differentiate eigenvalues by adjoints, through whatever the configuration depends on."""
+    z_b = np.zeros((len(pairs.z), small.system.n_b), dtype=pairs.z.dtype)
+    for group in groups:
+        if _drifts(small, pairs, group):
+            continue
+        Y = left_vectors(small, pairs, mu, group)
+        products = [[_product(small, y, pairs, mu[:, j], j, pull_back) for j in group] for y in Y.T]
+        z_b[group] = _values_b(small, pairs, group, Y, np.moveaxis(np.array(products), -1, 0))
+    return Derivatives(z_b, (None,) * len(pairs.z))
+
+
+def _product(
+    small: Linearised, y: Array, pairs: Eigenpairs, mu: Array, j: int, pull_back: PullBack
+) -> Array:
+    total = Transposed(small).pencil(y, pairs.z[j], pairs.X[:, j], mu)
+    return pulled_back(small, pull_back, total)
+
+
+def _drifts(small: Linearised, pairs: Eigenpairs, group: list[int]) -> bool:
+    """Whether modes are rigid motions among damped ones, which stay at s = 0."""
+    return small.D is not None and bool(pairs.z[group[0]] == 0)
 
 
 def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[int]) -> Array:
@@ -83,20 +111,17 @@ def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[in
 
 
 def _values_b(
-    small: Linearised, pairs: Eigenpairs, mu: Array, group: list[int], R_b: Array
+    small: Linearised, pairs: Eigenpairs, group: list[int], Y: Array, products: Array
 ) -> Array:
-    """Return z_b of a group, shape (len(group), n_b)."""
-    n, z = small.system.n_q, pairs.z[group[0]]
-    Y = left_vectors(small, pairs, mu, group)
-    G = Y[:n].T @ small.slope_times(z, pairs.X[:, group])
-    A = -np.einsum("ki,kjb->bij", Y, R_b)
-    if len(group) == 1:
-        simple: Array = A[:, 0].T / G
-        return simple
+    """Return z_b of a group from the products Y^T R_b, (n_b, g, g); shape (g, n_b)."""
+    z, g = pairs.z[group[0]], len(group)
+    G = Y[: small.system.n_q].T @ small.slope_times(z, pairs.X[:, group])
+    if g == 1:
+        return np.asarray(-products[:, 0].T / G)
     if small.symmetric and small.D is None:
-        return np.array([linalg.eigvalsh(-(a + a.T) / 2) for a in A]).reshape(-1, len(group)).T
-    values = [np.sort_complex(linalg.eigvals(linalg.solve(G, a))) for a in A]
-    return np.array(values).reshape(-1, len(group)).T
+        return np.array([linalg.eigvalsh((a + a.T) / 2) for a in products]).reshape(-1, g).T
+    values = [np.sort_complex(linalg.eigvals(linalg.solve(G, -a))) for a in products]
+    return np.array(values).reshape(-1, g).T
 
 
 def _shape_b(small: Linearised, z: complex, x: Array, z_b: Array, R_b: Array) -> Array:

@@ -36,7 +36,7 @@ class ModeDerivatives:
         Zero for rigid modes. For modes that coincide: how each of them, in increasing order, moves
         as one variable alone grows; not linear in several variables together.
     shapes_b : tuple of array, shape (n_q, n_b), or None
-        None for modes that coincide.
+        None for modes that coincide, and by adjoints.
     """
 
     names: tuple[str, ...]
@@ -126,18 +126,22 @@ class Modes:
         Raises
         ------
         InvalidInput
-            If there are no design variables, or the mode coincides with others.
+            If there are no design variables, the mode coincides with others, or the derivatives
+            are adjoint.
         """
         shape_b = self._known().shapes_b[mode]
-        if shape_b is None:
-            others = next(group for group in self.coincide if mode in group)
-            raise InvalidInput(
-                f"shape of mode {mode}",
-                "has derivatives only where no other mode has the same frequency",
-                f"modes {', '.join(map(str, others))} that coincide",
-                "Change the design a little, or use their common frequency.",
-            )
-        return shape_b
+        if shape_b is not None:
+            return shape_b
+        where = f"derivative of the shape of mode {mode}"
+        others = next((group for group in self.coincide if mode in group), None)
+        if others is None:
+            raise InvalidInput(where, "goes forward", "an adjoint", "Use method=Direct().")
+        raise InvalidInput(
+            where,
+            "needs a mode that is alone at its frequency",
+            f"modes {', '.join(map(str, others))} that coincide",
+            "Change the design a little, or use the derivatives of their frequencies.",
+        )
 
     def _known(self) -> ModeDerivatives:
         if self.derivatives is None:

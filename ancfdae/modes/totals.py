@@ -1,11 +1,7 @@
-"""Design derivatives of K x, D x and M x with x held, and of their products with a covector.
+"""Design derivatives of K x, D x and M x with x held, along those of the configuration.
 
-All follow from rates of the forces along motions: with velocities x and v = 0 elsewhere
-
-    dQ/dt = Q_q x,     d(Phi_q^T)/dt lam = (Phi_q^T lam)_q x
-
-Forces may depend on velocities, so x is scaled down until its square vanishes against one: then
-Q_q at v = x is exactly Q_q at rest. The same with accelerations x gives Q_v x.
+With v = 0, (Phi_q^T lam)_q x is the rate of Phi_q^T lam along velocities x, lam held, and Q_v x
+that of Q along accelerations x.
 """
 
 from __future__ import annotations
@@ -16,9 +12,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
 from ancfdae.modes.linearised import Linearised
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
 
 
@@ -36,34 +31,28 @@ class Totals:
 
     def stiffness(self, x: Array) -> Array:
         """Return the derivative of K x, shape (n_q, n_b)."""
-        system, at = self.small.system, self.small.at
-        still, none = np.zeros(system.n_q), np.zeros_like(self.small.q_b)
-
-        def force(x: Array) -> Array:
-            states = (at.q, STEP * x, still, at.t)
-            return system.force_rate_total(*states, self.small.q_b, none, none) / STEP
-
-        total = -_split(force, x)
+        system, at, q_b = self.small.system, self.small.at, self.small.q_b
+        total = -_split(lambda x: system.force_q_times_total(at.q, x, at.t, q_b), x)
         if system.linear_constraints:
             return total
+        none = np.zeros_like(q_b)
 
         def reaction(x: Array) -> Array:
             states = (at.q, x, at.lam, at.t)
-            return system.constraint_force_rate_total(
-                *states, self.small.q_b, none, self.small.lam_b
-            )
+            return system.constraint_force_rate_total(*states, q_b, none, self.small.lam_b)
 
-        return total + _split(lambda x: reaction(x) - reaction(still), x)
+        # Without the part of prescribed motions.
+        return total + _split(lambda x: reaction(x) - reaction(np.zeros_like(x)), x)
 
     def damping(self, x: Array) -> Array:
         """Return the derivative of D x, shape (n_q, n_b)."""
-        system, at = self.small.system, self.small.at
-        still, none = np.zeros(system.n_q), np.zeros_like(self.small.q_b)
+        system, at, q_b = self.small.system, self.small.at, self.small.q_b
+        still, none = np.zeros(system.n_q), np.zeros_like(q_b)
 
         def force(x: Array) -> Array:
-            return system.force_rate_total(at.q, still, x, at.t, self.small.q_b, none, none)
+            return system.force_rate_total(at.q, still, x, at.t, q_b, none, none)
 
-        return -_split(force, x)
+        return -_split(lambda x: force(x) - force(still), x)
 
     def mass(self, x: Array) -> Array:
         """Return the derivative of M x, shape (n_q, n_b)."""
@@ -83,24 +72,6 @@ class Totals:
         )
         side = _split(lambda x: system.constraint_q_times_total(at.q, x, at.t, self.small.q_b), x)
         return force + reaction, side
-
-
-def require_steady(small: Linearised) -> None:
-    """Refuse forces that change in time by themselves: their rates are not Q_q v alone.
-
-    Raises
-    ------
-    InvalidInput
-    """
-    system, at = small.system, small.at
-    still = np.zeros(system.n_q)
-    if np.any(system.force_rate(at.q, still, still, at.t)):
-        raise InvalidInput(
-            "derivatives of modes",
-            "need forces that do not depend on time",
-            "a force that changes at rest",
-            "Hold it at its value at this time.",
-        )
 
 
 def _split(linear: Callable[[Array], Array], x: Array) -> Array:

@@ -79,6 +79,7 @@ def complex_steps(add: Add, p: Probe) -> None:
         ("mass_times", lambda x, m: x.mass_times(m.q, m.a), np.zeros(1)),
         ("force", lambda x, m: x.force(m.q, m.v, t), np.zeros(1)),
         ("force_rate", lambda x, m: x.force_rate(m.q, m.v, m.a, t), Q / T),
+        ("force_q_times", lambda x, m: x.force_q_times(m.q, p.d.q, t), Q),
         ("constraint", lambda x, m: x.constraint(m.q, t), Phi),
         (
             "constraint_q",

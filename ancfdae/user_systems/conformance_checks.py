@@ -134,6 +134,27 @@ def forces(add: Add, p: Probe) -> None:
     add("force_rate_total: differences of force_rate", error, _DIFFERENCES)
 
 
+def forces_at_rest(add: Add, p: Probe) -> None:
+    """Check Q_q x at v = 0 and its derivatives."""
+    s, m, x = p.system, p.m, p.d.q
+    rest = np.zeros(s.n_q)
+    value, size = s.force_q_times(m.q, x, m.t), np.abs(s.force(m.q, rest, m.t))
+    claimed = s.pattern.dot(s.force_q(m.q, rest, m.t), x)
+    add("force_q_times: Q_q x", gap(value, claimed, size), _SAME)
+    found = p.by_design(lambda system, m: system.force_q_times(m.q, x, p.m.t), True)
+    claimed = s.force_q_times_total(m.q, x, m.t, p.columns("q")) * p.b_sizes
+    size = size + np.abs(value)
+    add("force_q_times_total: differences", gap(claimed, found, size), _DIFFERENCES)
+    found = p.along(lambda state: s.force_q_times(state.q, x, m.t))
+    claimed = s.pattern.dot(s.force_q_times_q(m.q, x, m.t), x)
+    add("force_q_times_q: differences", gap(claimed, found, size), _DIFFERENCES)
+    mu = x * s.weights
+    pulled = s.pull_back_force_q_times(m.q, x, m.t, mu) * p.b_sizes
+    own = s.force_q_times_total(m.q, x, m.t, np.zeros((s.n_q, s.n_b))) * p.b_sizes
+    error = gap(pulled, mu @ own, np.abs(mu) @ np.abs(own))
+    add("pull_back_force_q_times: mu^T (Q_q x)_b", error, _SAME)
+
+
 def constraints(add: Add, p: Probe) -> None:
     """Check everything that is derived from Phi, but the sides."""
     s, m, d = p.system, p.m, p.d
@@ -246,6 +267,7 @@ CHECKS: tuple[Callable[[Add, Probe], None], ...] = (
     declarations,
     inertia,
     forces,
+    forces_at_rest,
     constraints,
     constraint_rates,
     sides,

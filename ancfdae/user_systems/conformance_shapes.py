@@ -21,6 +21,7 @@ _BY_STEPS = {
     "inertia_q": ("inertia_rate_total",),
     "force": ("force_q", "force_v", "force_b", "force_total"),
     "force_rate": ("force_rate_total",),
+    "force_q_times": ("force_q_times_q", "force_q_times_total"),
     "constraint": ("constraint_b",),
     "constraint_q": (
         "constraint_force_q",
@@ -40,7 +41,8 @@ def complex_numbers(add: Add, system: MechanicalSystem) -> None:
     x = np.asarray(system.start()[0]) + 1j * _STEP
     arguments: dict[str, tuple[Any, ...]] = {"start": (), "mass": (x,), "inertia_q": (x, x)}
     arguments |= dict.fromkeys(("constraint", "constraint_q", "velocity_side"), (x, 0.0))
-    arguments |= dict.fromkeys(("force", "constraint_q_rate", "acceleration_side"), (x, x, 0.0))
+    names = ("force", "force_q_times", "constraint_q_rate", "acceleration_side")
+    arguments |= dict.fromkeys(names, (x, x, 0.0))
     arguments |= dict.fromkeys(("force_rate", "jerk_side"), (x, x, x, 0.0))
     for name, derived in _BY_STEPS.items():
         kept = [y for y in derived if getattr(type(system), y) is getattr(MechanicalSystem, y)]
@@ -117,6 +119,11 @@ def _force_shapes(add: Add, system: MechanicalSystem, q: Array, v: Array, q_b: A
     _expect(add, "force_rate", system.force_rate(q, v, v, t), (n_q,))
     total = system.force_rate_total(q, v, v, t, q_b, q_b, q_b)
     _expect(add, "force_rate_total", total, (n_q, n_b))
+    _expect(add, "force_q_times", system.force_q_times(q, v, t), (n_q,))
+    _expect(add, "force_q_times_total", system.force_q_times_total(q, v, t, q_b), (n_q, n_b))
+    _expect(add, "force_q_times_q", system.force_q_times_q(q, v, t), (nnz,))
+    pulled = system.pull_back_force_q_times(q, v, t, v)
+    _expect(add, "pull_back_force_q_times", pulled, (n_b,))
 
 
 def _constraint_shapes(
