@@ -14,8 +14,10 @@ from ancfdae.api import (
     error_bars,
     gradient,
     gradients,
+    modes,
     simulate,
     static_gradient,
+    suggest_step,
     taylor_test,
     tradeoff,
 )
@@ -59,6 +61,7 @@ from ancfdae.joints import (
     Uniform,
 )
 from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
+from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.objectives import (
     AtTimes,
@@ -127,6 +130,7 @@ __all__ = [
     "Clamp",
     "ComplexStep",
     "ComplexStepSystem",
+    "Configuration",
     "Conformance",
     "ContinuousAdjoint",
     "ControlledSteps",
@@ -160,7 +164,9 @@ __all__ = [
     "Material",
     "MechanicalSystem",
     "MissingPackage",
+    "Modes",
     "Moment",
+    "MotionKind",
     "NoEquilibrium",
     "NodeState",
     "NonFiniteObjective",
@@ -185,6 +191,7 @@ __all__ = [
     "SpringDamper",
     "StabilityWarning",
     "Statistics",
+    "StepSuggestion",
     "TargetNotReached",
     "TaylorTest",
     "Terminal",
@@ -209,6 +216,7 @@ __all__ = [
     "gradient",
     "gradients",
     "kinetic_energy",
+    "modes",
     "multiplier",
     "observe",
     "position",
@@ -218,6 +226,7 @@ __all__ = [
     "slope_angle",
     "static_gradient",
     "strain_energy",
+    "suggest_step",
     "taylor_test",
     "time",
     "tradeoff",

@@ -10,6 +10,7 @@ from ancfdae.api.calls import (
     simulate,
 )
 from ancfdae.api.error_bars import ErrorBars, error_bars
+from ancfdae.api.modes import modes, suggest_step
 from ancfdae.api.statics import equilibrium, static_gradient
 from ancfdae.api.taylor import TaylorTest, taylor_test
 from ancfdae.api.tradeoff import tradeoff
@@ -30,8 +31,10 @@ __all__ = [
     "error_bars",
     "gradient",
     "gradients",
+    "modes",
     "simulate",
     "static_gradient",
+    "suggest_step",
     "taylor_test",
     "tradeoff",
 ]

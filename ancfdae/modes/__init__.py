@@ -4,13 +4,13 @@ from ancfdae.modes.adjoint import PullBack
 from ancfdae.modes.analysis import modes_about
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.periods import StepSuggestion, advice, suggestion
-from ancfdae.modes.result import Kind, ModeDerivatives, Modes
+from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
 
 __all__ = [
     "Configuration",
-    "Kind",
     "ModeDerivatives",
     "Modes",
+    "MotionKind",
     "PullBack",
     "StepSuggestion",
     "advice",

@@ -8,7 +8,7 @@ from ancfdae.modes.adjoint import PullBack
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.derivatives import differentiate, differentiate_back
 from ancfdae.modes.linearised import Linearised
-from ancfdae.modes.result import Kind, ModeDerivatives, Modes
+from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
 from ancfdae.modes.solver import coincident, solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
@@ -71,7 +71,7 @@ def exponents(small: Linearised, z: Array) -> Array:
     if small.D is not None:
         return z
     s = np.sqrt(-z.astype(complex))
-    return np.asarray(np.where(s.imag < 0, -s, s))
+    return np.asarray(np.where(s.imag < 0, -s, s)) + 0.0  # No -0.
 
 
 def _slope(small: Linearised, s: Array) -> Array:
@@ -79,9 +79,9 @@ def _slope(small: Linearised, s: Array) -> Array:
     return np.asarray(np.ones_like(s) if small.D is not None else -0.5 / np.where(s == 0, 1.0, s))
 
 
-def _kind(s: complex) -> Kind:
+def _kind(s: complex) -> MotionKind:
     if s == 0:
-        return Kind.RIGID
+        return MotionKind.RIGID
     if s.real > 0:
-        return Kind.GROWING
-    return Kind.VIBRATION if s.imag else Kind.DECAYING
+        return MotionKind.GROWING
+    return MotionKind.VIBRATION if s.imag else MotionKind.DECAYING

@@ -14,7 +14,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.text import columns
 
 
-class Kind(Enum):
+class MotionKind(Enum):
     """What a mode does; the value is the word that a reader sees."""
 
     RIGID = "free to move"
@@ -59,7 +59,7 @@ class Modes:
         Complex with damping.
     multipliers : array, shape (n_lam, count)
         Reactions mu that belong to the shapes.
-    kinds : tuple of Kind
+    kinds : tuple of MotionKind
     coincide : tuple of tuple of int
         Modes that round-off cannot tell apart, in groups of two or more.
     configuration : Configuration
@@ -72,7 +72,7 @@ class Modes:
     exponents: Array
     shapes: Array
     multipliers: Array
-    kinds: tuple[Kind, ...]
+    kinds: tuple[MotionKind, ...]
     coincide: tuple[tuple[int, ...], ...]
     configuration: Configuration
     unbalanced: float
@@ -92,7 +92,7 @@ class Modes:
     def damping_ratios(self) -> Array:
         """-Re s / |s|, shape (count,); zero for rigid modes."""
         size = np.abs(self.exponents)
-        return np.asarray(-self.exponents.real / np.where(size == 0, 1.0, size))
+        return np.asarray(0.0 - self.exponents.real / np.where(size == 0, 1.0, size))
 
     @property
     def frequencies_b(self) -> Array:
@@ -159,7 +159,7 @@ class Modes:
         ratios = self.damping_ratios
         for j, kind in enumerate(self.kinds):
             value = self.exponents[j]
-            size = abs(value.real) if kind is Kind.GROWING and not value.imag else abs(value)
+            size = abs(value.real) if kind is MotionKind.GROWING and not value.imag else abs(value)
             rows.append([str(j), f"{size:.6g}", f"{ratios[j]:.3g}", kind.value])
         where = (
             "an equilibrium"
