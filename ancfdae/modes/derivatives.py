@@ -100,7 +100,7 @@ def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[in
         return np.concatenate([X, mu[:, group]])
     right = np.zeros((n + small.system.n_lam, len(group)), dtype=X.dtype)
     right[:n] = np.conj(small.times(small.M, X))
-    factors = small.saddle.factor(small.matrix(z), small.Phi_q)
+    factors = small.factor_beside(z)
     for sweep in range(_SWEEPS):
         if sweep:
             right[:n] = small.system.pattern.dot_transposed(small.slope(z), right[:n])
@@ -145,8 +145,7 @@ def _held(small: Linearised, z: complex, k: int) -> Factorization:
     F, B = small.matrix(z).copy(), small.Phi_q.copy()
     rows, columns = system.pattern.rows, system.pattern.columns
     F[(rows == k) | (columns == k)] = 0.0
-    # Any size serves; one of its neighbours keeps the pivots alike.
-    size = np.max(np.abs(small.K) / np.sqrt(system.weights[rows] * system.weights[columns]))
-    F[system.pattern.index(np.array([k]), np.array([k]))] = (size or 1.0) * system.weights[k]
+    # Any number serves; one of the size of the others keeps the pivots alike.
+    F[system.pattern.index(np.array([k]), np.array([k]))] = small.size * system.weights[k]
     B[system.constraint_pattern.columns == k] = 0.0
     return small.saddle.factor(F, B)

@@ -17,7 +17,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.modes.configuration import Configuration
 from ancfdae.numerics.arrays import Array, real_norm
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
@@ -97,6 +97,11 @@ class Linearised:
         """Number of independent motions."""
         return self.system.n_q - self.system.n_lam
 
+    @property
+    def n_modes(self) -> int:
+        """Most modes there are: motions that only decay come in twos."""
+        return self.n_free if self.D is None else 2 * self.n_free
+
     @cached_property
     def symmetric(self) -> bool:
         """Whether K and D are symmetric to round-off, as where forces have potentials."""
@@ -140,6 +145,26 @@ class Linearised:
     def mass_factors(self) -> Factorization:
         """The mass with the constraints, factorised."""
         return self.saddle.factor(self.M, self.Phi_q)
+
+    def factor_beside(self, z: complex) -> Factorization:
+        """Factorise F(z) for inverse iteration; beside z if it is singular to the last bit."""
+        F = self.matrix(z)
+        try:
+            return self.saddle.factor(F, self.Phi_q)
+        except SingularMatrix:
+            i = np.arange(self.system.n_q)
+            moved = F.copy()
+            moved[self.system.pattern.index(i, i)] += (
+                ROUND_OFF * EPS * self.size * self.system.weights
+            )
+            return self.saddle.factor(moved, self.Phi_q)
+
+    @cached_property
+    def size(self) -> float:
+        """Largest entry of K in the norm of the weights."""
+        pattern, root = self.system.pattern, np.sqrt(self.system.weights)
+        entries = np.abs(self.K) / (root[pattern.rows] * root[pattern.columns])
+        return float(np.max(entries)) or 1.0
 
     def solve(self, factors: Factorization, force: Array) -> Array:
         """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""

@@ -161,14 +161,13 @@ class Modes:
             value = self.exponents[j]
             size = abs(value.real) if kind is MotionKind.GROWING and not value.imag else abs(value)
             rows.append([str(j), f"{size:.6g}", f"{ratios[j]:.3g}", kind.value])
-        where = (
-            "an equilibrium"
-            if self.unbalanced < _BALANCED
-            else (
-                "a configuration that is not in balance (unbalanced force "
-                f"{self.unbalanced:.2g} of all forces), held there"
+        where = "an equilibrium"
+        if self.unbalanced > _BALANCED:
+            where = (
+                "a configuration that is not in balance, and is held there (unbalanced force "
+                f"{self.unbalanced:.2g} of all forces; pass at=equilibrium(...) for vibrations "
+                "under load)"
             )
-        )
         return f"Modes about {where}\n{columns(rows)}"
 
 

@@ -17,8 +17,9 @@ from ancfdae.modes import dense, sparse
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.numerics.arrays import Array
 
-# Up to this many independent motions dense matrices are faster (docs/measurements.md, section 11).
-_DENSE = 300
+# Up to this many independent motions dense matrices are faster; damped ones have twice as many
+# exponents, all of which dense methods find (docs/measurements.md, section 12).
+_DENSE, _DENSE_DAMPED = 300, 120
 # ARPACK needs room for its basis.
 _ROOM = 40
 _SWEEPS = 2
@@ -75,7 +76,7 @@ def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
 
     A group of modes that coincide is not cut.
     """
-    asked, n = min(count, small.n_free), small.n_free
+    asked, n = min(count, small.n_modes), small.n_modes
     wanted = min(asked + 2, n)
     while True:
         method = _undamped if small.D is None else _damped
@@ -116,7 +117,8 @@ def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
 
 
 def _is_small(small: Linearised, count: int) -> bool:
-    return small.n_free <= max(_DENSE, 3 * count + _ROOM)
+    size = _DENSE if small.D is None else _DENSE_DAMPED
+    return small.n_free <= max(size, 3 * count + _ROOM)
 
 
 def _rigid(small: Linearised) -> Array:
@@ -166,11 +168,7 @@ def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array
     z, X = z.astype(complex), X.astype(complex)
     for j in range(len(z)):
         for _ in range(_SWEEPS):
-            x = X[:, j]
-            try:
-                factors = small.saddle.factor(small.matrix(z[j]), small.Phi_q)
-            except SingularMatrix:
-                break
+            x, factors = X[:, j], small.factor_beside(z[j])
             y = small.solve(factors, small.slope_times(z[j], x))
             along = np.conj(small.times(small.M, y))
             z[j] -= (along @ x) / (along @ y)
