@@ -159,22 +159,24 @@ def test_derivatives_are_the_limit_of_differences_of_the_call(case, balanced, da
     found = call(scene, design=names)
     for i, name in enumerate(names):
         value = assemble(scene, [name]).b[0]
-        step = 1e-3 * (abs(value) or 1.0)
+        step = 3e-5 * (abs(value) or 1.0)
         around = [call(scene.with_values({name: value + k * step})) for k in (1, -1, 2, -2)]
 
         def slope(of, around=around, step=step):
             one, less, two, least = (of(x) for x in around)
             return (8 * (one - less) - (two - least)) / (12 * step)
 
-        # Differences of fourth order at 1e-3: 1e-11 of truncation, times powers of the frequencies'
-        # own curvature; round-off 1e-10 of the values over 1e-3.
-        scale = np.abs(found.exponents) / (abs(value) or 1.0)
-        error = np.abs(slope(lambda x: x.exponents) - found.derivatives.exponents_b[:, i])
+        # A length that is 1e-3 too long buckles a rod: (3e-5/1e-3)^4 = 1e-6 is truncation at most;
+        # round-off, 1e-12 of the values, over 3e-5 is less.
+        exact = found.derivatives.exponents_b[:, i]
+        scale = np.abs(found.exponents) / (abs(value) or 1.0) + np.abs(exact)
+        error = np.abs(slope(lambda x: x.exponents) - exact)
         assert np.all(error < 1e-6 * scale), name
         for mode in range(3):
             expected = slope(lambda x, mode=mode: x.shapes[:, mode])
             error = np.max(np.abs(expected - found.shape_b(mode)[:, i]))
             size = np.max(np.abs(found.shapes[:, mode])) / (abs(value) or 1.0)
+            size += np.max(np.abs(expected))
             assert error < 1e-5 * size, (name, mode)
 
 
