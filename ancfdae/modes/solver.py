@@ -103,8 +103,9 @@ def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     if _is_small(small, count):
         s, X = dense.damped(small, rigid)
     else:
-        lowest = _undamped(replace(small, D=None), count, highest)
-        s, X = sparse.damped(small, count, float(np.sqrt(np.max(np.abs(lowest.z)))))
+        around = _undamped(replace(small, D=None), count, highest)
+        size = float(np.sqrt(np.max(np.abs(around.z))))
+        s, X = sparse.damped(small, count, size, highest)
         moving = np.abs(s) ** 2 > ROUND_OFF * _noise(small, s, X) * np.abs(s)
         s, X = s[moving], X[:, moving]
     order = np.argsort(-np.abs(s) if highest else _rank(small, s, X), kind="stable")[:count]

@@ -7,12 +7,18 @@ rough pass at a shift near zero.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh
 
 from ancfdae.modes.linearised import Linearised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
+
+# Takes positions and scaled velocities.
+Advance: TypeAlias = Callable[[Array, Array], tuple[Array, Array]]
 
 # First shift, relative to the largest eigenvalue: round-off leaves zero at 1e-16 of it.
 _NEAR_ZERO = 1e-9
@@ -42,12 +48,13 @@ def largest(small: Linearised) -> float:
     return float(abs(z[0]))
 
 
-def damped(small: Linearised, count: int, size: float) -> tuple[Array, Array]:
-    """Return exponents near zero with Im s >= 0 and their shapes.
+def damped(small: Linearised, count: int, size: float, highest: bool) -> tuple[Array, Array]:
+    """Return exponents with Im s >= 0, nearest to zero or farthest, and their shapes.
 
-    With u = v / shift the first-order form has at the shift the inverse
+    With u = v / size the first-order form maps [x, u] to
 
-        x' = -F(shift)^{-1} (shift M u + (D + shift M) x),     u' = x' + x / shift
+        size u,   -M^{-1} (K x / size + D u)                                 of farthest exponents s
+        x' = -F(size)^{-1} (size M u + (D + size M) x),   u' = x' + x / size            1/(s - size)
 
     Parameters
     ----------
@@ -55,25 +62,42 @@ def damped(small: Linearised, count: int, size: float) -> tuple[Array, Array]:
     count : int
     size : float
         Size of the exponents asked for, for example their natural frequencies.
+    highest : bool
     """
-    assert small.D is not None
-    n, D, M = small.system.n_q, small.D, small.M
-    factors = small.saddle.factor(small.matrix(size), small.Phi_q)
-    root = np.sqrt(small.system.weights)
+    n, root = small.system.n_q, np.sqrt(small.system.weights)
+    advance, factors = (_outwards if highest else _inwards)(small, size)
 
-    def inverse(y: Array) -> Array:
-        x, u = y[:n] / root, y[n:] / root
-        force = small.times(size * M, u) + small.times(D + size * M, x)
-        moved = -small.solve(factors, force)
-        return np.concatenate([root * moved, root * (moved + x / size)])
+    def step(y: Array) -> Array:
+        x, u = advance(y[:n] / root, y[n:] / root)
+        return np.concatenate([root * x, root * u])
 
-    start = _start(small, factors)
-    OP = LinearOperator((2 * n, 2 * n), matvec=inverse, dtype=float)
-    v_0 = np.concatenate([root * start, root * start])
+    start = root * _start(small, factors)
+    OP = LinearOperator((2 * n, 2 * n), matvec=step, dtype=float)
     # Both of a pair of complex conjugate exponents are found.
-    theta, Y = eigs(OP, k=2 * count, v0=v_0)
-    s, X = size + 1 / theta, Y[:n] / root[:, None]
+    theta, Y = eigs(OP, k=2 * count, v0=np.concatenate([start, start]))
+    s, X = theta if highest else size + 1 / theta, Y[:n] / root[:, None]
     return s[s.imag >= 0], X[:, s.imag >= 0]
+
+
+def _outwards(small: Linearised, size: float) -> tuple[Advance, Factorization]:
+    def advance(x: Array, u: Array) -> tuple[Array, Array]:
+        assert small.D is not None
+        force = small.times(small.K, x) / size + small.times(small.D, u)
+        return size * u, -small.solve(small.mass_factors, force)
+
+    return advance, small.mass_factors
+
+
+def _inwards(small: Linearised, size: float) -> tuple[Advance, Factorization]:
+    assert small.D is not None
+    D, M = small.D + size * small.M, size * small.M
+    factors = small.saddle.factor(small.matrix(size), small.Phi_q)
+
+    def advance(x: Array, u: Array) -> tuple[Array, Array]:
+        moved = -small.solve(factors, small.times(M, u) + small.times(D, x))
+        return moved, moved + x / size
+
+    return advance, factors
 
 
 def _near(small: Linearised, shift: float, count: int, tolerance: float) -> tuple[Array, Array]:
@@ -109,5 +133,5 @@ def _start(small: Linearised, factors: Factorization) -> Array:
     return small.solve(factors, push)
 
 
-def _operator(n: int, times: object) -> LinearOperator:
+def _operator(n: int, times: Callable[[Array], Array]) -> LinearOperator:
     return LinearOperator((n, n), matvec=times, dtype=float)
