@@ -86,7 +86,6 @@ class Verdict(Enum):
     TOO_ACCURATE = "the tolerance is below what round-off allows"
     EQUILIBRIUM = "the equilibrium was reached"
     LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
-    BIFURCATION = "the path of equilibria branches, the tangent being singular (buckling)"
 
 
 @final

@@ -47,6 +47,8 @@ INJECTIONS = [
         "from ancfdae.integrators.step_control.contracts import Controller",
         "Layers of step control, which knows no method",
     ),
+    ("statics/balance.py", "from ancfdae.statics import softness", "Layers of statics"),
+    ("statics/balance.py", "from ancfdae.integrators import HHT", LAYERS),
     ("ancf/vectors.py", "from ancfdae.ancf import system", "Layers of the assembler"),
 ]
 

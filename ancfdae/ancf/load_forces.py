@@ -113,6 +113,22 @@ class LoadForces:
             Q = Q + item.vectors.lift(F)
         return Q
 
+    def following(self, q: Array) -> Array:
+        """Return the loads that turn with the motion, at rest, of one instant, shape (n_q,)."""
+        Q = np.zeros(self._n_q, dtype=q.dtype)
+        for item in self._moving:
+            if not item.load.elastic:
+                U = item.vectors.of(q[None])
+                Q = Q + item.vectors.lift(item.load.force(U, 0 * U, item.p))[0]
+        return Q
+
+    def add_following_tangents(self, q: Array, values: Array) -> None:
+        """Add the partial of `following` to values on the pattern, shape (1, nnz)."""
+        for item, to_values in zip(self._moving, self._maps, strict=True):
+            if not item.load.elastic:
+                U = item.vectors.of(q[None]).real
+                values += to_values.rows(_flat(_jacobian(item.force, U, 0 * U, True)))
+
     def force_rate(self, q: Array, v: Array, a: Array) -> Array:
         """dQ/dt along the motion, shape (k, n_q)."""
         rate = np.zeros((len(q), self._n_q), dtype=q.dtype)

@@ -258,6 +258,16 @@ class AncfSystem(MechanicalSystem):
         total = self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
         return total + self._loads.force_total(q, v, q_b, v_b) if self._scene.loads else total
 
+    def following_load(self, q: Array, t: float) -> Array:
+        """Follower forces and moments."""
+        return self._loads.following(q)
+
+    def following_load_q(self, q: Array, t: float) -> Array:
+        """Their tangents."""
+        values = np.zeros((1, self.pattern.size), dtype=np.result_type(q, self.b, float))
+        self._loads.add_following_tangents(q, values)
+        return only(values)
+
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Q_q v + Q_v a."""
         rate = self._elastic.force_rate(q, v, a)

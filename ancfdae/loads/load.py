@@ -28,12 +28,16 @@ class Load(Part):
     ----------
     constant : bool
         Whether the force depends neither on positions nor on velocities.
+    elastic : bool
+        Whether it is a stiffness rather than a load: a search for an equilibrium, which brings up
+        the loads, leaves it as it is.
     damping_fields : tuple of str
         Numbers among the design fields without which the force does not depend on velocities.
     """
 
     role = "load"
     constant: ClassVar[bool] = False
+    elastic: ClassVar[bool] = False
     damping_fields: ClassVar[tuple[str, ...]] = ()
 
     def uses_velocity(self, driven: Collection[str]) -> bool:

@@ -57,6 +57,7 @@ class SpringDamper(Load):
     name: str = ""
 
     kind = "spring"
+    elastic = True
     design_fields = (*numbers("stiffness", "damping", "free_length"), ("ground", require_vector))
     damping_fields = ("damping",)
     needs_other_end = True

@@ -21,7 +21,7 @@ from typing import Any, final
 
 import numpy as np
 from scipy import linalg, sparse
-from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
 from ancfdae.errors import SingularMatrix
@@ -52,10 +52,6 @@ class Factorization(abc.ABC):
     @abc.abstractmethod
     def solve_transposed(self, right: Array) -> Array:
         """Solve with the transposed (not conjugated) matrix."""
-
-    @abc.abstractmethod
-    def sign(self) -> float:
-        """Return the sign of the determinant, of the real parts of the pivots."""
 
 
 class _Storage(abc.ABC):
@@ -145,14 +141,6 @@ class _Scaled(Factorization):
         scale = self._scale if right.ndim == 1 else self._scale[:, None]
         return scale * self._inner.solve_transposed(scale * right)
 
-    def sign(self) -> float:
-        return self._inner.sign()
-
-
-def _sign(diagonal: Array, exchanged: int) -> float:
-    """Sign of a determinant from the diagonal of U and the number of exchanged rows."""
-    return float(np.prod(np.sign(diagonal.real))) * (-1.0) ** exchanged
-
 
 def _choose_storage(size: int, rows: Array, columns: Array) -> _Storage:
     if size <= _DENSE_SIZE:
@@ -193,10 +181,6 @@ class _DenseFactorization(Factorization):
 
     def solve_transposed(self, right: Array) -> Array:
         return self._call(right, 1)
-
-    def sign(self) -> float:
-        exchanged = int(np.sum(self._pivots != np.arange(len(self._pivots))))
-        return _sign(np.diagonal(self._lu), exchanged)
 
     def _call(self, right: Array, transposed: int) -> Array:
         if self._lu.dtype.kind != "c" and right.dtype.kind == "c":
@@ -239,10 +223,6 @@ class _BandFactorization(Factorization):
 
     def solve_transposed(self, right: Array) -> Array:
         return self._call(right, 1)
-
-    def sign(self) -> float:
-        exchanged = int(np.sum(self._pivots != np.arange(len(self._pivots))))
-        return _sign(self._lu[2 * self._k], exchanged)
 
     def _call(self, right: Array, transposed: int) -> Array:
         if self._lu.dtype.kind != "c" and right.dtype.kind == "c":
@@ -288,22 +268,9 @@ class _SparseFactorization(Factorization):
     def solve_transposed(self, right: Array) -> Array:
         return self._call(right, "T")
 
-    def sign(self) -> float:
-        # A permutation of n numbers in c cycles is n - c exchanges.
-        orders = (self._lu.perm_r, self._lu.perm_c)
-        exchanged = sum(len(order) - _cycles(order) for order in orders)
-        return _sign(self._lu.U.diagonal(), exchanged)
-
     def _call(self, right: Array, transposed: str) -> Array:
         if self._complex:
             return np.asarray(self._lu.solve(right.astype(complex), transposed))
         if right.dtype.kind == "c":
             return self._call(right.real, transposed) + 1j * self._call(right.imag, transposed)
         return np.asarray(self._lu.solve(np.ascontiguousarray(right), transposed))
-
-
-def _cycles(order: Array) -> int:
-    """Count the cycles of a permutation."""
-    n = len(order)
-    graph = sparse.csr_array((np.ones(n), (np.arange(n), order)), shape=(n, n))
-    return int(connected_components(graph, directed=False)[0])

@@ -278,6 +278,17 @@ class MechanicalSystem(abc.ABC):
         """Return the total design derivative of Q, shape (n_q, n_b)."""
         return self.along(lambda s, q, v: s.force(q, v, t), (q, q_b), (v, v_b))
 
+    def following_load(self, q: Array, t: float) -> Array:
+        """Return the loads in Q that turn with the motion, at rest, shape (n_q,).
+
+        A search for an equilibrium scales them; other loads it takes as they are at its start.
+        """
+        return np.zeros_like(q)
+
+    def following_load_q(self, q: Array, t: float) -> Array:
+        """Return the values of the partial of `following_load` on `pattern`."""
+        return np.zeros(self.pattern.size)
+
     @abc.abstractmethod
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """Return dQ/dt along the motion, Q_q v + Q_v a + Q_t, shape (n_q,)."""

@@ -1,10 +1,11 @@
 """The equations of equilibrium on the way to the full load, and Newton's method for them.
 
-    Q(q) - Phi_q^T lam - mu M_0 (q - q_a) = (1 - s) r_0,     Phi(q) = (1 - s) Phi_0
+    Q(q) - Phi_q^T lam - mu M_0 (q - q_a) = (1 - s) (r_0 + P(q)),     Phi(q) = (1 - s) Phi_0
 
-r_0 = Q(q_0) - Phi_q^T lam_0 and Phi_0 are what is unbalanced where the search starts, so that the
-start solves the equations at s = 0. From a start free of stress s is the load factor. The term in
-mu is an implicit step of the motion without inertia, M_0 q' = Q - Phi_q^T lam, from q_a.
+P are the loads that turn with the motion; r_0 = Q - Phi_q^T lam - P and Phi_0 are what is
+unbalanced besides where the search starts, so that the start solves the equations at s = 0. From
+a start free of stress s is the load factor. The term in mu is an implicit step of the motion
+without inertia, M_0 q' = Q - Phi_q^T lam, from q_a.
 """
 
 from __future__ import annotations
@@ -108,8 +109,9 @@ class Balance:
 
     @cached_property
     def r_0(self) -> Array:
-        """Unbalanced forces at the start."""
-        return self.unbalanced(self.q_0, self.lam_0)
+        """Unbalanced forces at the start, but for the loads that turn."""
+        P = self.system.following_load(self.q_0, self.t)
+        return self.unbalanced(self.q_0, self.lam_0) - P
 
     @cached_property
     def Phi_0(self) -> Array:
@@ -131,9 +133,15 @@ class Balance:
         Q = self.system.force(q, np.zeros_like(q), self.t)
         return Q - self.system.constraint_force(q, lam, self.t)
 
-    def tangent(self, q: Array, lam: Array) -> Array:
-        """Return K = -(Q - Phi_q^T lam)_q, values on the pattern."""
+    def held_back(self, q: Array) -> Array:
+        """Return the forces that the equations lack at s = 0."""
+        return self.r_0 + self.system.following_load(q, self.t)
+
+    def tangent(self, s: float, q: Array, lam: Array) -> Array:
+        """Return K, minus the derivative of the forces in q, values on the pattern."""
         K = -self.system.force_q(q, np.zeros_like(q), self.t)
+        if s < 1.0:
+            K = K + (1.0 - s) * self.system.following_load_q(q, self.t)
         if self.system.linear_constraints:
             return K
         return K + self.system.constraint_force_q(q, lam, self.t)
@@ -168,7 +176,7 @@ class Balance:
                     R, Phi = self._residual(s, q, lam, mu, anchor)
                     if not (is_finite(R) and is_finite(Phi)):
                         return Failure(Verdict.NOT_FINITE, test.size)
-                    K = self.tangent(q, lam)
+                    K = self.tangent(s, q, lam)
                     factors = self.factor(K if mu == 0.0 else K + mu * self.M_0, q)
                     dq, dlam = solve(factors, R, -Phi)
                     q, lam = q + dq, lam + dlam
@@ -185,14 +193,16 @@ class Balance:
     ) -> tuple[Array, Array]:
         self.work.residuals += 1
         self.work.iterations += 1
-        R = self.unbalanced(q, lam) - (1.0 - s) * self.r_0
+        R = self.unbalanced(q, lam)
+        if s < 1.0:
+            R = R - (1.0 - s) * self.held_back(q)
         if anchor is not None:
             R = R - mu * self.system.pattern.dot(self.M_0, q - anchor)
         return R, self.system.constraint(q, self.t) - (1.0 - s) * self.Phi_0
 
-    def path_tangent(self, factors: Factorization) -> tuple[Array, Array]:
+    def path_tangent(self, q: Array, factors: Factorization) -> tuple[Array, Array]:
         """Return dq/ds and dlam/ds of the path of solutions."""
-        return solve(factors, self.r_0, -self.Phi_0)
+        return solve(factors, self.held_back(q), -self.Phi_0)
 
     # -- natural sizes -------------------------------------------------------------------------
 
@@ -216,9 +226,9 @@ class Balance:
 
     @cached_property
     def load(self) -> float:
-        """Size of the unbalanced forces at the start, and no less than round-off tells."""
+        """Size of the load at the start, and no less than round-off tells."""
         least = self.system.force_round_off / (0.1 * _ROUND_OFF)
-        return max(self.strength(self.r_0), least, float(np.finfo(float).tiny))
+        return max(self.strength(self.held_back(self.q_0)), least, float(np.finfo(float).tiny))
 
 
 @final

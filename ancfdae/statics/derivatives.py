@@ -34,7 +34,7 @@ class Tangent:
         self._system, self._t = system, np.array([t])
         zero = np.zeros_like(q)
         self._state = (q[None], zero[None], zero[None], lam[None])
-        self._factors: Factorization = balance.factor(balance.tangent(q, lam), q)
+        self._factors: Factorization = balance.factor(balance.tangent(1.0, q, lam), q)
 
     def sensitivities(self) -> tuple[Array, Array]:
         """Return q_b and lam_b, shapes (n_q, n_b) and (n_lam, n_b)."""

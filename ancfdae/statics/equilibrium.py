@@ -4,29 +4,21 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from functools import cached_property
 from typing import final
 
 import numpy as np
 
-from ancfdae.errors import AncfdaeError, SingularMatrix, Verdict
+from ancfdae.errors import AncfdaeError
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities, Statistics
-from ancfdae.statics.balance import Balance, Failure, Work
+from ancfdae.statics.balance import Balance, Work
 from ancfdae.statics.derivatives import Tangent
-from ancfdae.statics.load_path import LoadPath, Place
-from ancfdae.statics.mobility import free_mechanism
 from ancfdae.statics.outcome import LoadOutcome
-from ancfdae.statics.settle import Settling
-from ancfdae.statics.softness import Softness, softest
+from ancfdae.statics.search import Found, search
 from ancfdae.text import listed
 
-# The tangent has lost its stiffness where the softest motion keeps this part of that at the start.
-_LOST = 0.05
-# Cosine between path and softest motion above which the path turns back along it.
-_ALONG = 0.5
 # Attempted steps of the load.
 MAX_STEPS = 1000
 
@@ -123,122 +115,31 @@ def find_equilibrium(
     """
     began = time.perf_counter()
     q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else (start.q, start.lam)
-    search = _Search(Balance.of(system, t, q, lam), max_steps)
-    search.run()
-    work, outcome = search.balance.work, search.outcome()
-    derivatives = None
-    if sensitivities and outcome.success:
-        work.factorisations += 1
-        derivatives = Tangent(system, t, search.q, search.lam).sensitivities()
-    solution = _solution(search, outcome, derivatives, time.perf_counter() - began)
-    return Equilibrium(search.q, search.lam, outcome, solution, *(derivatives or (None, None)))
-
-
-@final
-class _Search:
-    """One search: along the path of loads, or downhill where the start has no stiffness."""
-
-    def __init__(self, balance: Balance, max_steps: int) -> None:
-        self.balance, self._max_steps = balance, max_steps
-        self.q, self.lam = balance.q_0, balance.lam_0
-        self._verdict, self._fraction, self._residual = Verdict.INTERRUPTED, 0.0, 0.0
-        self._unstable = False
-
-    @cached_property
-    def _at_start(self) -> Softness:
-        return softest(self.balance, self.balance.q_0, self.balance.lam_0)
-
-    def outcome(self) -> LoadOutcome:
-        """Return how it ended."""
-        steps = self.balance.work.steps
-        return LoadOutcome(self._verdict, self._fraction, steps, self._residual, self._unstable)
-
-    def run(self) -> None:
-        """Search."""
-        if self._at_start.free.shape[1]:
-            self._settle()
-        else:
-            self._follow()
-
-    def _follow(self) -> None:
-        balance = self.balance
-        try:
-            factors = balance.factor(balance.tangent(self.q, self.lam), self.q)
-        except SingularMatrix:
-            self._verdict = Verdict.SINGULAR
-            return
-        first = Place(0.0, self.q, self.lam, *balance.path_tangent(factors), factors.sign())
-        path = LoadPath(balance, first, self._max_steps)
-        self._verdict = path.follow()
-        last = path.places[-1]
-        self.q, self.lam, self._fraction = last.q, last.lam, last.s
-        self._unstable = self._is_unstable(last.sign)
-        if self._verdict is not Verdict.EQUILIBRIUM:
-            self._residual = path.residual
-            self._verdict = self._reason(last, self._verdict)
-
-    def _reason(self, last: Place, verdict: Verdict) -> Verdict:
-        """Tell a load that cannot grow, and a branching of the path, from other failures."""
-        if verdict in (Verdict.INTERRUPTED, Verdict.STEP_LIMIT):
-            return verdict
-        now, before = softest(self.balance, last.q, last.lam), self._at_start
-        if len(now.kappa) == 0 or now.kappa[0] > _LOST * before.kappa[0]:
-            return verdict
-        along = now.aligned(last.q_s) > _ALONG
-        return Verdict.LIMIT_POINT if along else Verdict.BIFURCATION
-
-    def _settle(self) -> None:
-        balance = self.balance
-        downhill = Settling(balance, self._max_steps)
-        self._verdict = downhill.run()
-        self.q, self.lam, self._residual = downhill.q, downhill.lam, downhill.residual
-        if downhill.gone:
-            raise self._free(balance.q_0, self._at_start.free)
-        if self._verdict is not Verdict.EQUILIBRIUM:
-            return
-        left = softest(balance, self.q, self.lam).free
-        if left.shape[1]:
-            raise self._free(self.q, left)
-        found = balance.solve(1.0, self.q, self.lam)
-        if isinstance(found, Failure):
-            self._verdict, self._residual = found.verdict, found.residual
-            return
-        self.q, self.lam = found.q, found.lam
-        self._fraction, self._residual = 1.0, 0.0
-        self._unstable = self._is_unstable(found.factors.sign())
-
-    def _is_unstable(self, sign: float) -> bool:
-        """Compare with a stable tangent: as many negative eigenvalues as constraints."""
-        return sign != (-1.0) ** self.balance.system.n_lam
-
-    def _free(self, q: Array, motions: Array) -> Exception:
-        return free_mechanism(self.balance.system.naming, q, motions)
+    balance = Balance.of(system, t, q, lam)
+    found, derivatives = search(balance, max_steps), None
+    if sensitivities and found.outcome.success:
+        balance.work.factorisations += 1
+        derivatives = Tangent(system, t, found.q, found.lam).sensitivities()
+    statistics = _statistics(balance.work, time.perf_counter() - began)
+    solution = _solution(system, t, found, derivatives, statistics)
+    return Equilibrium(found.q, found.lam, found.outcome, solution, *(derivatives or (None, None)))
 
 
 def _solution(
-    search: _Search,
-    outcome: LoadOutcome,
+    system: MechanicalSystem,
+    t: float,
+    found: Found,
     derivatives: tuple[Array, Array] | None,
-    seconds: float,
+    statistics: Statistics,
 ) -> Solution:
-    system, work = search.balance.system, search.balance.work
-    q, zero = search.q[None], np.zeros_like(search.q)[None]
-    own = None
+    q, lam, own = found.q[None], found.lam[None], None
     if derivatives is not None:
         q_b, lam_b = (x[None] for x in derivatives)
         still = np.zeros_like(q_b)
         own = Sensitivities(system.design_names, system.b, q_b, still, still, lam_b)
-    return Solution(
-        t=np.array([search.balance.t]),
-        q=q,
-        v=zero,
-        a=zero,
-        lam=search.lam[None],
-        statistics=_statistics(work, seconds),
-        outcome=outcome.of_run(),
-        naming=system.naming,
-        sensitivities=own,
-    )
+    zero, outcome = np.zeros_like(q), found.outcome.of_run()
+    at = np.array([t])
+    return Solution(at, q, zero, zero, lam, statistics, outcome, system.naming, own)
 
 
 def _statistics(work: Work, seconds: float) -> Statistics:

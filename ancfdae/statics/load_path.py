@@ -8,15 +8,20 @@ from typing import final
 from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Failure, Point
+from ancfdae.statics.softness import softest
 
 # Steps of the load fraction below this one are given up.
 _LEAST = 1e-6
 # A step is followed by a larger one if Newton's method took no more iterations.
 _EASY = 6
-# Secant and tangents of a step on one smooth path agree up to this part of the secant.
+# On one smooth path the secant of a step is the mean of its tangents up to this part, and the
+# tangents differ by no more than the smaller one. Else it may have jumped to another path.
 _BEND = 0.25
-# In a step no larger than this a change of sign of the determinant is believed.
-_SMALL = 1.0 / 64.0
+# Where the path has become so many times faster than ever before, the load has a limit point: it
+# moves with the root of the load that is left.
+_FASTER = 20.0
+# In a step no larger than this a loss of stability is believed.
+_SMALL = 1.0 / 128.0
 
 
 @final
@@ -28,8 +33,8 @@ class Place:
     ----------
     s : float
     q, lam, q_s, lam_s : array
-    sign : float
-        Of the determinant of the tangent.
+    stable : bool
+        Whether no motion meets a negative stiffness.
     """
 
     s: float
@@ -37,7 +42,7 @@ class Place:
     lam: Array
     q_s: Array
     lam_s: Array
-    sign: float
+    stable: bool
 
 
 @final
@@ -77,7 +82,7 @@ class LoadPath:
                     verdict, self.residual = found.verdict, found.residual
                     size = 0.5 * (s - before.s)
                     if size < _LEAST:
-                        return verdict
+                        return Verdict.LIMIT_POINT if self._ran_away() else verdict
                     continue
                 self._balance.work.steps += 1
                 place, iterations = found
@@ -89,6 +94,13 @@ class LoadPath:
             return Verdict.INTERRUPTED
         return Verdict.STEP_LIMIT
 
+    def stable_to(self) -> float | None:
+        """Return the load fraction of the last stable place, None if that is the last one."""
+        stable = [place.s for place in self.places if place.stable]
+        if stable and stable[-1] == self.places[-1].s:
+            return None
+        return stable[-1] if stable else 0.0
+
     def _attempt(self, s: float) -> tuple[Place, int] | Failure:
         """Solve at s from the extrapolated path, and see whether it is the same path."""
         before = self.places[-1]
@@ -96,16 +108,24 @@ class LoadPath:
         if isinstance(point, Failure):
             return point
         place = place_at(self._balance, point)
-        ds = s - before.s
-        secant = place.q - before.q
-        bend = secant - (0.5 * ds) * (before.q_s + place.q_s)
-        jumped = self._balance.length(bend) > _BEND * self._balance.length(secant)
-        # Round-off of a motion too small to see is no bend.
-        jumped &= self._balance.length(bend) > 1e-9 * self._balance.position
-        flipped = place.sign != before.sign and ds > _SMALL
-        if jumped or flipped:
+        flipped = place.stable != before.stable and s - before.s > _SMALL
+        if flipped or self._jumped(before, place):
             return Failure(Verdict.NO_CONVERGENCE, 0.0)
         return place, point.iterations
+
+    def _jumped(self, a: Place, b: Place) -> bool:
+        """Whether two places do not lie on one smooth path."""
+        length, secant, ds = self._balance.length, b.q - a.q, b.s - a.s
+        bend = length(secant - (0.5 * ds) * (a.q_s + b.q_s))
+        # Round-off of a motion too small to see is no bend.
+        if bend <= 1e-9 * self._balance.position:
+            return False
+        slower = min(length(a.q_s), length(b.q_s))
+        return bend > _BEND * length(secant) or length(b.q_s - a.q_s) > slower
+
+    def _ran_away(self) -> bool:
+        speeds = [self._balance.length(place.q_s) for place in self.places]
+        return speeds[-1] > _FASTER * min(speeds)
 
     def _extrapolated(self, s: float) -> tuple[Array, Array]:
         """Cubic through the last two places and their tangents, or the tangent of the start."""
@@ -122,5 +142,6 @@ class LoadPath:
 
 def place_at(balance: Balance, point: Point) -> Place:
     """Return a solution with the tangent of the path."""
-    q_s, lam_s = balance.path_tangent(point.factors)
-    return Place(point.s, point.q, point.lam, q_s, lam_s, point.factors.sign())
+    q_s, lam_s = balance.path_tangent(point.q, point.factors)
+    stable = softest(balance, point.s, point.q, point.lam).stable
+    return Place(point.s, point.q, point.lam, q_s, lam_s, stable)

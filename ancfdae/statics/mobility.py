@@ -145,7 +145,8 @@ class _Body:
         for name, place in (("its start", self.r[0]), ("its end", self.r[-1])):
             if self._near(place, centre, axis):
                 return name
-        return f"({', '.join(f'{x:.4g}' for x in centre)})"
+        rounded = self.length * np.round(centre / self.length, 6) + 0.0
+        return f"({', '.join(f'{x:.4g}' for x in rounded)})"
 
     def _near(self, place: Array, centre: Array, axis: Array | None) -> bool:
         """Whether a place is the centre, or on the axis through it."""

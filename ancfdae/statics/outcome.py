@@ -21,20 +21,24 @@ class LoadOutcome:
         Part of the load that what was found is in balance with: one for an equilibrium. The load
         is what was unbalanced at the start (docs/theory.md, section 11).
     step : int
-        Steps of the load that converged.
+        Steps that converged, of the load or downhill.
     residual : float
-        Size of the last correction of Newton's method, relative to positions and forces, zero
-        where the search succeeded.
-    unstable : bool
-        Whether the tangent has an odd number of negative eigenvalues: this is an equilibrium that
-        the least disturbance ends, as beyond a buckling load.
+        Size of the last correction of Newton's method where it failed, relative to positions and
+        forces; zero where it did not.
+    stable_to : float or None
+        None if it is stable; else the part of the load above which a motion meets a negative
+        stiffness, as above a buckling load, to one per cent.
+    downhill : bool
+        Whether the system settled under the full load, since no path of loads begins where it
+        starts (a mechanism, a slack cable) or it could not be followed.
     """
 
     verdict: Verdict
     fraction: float
     step: int
     residual: float
-    unstable: bool
+    stable_to: float | None = None
+    downhill: bool = False
 
     @property
     def success(self) -> bool:
@@ -48,13 +52,18 @@ class LoadOutcome:
     def __str__(self) -> str:
         """Return the outcome as a sentence."""
         steps = f"{self.step} step{'s' if self.step != 1 else ''}"
+        steps += " downhill" if self.downhill else ""
         text = f"{self.verdict.value} in {steps}"
-        if not self.success:
+        if self.downhill and not self.success:
+            text = f"{self.verdict.value} after {steps}; where it has come is kept"
+        elif not self.success:
             text = (
                 f"{self.verdict.value} at {100 * self.fraction:.6g} % of the load, after "
-                f"{steps}, with a last relative correction of {self.residual:.3g}; what "
-                "is in balance with that part is kept"
+                f"{steps}; what is in balance with that part is kept"
             )
-        if self.unstable:
-            text += "; it is unstable, a negative stiffness of the tangent (buckling) was met"
+            if self.residual:
+                text += f"; the last relative correction was {self.residual:.3g}"
+        if self.stable_to is not None:
+            above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
+            text += f"; it is unstable (buckled), with a negative stiffness{above}"
         return f"{text}."

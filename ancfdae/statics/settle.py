@@ -13,6 +13,7 @@ from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.saddle_points import solve
 from ancfdae.statics.balance import Balance, Failure
+from ancfdae.statics.softness import softest
 
 # The first step moves by about this part of the size of the system.
 _FIRST = 0.1
@@ -32,8 +33,10 @@ class Settling:
     ----------
     q, lam : array
         Where it has come.
+    steps : int
+        Steps that converged.
     residual : float
-        Size of the last step.
+        Size of the last one.
     gone : bool
         Whether it ran away.
     """
@@ -41,7 +44,7 @@ class Settling:
     def __init__(self, balance: Balance, max_steps: int) -> None:
         self._balance, self._max_steps = balance, max_steps
         self.q, self.lam = balance.q_0, balance.lam_0
-        self.residual, self.gone = 0.0, False
+        self.steps, self.residual, self.gone = 0, 0.0, False
 
     def run(self) -> Verdict:
         """Settle, and tell how that ended."""
@@ -60,8 +63,14 @@ class Settling:
                 if failures > _FAILURES:
                     return found.verdict
                 continue
-            balance.work.steps += 1
             moved = self._share(found.q - self.q)
+            if moved > _SETTLED and not softest(balance, 1.0, found.q, found.lam, mu).stable:
+                # A step this long goes uphill.
+                balance.work.rejected += 1
+                mu *= 4.0
+                continue
+            balance.work.steps += 1
+            self.steps += 1
             self.q, self.lam, self.residual, failures = found.q, found.lam, moved, 0
             if self._share(self.q - balance.q_0) > _GONE:
                 self.gone = True
@@ -77,9 +86,10 @@ class Settling:
     def _first_mu(self) -> float:
         """Mu with which the accelerations at the start move it by a tenth of its size."""
         b = self._balance
+        force = b.held_back(b.q_0)
         try:
-            a = solve(b.factor(b.M_0, b.q_0), b.r_0, 0 * b.Phi_0)[0]
+            a = solve(b.factor(b.M_0, b.q_0), force, 0 * b.Phi_0)[0]
         except SingularMatrix:
-            a = b.r_0 / b.system.weights
+            a = force / b.system.weights
         # Where nothing is to move any mu does.
         return b.length(a) / (_FIRST * b.extent) or 1.0

@@ -19,8 +19,8 @@ from ancfdae.statics.balance import Balance
 
 # Motions looked for at once, and sweeps of the inverse iteration.
 _MOTIONS, _SWEEPS = 8, 6
-# Stiffness below this is round-off: tens of eps.
-_FREE = 1e-14
+# Stiffness below this is round-off: tens of eps. A negative one must be clear of it.
+_FREE, _NEGATIVE = 1e-14, -1e-13
 
 
 @final
@@ -33,34 +33,32 @@ class Softness:
     kappa : array, shape (k,)
         Stiffness of each, rising.
     motions : array, shape (n_q, k)
-    D : array, shape (n_q,)
+    stable : bool
+        Whether none of these motions meets a negative stiffness.
     """
 
     kappa: Array
     motions: Array
-    D: Array
+    stable: bool
 
     @property
     def free(self) -> Array:
         """Motions without stiffness, shape (n_q, number)."""
         return self.motions[:, self.kappa <= _FREE]
 
-    def aligned(self, dq: Array) -> float:
-        """Return the cosine between a motion and the softest one."""
-        phi = self.motions[:, 0]
-        sizes = np.sqrt((self.D @ (dq.real**2)) * (self.D @ (phi**2)))
-        return float(abs(self.D @ (dq.real * phi)) / sizes) if sizes > 0 else 0.0
 
+def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -> Softness:
+    """Return the softest motions, at the load fraction s, by inverse iteration on a block.
 
-def softest(balance: Balance, q: Array, lam: Array) -> Softness:
-    """Return the softest motions by inverse iteration on a block of vectors."""
+    With mu, of K + mu M_0.
+    """
     system, q, lam = balance.system, q.real, lam.real
-    K = balance.tangent(q, lam).real
+    K = balance.tangent(s, q, lam).real + mu * balance.M_0.real
     D = _diagonal(balance, K)
     root = np.sqrt(D)[:, None]
     count = min(_MOTIONS, system.n_q - system.n_lam)
     if count <= 0:
-        return Softness(np.zeros(0), np.zeros((system.n_q, 0)), D)
+        return Softness(np.zeros(0), np.zeros((system.n_q, 0)), True)
     diagonal = np.arange(system.n_q)
     shifted = K.copy()
     shifted[system.pattern.index(diagonal, diagonal)] += _FREE * D
@@ -72,9 +70,11 @@ def softest(balance: Balance, q: Array, lam: Array) -> Softness:
             X = solve(factors, D[:, None] * X, none)[0].real
             X = np.linalg.qr(root * X)[0] / root
     except SingularMatrix:  # Of K and Phi_q together: constraints that depend on each other here.
-        return Softness(np.zeros(0), np.zeros((system.n_q, 0)), D)
-    _, kappa, V = np.linalg.svd(X.T @ system.pattern.dot(K, X))
-    return Softness(kappa[::-1], X @ V.T[:, ::-1], D)
+        return Softness(np.zeros(0), np.zeros((system.n_q, 0)), True)
+    projected = X.T @ system.pattern.dot(K, X)
+    _, kappa, V = np.linalg.svd(projected)
+    stable = bool(np.all(np.linalg.eigvals(projected).real > _NEGATIVE))
+    return Softness(kappa[::-1], X @ V.T[:, ::-1], stable)
 
 
 def _diagonal(balance: Balance, K: Array) -> Array:

@@ -1,0 +1,81 @@
+"""Which way a search for an equilibrium goes: along the path of loads, or downhill."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.numerics.arrays import Array
+from ancfdae.statics.balance import Balance, Failure
+from ancfdae.statics.load_path import LoadPath, Place
+from ancfdae.statics.mobility import free_mechanism
+from ancfdae.statics.outcome import LoadOutcome
+from ancfdae.statics.settle import Settling
+from ancfdae.statics.softness import Softness, softest
+
+# Endings of a path that say nothing about the load.
+_FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR)
+
+
+@final
+@dataclass(frozen=True)
+class Found:
+    """Where a search has come."""
+
+    q: Array
+    lam: Array
+    outcome: LoadOutcome
+
+
+def search(balance: Balance, max_steps: int) -> Found:
+    """Follow the path of loads; where none begins or it cannot be followed, settle.
+
+    Raises
+    ------
+    FreeMechanism
+        If a motion is held by nothing.
+    """
+    start = softest(balance, 0.0, balance.q_0, balance.lam_0)
+    if not start.stable or start.free.shape[1]:
+        return _settled(balance, start, max_steps)
+    followed = _followed(balance, start, max_steps)
+    if followed.outcome.verdict not in _FAILED:
+        return followed
+    settled = _settled(balance, start, max_steps)
+    return settled if settled.outcome.success else followed
+
+
+def _followed(balance: Balance, start: Softness, max_steps: int) -> Found:
+    q, lam = balance.q_0, balance.lam_0
+    try:
+        factors = balance.factor(balance.tangent(0.0, q, lam), q)
+    except SingularMatrix:
+        return Found(q, lam, LoadOutcome(Verdict.SINGULAR, 0.0, 0, 0.0))
+    first = Place(0.0, q, lam, *balance.path_tangent(q, factors), start.stable)
+    path = LoadPath(balance, first, max_steps)
+    verdict, last = path.follow(), path.places[-1]
+    residual = 0.0 if verdict is Verdict.EQUILIBRIUM else path.residual
+    steps = len(path.places) - 1
+    outcome = LoadOutcome(verdict, last.s, steps, residual, path.stable_to())
+    return Found(last.q, last.lam, outcome)
+
+
+def _settled(balance: Balance, start: Softness, max_steps: int) -> Found:
+    downhill = Settling(balance, max_steps)
+    verdict = downhill.run()
+    q, lam, steps, residual = downhill.q, downhill.lam, downhill.steps, downhill.residual
+    if downhill.gone and start.free.shape[1]:
+        raise free_mechanism(balance.system.naming, balance.q_0, start.free)
+    if verdict is not Verdict.EQUILIBRIUM:
+        return Found(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
+    end = softest(balance, 1.0, q, lam)
+    if end.free.shape[1]:
+        raise free_mechanism(balance.system.naming, q, end.free)
+    found = balance.solve(1.0, q, lam)
+    if isinstance(found, Failure):
+        outcome = LoadOutcome(found.verdict, 0.0, steps, found.residual, downhill=True)
+        return Found(q, lam, outcome)
+    stable_to = None if end.stable else 0.0
+    outcome = LoadOutcome(verdict, 1.0, steps, 0.0, stable_to, downhill=True)
+    return Found(found.q, found.lam, outcome)

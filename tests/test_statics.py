@@ -1,0 +1,471 @@
+"""Equilibria: against theory, their derivatives, and what has none."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    Adjoint,
+    Beam,
+    Clamp,
+    ComplexStep,
+    ContinuousAdjoint,
+    CurvedBeam,
+    Direct,
+    Equilibrium,
+    FiniteDifference,
+    FollowerForce,
+    FreeMechanism,
+    InvalidInput,
+    LoadOutcome,
+    Material,
+    Moment,
+    NodeState,
+    Pin,
+    Point,
+    PointForce,
+    Rectangle,
+    RedundantConstraints,
+    Revolute,
+    Scene,
+    SpringDamper,
+    UnfinishedRun,
+    Verdict,
+    assemble,
+    custom,
+    equilibrium,
+    multiplier,
+    observe,
+    position,
+    reaction,
+    static_gradient,
+    strain_energy,
+)
+from ancfdae.statics.balance import Balance
+
+from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum, chain
+
+G = 9.81
+SOFT = Material(1000.0, 1e7, 0.3)
+
+
+def rod(start=(0.0, 0.0), end=(1.0, 0.0), elements=4, material=SOFT, name="rod", size=0.05):
+    return Beam(name, start, end, elements, Rectangle(size, size), material)
+
+
+def unbalanced(scene, found):
+    """Forces and gaps left, relative to the reactions and the size of the scene."""
+    system = scene if not isinstance(scene, Scene) else assemble(scene)
+    reaction = system.constraint_force(found.q, found.lam, 0.0)
+    R = system.force(found.q, 0 * found.q, 0.0) - reaction
+    return max(
+        np.max(np.abs(R)) / np.max(np.abs(reaction)), np.max(np.abs(system.constraint(found.q, 0)))
+    )
+
+
+# ---------------------------------------------------------------- against theory
+
+
+# Mattiasson 1981, recomputed by elliptic integrals: P L^2/(E I), u/L, w/L.
+ELASTICA = [
+    (1, 0.0564332363, 0.3017207738),
+    (5, 0.3876283607, 0.7137915235),
+    (10, *(0.5549955978,), 0.8106090249),
+]
+
+
+@pytest.mark.parametrize(("alpha", "shortening", "deflection"), ELASTICA)
+def test_a_cantilever_is_the_elastica(alpha, shortening, deflection):
+    E, h = 1e9, 0.02
+    beam = rod(elements=64, material=Material(1000.0, E, 0.0), size=h)
+    tip = PointForce(beam.at_end, (0.0, alpha * E * h**4 / 12))
+    found = equilibrium(Scene([beam], [Clamp(beam.at_start)], loads=[tip]))
+    assert found.outcome.success
+    # 64 elements of h/L = 0.02: 7e-4 (slow convergence when thin, and shear).
+    x, y = found.solution.position(beam.at_end)[0]
+    assert (1 - x, y) == pytest.approx((shortening, deflection), abs=1e-3)
+
+
+def test_a_cantilever_rolls_up_to_a_circle():
+    # The loads that turn are scaled with the load: without that the path ends at 2 %.
+    E, h = 1e9, 0.02
+    beam = rod(elements=32, material=Material(1000.0, E, 0.0), size=h)
+    moment = Moment(beam.at_end, 2 * np.pi * E * h**4 / 12)
+    found = equilibrium(Scene([beam], [Clamp(beam.at_start)], loads=[moment]))
+    assert found.outcome.success
+    # One element more or less of the circle: its ends meet to the error of the mesh.
+    assert np.max(np.abs(found.solution.position(beam.at_end))) < 0.02
+
+
+@pytest.mark.parametrize("modulus", [1e7, 2e11])
+@pytest.mark.parametrize("angle", [0.0, 0.5, 2.0, 3.0, -np.pi / 2])
+@pytest.mark.parametrize("origin", [0.0, 1e3])
+def test_a_pendulum_hangs_wherever_it_starts(modulus, angle, origin):
+    start = np.array([origin, origin])
+    end = start + np.array([np.cos(angle), np.sin(angle)])
+    beam = rod(start, end, material=Material(1000.0, modulus, 0.3))
+    scene = Scene([beam], [Pin(beam.at_start)], gravity=(0.0, -G))
+    found = equilibrium(scene)
+    assert found.outcome.success
+    weight = 1000.0 * 0.05**2 * G
+    # The round-off of the axial stiffness E A / l eps |q| over the weight.
+    noise = 4 * modulus * 0.05**2 * np.finfo(float).eps * (1 + origin) / weight
+    assert unbalanced(scene, found) <= max(1e-10, 10 * noise)
+    assert found.solution.reaction("pin(rod@0)")[0] == pytest.approx([0, weight], abs=1e-9 * weight)
+    below = found.solution.position(beam.at_end)[0] - start
+    # It hangs straight down, longer by rho g L^2 / 2 E of nearly plane strain.
+    assert abs(below[0]) <= 1e-9 + 10 * noise
+    assert -1.001 < below[1] < -1.0 + 1e-9
+
+
+def test_newton_s_method_is_quadratic_at_what_was_found():
+    scene = Scene([rod()], [Pin(rod().at_start)], gravity=(0.0, -G))
+    found, system = equilibrium(scene), assemble(scene)
+    balance = Balance.of(system, 0.0, found.q, found.lam)
+    moved = found.q + 1e-5 * np.random.default_rng(1).standard_normal(system.n_q)
+    again = balance.solve(1.0, moved, found.lam)
+    # 1e-5, then its square times the ratio of axial to bending stiffness, then round-off.
+    assert again.iterations <= 4
+    np.testing.assert_allclose(again.q, found.q, atol=1e-12)
+
+
+def test_reactions_sum_up_to_the_loads():
+    a, b = rod(), rod((1.0, 0.0), (2.0, 0.3), name="b")
+    force = PointForce(b.at(0.5), (3.0, -7.0))
+    joints = [Pin(a.at_start), Pin(a.at_end, b.at_start, name="p"), Pin(b.at_end)]
+    scene = Scene([a, b], joints, (0.0, -G), loads=[force])
+    found = equilibrium(scene).solution
+    total = found.reaction("pin(rod@0)")[0] + found.reaction("pin(b@1)")[0]
+    weight = 1000 * 0.05**2 * (1 + np.hypot(1, 0.3)) * G
+    # 1e-12 of the pull of the shallow chain, 1e2 times the loads.
+    assert total == pytest.approx([-3.0, 7.0 + weight], abs=1e-9)
+
+
+# ---------------------------------------------------------------- derivatives
+
+
+def bent():
+    beam = rod(elements=3)
+    loads = [
+        PointForce(beam.at_end, (1.0, 4.0), name="tip"),
+        Moment(beam.at(0.5), -0.7, name="couple"),
+        FollowerForce(beam.at(0.3), (0.0, 2.0), name="follow"),
+        SpringDamper(beam.at(0.8), 30.0, free_length=0.2, ground=(0.8, -0.3), name="spring"),
+    ]
+    scene = Scene([beam], [Clamp(beam.at_start, name="wall")], (0.0, -G), loads=loads)
+    names = ["rod.youngs_modulus", "rod.height", "rod.length", "rod.density", "tip.force_x"]
+    return scene, [*names, "couple.moment", "follow.force_y", "spring.stiffness"], "wall"
+
+
+def hanging():
+    beam = rod(elements=3)
+    scene = Scene([beam], [Pin(beam.at_start, name="wall")], (2.0, -G))
+    return scene, ["rod.youngs_modulus", "rod.height", "rod.length", "rod.density"], "wall"
+
+
+def spatial():
+    nodes = np.array([[0.0, 0.0, 0.0], [0.4, 0.1, 0.0], [0.7, 0.4, 0.0]])
+    x = np.array([[1.0, 0.0, 0.0], [0.8, 0.6, 0.0], [0.6, 0.8, 0.0]])
+    y = np.stack([-x[:, 1], x[:, 0], x[:, 2]], axis=1)
+    slopes = np.stack([x, y, np.tile([0.0, 0.0, 1.0], (3, 1))], axis=1)
+    beam = CurvedBeam("rod", nodes, slopes, Rectangle(0.05, 0.04), SOFT)
+    force = PointForce(beam.at_end, (0.0, 2.0, 3.0), name="tip")
+    scene = Scene([beam], [Clamp(beam.at_start, name="wall")], loads=[force])
+    return scene, ["rod.youngs_modulus", "rod.width", "rod.poisson_ratio", "tip.force_z"], "wall"
+
+
+CASES = {"bent": bent, "hanging": hanging, "spatial": spatial}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_method_finds_the_same_gradient(case):
+    scene, design, joint = CASES[case]()
+    end = Point("rod", 1.0)
+    number = position(end, 1) + position(end, 0) * reaction(joint, 1) / 100
+    number = number + multiplier(joint, 0) ** 2 / 1e4 + strain_energy()
+    exact = static_gradient(scene, number, design=design, method=ComplexStep())
+    scale = np.abs(exact.gradient)
+    for method in (Direct(), Adjoint(), None):
+        ours = static_gradient(scene, number, design=design, method=method)
+        assert ours.value == pytest.approx(exact.value, rel=1e-13)
+        assert np.all(np.abs(ours.gradient - exact.gradient) <= 1e-9 * np.max(scale))
+        # Entry by entry 1e-7: the stiffest directions hold the round-off of E A / (E I / L^2).
+        assert ours.gradient == pytest.approx(exact.gradient, rel=1e-7, abs=1e-18)
+    central = FiniteDifference(1e-5, central=True)
+    near = static_gradient(scene, number, design=design, method=central).gradient
+    # (1e-5)^2 of the third derivative, and round-off 1e-12 over 1e-5.
+    np.testing.assert_allclose(near, exact.gradient, rtol=1e-5, atol=1e-6 * np.max(scale) * 1e-3)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_sensitivities_are_those_of_the_call(case):
+    scene, design, joint = CASES[case]()
+    found = equilibrium(scene, design=design)
+    for i, name in enumerate(design):
+        value = found.solution.sensitivities.values[i]
+        moved = [equilibrium(scene.with_values({name: value * (1 + s)})) for s in (1e-5, -1e-5)]
+        for ours, part in ((found.q_b, "q"), (found.lam_b, "lam")):
+            difference = (getattr(moved[0], part) - getattr(moved[1], part)) / (2e-5 * value)
+            size = np.max(np.abs(getattr(found, part))) / abs(value)
+            # As above; relative to the coordinates over the variable.
+            np.testing.assert_allclose(ours[:, i], difference, atol=1e-6 * size)
+    ours = found.solution.derivative(lambda run: run.reaction(joint))[0]
+    for i in range(2):
+        slope = static_gradient(scene, reaction(joint, i), design=design).gradient
+        # The round-off of E A, 1e4 N, is 1e-12 N; derivatives carry it over their variable.
+        noise = 1e-10 / np.abs(found.solution.sensitivities.values)
+        assert np.all(np.abs(ours[i] - slope) <= noise + 1e-9 * np.abs(slope))
+    assert np.all(found.solution.derivative(lambda run: run.velocity(Point("rod", 1.0))) == 0)
+
+
+def test_systems_of_any_kind_have_equilibria():
+    for angle in (0.0, 0.3, 3.0, np.pi / 2):
+        found = equilibrium(CartesianPendulum(angle))
+        np.testing.assert_allclose([*found.q, *found.lam], [0, -1, 9.81], atol=1e-12)
+        # q = (0, -L), lam = g / L.
+        np.testing.assert_allclose(found.q_b, [[0, 0], [-1, 0]], atol=1e-12)
+        np.testing.assert_allclose(found.lam_b, [[-9.81, 1]], atol=1e-11)
+    np.testing.assert_allclose(equilibrium(WrittenPendulum()).q, [0, -1], atol=1e-12)
+    for system in (GuidedDoublePendulum(), chain()):
+        height = custom(lambda t, q, v, lam, b: q[:, 1] * b[0] + lam[:, 0], "height")
+        exact = static_gradient(system, height, method=ComplexStep()).gradient
+        for method in (Direct(), Adjoint()):
+            ours = static_gradient(system, height, method=method).gradient
+            np.testing.assert_allclose(ours, exact, atol=1e-9 * np.max(np.abs(exact)))
+
+
+# ---------------------------------------------------------------- what it is made of
+
+
+def test_an_equilibrium_is_a_solution_of_one_instant():
+    scene, design, joint = bent()
+    found = equilibrium(scene, design=design)
+    assert isinstance(found, Equilibrium)
+    assert found.solution.outcome.success
+    assert observe(reaction(joint, 0), found.solution) == found.solution.reaction(joint)[:, 0]
+    assert not np.any(found.solution.v)
+    assert not np.any(found.solution.a)
+    energy = observe(strain_energy(), found.solution, assemble(scene))
+    assert energy > 0
+    lines = repr(found).splitlines()
+    assert lines[0] == "Equilibrium: 24 coordinates, 6 multipliers"
+    assert lines[1] == "the equilibrium was reached in 1 step."
+    assert lines[2].startswith("derivatives in rod.youngs_modulus, rod.height")
+    assert found.fraction == 1.0
+
+
+def test_a_saved_equilibrium_is_read_again(tmp_path):
+    scene, design, joint = bent()
+    found = equilibrium(scene, design=design).solution
+    again = type(found).load(found.save(tmp_path / "rest.npz"))
+    assert again.outcome == found.outcome
+    np.testing.assert_array_equal(again.reaction(joint), found.reaction(joint))
+
+
+@pytest.mark.parametrize("units", [(1e3, 1e-3, 1.0), (1e-6, 1.0, 1.0), (1.0, 1e-6, 1e6)])
+@pytest.mark.parametrize("joint", [Pin, Clamp])
+def test_units_do_not_matter(units, joint):
+    def found(length, mass, time):
+        force = mass * length / time**2
+        material = Material(4000 * mass / length**3, 1e7 * force / length**2, 0.3)
+        section = Rectangle(0.05 * length, 0.04 * length)
+        beam = Beam("rod", (0.0, 0.0), (length, 0.0), 4, section, material)
+        scene = Scene(
+            [beam],
+            [joint(beam.at_start, name="wall")],
+            (0.0, -G * length / time**2),
+            loads=[PointForce(beam.at_end, (0.0, -30 * force), name="tip")],
+        )
+        run = equilibrium(scene, design=["rod.height"])
+        wall = run.solution.multipliers("wall")[0, :2] / force
+        return run.solution.position(beam.at_end)[0] / length, wall, run.q_b[-6]
+
+    for ours, base in zip(found(*units), found(1.0, 1.0, 1.0), strict=True):
+        # Round-off of E A / l over the loads and over the bending stiffness.
+        np.testing.assert_allclose(ours, base, atol=1e-9)
+
+
+def test_a_search_goes_on_from_an_equilibrium():
+    scene, _, _ = bent()
+    first = equilibrium(scene)
+    more = scene.with_values({"tip.force_y": 6.0})
+    ahead, anew = equilibrium(more, start=first), equilibrium(more)
+    np.testing.assert_allclose(ahead.q, anew.q, atol=1e-11)
+    again = equilibrium(scene, start=first)
+    assert again.statistics.iterations <= 2
+    np.testing.assert_allclose(again.q, first.q, atol=1e-12)
+
+
+def test_a_search_starts_from_the_states_of_nodes_given():
+    beam = rod(elements=2)
+    scene, joints = bent()[0], [Clamp(beam.at_start)]
+    there = equilibrium(Scene([beam], joints, (0.0, -G)))
+    state = NodeState("rod", there.solution.nodes("rod")[0])
+    found = equilibrium(Scene([beam], joints, (0.0, -G), start=[state]))
+    assert found.statistics.iterations <= 3
+    np.testing.assert_allclose(found.q, there.q, atol=1e-11)
+    assert scene.start == ()
+
+
+# ---------------------------------------------------------------- what has none
+
+
+def arch(force):
+    """Two bars from (-1, 0) and (1, 0) to the apex (0, 0.1), pushed down at the apex."""
+    bars = [
+        rod((-1.0, 0.0), (0.0, 0.1), 1, Material(1000.0, 1e9, 0.0), "left", 0.02),
+        rod((0.0, 0.1), (1.0, 0.0), 1, Material(1000.0, 1e9, 0.0), "right", 0.02),
+    ]
+    left, right = bars
+    joints = [Pin(left.at_start), Pin(right.at_end), Pin(left.at_end, right.at_start)]
+    push = PointForce(left.at_end, (0.0, -force), name="push")
+    return Scene(bars, joints, loads=[push])
+
+
+def test_a_load_past_the_limit_point_is_told_and_what_converged_is_kept():
+    # Two bars of St. Venant-Kirchhoff: P = E A z (z_0^2 - z^2)/L^3, largest at z = z_0/sqrt(3).
+    largest = 1e9 * 0.02**2 * 2 * 0.1**3 / (3 * np.sqrt(3)) / np.hypot(1, 0.1) ** 3
+    scene = arch(2 * largest)
+    found = equilibrium(scene, design=["push.force_y"])
+    assert found.outcome.verdict is Verdict.LIMIT_POINT
+    assert not found.outcome.success
+    # 1e-6 of the load is the least step; that much below the limit point it ends at best.
+    assert found.fraction == pytest.approx(0.5, abs=1e-4)
+    assert "limit point" in str(found.outcome)
+    assert f"{100 * found.fraction:.6g} % of the load" in str(found.outcome)
+    assert found.q_b is None
+    apex = found.solution.position(Point("left", 1.0))[0]
+    # Near the limit point z moves with the root of the load.
+    assert apex == pytest.approx([0.0, 0.1 / np.sqrt(3)], abs=2e-3)
+    assert unbalanced(arch(2 * largest * found.fraction), found) < 1e-9
+    with pytest.raises(UnfinishedRun, match="limit point") as caught:
+        static_gradient(scene, position(Point("left", 1.0), 1), design=["push.force_y"])
+    assert len(caught.value.solution.t) == 1
+    assert equilibrium(arch(0.99 * largest)).outcome.success
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_buckled_column_is_told(dimension):
+    # In space a square section buckles both ways at once; the determinant keeps its sign.
+    E, h = 1e9, 0.05
+    end = (0.0,) * (dimension - 1) + (1.0,)
+    column = rod((0.0,) * dimension, end, 8, Material(1000.0, E, 0.0), size=h)
+    critical = np.pi**2 * E * h**4 / 12 / 4
+    for share, stable in ((0.9, True), (1.5, False)):
+        down = tuple(-share * critical * x for x in end)
+        scene = Scene([column], [Clamp(column.at_start)], loads=[PointForce(column.at_end, down)])
+        outcome = equilibrium(scene).outcome
+        assert outcome.success
+        assert ("unstable" in str(outcome)) is not stable
+        # Stability is told to one per cent of the load; shear and the mesh change another two.
+        expected = None if stable else pytest.approx(1 / 1.5, abs=0.02)
+        assert outcome.stable_to == expected
+
+
+SPACE = rod((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+LINK = rod((1.0, 0.0), (2.0, 0.0), name="link")
+FREE = {
+    "rod turns about its start": Scene([rod()], [Pin(rod().at_start)]),
+    "rod turns about its end": Scene([rod()], [Pin(rod().at_end)]),
+    r"rod turns about \(0.5, 0\)": Scene([rod()], [Pin(rod().at(0.5))]),
+    "rod moves along x; rod moves along y; rod turns about its start": Scene(
+        [rod()], gravity=(0.0, -G)
+    ),
+    "rod turns about its start while link moves along y; link turns about its start": Scene(
+        [rod(), LINK], [Pin(rod().at_start), Pin(rod().at_end, LINK.at_start)]
+    ),
+    "rod turns about the axis z through its start": Scene(
+        [SPACE], [Revolute(SPACE.at_start, (0.0, 0.0, 1.0))]
+    ),
+    "rod turns about its own axis.": Scene([SPACE], [Pin(SPACE.at_start)], (0.0, 0.0, -G)),
+}
+
+
+@pytest.mark.parametrize("words", FREE)
+def test_a_mechanism_that_is_free_to_move_is_refused_with_its_motion(words):
+    with pytest.raises(FreeMechanism, match=f"free to move: {words}"):
+        equilibrium(FREE[words])
+
+
+def test_a_free_motion_of_a_system_without_names_is_told_by_coordinates():
+    class Sliding(CartesianPendulum):
+        def with_values(self, b):
+            return Sliding(self.angle, self.spin, b)
+
+        def constraint(self, q, t):
+            return q[1:]
+
+        def constraint_q(self, q, t):
+            return np.array([0.0, 1.0])
+
+    with pytest.raises(FreeMechanism, match="motion of coordinate 1"):
+        equilibrium(Sliding())
+
+
+def test_an_interrupt_and_a_limit_of_steps_keep_what_converged():
+    scene = arch(100.0)
+
+    class Interrupted(CartesianPendulum):
+        calls = 0
+
+        def force(self, q, v, t):
+            Interrupted.calls += 1
+            if Interrupted.calls > 60:
+                raise KeyboardInterrupt
+            return super().force(q, v, t)
+
+    found = equilibrium(Interrupted(1.0))
+    assert found.outcome.verdict is Verdict.INTERRUPTED
+    assert np.all(np.isfinite(found.q))
+    few = equilibrium(scene.with_values({"push.force_y": -1e4}), max_steps=9)
+    assert few.outcome.verdict is Verdict.STEP_LIMIT
+    assert 0 < few.fraction < 1
+    assert "limit of steps" in str(few.outcome)
+
+
+def test_nonsense_is_refused_in_words():
+    scene, design, _ = bent()
+    tip = position(Point("rod", 1.0), 1)
+    twice = Scene([rod()], [Clamp(rod().at_start), Pin(rod().at_start)])
+    for action, words in (
+        (lambda: equilibrium("scene"), "model"),
+        (lambda: equilibrium(scene, max_steps=0), "max_steps"),
+        (lambda: equilibrium(scene, start=scene), "start"),
+        (lambda: equilibrium(scene, start=equilibrium(hanging()[0])), "24 coordinates"),
+        (lambda: equilibrium(scene, design=["rod.size"]), "rod.size"),
+        (lambda: equilibrium(CartesianPendulum(), design=["L"]), "its own design"),
+        (lambda: static_gradient(scene, tip), "design"),
+        (lambda: static_gradient(scene, "tip", design=design), "Observable"),
+        (lambda: static_gradient(scene, position(Point("x", 1.0), 1), design=design), "'x'"),
+        (lambda: static_gradient(scene, tip, design=design, method=HHT(0.1)), "method"),
+        (lambda: static_gradient(scene, tip, design=design, method=ContinuousAdjoint()), "Adjoint"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            action()
+    with pytest.raises(RedundantConstraints):
+        equilibrium(twice)
+
+
+def test_forces_that_are_not_finite_are_refused():
+    class Bad(CartesianPendulum):
+        def force(self, q, v, t):
+            return np.full(2, np.nan)
+
+    with pytest.raises(InvalidInput, match="finite"):
+        equilibrium(Bad())
+
+
+def test_an_outcome_is_a_sentence():
+    outcome = LoadOutcome(Verdict.NO_CONVERGENCE, 0.25, 3, 1e-3, 0.125)
+    assert str(outcome) == (
+        "the Newton iteration did not converge at 25 % of the load, after 3 steps; what is in "
+        "balance with that part is kept; the last relative correction was 0.001; it is unstable "
+        "(buckled), with a negative stiffness above 12.5 % of the load."
+    )
+    assert str(LoadOutcome(Verdict.EQUILIBRIUM, 1.0, 1, 0.0, downhill=True)) == (
+        "the equilibrium was reached in 1 step downhill."
+    )
+    assert str(LoadOutcome(Verdict.STEP_LIMIT, 0.0, 9, 1e-3, downhill=True)) == (
+        "the limit of steps (max_steps) was reached after 9 steps downhill; where it has come is "
+        "kept."
+    )

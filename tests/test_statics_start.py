@@ -1,0 +1,243 @@
+"""Motions that start from an equilibrium: at rest, released, and with its derivatives."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    IDA,
+    Adjoint,
+    AtRest,
+    Beam,
+    Clamp,
+    ComplexStep,
+    ContinuousAdjoint,
+    ControlledSteps,
+    DesignVariable,
+    Direct,
+    Drive,
+    FiniteDifference,
+    FreeMechanism,
+    Harmonic,
+    Integral,
+    InvalidInput,
+    Material,
+    NodeState,
+    NoEquilibrium,
+    Pin,
+    PointForce,
+    Rectangle,
+    RigidMotion,
+    Scene,
+    SpringDamper,
+    Terminal,
+    Verdict,
+    assemble,
+    differentiate,
+    equilibrium,
+    gradient,
+    position,
+    simulate,
+    taylor_test,
+)
+from ancfdae.bodies import Quantity
+from ancfdae.statics import rest
+
+GRAVITY = (0.0, -9.81)
+ROD = Beam("rod", (0.0, 0.0), (1.0, 0.0), 3, Rectangle(0.05, 0.05), Material(1000.0, 1e7, 0.3))
+PULL = PointForce(ROD.at_end, (2.0, 20.0), name="pull")
+BIAS = PointForce(ROD.at(0.5), (0.0, 3.0), name="bias")
+DESIGN = ["rod.youngs_modulus", "rod.height", "rod.length", "rod.density"]
+TIP = Integral(position(ROD.at_end, 1) ** 2) + Terminal(position(ROD.at_end, 0))
+
+
+def released():
+    """Pulled by one load, biased by another that stays, and let go."""
+    rest = AtRest(loads=[BIAS, PULL], gravity=(0.0, 0.0))
+    clamp = Clamp(ROD.at_start, name="wall")
+    return Scene([ROD], [clamp], GRAVITY, start=[rest], loads=[BIAS])
+
+
+def hung():
+    """Hangs by a pin and a spring, and is pushed from the start on."""
+    spring = SpringDamper(ROD.at_end, 30.0, 0.1, 0.2, ground=(1.0, 0.5), name="spring")
+    rest = AtRest(loads=[spring])
+    loads = [spring, PointForce(ROD.at_end, (1.0, 0.0), name="push")]
+    return Scene([ROD], [Pin(ROD.at_start, name="wall")], GRAVITY, start=[rest], loads=loads)
+
+
+SCENES = {
+    "released": (released, [*DESIGN, "pull.force_y", "bias.force_y"]),
+    "hung": (hung, [*DESIGN, "spring.stiffness", "spring.free_length", "push.force_x"]),
+}
+
+
+@pytest.mark.parametrize("joint", [Pin, Clamp])
+def test_what_starts_at_rest_stays_at_rest(joint):
+    scene = Scene([ROD], [joint(ROD.at_start)], GRAVITY, start=[AtRest()])
+    for integrator in (HHT(2.0**-7), IDA()):
+        run = simulate(scene, 0.25, integrator)
+        assert run.outcome.success
+        # Round-off of E A / l over the mass, 1e-16 * 25000 / 0.6 m/s^2, in 0.25 s.
+        assert np.max(np.abs(run.q - run.q[0])) < 1e-11
+        assert np.max(np.abs(run.v)) < 1e-10
+    found = equilibrium(scene)
+    np.testing.assert_allclose(run.q[0], found.q, atol=1e-12)
+    np.testing.assert_allclose(run.lam[0], found.lam, atol=1e-9)
+
+
+def test_the_derivative_of_a_motion_at_rest_is_that_of_the_equilibrium():
+    scene = Scene([ROD], [Clamp(ROD.at_start)], GRAVITY, start=[AtRest()])
+    run = differentiate(scene, 0.125, HHT(2.0**-7), design=DESIGN)
+    found = equilibrium(scene, design=DESIGN)
+    for part in ("q_b", "lam_b"):
+        ours, rest = getattr(run.sensitivities, part), getattr(found, part)
+        # Waves of round-off, E A / (E I / L^2) = 5e3 times eps, over the variable.
+        size = np.max(np.abs(rest), axis=0)
+        assert np.max(np.abs(ours - rest) / size) < 1e-9
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_method_differentiates_through_the_equilibrium(name):
+    make, design = SCENES[name]
+    scene, integrator = make(), HHT(2.0**-8)
+    exact = gradient(scene, TIP, 0.125, integrator, design=design, method=ComplexStep())
+    for method in (Direct(), Adjoint()):
+        ours = gradient(scene, TIP, 0.125, integrator, design=design, method=method)
+        assert ours.value == pytest.approx(exact.value, rel=1e-13)
+        # Newton's tolerance 1e-13 at 16 steps, entry by entry.
+        assert ours.gradient == pytest.approx(exact.gradient, rel=1e-9)
+    central = FiniteDifference(1e-5, central=True)
+    near = gradient(scene, TIP, 0.125, integrator, design=design, method=central).gradient
+    values = assemble(scene, design).b
+    # Round-off 1e-12 over 1e-5, relative to the largest relative derivative.
+    noise = 1e-6 * np.max(np.abs(exact.gradient * values)) / np.abs(values)
+    assert np.all(np.abs(near - exact.gradient) <= noise)
+
+
+def test_the_gradient_is_the_limit_of_the_very_call():
+    scene, integrator = released(), HHT(2.0**-8)
+    ours = gradient(scene, TIP, 0.125, integrator, design=["pull.force_y", "bias.force_y"])
+    for slope, name, value in zip(ours.gradient, ours.names, (20.0, 3.0), strict=True):
+        ahead, behind = (
+            gradient(
+                scene.with_values({name: value + s}), TIP, 0.125, integrator, design=["rod.height"]
+            ).value
+            for s in (1e-4, -1e-4)
+        )
+        # (1e-4)^2 and round-off 1e-13 over 1e-4.
+        assert (ahead - behind) / 2e-4 == pytest.approx(slope, rel=1e-6)
+    order = taylor_test(scene, TIP, 0.125, integrator, design=["pull.force_y"]).order
+    assert order == pytest.approx(2.0, abs=0.1)
+
+
+def test_other_integrators_and_step_control_start_there_too():
+    scene, tip = released(), Terminal(position(ROD.at_end, 1))
+    accurate = gradient(scene, tip, 0.1, IDA(rtol=1e-9), design=["pull.force_y"])
+    controlled = HHT(ControlledSteps(1e-4))
+    found = gradient(scene, tip, 0.1, controlled, design=["pull.force_y"])
+    # The tolerance of the steps, and its waves in the derivative.
+    assert found.value == pytest.approx(accurate.value, abs=1e-3)
+    assert found.gradient == pytest.approx(accurate.gradient, rel=0.05)
+    design, integral = ["pull.force_y"], Integral(position(ROD.at_end, 1) ** 2)
+    continuous, discrete = (
+        gradient(scene, integral, 0.125, HHT(2.0**-9), design=design, method=method).gradient
+        for method in (ContinuousAdjoint(), Adjoint())
+    )
+    # Second order in the step, which hardly resolves the waves.
+    assert continuous == pytest.approx(discrete, rel=0.02)
+
+
+def test_a_released_beam_swings_about_its_other_equilibrium():
+    scene = released()
+    run = simulate(scene, 1.0, HHT(2.0**-9))
+    y = run.position(ROD.at_end)[:, 1]
+    other = equilibrium(Scene([ROD], scene.joints, GRAVITY, loads=[BIAS]))
+    below = other.solution.position(ROD.at_end)[0, 1]
+    assert y[0] == np.max(y) > below > np.min(y)
+    # Strain and gravity have the energy of the start, less what hht_alpha takes.
+    system = assemble(scene)
+    energy = [
+        np.sum(system.strain_energy(q))
+        + system.gravity_potential(q)
+        + 0.5 * v @ system.mass_times(q, v)
+        - 3.0 * system.naming.vector(ROD.at(0.5), Quantity.POSITION).of(q, 2)[1]
+        for q, v in zip(run.q, run.v, strict=True)
+    ]
+    assert np.ptp(energy) < 0.1 * np.ptp([system.gravity_potential(q) for q in run.q])
+
+
+def test_the_search_runs_once_and_only_for_scenes_that_ask(monkeypatch):
+    calls, found = [], rest.find_equilibrium
+    monkeypatch.setattr(rest, "find_equilibrium", lambda s: calls.append(s) or found(s))
+    gradient(released(), TIP, 0.125, HHT(2.0**-8), design=DESIGN, method=Adjoint())
+    assert len(calls) == 1
+    simulate(Scene([ROD], [Pin(ROD.at_start)], GRAVITY), 0.125, HHT(2.0**-8))
+    assert len(calls) == 1
+
+
+def test_a_search_for_the_start_begins_at_given_nodes():
+    there = equilibrium(Scene([ROD], [Clamp(ROD.at_start)], GRAVITY))
+    start = [NodeState("rod", there.solution.nodes("rod")[0]), AtRest()]
+    scene = Scene([ROD], [Clamp(ROD.at_start)], GRAVITY, start=start)
+    np.testing.assert_allclose(assemble(scene).start()[0], there.q, atol=1e-12)
+
+
+def test_values_of_loads_change_where_the_scene_and_its_start_share_them():
+    scene = released().with_values({"bias.force_y": 5.0, "pull.force_x": 1.0, "rod.height": 0.04})
+    assert scene.loads[0] is scene.rest.loads[0]
+    assert [tuple(load.force_vector) for load in scene.rest.loads] == [(0.0, 5.0), (1.0, 20.0)]
+    assert scene.value(DesignVariable("p", ("pull.force_x",))) == 1.0
+
+
+def test_a_start_without_equilibrium_is_refused_before_anything_is_integrated():
+    free = Scene([ROD], [Pin(ROD.at_start)], start=[AtRest()])
+    with pytest.raises(FreeMechanism, match="rod turns about its start"):
+        simulate(free, 0.1, HHT(0.01))
+    weightless = Scene([ROD], [Pin(ROD.at_start)], GRAVITY, start=[AtRest(gravity=(0.0, 0.0))])
+    with pytest.raises(FreeMechanism, match="rod turns about its start"):
+        simulate(weightless, 0.1, HHT(0.01))
+    bars = [
+        Beam(name, *ends, 1, Rectangle(0.02, 0.02), Material(1000.0, 1e9, 0.0))
+        for name, ends in (("l", ((-1.0, 0.0), (0.0, 0.1))), ("r", ((0.0, 0.1), (1.0, 0.0))))
+    ]
+    joints = [Pin(bars[0].at_start), Pin(bars[1].at_end), Pin(bars[0].at_end, bars[1].at_start)]
+    push = AtRest(loads=[PointForce(bars[0].at_end, (0.0, -1e3))])
+    scene, apex = Scene(bars, joints, start=[push]), Terminal(position(bars[0].at_end, 1))
+    words = r"start at rest: the load has a limit point.* at 15\."
+    with pytest.raises(NoEquilibrium, match=words) as caught:
+        gradient(scene, apex, 0.1, HHT(0.01), design=["l.height"])
+    assert caught.value.equilibrium.outcome.verdict is Verdict.LIMIT_POINT
+
+
+def test_a_driven_joint_that_moves_at_the_start_is_refused():
+    joints = [Pin(ROD.at_start), Drive(ROD.at_start, Harmonic(0.5, 4.0), name="motor")]
+    scene = Scene([ROD], joints, GRAVITY, start=[AtRest()])
+    with pytest.raises(InvalidInput, match=r"motor.*velocities"):
+        simulate(scene, 0.1, HHT(0.01))
+
+
+def test_nonsense_is_refused_in_words():
+    joints, spin = [Clamp(ROD.at_start)], RigidMotion("rod", 1.0, (0.0, 0.0))
+    moving = NodeState("rod", np.zeros((4, 3, 2)), np.zeros((4, 3, 2)))
+    same = PointForce(ROD.at(0.5), (0.0, 3.0), name="bias")
+    for action, words in (
+        (lambda: Scene([ROD], joints, start=[AtRest(), AtRest()]), "AtRest stands alone"),
+        (lambda: Scene([ROD], joints, start=[spin, AtRest()]), "AtRest stands alone"),
+        (lambda: Scene([ROD], joints, start=[moving, AtRest()]), "AtRest stands alone"),
+        (lambda: Scene([ROD], joints, start=[AtRest(loads=[same])], loads=[BIAS]), "bias"),
+        (lambda: Scene([ROD], joints, start=[AtRest(gravity=(0.0, 0.0, 1.0))]), "AtRest.gravity"),
+        (lambda: Scene([ROD], joints, start=AtRest()), "Scene.start"),
+        (lambda: AtRest(loads=PULL), "AtRest.loads"),
+        (lambda: AtRest(loads=[ROD]), "AtRest.loads"),
+        (lambda: AtRest(gravity="down"), "AtRest.gravity"),
+        (
+            lambda: Scene(
+                [ROD], joints, start=[AtRest([PointForce(ROD.at(0.5, y=0.1), (0.0, 1.0))])]
+            ),
+            "must lie in the section",
+        ),
+        (lambda: released().with_values({"push.force_x": 1.0}), "push"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            action()
