@@ -104,6 +104,14 @@ def test_a_free_beam_has_rigid_modes_that_are_zero_and_named(d, rigid, damping_t
     assert "free to move" in repr(found)
 
 
+def test_what_is_free_is_told_in_words():
+    assert modes(hanging(), 1).free == "rod turns about its start"
+    words = modes(Scene([rod(2, (0, 0, 0), (1, 0, 0), damping_time=1e-4)]), 6).free
+    assert "rod moves along x" in words
+    assert words in repr(modes(Scene([rod(2, (0, 0, 0), (1, 0, 0), damping_time=1e-4)]), 6))
+    assert modes(simply_supported(2), 1).free == ""
+
+
 def test_a_pendulum_swings_about_its_equilibrium():
     scene = hanging()
     found = modes(scene, 1, at=equilibrium(scene))

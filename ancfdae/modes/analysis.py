@@ -12,6 +12,7 @@ from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
 from ancfdae.modes.solver import coincident, solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.statics import motions_in_words
 
 
 def modes_about(
@@ -62,6 +63,7 @@ def modes_about(
         tuple(tuple(group) for group in groups if len(group) > 1),
         small.at,
         small.unbalanced,
+        motions_in_words(system.naming, at.q, pairs.X[:, s == 0].real) if np.any(s == 0) else "",
         derivatives,
     )
 

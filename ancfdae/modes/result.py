@@ -65,6 +65,8 @@ class Modes:
     configuration : Configuration
     unbalanced : float
         Unbalanced force relative to all forces; zero in an equilibrium.
+    free : str
+        What rigid modes do, in words; empty if there are none.
     derivatives : ModeDerivatives or None
         None without design variables.
     """
@@ -76,6 +78,7 @@ class Modes:
     coincide: tuple[tuple[int, ...], ...]
     configuration: Configuration
     unbalanced: float
+    free: str
     derivatives: ModeDerivatives | None = None
 
     @property
@@ -168,7 +171,9 @@ class Modes:
                 f"{self.unbalanced:.2g} of all forces; pass at=equilibrium(...) for vibrations "
                 "under load)"
             )
-        return f"Modes about {where}\n{columns(rows)}"
+        lines = [f"Modes about {where}", columns(rows)]
+        lines += [f"free to move: {self.free}"] if self.free else []
+        return "\n".join(lines)
 
 
 # Relative unbalanced force up to which a configuration is called an equilibrium in words.
