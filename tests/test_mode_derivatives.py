@@ -7,11 +7,14 @@ from ancfdae import (
     Adjoint,
     Beam,
     Clamp,
+    ComplexStepSystem,
     Configuration,
     Direct,
     Distance,
     DistributedForce,
+    Drive,
     FollowerForce,
+    Harmonic,
     InvalidInput,
     Material,
     Pin,
@@ -19,6 +22,7 @@ from ancfdae import (
     PointOnLine,
     Rectangle,
     Revolute,
+    RigidMotion,
     Scene,
     SpringDamper,
     assemble,
@@ -68,9 +72,18 @@ def pressed(damping_time=None):
     return Scene([rod], [Clamp(rod.at_start)], loads=loads)
 
 
+def driven(damping_time=None):
+    """Joints that turn: Phi_qt counts neither in K nor in its derivatives."""
+    damped = {} if damping_time is None else {"damping_time": damping_time}
+    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.05, 0.05), Material(1000, 2e7, 0.0, **damped))
+    joints = [Pin(rod.at_start), Drive(rod.at(0.5), Harmonic(0.5, 4.0), name="drive")]
+    return Scene([rod], joints, (0, -9.81), start=[RigidMotion("rod", 2.0, (0, 0))])
+
+
 CASES = {
     "cantilever": (cantilever, ["rod.youngs_modulus", "rod.height", "rod.length", "rod.density"]),
     "linkage": (linkage, ["a.length", "b.height", "slide.direction_y", "weight.force_y"]),
+    "driven": (driven, ["rod.length", "rod.height"]),
     "pressed": (pressed, ["rod.length", "jet.force_x", "strut.stiffness", "rod.youngs_modulus"]),
 }
 
@@ -109,7 +122,8 @@ def matrices(system, q, lam):
     """
     rest, units = np.zeros(system.n_q), np.eye(system.n_q)
     K = [system.constraint_force_rate(q, e, lam, 0.0) for e in units]
-    K = [x - system.force_q_times(q, e, 0.0) for x, e in zip(K, units, strict=True)]
+    turning = system.constraint_force_rate(q, rest, lam, 0.0)
+    K = [x - turning - system.force_q_times(q, e, 0.0) for x, e in zip(K, units, strict=True)]
     D = [-system.force_rate(q, rest, e, 0.0) for e in units]
     M, B = system.pattern.dense(system.mass(q)), system.constraint_pattern
     return M, np.array(D).T, np.array(K).T, B.dense(system.constraint_q(q, 0.0))
@@ -188,6 +202,39 @@ def test_systems_of_ones_own_have_derivatives(kind):
     np.testing.assert_allclose(found.frequencies_b, [[-omega / 2.6, omega / 19.62]], rtol=1e-12)
     back = modes(kind(0.0, b=(1.3, 9.81)), method=Adjoint())
     np.testing.assert_allclose(back.frequencies_b, found.frequencies_b, rtol=1e-12)
+
+
+class Shaken(ComplexStepSystem):
+    """m x'' + c x' + k (x - sin 3 t) = 0: what shakes it counts neither in D nor in K."""
+
+    n_q, n_lam = 1, 0
+    design_names = ("k", "c", "m")
+    constant_mass = linear_constraints = True
+
+    def with_values(self, b):
+        return Shaken(b)
+
+    def start(self):
+        return np.zeros(1), np.zeros(1)
+
+    def mass_matrix(self, q):
+        return self.b[2] * np.eye(1)
+
+    def force(self, q, v, t):
+        return self.b[0] * (np.sin(3 * t) - q) - self.b[1] * v
+
+    def constraint(self, q, t):
+        return np.zeros(0)
+
+
+def test_forces_that_change_at_rest_leave_derivatives_alone():
+    k, c, m = 7.0, 0.3, 2.0
+    s = (-c + 1j * np.sqrt(4 * k * m - c * c)) / (2 * m)
+    expected = -np.array([1.0, s, s * s]) / (2 * m * s + c)
+    for method in (Direct(), Adjoint()):
+        found = modes(Shaken((k, c, m)), 1, method=method)
+        # Circles in the complex plane are good to 1e-12.
+        np.testing.assert_allclose(found.derivatives.exponents_b[0], expected, atol=1e-11)
 
 
 def test_a_mass_that_depends_on_q_and_damping_have_derivatives():

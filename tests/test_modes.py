@@ -16,6 +16,7 @@ from ancfdae import (
     PointForce,
     PointOnLine,
     Rectangle,
+    RedundantConstraints,
     Scene,
     assemble,
     equilibrium,
@@ -211,6 +212,14 @@ def test_a_weight_that_drifts_against_a_dashpot_is_free_and_slows_down():
     np.testing.assert_allclose(found.exponents, [0.0, -0.25], rtol=1e-12)
 
 
+def test_at_critical_damping_both_roots_coincide_and_part_like_a_root():
+    found = modes(Oscillator((2.0, 4.0, 2.0)), 2)
+    # A double root of a polynomial is known to the root of round-off.
+    np.testing.assert_allclose(found.exponents, -1.0, atol=1e-6)
+    assert found.coincide == ((0, 1),)
+    assert np.all(np.isinf(found.derivatives.exponents_b))
+
+
 def test_forces_without_potential_flutter():
     # Ziegler's column: K is not symmetric; its critical load is P L/k = 7/2 - sqrt 2.
     for load, kind in ((2.0, MotionKind.VIBRATION), (2.2, MotionKind.GROWING)):
@@ -347,6 +356,7 @@ def test_an_instant_of_a_run_can_be_looked_at():
     run = simulate(hanging(), 0.5, HHT(0.01))
     found = modes(hanging(), 2, at=Configuration.of(run, 7))
     np.testing.assert_array_equal(found.configuration.q, run.q[7])
+    assert repr(found.configuration) == "Configuration: 30 coordinates, 2 multipliers, t = 0.07"
     with pytest.raises(InvalidInput, match="instant"):
         Configuration.of(run, 10**6)
 
@@ -365,5 +375,12 @@ def test_bad_input_is_refused():
         suggest_step(scene, follow=0)
     with pytest.raises(InvalidInput, match="design"):
         np.sum(modes(scene).frequencies_b)
+    held = Beam("rod", (0, 0), (1, 0), 1, Rectangle(0.1, 0.1), Material(1.0, 1.0, 0.0))
+    with pytest.raises(InvalidInput, match="joints leave"):
+        modes(Scene([held], [Clamp(held.at_start), Clamp(held.at_end)]))
+    twice = [Pin(held.at_start), Pin(held.at_start, name="again")]
+    place = Configuration(assemble(Scene([held])).start()[0], np.zeros(4))
+    with pytest.raises(RedundantConstraints):
+        modes(Scene([held], twice), at=place)
     with pytest.raises(InvalidInput, match="vibrates"):
         suggest_step(CartesianPendulum(angle=0.0, b=(1.0, 0.0)))

@@ -52,9 +52,7 @@ def modes_about(
     if system.n_b:
         parts = small, pairs, mu, groups
         own = differentiate(*parts) if pull_back is None else differentiate_back(*parts, pull_back)
-        # A rigid motion of a design stays one: s = 0.
-        slope = np.where(s == 0, 0.0, _slope(small, s))[:, None]
-        derivatives = ModeDerivatives(system.design_names, slope * own.z_b, own.X_b)
+        derivatives = ModeDerivatives(system.design_names, _exponents_b(small, s, own.z_b), own.X_b)
     return Modes(
         s,
         pairs.X,
@@ -76,9 +74,13 @@ def exponents(small: Linearised, z: Array) -> Array:
     return np.asarray(np.where(s.imag < 0, -s, s)) + 0.0  # No -0.
 
 
-def _slope(small: Linearised, s: Array) -> Array:
-    """Return ds/dz."""
-    return np.asarray(np.ones_like(s) if small.D is not None else -0.5 / np.where(s == 0, 1.0, s))
+def _exponents_b(small: Linearised, s: Array, z_b: Array) -> Array:
+    """Return s_b; a rigid motion of a design stays one."""
+    if small.D is not None:
+        return z_b
+    s, infinite = s[:, None], np.isinf(z_b)
+    s_b = -0.5 * np.where(infinite, 0.0, z_b) / np.where(s == 0, 1.0, s)
+    return np.where(infinite, np.inf, np.where(s == 0, 0.0, s_b))
 
 
 def _kind(s: complex) -> MotionKind:

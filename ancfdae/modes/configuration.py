@@ -32,6 +32,11 @@ class Configuration:
     lam_b: Array | None = None
     t: float = 0.0
 
+    def __repr__(self) -> str:
+        """Return sizes and time."""
+        sizes = f"{len(self.q)} coordinates, {len(self.lam)} multipliers"
+        return f"Configuration: {sizes}, t = {self.t:.6g}"
+
     @staticmethod
     def of(solution: Solution, instant: int = -1) -> Configuration:
         """Return an instant of a run, with its derivatives if the run has them.

@@ -6,7 +6,8 @@ With R_b the derivative of [F(z) x + Phi_q^T mu, Phi_q x] at z, x and mu held, a
     z_b = -[y, nu]^T R_b / y^T F' x
 
 Where modes coincide, X and Y are bases of theirs and the derivatives along one design variable
-are the eigenvalues of -(Y^T F' X)^{-1} [Y, N]^T R_b: each mode moves apart by its own.
+are the eigenvalues of -(Y^T F' X)^{-1} [Y, N]^T R_b: each mode moves apart by its own. They are
+infinite where the shapes coincide too.
 
 Shapes follow from the derivative of F(z) x + Phi_q^T mu = 0, singular along x: with the largest
 entry k of x held and equation k left out it is regular and keeps its pattern (Nelson 1976). The
@@ -22,15 +23,11 @@ import numpy as np
 from scipy import linalg
 
 from ancfdae.modes.adjoint import PullBack, Transposed, pulled_back
-from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.linearised import EPS, Linearised
 from ancfdae.modes.solver import Eigenpairs, largest_entries
 from ancfdae.modes.totals import Totals
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
-
-# Inverse iteration at an eigenvalue known to round-off: the second sweep removes what the first
-# right-hand side had of other modes.
-_SWEEPS = 2
 
 
 @final
@@ -94,20 +91,18 @@ def _drifts(small: Linearised, pairs: Eigenpairs, group: list[int]) -> bool:
 
 
 def left_vectors(small: Linearised, pairs: Eigenpairs, mu: Array, group: list[int]) -> Array:
-    """Return solutions [y, nu] of the transposed equations as columns."""
-    X, z, n = pairs.X[:, group], pairs.z[group[0]], small.system.n_q
+    """Return solutions [y, nu] of the transposed equations as columns.
+
+    Where they are not [x, mu], one step of inverse iteration: z is known to round-off, which is
+    the part of other modes that it leaves.
+    """
+    X, n = pairs.X[:, group], small.system.n_q
     if small.symmetric:
         return np.concatenate([X, mu[:, group]])
     right = np.zeros((n + small.system.n_lam, len(group)), dtype=X.dtype)
     right[:n] = np.conj(small.times(small.M, X))
-    factors = small.factor_beside(z)
-    for sweep in range(_SWEEPS):
-        if sweep:
-            right[:n] = small.system.pattern.dot_transposed(small.slope(z), right[:n])
-            right[n:] = 0.0
-        right = factors.solve_transposed(right)
-        right = right / np.max(np.abs(right), axis=0)
-    return right
+    Y = small.factor_beside(pairs.z[group[0]]).solve_transposed(right)
+    return np.asarray(Y / np.max(np.abs(Y), axis=0))
 
 
 def _values_b(
@@ -120,8 +115,20 @@ def _values_b(
         return np.asarray(-products[:, 0].T / G)
     if small.symmetric and small.D is None:
         return np.array([linalg.eigvalsh((a + a.T) / 2) for a in products]).reshape(-1, g).T
+    if _is_defective(small, z, pairs.X[:, group], Y, G):
+        return np.full((g, len(products)), np.inf)
     values = [np.sort_complex(linalg.eigvals(linalg.solve(G, -a))) for a in products]
     return np.array(values).reshape(-1, g).T
+
+
+def _is_defective(small: Linearised, z: complex, X: Array, Y: Array, G: Array) -> bool:
+    """Whether modes coincide in shape too, as at critical damping: they part like a root.
+
+    Y^T F' X is then singular: zero to the root of round-off, to which such eigenvalues are known.
+    """
+    Y = np.abs(Y[: small.system.n_q])
+    size = Y.T @ small.times(np.abs(small.slope(abs(z))), np.abs(X))
+    return bool(linalg.svdvals(G)[-1] <= EPS**0.5 * linalg.norm(size))
 
 
 def _shape_b(small: Linearised, z: complex, x: Array, z_b: Array, R_b: Array) -> Array:

@@ -22,6 +22,7 @@ from ancfdae.modes.configuration import Configuration
 from ancfdae.numerics.arrays import Array, real_norm
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.saddle_points import saddle_point
 
 EPS = float(np.finfo(float).eps)
 # Operations that an entry of K and a product with it go through, with a margin: what is below
@@ -137,9 +138,14 @@ class Linearised:
 
     @cached_property
     def saddle(self) -> SaddlePoint:
-        """Saddle-point matrices with Phi_q."""
-        system = self.system
-        return SaddlePoint(system.pattern, system.constraint_pattern, system.weights, self.Phi_q)
+        """Saddle-point matrices with Phi_q.
+
+        Raises
+        ------
+        RedundantConstraints
+            If constraints depend on each other here.
+        """
+        return saddle_point(self.system, self.at.t, self.at.q)
 
     @cached_property
     def mass_factors(self) -> Factorization:

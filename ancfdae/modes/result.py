@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.errors import InvalidInput
 from ancfdae.modes.configuration import Configuration
 from ancfdae.numerics.arrays import Array
-from ancfdae.text import columns
+from ancfdae.text import columns, listed
 
 
 class MotionKind(Enum):
@@ -34,7 +34,8 @@ class ModeDerivatives:
         Names of the design variables.
     exponents_b : array, shape (count, n_b), complex
         Zero for rigid modes. For modes that coincide: how each of them, in increasing order, moves
-        as one variable alone grows; not linear in several variables together.
+        as one variable alone grows; not linear in several variables together, and infinite where
+        their shapes coincide too (critical damping).
     shapes_b : tuple of array, shape (n_q, n_b), or None
         None for modes that coincide, and by adjoints.
     """
@@ -42,6 +43,10 @@ class ModeDerivatives:
     names: tuple[str, ...]
     exponents_b: Array
     shapes_b: tuple[Array | None, ...]
+
+    def __repr__(self) -> str:
+        """Return the names of the design variables."""
+        return f"ModeDerivatives of {len(self.exponents_b)} modes in {listed(self.names)}"
 
 
 @final

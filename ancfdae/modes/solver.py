@@ -11,8 +11,9 @@ from typing import final
 
 import numpy as np
 from scipy import linalg
+from scipy.sparse.linalg import ArpackError
 
-from ancfdae.errors import SingularMatrix
+from ancfdae.errors import AncfdaeError, InvalidInput, SingularMatrix
 from ancfdae.modes import dense, sparse
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
 from ancfdae.numerics.arrays import Array
@@ -23,6 +24,11 @@ _DENSE, _DENSE_DAMPED = 300, 120
 # ARPACK needs room for its basis.
 _ROOM = 40
 _SWEEPS = 2
+
+
+@final
+class NoModes(AncfdaeError):
+    """Eigenvalues of a large system that did not converge."""
 
 
 @final
@@ -75,12 +81,26 @@ def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     """Return the lowest modes, growing ones first, or the highest, by falling frequency.
 
     A group of modes that coincide is not cut.
+
+    Raises
+    ------
+    InvalidInput
+        If nothing can move, or a motion has no inertia.
+    NoModes
+        If ARPACK finds none.
     """
     asked, n = min(count, small.n_modes), small.n_modes
+    if n <= 0:
+        raise InvalidInput(
+            "modes", "need a motion that the joints leave", "none", "Remove a joint."
+        )
     wanted = min(asked + 2, n)
     while True:
         method = _undamped if small.D is None else _damped
-        pairs = method(small, wanted, highest)
+        try:
+            pairs = method(small, wanted, highest)
+        except ArpackError as error:
+            raise NoModes(f"{wanted} modes: {error}. Ask for another number.") from error
         first = pairs.first(asked)
         if len(first.z) < len(pairs.z) or wanted == n:
             return first
@@ -171,6 +191,8 @@ def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array
         for _ in range(_SWEEPS):
             x, factors = X[:, j], small.factor_beside(z[j])
             y = small.solve(factors, small.slope_times(z[j], x))
+            if not np.any(y):  # A double root: F'(z) x vanishes.
+                break
             along = np.conj(small.times(small.M, y))
             z[j] -= (along @ x) / (along @ y)
             X[:, j] = y / np.sqrt(np.real(along @ y))
