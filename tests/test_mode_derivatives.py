@@ -170,7 +170,12 @@ def test_derivatives_are_the_limit_of_differences_of_the_call(case, balanced, da
         at = equilibrium(scene) if balanced else None
         return modes(scene, 3, at=at, **more)
 
-    found = call(scene, design=names)
+    found, back = call(scene, design=names), call(scene, design=names, method=Adjoint())
+    slopes = found.derivatives.exponents_b
+    # As above.
+    np.testing.assert_allclose(
+        back.derivatives.exponents_b, slopes, rtol=1e-9, atol=1e-9 * np.abs(slopes).max()
+    )
     for i, name in enumerate(names):
         value = assemble(scene, [name]).b[0]
         step = 1e-5 * (abs(value) or 1.0)
@@ -192,6 +197,16 @@ def test_derivatives_are_the_limit_of_differences_of_the_call(case, balanced, da
             size = np.max(np.abs(found.shapes[:, mode])) / (abs(value) or 1.0)
             size += np.max(np.abs(expected))
             assert error < 1e-5 * size, (name, mode)
+
+
+@pytest.mark.parametrize("kind", [CartesianPendulum, WrittenPendulum])
+def test_derivatives_at_a_start_that_follows_the_design(kind):
+    b = np.array([1.3, 9.81])
+    direct, back = (modes(kind(0.6, b=b), method=x).frequencies_b for x in (Direct(), Adjoint()))
+    # Held at an angle the tension is m g cos, and with it omega^2 = g cos/L.
+    omega = np.sqrt(9.81 * np.cos(0.6) / 1.3)
+    np.testing.assert_allclose(direct, [[-omega / 2.6, omega / 19.62]], rtol=1e-11)
+    np.testing.assert_allclose(back, direct, rtol=1e-11)
 
 
 @pytest.mark.parametrize("kind", [CartesianPendulum, WrittenPendulum])
@@ -237,17 +252,21 @@ def test_forces_that_change_at_rest_leave_derivatives_alone():
         np.testing.assert_allclose(found.derivatives.exponents_b[0], expected, atol=1e-11)
 
 
-def test_a_mass_that_depends_on_q_and_damping_have_derivatives():
+@pytest.mark.parametrize("balanced", [True, False])
+def test_a_mass_that_depends_on_q_and_damping_have_derivatives(balanced):
     b = np.array([1.5, 1.0, 0.3, 0.1])
-    direct, back = (modes(GuidedDoublePendulum(0.0, b), method=x) for x in (Direct(), Adjoint()))
-    slopes = direct.derivatives.exponents_b
+
+    def call(b, method=None):
+        system = GuidedDoublePendulum(0.0, b)
+        return modes(system, at=equilibrium(system) if balanced else None, method=method)
+
+    slopes, back = (call(b, x).derivatives.exponents_b for x in (Direct(), Adjoint()))
     # Circles in the complex plane are good to 1e-12.
-    np.testing.assert_allclose(back.derivatives.exponents_b, slopes, atol=1e-11)
-    for i in range(4):
-        step = 1e-4 * np.eye(4)[i]
-        up, down = (modes(GuidedDoublePendulum(0.0, b + x)).exponents for x in (step, -step))
-        # Truncation 1e-8 times the third derivative.
-        np.testing.assert_allclose(slopes[:, i], (up - down) / 2e-4, atol=1e-6)
+    np.testing.assert_allclose(back, slopes, atol=1e-11)
+    along = 1e-4 * np.array([1.0, -0.7, 0.4, 0.2])
+    up, down = call(b + along).exponents, call(b - along).exponents
+    # Truncation 1e-8 times the third derivative.
+    np.testing.assert_allclose(1e4 * slopes @ along, (up - down) / 2e-4, atol=1e-6)
 
 
 def test_modes_that_coincide_split_by_the_eigenvalues_of_the_reduced_matrix():
