@@ -53,6 +53,7 @@ def modes_about(
         parts = small, pairs, mu, groups
         own = differentiate(*parts) if pull_back is None else differentiate_back(*parts, pull_back)
         derivatives = ModeDerivatives(system.design_names, _exponents_b(small, s, own.z_b), own.X_b)
+    rigid = pairs.X[:, s == 0].real
     return Modes(
         s,
         pairs.X,
@@ -61,7 +62,7 @@ def modes_about(
         tuple(tuple(group) for group in groups if len(group) > 1),
         small.at,
         small.unbalanced,
-        motions_in_words(system.naming, at.q, pairs.X[:, s == 0].real) if np.any(s == 0) else "",
+        motions_in_words(system.naming, at.q, rigid) if rigid.size else "",
         derivatives,
     )
 
