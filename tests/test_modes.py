@@ -314,18 +314,24 @@ def test_the_highest_modes_come_by_falling_size(monkeypatch, sparse, damping_tim
     np.testing.assert_allclose(found, every[: -len(found) - 1 : -1], rtol=1e-9)
 
 
-def test_shapes_keep_the_joints_and_have_unit_mass():
+def test_shapes_keep_the_joints_and_have_unit_mass_and_a_sign():
     scene = simply_supported(6)
     found = modes(scene, 4)
-    at = found.configuration
-    run = simulate(scene, 0.01, HHT(0.01))
-    assert run.q.shape[1] == len(at.q)
-    small = solver.Linearised.of(assemble(scene), at, None)
+    small = solver.Linearised.of(assemble(scene), found.configuration, None)
     moved = small.system.constraint_pattern.dot(small.Phi_q, found.shapes)
     # Round-off of a product of 36 entries.
     assert np.max(np.abs(moved)) < 1e-13 * np.max(np.abs(found.shapes))
     gram = found.shapes.T @ small.times(small.M, found.shapes)
     np.testing.assert_allclose(gram, np.eye(4), atol=1e-10)
+    scaled = np.sqrt(small.system.weights)[:, None] * found.shapes
+    # The largest is positive; of two that are equal but for 1e-3 the first.
+    assert np.all(np.max(scaled, axis=0) > 0.998 * np.max(np.abs(scaled), axis=0))
+    # The shapes solve the equations, reactions included.
+    for j, s in enumerate(found.exponents):
+        x, mu = found.shapes[:, j], found.multipliers[:, j]
+        force = small.times(small.K - s.imag**2 * small.M, x)
+        left = force + small.system.constraint_pattern.dot_transposed(small.Phi_q, mu)
+        assert np.max(np.abs(left)) < 1e-9 * np.max(np.abs(small.times(np.abs(small.K), np.abs(x))))
 
 
 def test_a_step_follows_the_slow_modes_or_all():

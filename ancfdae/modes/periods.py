@@ -73,8 +73,8 @@ def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
     except (AncfdaeError, LinAlgError):
         return ""
     return (
-        f"Small motions there have periods from {found.fastest:.3g} to {found.slowest:.3g}; the step "
-        "decides which of them are followed (`suggest_step`)."
+        f"Small motions there have periods from {found.fastest:.3g} to {found.slowest:.3g}; the "
+        "step decides which of them are followed (`suggest_step`)."
     )
 
 
