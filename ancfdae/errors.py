@@ -120,6 +120,8 @@ class Outcome:
         Size of the last Newton correction relative to the motion, for integrators other than HHT
         of the residual of the equations in their scales (dimensionless); zero when the run
         finished.
+    load : float or None
+        Part of the load that was reached, of a search for an equilibrium; None for a motion.
     advice : str
         What may help, in words.
     """
@@ -128,6 +130,7 @@ class Outcome:
     time: float
     step: int
     residual: float
+    load: float | None = None
     advice: str = ""
 
     @property
@@ -137,10 +140,13 @@ class Outcome:
 
     def __str__(self) -> str:
         """Return the outcome as a sentence."""
+        moving = self.load is None
         if self.success:
-            return f"{self.verdict.value} (t = {self.time:.6g}, {self.step} steps)."
+            when = f"t = {self.time:.6g}, " if moving else ""
+            return f"{self.verdict.value} ({when}{self.step} steps)."
+        where = f"t = {self.time:.6g}" if moving else f"{100 * (self.load or 0):.6g} % of the load"
         text = (
-            f"{self.verdict.value} at t = {self.time:.6g}, after {self.step} accepted steps, with "
+            f"{self.verdict.value} at {where}, after {self.step} accepted steps, with "
             f"a last relative residual of {self.residual:.3g}; results up to there are kept."
         )
         return f"{text} {self.advice}" if self.advice else text

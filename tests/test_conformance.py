@@ -5,7 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ancfdae import Conformance, InvalidInput, RigidMotion, assemble, check_system
+from ancfdae import (
+    Beam,
+    Clamp,
+    Conformance,
+    FollowerForce,
+    InvalidInput,
+    Material,
+    Moment,
+    Rectangle,
+    RigidMotion,
+    Scene,
+    SpringDamper,
+    assemble,
+    check_system,
+)
 from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum
@@ -103,6 +117,17 @@ def test_wrong_sign_of_any_member_is_found(name):
         report.raise_if_wrong()
 
 
+def pushed():
+    """A beam under loads that turn with it, and a spring."""
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.1, 0.1), Material(1000.0, 1e6, 0.3))
+    loads = [
+        FollowerForce(rod.at_end, (1.0, 5.0)),
+        Moment(rod.at(0.5), 3.0),
+        SpringDamper(rod.at_end, 50.0, ground=(1.0, 1.0)),
+    ]
+    return Scene([rod], [Clamp(rod.at_start)], loads=loads)
+
+
 @pytest.mark.parametrize(
     "system",
     [
@@ -112,6 +137,7 @@ def test_wrong_sign_of_any_member_is_found(name):
         GuidedDoublePendulum(1.0),
         assemble(pendulum(start=(RigidMotion("pendulum", 2.0, (0.0, 0.0)),)), ["pendulum.height"]),
         assemble(crank_slider(), ["rod.density"]),
+        assemble(pushed(), ["rod.height"]),
     ],
     ids=lambda system: type(system).__name__,
 )
@@ -184,6 +210,16 @@ class Dropping(CartesianPendulum):
         return Dropping(self.angle, self.spin, b)
 
 
+class Following(CartesianPendulum):
+    """Has a load that turns, and forgets its partial."""
+
+    def following_load(self, q, t):
+        return np.array([-q[1], q[0]])
+
+    def with_values(self, b):
+        return Following(self.angle, self.spin, b)
+
+
 class Filling(CartesianPendulum):
     """Fills an array of floats, which refuses complex numbers."""
 
@@ -207,6 +243,7 @@ class Filling(CartesianPendulum):
         (WrongShape, "shape and kind of constraint_b"),
         (Forgetful, "with_values, there and back"),
         (Dropping, "complex step of constraint: differences"),
+        (Following, "following_load_q: differences of following_load"),
     ],
 )
 def test_other_faults_are_found(kind, name):

@@ -42,6 +42,7 @@ from ancfdae import (
     strain_energy,
 )
 from ancfdae.statics.balance import Balance
+from ancfdae.statics.mobility import free_mechanism
 
 from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum, chain
 
@@ -127,6 +128,46 @@ def test_newton_s_method_is_quadratic_at_what_was_found():
     # 1e-5, then its square times the ratio of axial to bending stiffness, then round-off.
     assert again.iterations <= 4
     np.testing.assert_allclose(again.q, found.q, atol=1e-12)
+
+
+def gap():
+    """The scene of all loads, and its end off the support that it is pinned to."""
+    scene = bent()[0]
+    support = Pin(scene.beams[0].at_end, ground=(0.997, 0.01), name="support")
+    return Scene(scene.beams, [*scene.joints, support], scene.gravity, loads=scene.loads)
+
+
+def test_the_tangent_is_the_derivative_of_the_equations_all_along_the_path():
+    for system in (assemble(gap()), CartesianPendulum(0.4)):
+        rng = np.random.default_rng(2)
+        q_0 = system.start()[0]
+        balance = Balance.of(system, 0.0, q_0, np.zeros(system.n_lam))
+        q, lam = q_0 + 0.1 * rng.standard_normal(system.n_q), rng.standard_normal(system.n_lam)
+        dq = rng.standard_normal(system.n_q)
+        for s in (0.0, 0.4, 1.0):
+            moved = q + 1e-30j * dq
+            left = balance.unbalanced(moved, lam) - (1 - s) * balance.held_back(moved)
+            K = system.pattern.dense(balance.tangent(s, q, lam))
+            # Complex step; round-off.
+            np.testing.assert_allclose(-K @ dq, left.imag / 1e-30, rtol=1e-9, atol=1e-9)
+
+
+def test_the_path_closes_gaps_and_its_tangent_leads_along_it():
+    system = assemble(gap())
+    q_0, lam_0, s, ds = system.start()[0], np.zeros(system.n_lam), 0.3, 1e-3
+    balance = Balance.of(system, 0.0, q_0, lam_0)
+    point, ahead, behind = (balance.solve(x, q_0, lam_0) for x in (s, s + ds, s - ds))
+    np.testing.assert_allclose(
+        system.constraint(point.q, 0.0), 0.7 * system.constraint(q_0, 0.0), atol=1e-12
+    )
+    q_s, lam_s = balance.path_tangent(point.q, point.factors)
+    for ours, part in ((q_s, "q"), (lam_s, "lam")):
+        slope = (getattr(ahead, part) - getattr(behind, part)) / (2 * ds)
+        # ds^2 of the third derivative.
+        np.testing.assert_allclose(ours, slope, atol=1e-4 * np.max(np.abs(ours)))
+    found = equilibrium(gap())
+    assert found.outcome.success
+    assert found.solution.position(Point("rod", 1.0))[0] == pytest.approx((0.997, 0.01), abs=1e-12)
 
 
 def test_reactions_sum_up_to_the_loads():
@@ -338,7 +379,7 @@ def test_a_load_past_the_limit_point_is_told_and_what_converged_is_kept():
     # Near the limit point z moves with the root of the load.
     assert apex == pytest.approx([0.0, 0.1 / np.sqrt(3)], abs=2e-3)
     assert unbalanced(arch(2 * largest * found.fraction), found) < 1e-9
-    with pytest.raises(UnfinishedRun, match="limit point") as caught:
+    with pytest.raises(UnfinishedRun, match=r"limit point.* at 49\.99\d* % of the load") as caught:
         static_gradient(scene, position(Point("left", 1.0), 1), design=["push.force_y"])
     assert len(caught.value.solution.t) == 1
     assert equilibrium(arch(0.99 * largest)).outcome.success
@@ -374,8 +415,17 @@ FREE = {
     "rod turns about its start while link moves along y; link turns about its start": Scene(
         [rod(), LINK], [Pin(rod().at_start), Pin(rod().at_end, LINK.at_start)]
     ),
+    "link turns about its start.": Scene(
+        [rod(), LINK], [Clamp(rod().at_start), Pin(LINK.at_start)]
+    ),
     "rod turns about the axis z through its start": Scene(
         [SPACE], [Revolute(SPACE.at_start, (0.0, 0.0, 1.0))]
+    ),
+    r"rod turns about the axis y through \(0.5, 0, 0\)": Scene(
+        [SPACE], [Revolute(SPACE.at(0.5), (0.0, 1.0, 0.0))]
+    ),
+    r"rod turns about the axis y through \(0.5, 0, 0.02\)": Scene(
+        [SPACE], [Revolute(SPACE.at(0.5, z=0.02), (0.0, 1.0, 0.0))]
     ),
     "rod turns about its own axis.": Scene([SPACE], [Pin(SPACE.at_start)], (0.0, 0.0, -G)),
 }
@@ -400,6 +450,25 @@ def test_a_free_motion_of_a_system_without_names_is_told_by_coordinates():
 
     with pytest.raises(FreeMechanism, match="motion of coordinate 1"):
         equilibrium(Sliding())
+
+
+def test_a_motion_that_is_not_rigid_is_told_as_such():
+    system = assemble(bent()[0])
+    motion = np.random.default_rng(0).standard_normal((system.n_q, 1))
+    error = free_mechanism(system.naming, system.start()[0], motion)
+    assert "free to move: rod deforms without stiffness" in str(error)
+
+
+def test_bars_in_line_carry_a_load_across_by_their_stretch():
+    left, right = rod(elements=1), rod((1.0, 0.0), (2.0, 0.0), 1, name="right")
+    joints = [Pin(left.at_start), Pin(left.at_end, right.at_start, name="p"), Pin(right.at_end)]
+    found = equilibrium(
+        Scene([left, right], joints, loads=[PointForce(left.at_end, (0.0, -1.0), name="push")])
+    )
+    assert found.outcome.success
+    # P = E' A w^3 / L^3 of bars of St. Venant-Kirchhoff; plane strain, E' = E / (1 - nu^2).
+    sag = (1.0 / (1e7 / (1 - 0.09) * 0.05**2)) ** (1 / 3)
+    assert found.solution.position(left.at_end)[0, 1] == pytest.approx(-sag, rel=1e-3)
 
 
 def test_an_interrupt_and_a_limit_of_steps_keep_what_converged():

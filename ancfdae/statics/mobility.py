@@ -19,6 +19,8 @@ from ancfdae.text import listed
 
 # Parts of a motion below this are round-off of its null vector.
 _SMALL = 1e-6
+# A motion that is less rigid than this deforms the beam.
+_RIGID = 1e-3
 # Beams whose motion is told.
 _SHOWN = 3
 
@@ -52,10 +54,11 @@ def _of_coordinates(motions: Array) -> str:
 def _of_beams(naming: Naming, q: Array, motions: Array) -> str:
     bodies = [_Body.of(naming, beam, q) for beam in naming.layout.beams]
     fits = [body.fit(motions) for body in bodies]
-    basis, rigid = np.concatenate([fit for fit, _ in fits]), max(left for _, left in fits)
-    if rigid > 1e-3:
-        names = listed(body.name for body, (_, left) in zip(bodies, fits, strict=True) if left > 0)
-        return f"{names} deforms without stiffness"
+    basis = np.concatenate([fit.rigid for fit in fits])
+    size = max(fit.size for fit in fits)
+    deformed = [b.name for b, fit in zip(bodies, fits, strict=True) if fit.left > _RIGID * size]
+    if deformed:
+        return f"{listed(deformed)} deforms without stiffness"
     texts = []
     for motion in _simplified(basis).T:
         parts = np.split(motion, len(bodies))
@@ -87,6 +90,16 @@ def _simplified(basis: Array) -> Array:
 
 @final
 @dataclass(frozen=True)
+class _Fit:
+    """Rigid motions as columns, rows v/L and omega; size of the motions, and of what is left."""
+
+    rigid: Array
+    size: float
+    left: float
+
+
+@final
+@dataclass(frozen=True)
 class _Body:
     """A beam as it stands: node positions r (n, d), slopes (n, n_s - 1, d) and its length."""
 
@@ -105,8 +118,8 @@ class _Body:
         length = float(np.sum(naming.lengths[elements].real))
         return _Body(beam.name, X[:, 0], X[:, 1:], length, slice(first, first + count))
 
-    def fit(self, motions: Array) -> tuple[Array, float]:
-        """Rigid motions nearest to the given ones, v/L and omega as rows, and what they leave."""
+    def fit(self, motions: Array) -> _Fit:
+        """Fit rigid motions to the given ones."""
         d, count = self.r.shape[1], motions.shape[1]
         turns = _generators(d)
         arms = (self.r - self.r[0]) / self.length
@@ -123,8 +136,7 @@ class _Body:
             [own[:, 0].reshape(-1, count) / self.length, own[:, 1:].reshape(-1, count)]
         )
         x = np.linalg.lstsq(A, right, rcond=None)[0]
-        left, size = np.max(np.abs(right - A @ x)), np.max(np.abs(right))
-        return x, float(left / size) if size > 0 else 0.0
+        return _Fit(x, float(np.max(np.abs(right))), float(np.max(np.abs(right - A @ x))))
 
     def words(self, motion: Array) -> str:
         """Say how it moves; v/L and omega in one array."""

@@ -47,7 +47,7 @@ class LoadOutcome:
 
     def of_run(self) -> Outcome:
         """Return it as the outcome of a solution of one instant."""
-        return Outcome(self.verdict, 0.0, self.step, self.residual)
+        return Outcome(self.verdict, 0.0, self.step, self.residual, self.fraction)
 
     def __str__(self) -> str:
         """Return the outcome as a sentence."""

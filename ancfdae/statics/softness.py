@@ -2,7 +2,8 @@
 
 Stiffness is measured against the diagonal of K, D = |diag K|: kappa = phi^T K phi / phi^T D phi
 over motions that keep the constraints, Phi_q phi = 0. Measured against the mass the slowest
-bending of a beam would be (h/L)^4, which round-off hides; against D it is (h/L)^2 / (12 n^2).
+bending of a beam would be (h/L)^4, which round-off hides; against D it is (h/L)^2 / n^2, with n
+elements.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from ancfdae.statics.balance import Balance
 
 # Motions looked for at once, and sweeps of the inverse iteration.
 _MOTIONS, _SWEEPS = 8, 6
-# Stiffness below this is round-off: tens of eps. A negative one must be clear of it.
-_FREE, _NEGATIVE = 1e-14, -1e-13
+# Stiffness below this is round-off, which leaves up to 5e-16; a beam of 400 elements and
+# h/L = 1e-4 has 9e-14. A negative one must be clear of it, and K is shifted by more than eps, so
+# that it can be factorised.
+_FREE, _NEGATIVE, _SHIFT = 4e-15, -1e-14, 1e-14
 
 
 @final
@@ -61,7 +64,7 @@ def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -
         return Softness(np.zeros(0), np.zeros((system.n_q, 0)), True)
     diagonal = np.arange(system.n_q)
     shifted = K.copy()
-    shifted[system.pattern.index(diagonal, diagonal)] += _FREE * D
+    shifted[system.pattern.index(diagonal, diagonal)] += _SHIFT * D
     none = np.zeros((system.n_lam, count))
     X = np.random.default_rng(0).standard_normal((system.n_q, count)) / root
     try:

@@ -113,6 +113,10 @@ def forces(add: Add, p: Probe) -> None:
     found = p.along(lambda x: s.force(x.q, m.v, m.t))
     claimed = s.pattern.dot(s.force_q(m.q, m.v, m.t), d.q)
     add("force_q: differences of Q", gap(claimed, found, value), _DIFFERENCES)
+    found = p.along(lambda x: s.following_load(x.q, m.t))
+    claimed = s.pattern.dot(s.following_load_q(m.q, m.t), d.q)
+    error = gap(claimed, found, value)
+    add("following_load_q: differences of following_load", error, _DIFFERENCES)
     if s.velocity_forces:
         found = p.along(lambda x: s.force(m.q, x.v, m.t))
         claimed = s.pattern.dot(s.force_v(m.q, m.v, m.t), d.v)

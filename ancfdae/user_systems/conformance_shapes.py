@@ -112,6 +112,8 @@ def _force_shapes(add: Add, system: MechanicalSystem, q: Array, v: Array, q_b: A
     n_q, n_b, nnz, t = system.n_q, system.n_b, system.pattern.size, 0.0
     _expect(add, "force", system.force(q, v, t), (n_q,))
     _expect(add, "force_q", system.force_q(q, v, t), (nnz,))
+    _expect(add, "following_load", system.following_load(q, t), (n_q,))
+    _expect(add, "following_load_q", system.following_load_q(q, t), (nnz,))
     if system.velocity_forces:
         _expect(add, "force_v", system.force_v(q, v, t), (nnz,))
     _expect(add, "force_b", system.force_b(q, v, t), (n_q, n_b))
