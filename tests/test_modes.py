@@ -137,6 +137,15 @@ def test_tension_stiffens_a_pendulum_and_pressure_turns_it_over():
     assert "unstable" in repr(falling)
 
 
+def test_large_systems_find_their_growing_motions(monkeypatch):
+    monkeypatch.setattr(solver, "_DENSE", 0)
+    upright = hanging(direction=1)
+    found = modes(upright, 1, at=equilibrium(upright))
+    assert found.kinds == (MotionKind.GROWING,)
+    # As the rigid rod, but for its stretch of 1e-5.
+    assert found.exponents[0] == pytest.approx(np.sqrt(9.81 * 1.5), rel=1e-3)
+
+
 def test_a_column_loses_its_lowest_frequency_at_the_load_of_euler():
     beam = rod(16, (0, 0), (1, 0), 0.02, 1e9, 1000.0)
     critical = np.pi**2 / 4 * 1e9 * 0.02**4 / 12
@@ -148,6 +157,14 @@ def test_a_column_loses_its_lowest_frequency_at_the_load_of_euler():
         squares.append(modes(scene, 1, at=equilibrium(scene)).frequencies[0] ** 2)
     # Nearly linear in the load: 1 - P/P_c, to 2 % of itself (the shape changes) and the mesh.
     assert squares[1] / squares[0] == pytest.approx(0.1, rel=0.1)
+
+
+def test_modes_that_round_off_mixes_count_as_one():
+    # Round-off in z is 1e-13 of it (3 elements): the root is 3e-7, where shapes would be as bad.
+    for ratio, together in ((1 + 1e-9, True), (1 + 1e-4, False)):
+        beam = rod(3, (0, 0, 0), (1, 0, 0), 0.1, ratio=ratio)
+        found = modes(Scene([beam], [Clamp(beam.at_start)]), 2)
+        assert (found.coincide == ((0, 1),)) is together
 
 
 def test_the_start_without_balance_is_named_as_such():

@@ -36,6 +36,8 @@ def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
 
         p' = P^T S w,     w' = -S^T (K_N P p + D_N S w)
 
+    Where K or D is not symmetric shapes lack their part in T, which inverse iteration adds.
+
     Parameters
     ----------
     small : Linearised
@@ -46,14 +48,14 @@ def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
     N, K = _reduced(small, small.K)
     D = N.T @ small.times(small.D, N)
     R = N.T @ small.times(small.M, rigid)
-    P, S, T = _complement(R), *_undamped_part(small, N, rigid, R)
+    P, S = _complement(R), _complement(_undamped_part(small, N, rigid, R))
     p = P.shape[1]
     force = -np.hstack([K @ P, D @ S])
     J = np.vstack([np.hstack([np.zeros((p, p)), P.T @ S]), S.T @ force])
     s, W = linalg.eig(J)
     # A pair of complex conjugate exponents is one motion.
     W, s = W[:, s.imag >= 0], s[s.imag >= 0]
-    return s, N @ (S @ W[p:] + T @ (T.T @ (force @ W)) / s)
+    return s, N @ (S @ W[p:])
 
 
 def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
@@ -84,16 +86,16 @@ def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
     return N, N.T @ small.times(values, N)
 
 
-def _undamped_part(small: Linearised, N: Array, rigid: Array, R: Array) -> tuple[Array, Array]:
-    """Split velocities into others and those rigid motions that meet no damping."""
+def _undamped_part(small: Linearised, N: Array, rigid: Array, R: Array) -> Array:
+    """Return the rigid motions that meet no damping."""
     assert small.D is not None
     sizes = np.abs(N).T @ small.times(np.abs(small.D), np.abs(rigid))
     force = N.T @ small.times(small.D, rigid)
     _, left, Vt = linalg.svd(force)
     still = np.zeros(R.shape[1], dtype=bool)
     still[: len(left)] = left <= ROUND_OFF * EPS * linalg.norm(sizes)
-    T = R @ Vt[still].T
-    return _complement(T), T
+    part: Array = R @ Vt[still].T
+    return part
 
 
 def _complement(R: Array) -> Array:

@@ -168,7 +168,7 @@ def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array]:
     for _ in range(_SWEEPS):
         noise = float(np.max(small.round_off(small.K, X)))
         # Below all of them, and as far from zero as they are: as far as round-off allows.
-        shift = -max(float(np.max(np.abs(z))), -1.5 * float(z[0]), noise / EPS**0.5)
+        shift = -max(1.5 * float(np.max(np.abs(z))), noise / EPS**0.5)
         try:
             factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
         except SingularMatrix:

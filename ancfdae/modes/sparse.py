@@ -2,13 +2,15 @@
 
 The inverse of F(shift) within the constraints maps every force to a motion that keeps them, so
 that all Krylov vectors do. Shifts are of the size of the eigenvalues asked for: taken from a first
-rough pass at a shift near zero.
+rough pass at a shift near zero. A Krylov space holds one vector of a multiple eigenvalue, and the
+others by round-off only: what is left beside the vectors found is searched until nothing
+is nearer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh
@@ -25,21 +27,40 @@ _NEAR_ZERO = 1e-9
 # A rough pass tells sizes, not values.
 _ROUGH = 1e-2
 _SHIFTS = 6
+# Vectors searched for beside those found.
+_MORE = 2
 
 
 def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array]:
     """Return z = -s^2 in increasing order of its real part, and the shapes as columns."""
     if highest:
-        return _highest(small, count, 0.0)
+        z, X = _highest(small, count, 0.0)
+        return _completed(small, -z, X, lambda X: _highest(small, _MORE, 0.0, X), -1)
     shift = -_NEAR_ZERO * largest(small)
     z, _ = _near(small, shift, count, _ROUGH)
     for _ in range(_SHIFTS):
         # Below all of them: a growing motion may lie below the shift.
-        shift = min(-float(np.max(np.abs(z))), 1.5 * float(np.min(z.real)))
+        shift = -1.5 * float(np.max(np.abs(z)))
         z, X = _near(small, shift, count, 0.0)
         if np.min(z.real) > shift:
             break
-    return z, X
+    return _completed(small, z, X, lambda X: _near(small, shift, _MORE, 0.0, X), 1)
+
+
+def _completed(
+    small: Linearised, z: Array, X: Array, left: Callable[[Array], tuple[Array, Array]], sign: int
+) -> tuple[Array, Array]:
+    """Add what comes before the last of sign z; where K has no potential vectors do not split."""
+    count = len(z)
+    while small.symmetric:
+        more, Y = left(X)
+        missed = sign * more < np.max(z)
+        if not np.any(missed):
+            break
+        z, X = np.append(z, sign * more[missed]), np.hstack([X, Y[:, missed]])
+    chosen = np.argsort(z.real, kind="stable")[:count]
+    chosen = chosen[np.argsort(sign * z[chosen].real, kind="stable")]
+    return sign * z[chosen], X[:, chosen]
 
 
 def largest(small: Linearised) -> float:
@@ -100,34 +121,52 @@ def _inwards(small: Linearised, size: float) -> tuple[Advance, Factorization]:
     return advance, factors
 
 
-def _near(small: Linearised, shift: float, count: int, tolerance: float) -> tuple[Array, Array]:
-    """Eigenvalues of K - z M next to a shift."""
-    n = small.system.n_q
+def _near(
+    small: Linearised, shift: float, count: int, tolerance: float, known: Array | None = None
+) -> tuple[Array, Array]:
+    """Eigenvalues of K - z M next to a shift, beside those with the known vectors."""
     factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
-    inverse = _operator(n, lambda x: small.solve(factors, x))
-    K, M = _operator(n, lambda x: small.times(small.K, x)), small.system.pattern.csr(small.M)
-    start = _start(small, factors)
-    routine = eigsh if small.symmetric else eigs
-    z, X = routine(K, count, M, sigma=shift, OPinv=inverse, v0=start, tol=tolerance)
+    options = {"sigma": shift, "OPinv": _inverse(small, factors, known)}
+    return _sorted(small, eigsh if small.symmetric else eigs, count, tolerance, factors, options)
+
+
+def _highest(
+    small: Linearised, count: int, tolerance: float, known: Array | None = None
+) -> tuple[Array, Array]:
+    """Eigenvalues of largest real part, beside those with the known vectors."""
+    factors, symmetric = small.mass_factors, small.symmetric
+    options = {"which": "LA" if symmetric else "LR", "Minv": _inverse(small, factors, known)}
+    return _sorted(small, eigsh if symmetric else eigs, count, tolerance, factors, options)
+
+
+def _sorted(
+    small: Linearised,
+    routine: Callable[..., tuple[Array, Array]],
+    count: int,
+    tolerance: float,
+    factors: Factorization,
+    options: dict[str, Any],
+) -> tuple[Array, Array]:
+    """Call ARPACK, starting within the constraints from what no symmetry keeps from any mode."""
+    n, M = small.system.n_q, small.system.pattern.csr(small.M)
+    K = _operator(n, lambda x: small.times(small.K, x))
+    z, X = routine(K, count, M, v0=_start(small, factors), tol=tolerance, **options)
     order = np.argsort(z.real, kind="stable")
     return z[order], X[:, order]
 
 
-def _highest(small: Linearised, count: int, tolerance: float) -> tuple[Array, Array]:
-    n, factors = small.system.n_q, small.mass_factors
-    inverse = _operator(n, lambda x: small.solve(factors, x))
-    K, M = _operator(n, lambda x: small.times(small.K, x)), small.system.pattern.csr(small.M)
-    start = _start(small, factors)
-    if small.symmetric:
-        z, X = eigsh(K, count, M, which="LA", Minv=inverse, v0=start, tol=tolerance)
-    else:
-        z, X = eigs(K, count, M, which="LR", Minv=inverse, v0=start, tol=tolerance)
-    order = np.argsort(z.real, kind="stable")
-    return z[order], X[:, order]
+def _inverse(small: Linearised, factors: Factorization, known: Array | None) -> LinearOperator:
+    """Return the inverse within the constraints, and within what is orthogonal to known vectors."""
+
+    def solve(force: Array) -> Array:
+        x = small.solve(factors, force)
+        return x if known is None else x - known @ (known.T @ small.times(small.M, x))
+
+    return _operator(small.system.n_q, solve)
 
 
 def _start(small: Linearised, factors: Factorization) -> Array:
-    """Return a motion within the constraints that no symmetry keeps from any mode."""
+    """Return a random motion within the constraints."""
     generator = np.random.default_rng(1)
     push = generator.standard_normal(small.system.n_q) * np.sqrt(small.system.weights)
     return small.solve(factors, push)
