@@ -1,5 +1,7 @@
 """Natural frequencies against closed forms, and what a mode is called."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -315,6 +317,22 @@ def test_sparse_and_dense_solutions_agree(monkeypatch, free, damping_time):
     for j in alone:
         size = np.max(np.abs(dense.shapes[:, j]))
         np.testing.assert_allclose(sparse.shapes[:, j], dense.shapes[:, j], atol=1e-6 * size)
+
+
+@pytest.mark.parametrize("damping_time", [None, 1e-4])
+@pytest.mark.parametrize("free", [False, True])
+def test_no_copy_of_a_multiple_eigenvalue_is_missed(monkeypatch, free, damping_time):
+    # Three square cantilevers: pairs of bending six times; free, eighteen rigid motions.
+    ends = [((0, y, 0), (1, y, 0)) for y in range(3)]
+    beams = [replace(rod(4, *x, 0.05, damping_time=damping_time), name=f"r{x[0][1]}") for x in ends]
+    scene = Scene(beams, [] if free else [Clamp(beam.at_start, beam.name + "c") for beam in beams])
+    dense = modes(scene, 8)
+    monkeypatch.setattr(solver, "_DENSE", 0)
+    monkeypatch.setattr(solver, "_DENSE_DAMPED", 0)
+    sparse = modes(scene, 8)
+    assert [len(group) for group in sparse.coincide] == ([18] if free else [6, 6])
+    assert sparse.coincide == dense.coincide
+    np.testing.assert_allclose(sparse.exponents, dense.exponents, rtol=1e-8)
 
 
 @pytest.mark.parametrize("damping_time", [None, 1e-6, 1e-4])

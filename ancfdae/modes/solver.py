@@ -123,9 +123,11 @@ def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     if _is_small(small, count):
         s, X = dense.damped(small, rigid)
     else:
-        around = _undamped(replace(small, D=None), count, highest)
+        # Rigid motions, found already, are met again.
+        more = count + (0 if highest else rigid.shape[1])
+        around = _undamped(replace(small, D=None), more, highest)
         size = float(np.sqrt(np.max(np.abs(around.z))))
-        s, X = sparse.damped(small, count, size, highest)
+        s, X = sparse.damped(small, more, size, highest)
         moving = np.abs(s) ** 2 > ROUND_OFF * _noise(small, s, X) * np.abs(s)
         s, X = s[moving], X[:, moving]
     order = np.argsort(-np.abs(s) if highest else _rank(small, s, X), kind="stable")[:count]
