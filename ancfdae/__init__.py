@@ -14,8 +14,10 @@ from ancfdae.api import (
     error_bars,
     gradient,
     gradients,
+    modes,
     simulate,
     static_gradient,
+    suggest_step,
     taylor_test,
     tradeoff,
 )
@@ -68,6 +70,7 @@ from ancfdae.joints import (
 )
 from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
 from ancfdae.material import Material
+from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.objectives import (
     AtTimes,
@@ -147,6 +150,7 @@ __all__ = [
     "Clamp",
     "ComplexStep",
     "ComplexStepSystem",
+    "Configuration",
     "Conformance",
     "ContinuousAdjoint",
     "ControlledSteps",
@@ -182,8 +186,10 @@ __all__ = [
     "Material",
     "MechanicalSystem",
     "MissingPackage",
+    "Modes",
     "Moment",
     "MomentSection",
+    "MotionKind",
     "NoEquilibrium",
     "NodeState",
     "NonFiniteObjective",
@@ -212,6 +218,7 @@ __all__ = [
     "SpringDamper",
     "StabilityWarning",
     "Statistics",
+    "StepSuggestion",
     "StrainEnergy",
     "TargetNotReached",
     "TaylorTest",
@@ -238,6 +245,7 @@ __all__ = [
     "gradient",
     "gradients",
     "kinetic_energy",
+    "modes",
     "multiplier",
     "observe",
     "position",
@@ -247,6 +255,7 @@ __all__ = [
     "slope_angle",
     "static_gradient",
     "strain_energy",
+    "suggest_step",
     "taylor_test",
     "time",
     "tradeoff",

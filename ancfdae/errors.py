@@ -110,6 +110,8 @@ class Outcome:
         finished.
     load : float or None
         Part of the load that was reached, of a search for an equilibrium; None for a motion.
+    advice : str
+        What may help, in words.
     """
 
     verdict: Verdict
@@ -117,6 +119,7 @@ class Outcome:
     step: int
     residual: float
     load: float | None = None
+    advice: str = ""
 
     @property
     def success(self) -> bool:
@@ -130,10 +133,11 @@ class Outcome:
             when = f"t = {self.time:.6g}, " if moving else ""
             return f"{self.verdict.value} ({when}{self.step} steps)."
         where = f"t = {self.time:.6g}" if moving else f"{100 * (self.load or 0):.6g} % of the load"
-        return (
+        text = (
             f"{self.verdict.value} at {where}, after {self.step} accepted steps, with "
             f"a last relative residual of {self.residual:.3g}; results up to there are kept."
         )
+        return f"{text} {self.advice}" if self.advice else text
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:

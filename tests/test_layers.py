@@ -50,6 +50,12 @@ INJECTIONS = [
     ("statics/balance.py", "from ancfdae.statics import softness", "Layers of statics"),
     ("statics/balance.py", "from ancfdae.integrators import HHT", LAYERS),
     ("ancf/vectors.py", "from ancfdae.ancf import system", "Layers of the assembler"),
+    ("modes/dense.py", "from ancfdae.modes.solver import solve", "Layers of modes"),
+    (
+        "modes/solver.py",
+        "from ancfdae.scene import Scene",
+        "Integrators and sensitivity methods know the protocol, no scene and no beam",
+    ),
 ]
 
 

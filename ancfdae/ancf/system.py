@@ -283,6 +283,27 @@ class AncfSystem(MechanicalSystem):
         total = self._elastic.force_rate_total(states, states_b)
         return total + self._loads.force_rate_total(states, states_b)
 
+    def force_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
+        """Total design derivative of Q_q x at rest: of the rate along a tiny velocity."""
+        still, none = np.zeros_like(x), np.zeros_like(q_b)
+        return self.force_rate_total(q, STEP * x, still, t, q_b, none, none) / STEP
+
+    def force_q_times_q(self, q: Array, x: Array, t: float) -> Array:
+        """(Q_q x)_q at rest: the rate of Q_q."""
+        still, tiny = np.zeros_like(x), STEP * x
+        Q_q, _ = self._elastic.tangent_rates(q, tiny, (tiny, still))
+        if self._scene.loads:
+            self._loads.add_tangent_rates((q, tiny, still), Q_q, None)
+        return only(Q_q) / STEP
+
+    def pull_back_force_q_times(self, q: Array, x: Array, t: float, mu: Array) -> Array:
+        """Contract forces pair by pair."""
+        still, tiny = np.zeros_like(x), STEP * x
+        total = self._elastic.pull_back_rate(q, tiny, (tiny, still), mu)
+        if self._scene.loads:
+            total = total + self._loads.pull_back_rate((q, tiny, still), mu)
+        return total / STEP
+
     def constraint(self, q: Array, t: float) -> Array:
         """Phi."""
         return self._constraints.constraint(q, t)

@@ -18,6 +18,7 @@ from ancfdae.api.calls import as_system, require_objectives
 from ancfdae.design import DesignVariable
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT, Seeds
+from ancfdae.modes import advice
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
@@ -88,7 +89,9 @@ def adjoint_error(
     solution = finished(integrator.integrate(system, t_end, progress=progress))
     steps = len(solution.t) - 1
     if steps < _LEAST_STEPS:
-        raise InvalidInput("adjoint_error", "needs four steps", steps, "Use a smaller step.")
+        periods = advice(system, 0.0, solution.q[0], solution.lam[0])
+        repair = f"Use a smaller step. {periods}".rstrip()
+        raise InvalidInput("adjoint_error", "needs four steps", steps, repair)
     states = states_of(solution)
     partials = objective.partials(system, states)
     seeds = Seeds(partials.q, partials.v, partials.lam)

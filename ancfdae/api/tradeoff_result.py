@@ -112,7 +112,7 @@ class TargetNotReached(AncfdaeError):
         else:
             super().__init__(
                 f"{start}; the best is {best.integrator} with {getattr(best, of):.3g} in "
-                f"{best.seconds:.3g} s. Measure smaller steps or tolerances."
+                f"{best.seconds:.3g} s. Measure smaller steps (`suggest_step`) or tolerances."
             )
         self.best = best
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, Outcome
+from ancfdae.errors import InvalidInput, Outcome, Verdict
+from ancfdae.modes import advice
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities, Statistics
+
+_CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT)
 
 
 @final
@@ -103,8 +107,15 @@ class Recorder:
                 rejected=self.rejected,
                 wall_seconds=time.perf_counter() - self._started,
             ),
-            outcome=outcome,
+            outcome=self._advised(outcome),
             naming=system.naming,
             sensitivities=Sensitivities(system.design_names, system.b, *own) if own else None,
             degree=self._degree,
         )
+
+    def _advised(self, outcome: Outcome) -> Outcome:
+        """Tell the periods of small motions where a run ended that another step may cure."""
+        _, q, _, _, lam = (array[max(self._rows - 1, 0)] for array in self._arrays[:5])
+        if outcome.verdict not in _CURED_BY_STEP or not self._rows or np.iscomplexobj(q):
+            return outcome
+        return replace(outcome, advice=advice(self._system, self.time, q, lam))

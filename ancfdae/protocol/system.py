@@ -261,6 +261,45 @@ class MechanicalSystem(abc.ABC):
         """Return the total design derivative of `force_rate`, shape (n_q, n_b)."""
         return self.along(lambda s, *x: s.force_rate(*x, t), (q, q_b), (v, v_b), (a, a_b))
 
+    # -- forces at rest ------------------------------------------------------------------------
+
+    def force_q_times(self, q: Array, x: Array, t: float) -> Array:
+        """Return Q_q x at v = 0, shape (n_q,); asked for by derivatives of modes.
+
+        It is dQ/dt along a velocity x; where Q depends on velocities, along one so small that its
+        square vanishes against one.
+
+        Raises
+        ------
+        InvalidInput
+            If Q depends on velocities and on time: Q_t would drown it. It is to be written then.
+        """
+        still = np.zeros_like(x)
+        at_rest = self.force_rate(q, still, still, t)
+        if not self.velocity_forces:
+            return self.force_rate(q, x, still, t) - at_rest
+        if np.any(at_rest):
+            raise InvalidInput(
+                f"{type(self).__name__}.force_q_times",
+                "must be written where forces depend on velocities and on time",
+                "no such method",
+                "Write it: Q_q x at v = 0.",
+            )
+        return self.force_rate(q, STEP * x, still, t) / STEP
+
+    def force_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
+        """Return the total design derivative of `force_q_times` with x held, (n_q, n_b)."""
+        return self.along(lambda s, q: s.force_q_times(q, x, t), (q, q_b))
+
+    def force_q_times_q(self, q: Array, x: Array, t: float) -> Array:
+        """Return the values of (Q_q x)_q at v = 0, x held, on `pattern`."""
+        return self._by_coordinate(lambda y: self.force_q_times(y, x, t), q, self.pattern)
+
+    def pull_back_force_q_times(self, q: Array, x: Array, t: float, mu: Array) -> Array:
+        """Return mu^T (Q_q x)_b at v = 0 with q and x held, shape (n_b,)."""
+        total: Array = mu @ self.force_q_times_total(q, x, t, np.zeros((self.n_q, self.n_b)))
+        return total
+
     # -- constraints ---------------------------------------------------------------------------
 
     @abc.abstractmethod

@@ -2,7 +2,7 @@
 
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, NoEquilibrium, find_equilibrium
-from ancfdae.statics.mobility import FreeMechanism
+from ancfdae.statics.mobility import FreeMechanism, motions_in_words
 from ancfdae.statics.outcome import LoadOutcome
 from ancfdae.statics.rest import RestingStart
 
@@ -15,4 +15,5 @@ __all__ = [
     "RestingStart",
     "Tangent",
     "find_equilibrium",
+    "motions_in_words",
 ]

@@ -32,13 +32,17 @@ class FreeMechanism(InvalidInput):
 
 def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMechanism:
     """Return the error for motions, shape (n_q, k), that nothing holds at q."""
-    words = _of_coordinates(motions) if naming is None else _of_beams(naming, q.real, motions)
     return FreeMechanism(
         "equilibrium",
         "every motion must be held by a joint, a stiffness or the weight",
-        f"a mechanism that is free to move: {words}",
+        f"a mechanism that is free to move: {motions_in_words(naming, q, motions)}",
         "Add a joint, a spring or gravity, or simulate the motion.",
     )
+
+
+def motions_in_words(naming: Naming | None, q: Array, motions: Array) -> str:
+    """Say which beams move, and how, in motions without stiffness, shape (n_q, k)."""
+    return _of_coordinates(motions) if naming is None else _of_beams(naming, q.real, motions)
 
 
 def _of_coordinates(motions: Array) -> str:

@@ -242,6 +242,11 @@ class ComplexStepSystem(MechanicalSystem):
         m = self._d_forces.motion(q, v, a, t=t)
         return self._d_forces.value(_force_at, m, (self._d_forces.reach.time(m),), 1)
 
+    def force_q_times(self, q: Array, x: Array, t: float) -> Array:
+        """Differentiate Q along x at rest."""
+        m = self._d_forces.motion(q, x, t=t)
+        return self._d_forces.value(_resting_force, m, (self._d_forces.reach.time(m),), 1)
+
     # -- constraints ---------------------------------------------------------------------------
 
     def constraint_q(self, q: Array, t: float) -> Array:
@@ -299,6 +304,10 @@ def _full(rows: int, columns: int) -> Pattern:
 def _force_at(system: MechanicalSystem, m: Motion, s: complex) -> Array:
     moved = m.at(s)
     return system.force(moved.q, moved.v, moved.t)
+
+
+def _resting_force(system: MechanicalSystem, m: Motion, s: complex) -> Array:
+    return system.force(m.q + s * m.v, 0 * m.v, m.t)
 
 
 def _minus_constraint(system: MechanicalSystem, m: Motion, s: complex) -> Array:

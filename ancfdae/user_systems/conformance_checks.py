@@ -145,6 +145,27 @@ def design_derivatives(add: Add, p: Probe) -> None:
         add(f"{name}: differences of {value}", error, _DIFFERENCES)
 
 
+def forces_at_rest(add: Add, p: Probe) -> None:
+    """Check Q_q x at v = 0 and its derivatives."""
+    s, m, x = p.system, p.m, p.d.q
+    rest = np.zeros(s.n_q)
+    value, size = s.force_q_times(m.q, x, m.t), np.abs(s.force(m.q, rest, m.t))
+    claimed = s.pattern.dot(s.force_q(m.q, rest, m.t), x)
+    add("force_q_times: Q_q x", gap(value, claimed, size), _SAME)
+    found = p.by_design(lambda system, m: system.force_q_times(m.q, x, p.m.t), True)
+    claimed = s.force_q_times_total(m.q, x, m.t, p.arguments["q_b"]) * p.b_sizes
+    size = size + np.abs(value)
+    add("force_q_times_total: differences", gap(claimed, found, size), _DIFFERENCES)
+    found = p.along(lambda state: s.force_q_times(state.q, x, m.t), "q")
+    claimed = s.pattern.dot(s.force_q_times_q(m.q, x, m.t), x)
+    add("force_q_times_q: differences", gap(claimed, found, size), _DIFFERENCES)
+    mu = x * s.weights
+    pulled = s.pull_back_force_q_times(m.q, x, m.t, mu) * p.b_sizes
+    own = s.force_q_times_total(m.q, x, m.t, np.zeros((s.n_q, s.n_b))) * p.b_sizes
+    error = gap(pulled, mu @ own, np.abs(mu) @ np.abs(own))
+    add("pull_back_force_q_times: mu^T (Q_q x)_b", error, _SAME)
+
+
 def time_derivatives(add: Add, p: Probe) -> None:
     """Check rates, and the right sides nu, gamma and S, by differences along motions."""
     s, m, T = p.system, p.m, p.time
@@ -252,6 +273,7 @@ def _values(p: Probe) -> dict[str, tuple[Value, Array]]:
         "force": (lambda s, m: s.force(m.q, m.v, t), Q),
         "following_load": (lambda s, m: s.following_load(m.q, t), Q),
         "force_rate": (lambda s, m: s.force_rate(m.q, m.v, m.a, t), Q / T),
+        "force_q_times": (lambda s, m: s.force_q_times(m.q, x, t), Q),
         "constraint": (lambda s, m: s.constraint(m.q, t), Phi),
         # Patterns may depend on b: a joint's axis that turns out of a plane fills entries.
         "constraint_q": (lambda s, m: s.constraint_pattern.dot(s.constraint_q(m.q, t), x), turned),
@@ -278,6 +300,7 @@ CHECKS: tuple[Callable[[Add, Probe], None], ...] = (
     products,
     partials,
     design_derivatives,
+    forces_at_rest,
     time_derivatives,
     bulk,
     complex_steps,

@@ -30,6 +30,10 @@ MEMBERS = {
     "force_total": ("q v t q_b v_b", "qb"),
     "force_rate": ("q v a t", "q"),
     "force_rate_total": ("q v a t q_b v_b a_b", "qb"),
+    "force_q_times": ("q x t", "q"),
+    "force_q_times_total": ("q x t q_b", "qb"),
+    "force_q_times_q": ("q x t", "K"),
+    "pull_back_force_q_times": ("q x t mu", "b"),
     "constraint": ("q t", "l"),
     "constraint_q": ("q t", "B"),
     "constraint_b": ("q t", "lb"),
@@ -55,6 +59,7 @@ _BY_STEPS = {
     "inertia_q": ("inertia_rate_total",),
     "force": ("force_q", "force_v", "force_b", "force_total"),
     "force_rate": ("force_rate_total",),
+    "force_q_times": ("force_q_times_q", "force_q_times_total"),
     "constraint": ("constraint_b",),
     "constraint_q": (
         "constraint_force_q",
@@ -85,7 +90,7 @@ def call(system: MechanicalSystem, name: str, given: dict[str, Any]) -> Array:
 def complex_numbers(add: Add, system: MechanicalSystem) -> None:
     """Find values that refuse complex numbers although other members are complex steps of them."""
     x = np.asarray(system.start()[0]) + 1j * STEP
-    given = {"q": x, "v": x, "a": x, "t": 0.0}
+    given = {"q": x, "v": x, "a": x, "x": x, "t": 0.0}
     for name, derived in _BY_STEPS.items():
         kept = [y for y in derived if getattr(type(system), y) is getattr(MechanicalSystem, y)]
         if not kept or name in unasked(system):
@@ -137,7 +142,7 @@ def shapes(add: Add, system: MechanicalSystem) -> None:
     q = x + system.start()[0]
     expect("start_pull_back", system.start_pull_back(q, x), "b")
     expect("mass_times of columns", system.mass_times(q, q_b), "qb")
-    given = {"q": q, "v": x, "a": x, "x": x, "lam": np.zeros(n_lam), "t": 0.0}
+    given = {"q": q, "v": x, "a": x, "x": x, "mu": x, "lam": np.zeros(n_lam), "t": 0.0}
     given |= {"q_b": q_b, "v_b": q_b, "a_b": q_b, "lam_b": np.zeros((n_lam, n_b))}
     for name, (_, shape) in MEMBERS.items():
         if name not in unasked(system):

@@ -1,0 +1,92 @@
+"""From a system and a configuration to its modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ancfdae.modes.adjoint import PullBack
+from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.derivatives import differentiate, differentiate_back
+from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
+from ancfdae.modes.solver import coincident, solve
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.statics import motions_in_words
+
+
+def modes_about(
+    system: MechanicalSystem,
+    at: Configuration,
+    count: int,
+    highest: bool,
+    damped: bool | None,
+    pull_back: PullBack | None,
+) -> Modes:
+    """Return modes about a configuration.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    at : Configuration
+    count : int
+    highest : bool
+        Whether the highest are wanted.
+    damped : bool, optional
+        Whether velocity forces count; by default if there are any.
+    pull_back : callable, optional
+        What takes derivatives in q, lam and b back to the design; by default derivatives go
+        forward, along those of the configuration.
+
+    Raises
+    ------
+    InvalidInput
+        If the configuration does not fit the system or a motion has no inertia.
+    """
+    small = Linearised.of(system, at, damped)
+    pairs = solve(small, count, highest)
+    mu = small.multipliers(pairs.z, pairs.X)
+    groups = coincident(pairs)
+    s = exponents(small, pairs.z)
+    derivatives = None
+    if system.n_b:
+        parts = small, pairs, mu, groups
+        own = differentiate(*parts) if pull_back is None else differentiate_back(*parts, pull_back)
+        derivatives = ModeDerivatives(system.design_names, _exponents_b(small, s, own.z_b), own.X_b)
+    rigid = pairs.X[:, s == 0].real
+    return Modes(
+        s,
+        pairs.X,
+        mu,
+        tuple(map(_kind, s)),
+        tuple(tuple(group) for group in groups if len(group) > 1),
+        small.at,
+        small.unbalanced,
+        motions_in_words(system.naming, at.q, rigid) if rigid.size else "",
+        derivatives,
+    )
+
+
+def exponents(small: Linearised, z: Array) -> Array:
+    """Return s with Im s >= 0, or s > 0 where z = -s^2 is negative."""
+    if small.D is not None:
+        return z
+    s = np.sqrt(-z.astype(complex))
+    return np.asarray(np.where(s.imag < 0, -s, s)) + 0.0  # No -0.
+
+
+def _exponents_b(small: Linearised, s: Array, z_b: Array) -> Array:
+    """Return s_b; a rigid motion of a design stays one."""
+    if small.D is not None:
+        return z_b
+    s, infinite = s[:, None], np.isinf(z_b)
+    s_b = -0.5 * np.where(infinite, 0.0, z_b) / np.where(s == 0, 1.0, s)
+    return np.where(infinite, np.inf, np.where(s == 0, 0.0, s_b))
+
+
+def _kind(s: complex) -> MotionKind:
+    if s == 0:
+        return MotionKind.RIGID
+    if s.real > 0:
+        return MotionKind.GROWING
+    return MotionKind.VIBRATION if s.imag else MotionKind.DECAYING

@@ -1,0 +1,82 @@
+"""The configuration about which motions are small, and its design derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.errors import InvalidInput, require_array
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import MechanicalSystem, Solution
+
+
+@final
+@dataclass(frozen=True)
+class Configuration:
+    """Coordinates and multipliers at rest.
+
+    Attributes
+    ----------
+    q : array, shape (n_q,)
+    lam : array, shape (n_lam,)
+        Multipliers: their reactions pre-stress the joints.
+    q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b), or None
+        Design derivatives of both; None where q and lam stay as the design changes.
+    t : float
+        Time at which prescribed motions stand.
+    """
+
+    q: Array
+    lam: Array
+    q_b: Array | None = None
+    lam_b: Array | None = None
+    t: float = 0.0
+
+    def __repr__(self) -> str:
+        """Return sizes and time."""
+        sizes = f"{len(self.q)} coordinates, {len(self.lam)} multipliers"
+        return f"Configuration: {sizes}, t = {self.t:.6g}"
+
+    @staticmethod
+    def of(solution: Solution, instant: int = -1) -> Configuration:
+        """Return an instant of a run, with its derivatives if the run has them.
+
+        Parameters
+        ----------
+        solution : Solution
+        instant : int
+            Its number; the last by default.
+
+        Raises
+        ------
+        InvalidInput
+            If the run has no such instant.
+        """
+        count = len(solution.t)
+        if not -count <= instant < count:
+            raise InvalidInput(
+                "instant", f"must lie in 0 to {count - 1}", instant, "-1 is the last."
+            )
+        own = solution.sensitivities
+        return Configuration(
+            solution.q[instant],
+            solution.lam[instant],
+            None if own is None else own.q_b[instant],
+            None if own is None else own.lam_b[instant],
+            float(solution.t[instant]),
+        )
+
+    def check(self, system: MechanicalSystem) -> None:
+        """Refuse what does not fit a system.
+
+        Raises
+        ------
+        InvalidInput
+            If shapes are others or a value is not finite.
+        """
+        require_array("Configuration.q", self.q, (system.n_q,))
+        require_array("Configuration.lam", self.lam, (system.n_lam,))
+        if self.q_b is not None:
+            require_array("Configuration.q_b", self.q_b, (system.n_q, system.n_b))
+        if self.lam_b is not None:
+            require_array("Configuration.lam_b", self.lam_b, (system.n_lam, system.n_b))

@@ -1,0 +1,206 @@
+"""Small motions about a configuration at rest.
+
+    M x'' + D x' + K x + Phi_q^T mu = 0,     Phi_q x = 0,
+    K = -Q_q + (Phi_q^T lam)_q,     D = -Q_v     at v = 0
+
+Motions x e^{st} make two pencils F(z) x + Phi_q^T mu = 0, Phi_q x = 0:
+
+    without damping   F(z) = K - z M,              z = -s^2
+    damped            F(z) = z^2 M + z D + K,      z = s
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, SingularMatrix
+from ancfdae.modes.configuration import Configuration
+from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.saddle_points import saddle_point
+
+EPS = float(np.finfo(float).eps)
+# Operations that an entry of K and a product with it go through, with a margin: what is below
+# this many units of round-off of its own terms is taken for zero.
+ROUND_OFF = 64
+
+
+@final
+@dataclass(frozen=True)
+class Linearised:
+    """Matrices of small motions as values on the system's patterns.
+
+    Attributes
+    ----------
+    system : MechanicalSystem
+    at : Configuration
+    q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b)
+        Design derivatives of q and lam.
+    M, K : array, shape (nnz,)
+    D : array, shape (nnz,), or None
+        None for motions without damping.
+    Phi_q : array, shape (nnz of the constraint pattern,)
+    """
+
+    system: MechanicalSystem
+    at: Configuration
+    q_b: Array
+    lam_b: Array
+    M: Array
+    D: Array | None
+    K: Array
+    Phi_q: Array
+
+    @staticmethod
+    def of(system: MechanicalSystem, at: Configuration, damped: bool | None) -> Linearised:
+        """Linearise about a configuration.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+        at : Configuration
+        damped : bool, optional
+            Whether velocity forces count; by default if there are any.
+
+        Raises
+        ------
+        InvalidInput
+            If the configuration does not fit the system or a matrix is not finite.
+        """
+        at.check(system)
+        rest = np.zeros((1, system.n_q))
+        states = at.q[None], rest, rest, at.lam[None]
+        # What is not finite is refused below, not warned about.
+        with np.errstate(all="ignore"):
+            found = system.linearise(np.array([at.t]), *states)
+        D = None if found.f_v is None or damped is False else found.f_v[0]
+        if D is not None and not np.any(D) and not damped:
+            D = None
+        matrices = (found.M[0], found.f_q[0], found.Phi_q[0])
+        if not all(np.all(np.isfinite(x)) for x in matrices):
+            raise InvalidInput(
+                "configuration",
+                "must have finite mass, stiffness and constraints",
+                "NaN or infinity",
+                "Check the configuration and the forces.",
+            )
+        q_b = np.zeros((system.n_q, system.n_b)) if at.q_b is None else at.q_b
+        lam_b = np.zeros((system.n_lam, system.n_b)) if at.lam_b is None else at.lam_b
+        return Linearised(system, at, q_b, lam_b, matrices[0], D, *matrices[1:])
+
+    @property
+    def n_free(self) -> int:
+        """Number of independent motions."""
+        return self.system.n_q - self.system.n_lam
+
+    @property
+    def n_modes(self) -> int:
+        """Most modes there are: motions that only decay come in twos."""
+        return self.n_free if self.D is None else 2 * self.n_free
+
+    @cached_property
+    def symmetric(self) -> bool:
+        """Whether K and D are symmetric to round-off, as where forces have potentials."""
+        return all(self._is_symmetric(x) for x in (self.K, self.D) if x is not None)
+
+    def _is_symmetric(self, values: Array) -> bool:
+        pattern, root = self.system.pattern, np.sqrt(self.system.weights)
+        scaled = pattern.csr(values / (root[pattern.rows] * root[pattern.columns]))
+        skew = abs(scaled - scaled.T)
+        return bool(skew.max() <= ROUND_OFF * EPS * abs(scaled).max())
+
+    # -- the pencil ----------------------------------------------------------------------------
+
+    def matrix(self, z: complex) -> Array:
+        """Values of F(z)."""
+        if self.D is None:
+            return self.K - z * self.M
+        return z * z * self.M + z * self.D + self.K
+
+    def slope(self, z: complex) -> Array:
+        """Values of F'(z)."""
+        return -self.M if self.D is None else 2 * z * self.M + self.D
+
+    def slope_times(self, z: complex, x: Array) -> Array:
+        """Return F'(z) x for a vector or columns."""
+        return self.times(self.slope(z), x)
+
+    def times(self, values: Array, x: Array) -> Array:
+        """Product of M, D or K with a vector or columns."""
+        return self.system.pattern.dot(values, x)
+
+    # -- solving -------------------------------------------------------------------------------
+
+    @cached_property
+    def saddle(self) -> SaddlePoint:
+        """Saddle-point matrices with Phi_q.
+
+        Raises
+        ------
+        RedundantConstraints
+            If constraints depend on each other here.
+        """
+        return saddle_point(self.system, self.at.t, self.at.q)
+
+    @cached_property
+    def mass_factors(self) -> Factorization:
+        """The mass with the constraints, factorised."""
+        return self.saddle.factor(self.M, self.Phi_q)
+
+    def factor_beside(self, z: complex) -> Factorization:
+        """Factorise F(z) for inverse iteration; beside z if it is singular to the last bit."""
+        F = self.matrix(z)
+        try:
+            return self.saddle.factor(F, self.Phi_q)
+        except SingularMatrix:
+            i = np.arange(self.system.n_q)
+            moved = F.copy()
+            moved[self.system.pattern.index(i, i)] += (
+                ROUND_OFF * EPS * self.size * self.system.weights
+            )
+            return self.saddle.factor(moved, self.Phi_q)
+
+    @cached_property
+    def size(self) -> float:
+        """Largest entry of K in the norm of the weights."""
+        pattern, root = self.system.pattern, np.sqrt(self.system.weights)
+        entries = np.abs(self.K) / (root[pattern.rows] * root[pattern.columns])
+        return float(np.max(entries)) or 1.0
+
+    def solve(self, factors: Factorization, force: Array) -> Array:
+        """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""
+        none = np.zeros((self.system.n_lam, *force.shape[1:]))
+        return factors.solve(np.concatenate([force, none]))[: len(force)]
+
+    def multipliers(self, z: Array, X: Array) -> Array:
+        """Return mu of F(z) x + Phi_q^T mu = 0 for modes, the columns of X."""
+        force = np.zeros(X.shape, dtype=np.result_type(X, z))
+        for j, value in enumerate(z):
+            force[:, j] = -self.times(self.matrix(value), X[:, j])
+        none = np.zeros((self.system.n_lam, X.shape[1]))
+        return np.asarray(self.mass_factors.solve(np.concatenate([force, none]))[len(force) :])
+
+    # -- sizes of round-off --------------------------------------------------------------------
+
+    def round_off(self, values: Array, X: Array) -> Array:
+        """Round-off of x^T K x for the columns of X: eps |x|^T |K| |x|."""
+        size = np.abs(X)
+        return np.asarray(EPS * np.einsum("ij,ij->j", size, self.times(np.abs(values), size)))
+
+    @cached_property
+    def unbalanced(self) -> float:
+        """Size of Q - Phi_q^T lam relative to its parts; zero in an equilibrium."""
+        system, at = self.system, self.at
+        Q = system.force(at.q, np.zeros(system.n_q), at.t)
+        reaction = system.constraint_force(at.q, at.lam, at.t)
+        inverse = 1 / system.weights
+        left = real_norm(Q - reaction, inverse)
+        # Newton's method leaves some multiples of the round-off of the forces.
+        if left <= 1e3 * system.force_round_off:
+            return 0.0
+        return left / (real_norm(Q, inverse) + real_norm(reaction, inverse))

@@ -1,0 +1,97 @@
+"""Periods of small motions, from which a step follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from ancfdae.errors import AncfdaeError, InvalidInput
+from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.solver import solve
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import MechanicalSystem
+
+
+@final
+@dataclass(frozen=True)
+class StepSuggestion:
+    """A step and the periods it comes from; made by `suggest_step`.
+
+    Attributes
+    ----------
+    step : float
+        Step that takes `per_period` steps in the period `resolved`.
+    fastest, slowest : float
+        Shortest and longest period, 2 pi / |s|, of motions that vibrate or grow.
+    resolved : float
+        Period of the fastest motion that counts.
+    per_period : float
+    """
+
+    step: float
+    fastest: float
+    slowest: float
+    resolved: float
+    per_period: float
+
+    def __str__(self) -> str:
+        """Return step and periods as a sentence."""
+        return (
+            f"A step of {self.step:.3g} takes {self.per_period:.6g} steps in a period of "
+            f"{self.resolved:.3g}; periods range from {self.fastest:.3g} to {self.slowest:.3g}."
+        )
+
+
+def suggestion(
+    system: MechanicalSystem, at: Configuration, per_period: float, follow: int | None
+) -> StepSuggestion:
+    """Return a step that follows the slowest `follow` motions, or all; see `suggest_step`.
+
+    Raises
+    ------
+    InvalidInput
+        If nothing vibrates or grows.
+    """
+    small = Linearised.of(system, at, False)
+    fastest = 2 * np.pi / _speeds(small, 1, True)[-1]
+    slow = 2 * np.pi / _speeds(small, 1 if follow is None else follow, False)
+    resolved = fastest if follow is None else float(slow[min(follow, len(slow)) - 1])
+    return StepSuggestion(
+        resolved / per_period, float(fastest), float(slow[0]), float(resolved), per_period
+    )
+
+
+def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
+    """Return the periods of small motions about a state in words; nothing if there are none."""
+    try:
+        with np.errstate(all="ignore"):
+            found = suggestion(system, Configuration(q, lam, t=t), 1.0, None)
+    except (AncfdaeError, LinAlgError):
+        return ""
+    return (
+        f"Small motions there have periods from {found.fastest:.3g} to {found.slowest:.3g}; the "
+        "step decides which of them are followed (`suggest_step`)."
+    )
+
+
+def _speeds(small: Linearised, count: int, highest: bool) -> Array:
+    """Return |s| of the given number of motions that are not rigid, in increasing order."""
+    asked = count
+    while True:
+        z = solve(small, asked, highest).z
+        speeds = np.sqrt(np.sort(np.abs(z[z != 0])))
+        if len(speeds) >= count or asked >= small.n_free:
+            break
+        asked = min(2 * asked + 6, small.n_free)
+    if not len(speeds):
+        raise InvalidInput(
+            "suggest_step",
+            "needs a motion that vibrates",
+            "rigid motions only",
+            "Choose the step from the speed of the motion.",
+        )
+    return np.asarray(speeds)

@@ -1,0 +1,185 @@
+"""Modes: frequencies, damping and shapes of small motions, and their design derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.modes.configuration import Configuration
+from ancfdae.numerics.arrays import Array
+from ancfdae.text import columns, listed
+
+
+class MotionKind(Enum):
+    """What a mode does; the value is the word that a reader sees."""
+
+    RIGID = "free to move"
+    VIBRATION = "vibrates"
+    GROWING = "grows (unstable)"
+    DECAYING = "decays"
+
+
+@final
+@dataclass(frozen=True)
+class ModeDerivatives:
+    """Design derivatives of modes.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the design variables.
+    exponents_b : array, shape (count, n_b), complex
+        Zero for rigid modes. For modes that coincide: how each of them, in increasing order, moves
+        as one variable alone grows; not linear in several variables together, and infinite where
+        their shapes coincide too (critical damping).
+    shapes_b : tuple of array, shape (n_q, n_b), or None
+        None for modes that coincide, and by adjoints.
+    """
+
+    names: tuple[str, ...]
+    exponents_b: Array
+    shapes_b: tuple[Array | None, ...]
+
+    def __repr__(self) -> str:
+        """Return the names of the design variables."""
+        return f"ModeDerivatives of {len(self.exponents_b)} modes in {listed(self.names)}"
+
+
+@final
+@dataclass(frozen=True)
+class Modes:
+    """Small motions x e^{st} about a configuration at rest; made by `modes`.
+
+    Attributes
+    ----------
+    exponents : array, shape (count,), complex
+        s, with Im s >= 0: i omega where nothing damps or grows. A growing motion without damping,
+        which has -s as well, has the positive one; a rigid one zero.
+    shapes : array, shape (n_q, count)
+        x with x^H M x = 1; the largest entry (in the norm of the weights) is real and positive.
+        Complex with damping.
+    multipliers : array, shape (n_lam, count)
+        Reactions mu that belong to the shapes.
+    kinds : tuple of MotionKind
+    coincide : tuple of tuple of int
+        Modes that round-off cannot tell apart, in groups of two or more.
+    configuration : Configuration
+    unbalanced : float
+        Unbalanced force relative to all forces; zero in an equilibrium.
+    free : str
+        What rigid modes do, in words; empty if there are none.
+    derivatives : ModeDerivatives or None
+        None without design variables.
+    """
+
+    exponents: Array
+    shapes: Array
+    multipliers: Array
+    kinds: tuple[MotionKind, ...]
+    coincide: tuple[tuple[int, ...], ...]
+    configuration: Configuration
+    unbalanced: float
+    free: str
+    derivatives: ModeDerivatives | None = None
+
+    @property
+    def frequencies(self) -> Array:
+        """Circular frequencies at which they vibrate, Im s, shape (count,); rad/s."""
+        return self.exponents.imag
+
+    @property
+    def natural_frequencies(self) -> Array:
+        """|s|, shape (count,); rad/s. Without damping the frequencies."""
+        return np.abs(self.exponents)
+
+    @property
+    def damping_ratios(self) -> Array:
+        """-Re s / |s|, shape (count,); zero for rigid modes."""
+        size = np.abs(self.exponents)
+        return np.asarray(0.0 - self.exponents.real / np.where(size == 0, 1.0, size))
+
+    @property
+    def frequencies_b(self) -> Array:
+        """Design derivatives of `frequencies`, shape (count, n_b).
+
+        Raises
+        ------
+        InvalidInput
+            If there are no design variables.
+        """
+        return self._known().exponents_b.imag
+
+    @property
+    def natural_frequencies_b(self) -> Array:
+        """Design derivatives of `natural_frequencies`, shape (count, n_b); as `frequencies_b`."""
+        s, size = self.exponents[:, None], np.abs(self.exponents)[:, None]
+        change = np.real(np.conj(s) * self._known().exponents_b)
+        return np.asarray(change / np.where(size == 0, 1.0, size))
+
+    @property
+    def damping_ratios_b(self) -> Array:
+        """Design derivatives of `damping_ratios`, shape (count, n_b); as `frequencies_b`."""
+        size = np.abs(self.exponents)[:, None]
+        change = self._known().exponents_b.real
+        change = change + self.damping_ratios[:, None] * self.natural_frequencies_b
+        return np.asarray(-change / np.where(size == 0, 1.0, size))
+
+    def shape_b(self, mode: int) -> Array:
+        """Return the design derivative of a shape, shape (n_q, n_b).
+
+        Raises
+        ------
+        InvalidInput
+            If there are no design variables, the mode coincides with others, or the derivatives
+            are adjoint.
+        """
+        shape_b = self._known().shapes_b[mode]
+        if shape_b is not None:
+            return shape_b
+        where = f"derivative of the shape of mode {mode}"
+        others = next((group for group in self.coincide if mode in group), None)
+        if others is None:
+            raise InvalidInput(where, "goes forward", "an adjoint", "Use method=Direct().")
+        raise InvalidInput(
+            where,
+            "needs a mode that is alone at its frequency",
+            f"modes {', '.join(map(str, others))} that coincide",
+            "Change the design a little, or use the derivatives of their frequencies.",
+        )
+
+    def _known(self) -> ModeDerivatives:
+        if self.derivatives is None:
+            raise InvalidInput(
+                "derivatives of modes",
+                "need design variables",
+                "none",
+                'For a scene call modes(scene, design=["rod.height"]).',
+            )
+        return self.derivatives
+
+    def __repr__(self) -> str:
+        """Return a table of the modes and what they are about."""
+        rows = [["mode", "rad/s", "damping ratio", ""]]
+        ratios = self.damping_ratios
+        for j, kind in enumerate(self.kinds):
+            value = self.exponents[j]
+            size = abs(value.real) if kind is MotionKind.GROWING and not value.imag else abs(value)
+            rows.append([str(j), f"{size:.6g}", f"{ratios[j]:.3g}", kind.value])
+        where = "an equilibrium"
+        if self.unbalanced > _BALANCED:
+            where = (
+                "a configuration that is not in balance, and is held there (unbalanced force "
+                f"{self.unbalanced:.2g} of all forces; pass at=equilibrium(...) for vibrations "
+                "under load)"
+            )
+        lines = [f"Modes about {where}", columns(rows)]
+        lines += [f"free to move: {self.free}"] if self.free else []
+        return "\n".join(lines)
+
+
+# Relative unbalanced force up to which a configuration is called an equilibrium in words.
+_BALANCED = 1e-6

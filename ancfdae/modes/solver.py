@@ -1,0 +1,241 @@
+"""Eigenvalues of small motions: which method, how many, and how exactly.
+
+What is rigid, and which modes coincide, is decided by the round-off of x^T K x itself, so that
+neither units nor stiff waves of the section matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from scipy import linalg
+from scipy.sparse.linalg import ArpackError
+
+from ancfdae.errors import AncfdaeError, InvalidInput, SingularMatrix
+from ancfdae.modes import dense, sparse
+from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
+from ancfdae.numerics.arrays import Array
+
+# Up to this many independent motions dense matrices are faster; damped ones have twice as many
+# exponents, all of which dense methods find (docs/measurements.md, section 12).
+_DENSE, _DENSE_DAMPED = 300, 120
+# ARPACK needs room for its basis.
+_ROOM = 40
+_SWEEPS = 2
+
+
+@final
+class NoModes(AncfdaeError):
+    """Eigenvalues of a large system that did not converge."""
+
+
+@final
+@dataclass(frozen=True)
+class Eigenpairs:
+    """Solutions of F(z) x + Phi_q^T mu = 0, Phi_q x = 0.
+
+    Attributes
+    ----------
+    z : array, shape (count,)
+        -s^2 without damping, s with it; exactly zero for rigid motions.
+    X : array, shape (n_q, count)
+        x^H M x = 1; the largest entry is real and positive.
+    noise : array, shape (count,)
+        Round-off in z.
+    """
+
+    z: Array
+    X: Array
+    noise: Array
+
+    def first(self, count: int) -> Eigenpairs:
+        """Return the first ones; those that coincide with the last of them too."""
+        groups = coincident(self)
+        stop = next(g[-1] + 1 for g in groups if g[-1] + 1 >= min(count, len(self.z)))
+        return Eigenpairs(self.z[:stop], self.X[:, :stop], self.noise[:stop])
+
+
+def coincident(pairs: Eigenpairs) -> list[list[int]]:
+    """Group neighbours whose z are nearer than the root of their relative round-off.
+
+    At a relative gap of g round-off e turns the shapes into each other by e/g: at g = sqrt(e)
+    they, and derivatives that take them for simple, have lost as much as those that take them
+    for one.
+    """
+    groups: list[list[int]] = []
+    size = np.abs(pairs.z)
+    near = np.sqrt(pairs.noise * np.maximum(size, pairs.noise))
+    for j in range(len(pairs.z)):
+        if groups:
+            i = groups[-1][-1]
+            if abs(pairs.z[j] - pairs.z[i]) <= near[i] + near[j]:
+                groups[-1].append(j)
+                continue
+        groups.append([j])
+    return groups
+
+
+def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
+    """Return the lowest modes, growing ones first, or the highest, by falling frequency.
+
+    A group of modes that coincide is not cut.
+
+    Raises
+    ------
+    InvalidInput
+        If nothing can move, or a motion has no inertia.
+    NoModes
+        If ARPACK finds none.
+    """
+    asked, n = min(count, small.n_modes), small.n_modes
+    if n <= 0:
+        raise InvalidInput(
+            "modes", "need a motion that the joints leave", "none", "Remove a joint."
+        )
+    wanted = min(asked + 2, n)
+    while True:
+        method = _undamped if small.D is None else _damped
+        try:
+            pairs = method(small, wanted, highest)
+        except ArpackError as error:
+            raise NoModes(f"{wanted} modes: {error}. Ask for another number.") from error
+        first = pairs.first(asked)
+        if len(first.z) < len(pairs.z) or wanted == n:
+            return first
+        wanted = min(2 * wanted, n)
+
+
+def _undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
+    method = dense if _is_small(small, count) else sparse
+    z, X = method.undamped(small, count, highest)
+    if not small.symmetric:
+        z, X = _each_sharpened(small, z, X)
+    elif not highest:
+        z, X = _sharpened(small, z, X)
+    order = np.argsort(-z.real if highest else z.real, kind="stable")
+    return _finished(small, z[order], X[:, order])
+
+
+def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
+    rigid = _rigid(replace(small, D=None))
+    if _is_small(small, count):
+        s, X = dense.damped(small, rigid)
+    else:
+        # Rigid motions, found already, are met again.
+        more = count + (0 if highest else rigid.shape[1])
+        around = _undamped(replace(small, D=None), more, highest)
+        size = float(np.sqrt(np.max(np.abs(around.z))))
+        s, X = sparse.damped(small, more, size, highest)
+        moving = np.abs(s) ** 2 > ROUND_OFF * _noise(small, s, X) * np.abs(s)
+        s, X = s[moving], X[:, moving]
+    order = np.argsort(-np.abs(s) if highest else _rank(small, s, X), kind="stable")[:count]
+    s, X = _each_sharpened(small, s[order], X[:, order])
+    if not highest:
+        s, X = np.append(np.zeros(rigid.shape[1]), s), np.hstack([rigid, X])
+        order = np.argsort(_rank(small, s, X), kind="stable")
+        s, X = s[order], X[:, order]
+    return _finished(small, s, X)
+
+
+def _is_small(small: Linearised, count: int) -> bool:
+    size = _DENSE if small.D is None else _DENSE_DAMPED
+    return small.n_free <= max(size, 3 * count + _ROOM)
+
+
+def _rigid(small: Linearised) -> Array:
+    """Return the motions without stiffness, orthonormal in M."""
+    count = 1
+    while True:
+        pairs = _undamped(small, min(count, small.n_free), False)
+        if np.any(pairs.z.real > 0) or count >= small.n_free:
+            return np.asarray(pairs.X[:, pairs.z == 0].real)
+        count *= 4
+
+
+def _rank(small: Linearised, s: Array, X: Array) -> Array:
+    """Order of exponents: growing ones, fastest first, then by size."""
+    growing = s.real > ROUND_OFF * _noise(small, s, X)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(growing, -s.real, np.abs(s)))
+
+
+def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array]:
+    """Sweeps of inverse iteration with all shapes of a symmetric pencil, and Ritz's method.
+
+    Dense eigenvalues are good to round-off of the largest one, which in a thin beam is far above
+    the lowest.
+    """
+    for _ in range(_SWEEPS):
+        noise = float(np.max(small.round_off(small.K, X)))
+        # Below all of them, and as far from zero as they are: as far as round-off allows.
+        shift = -max(1.5 * float(np.max(np.abs(z))), noise / EPS**0.5)
+        try:
+            factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
+        except SingularMatrix:
+            return z, X
+        Z = small.solve(factors, small.times(small.M, X))
+        Z = Z / np.sqrt(_squares(small, Z))
+        K, M = (Z.T @ small.times(values, Z) for values in (small.K, small.M))
+        z, Y = linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
+        X = Z @ Y
+    return z, X
+
+
+def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array]:
+    """Sweeps of inverse iteration, one shape after the other: F(z) y = F'(z) x.
+
+    F(z + dz) y = F'(z) (x + dz y) in first order: dz follows where that vanishes along y.
+    """
+    z, X = z.astype(complex), X.astype(complex)
+    for j in range(len(z)):
+        for _ in range(_SWEEPS):
+            x, factors = X[:, j], small.factor_beside(z[j])
+            y = small.solve(factors, small.slope_times(z[j], x))
+            if not np.any(y):  # A double root: F'(z) x vanishes.
+                break
+            along = np.conj(small.times(small.M, y))
+            z[j] -= (along @ x) / (along @ y)
+            X[:, j] = y / np.sqrt(np.real(along @ y))
+    return z, X
+
+
+def _finished(small: Linearised, z: Array, X: Array) -> Eigenpairs:
+    """Name zero what is zero to round-off; norm and sign of the shapes."""
+    X = X / np.sqrt(_squares(small, X))
+    pivot = X[largest_entries(small, X), np.arange(X.shape[1])]
+    X = X * (np.abs(pivot) / pivot)
+    noise = _noise(small, z, X)
+    if small.D is None:
+        z = np.where(np.abs(z) <= ROUND_OFF * noise, 0.0, z)
+        z = np.where(np.abs(z.imag) <= ROUND_OFF * noise, z.real, z)
+    else:
+        z = np.where(np.abs(z.real) <= ROUND_OFF * noise, 1j * z.imag, z)
+    return Eigenpairs(z, X, noise)
+
+
+def largest_entries(small: Linearised, X: Array) -> Array:
+    """Return the number of the largest entry of each shape, in the norm of the weights.
+
+    The first of those that are nearly the largest: equal ones are told apart by round-off.
+    """
+    size = np.abs(X) * np.sqrt(small.system.weights)[:, None]
+    return np.asarray(np.argmax(size >= (1 - 1e-3) * np.max(size, axis=0), axis=0))
+
+
+def _squares(small: Linearised, X: Array) -> Array:
+    """Return x^H M x of the columns of X."""
+    squares: Array = np.real(np.einsum("ij,ij->j", np.conj(X), small.times(small.M, X)))
+    return squares
+
+
+def _noise(small: Linearised, z: Array, X: Array) -> Array:
+    """Round-off in z: that of the terms of x^H F(z) x, over x^H F'(z) x."""
+    X = X / np.sqrt(_squares(small, X))
+    size, noise = np.abs(z), small.round_off(small.K, X)
+    if small.D is None:
+        return noise + size * EPS
+    noise = noise + size * small.round_off(small.D, X) + size**2 * EPS
+    slope = 2 * z + np.einsum("ij,ij->j", np.conj(X), small.times(small.D, X))
+    return np.asarray(noise / np.maximum(np.abs(slope), np.sqrt(noise)))

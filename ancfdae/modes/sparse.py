@@ -1,0 +1,176 @@
+"""A few eigenvalues of large systems by ARPACK, on the factorised saddle-point matrix.
+
+The inverse of F(shift) within the constraints maps every force to a motion that keeps them, so
+that all Krylov vectors do. Shifts are of the size of the eigenvalues asked for: taken from a first
+rough pass at a shift near zero. A Krylov space holds one vector of a multiple eigenvalue, and the
+others by round-off only: what is left beside the vectors found is searched until nothing
+is nearer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigs, eigsh
+
+from ancfdae.modes.linearised import Linearised
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization
+
+# Takes positions and scaled velocities.
+Advance: TypeAlias = Callable[[Array, Array], tuple[Array, Array]]
+
+# First shift, relative to the largest eigenvalue: round-off leaves zero at 1e-16 of it.
+_NEAR_ZERO = 1e-9
+# A rough pass tells sizes, not values.
+_ROUGH = 1e-2
+_SHIFTS = 6
+# Vectors searched for beside those found.
+_MORE = 2
+
+
+def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array]:
+    """Return z = -s^2 in increasing order of its real part, and the shapes as columns."""
+    if highest:
+        z, X = _highest(small, count, 0.0)
+        return _completed(small, -z, X, lambda X: _highest(small, _MORE, 0.0, X), -1)
+    shift = -_NEAR_ZERO * largest(small)
+    z, _ = _near(small, shift, count, _ROUGH)
+    for _ in range(_SHIFTS):
+        # Below all of them: a growing motion may lie below the shift.
+        shift = -1.5 * float(np.max(np.abs(z)))
+        z, X = _near(small, shift, count, 0.0)
+        if np.min(z.real) > shift:
+            break
+    return _completed(small, z, X, lambda X: _near(small, shift, _MORE, 0.0, X), 1)
+
+
+def _completed(
+    small: Linearised, z: Array, X: Array, left: Callable[[Array], tuple[Array, Array]], sign: int
+) -> tuple[Array, Array]:
+    """Add what comes before the last of sign z; where K has no potential vectors do not split."""
+    count = len(z)
+    while small.symmetric:
+        more, Y = left(X)
+        missed = sign * more < np.max(z)
+        if not np.any(missed):
+            break
+        z, X = np.append(z, sign * more[missed]), np.hstack([X, Y[:, missed]])
+    chosen = np.argsort(z.real, kind="stable")[:count]
+    chosen = chosen[np.argsort(sign * z[chosen].real, kind="stable")]
+    return sign * z[chosen], X[:, chosen]
+
+
+def largest(small: Linearised) -> float:
+    """Size of the largest z = -s^2, to some per cent."""
+    z, _ = _highest(small, 1, _ROUGH)
+    return float(abs(z[0]))
+
+
+def damped(small: Linearised, count: int, size: float, highest: bool) -> tuple[Array, Array]:
+    """Return exponents with Im s >= 0, nearest to zero or farthest, and their shapes.
+
+    With u = v / size the first-order form maps [x, u] to
+
+        size u,   -M^{-1} (K x / size + D u)                                 of farthest exponents s
+        x' = -F(size)^{-1} (size M u + (D + size M) x),   u' = x' + x / size            1/(s - size)
+
+    Parameters
+    ----------
+    small : Linearised
+    count : int
+    size : float
+        Size of the exponents asked for, for example their natural frequencies.
+    highest : bool
+    """
+    n, root = small.system.n_q, np.sqrt(small.system.weights)
+    advance, factors = (_outwards if highest else _inwards)(small, size)
+
+    def step(y: Array) -> Array:
+        x, u = advance(y[:n] / root, y[n:] / root)
+        return np.concatenate([root * x, root * u])
+
+    start = root * _start(small, factors)
+    OP = LinearOperator((2 * n, 2 * n), matvec=step, dtype=float)
+    # Both of a pair of complex conjugate exponents are found.
+    theta, Y = eigs(OP, k=2 * count, v0=np.concatenate([start, start]))
+    s, X = theta if highest else size + 1 / theta, Y[:n] / root[:, None]
+    return s[s.imag >= 0], X[:, s.imag >= 0]
+
+
+def _outwards(small: Linearised, size: float) -> tuple[Advance, Factorization]:
+    def advance(x: Array, u: Array) -> tuple[Array, Array]:
+        assert small.D is not None
+        force = small.times(small.K, x) / size + small.times(small.D, u)
+        return size * u, -small.solve(small.mass_factors, force)
+
+    return advance, small.mass_factors
+
+
+def _inwards(small: Linearised, size: float) -> tuple[Advance, Factorization]:
+    assert small.D is not None
+    D, M = small.D + size * small.M, size * small.M
+    factors = small.saddle.factor(small.matrix(size), small.Phi_q)
+
+    def advance(x: Array, u: Array) -> tuple[Array, Array]:
+        moved = -small.solve(factors, small.times(M, u) + small.times(D, x))
+        return moved, moved + x / size
+
+    return advance, factors
+
+
+def _near(
+    small: Linearised, shift: float, count: int, tolerance: float, known: Array | None = None
+) -> tuple[Array, Array]:
+    """Eigenvalues of K - z M next to a shift, beside those with the known vectors."""
+    factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
+    options = {"sigma": shift, "OPinv": _inverse(small, factors, known)}
+    return _sorted(small, eigsh if small.symmetric else eigs, count, tolerance, factors, options)
+
+
+def _highest(
+    small: Linearised, count: int, tolerance: float, known: Array | None = None
+) -> tuple[Array, Array]:
+    """Eigenvalues of largest real part, beside those with the known vectors."""
+    factors, symmetric = small.mass_factors, small.symmetric
+    options = {"which": "LA" if symmetric else "LR", "Minv": _inverse(small, factors, known)}
+    return _sorted(small, eigsh if symmetric else eigs, count, tolerance, factors, options)
+
+
+def _sorted(
+    small: Linearised,
+    routine: Callable[..., tuple[Array, Array]],
+    count: int,
+    tolerance: float,
+    factors: Factorization,
+    options: dict[str, Any],
+) -> tuple[Array, Array]:
+    """Call ARPACK, starting within the constraints from what no symmetry keeps from any mode."""
+    n, M = small.system.n_q, small.system.pattern.csr(small.M)
+    K = _operator(n, lambda x: small.times(small.K, x))
+    z, X = routine(K, count, M, v0=_start(small, factors), tol=tolerance, **options)
+    order = np.argsort(z.real, kind="stable")
+    return z[order], X[:, order]
+
+
+def _inverse(small: Linearised, factors: Factorization, known: Array | None) -> LinearOperator:
+    """Return the inverse within the constraints, and within what is orthogonal to known vectors."""
+
+    def solve(force: Array) -> Array:
+        x = small.solve(factors, force)
+        return x if known is None else x - known @ (known.T @ small.times(small.M, x))
+
+    return _operator(small.system.n_q, solve)
+
+
+def _start(small: Linearised, factors: Factorization) -> Array:
+    """Return a random motion within the constraints."""
+    generator = np.random.default_rng(1)
+    push = generator.standard_normal(small.system.n_q) * np.sqrt(small.system.weights)
+    return small.solve(factors, push)
+
+
+def _operator(n: int, times: Callable[[Array], Array]) -> LinearOperator:
+    return LinearOperator((n, n), matvec=times, dtype=float)
