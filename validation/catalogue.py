@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from validation import (
     crank_slider,
+    elements,
     error_bars,
     external_dae,
     extremes,
@@ -53,6 +54,14 @@ CATALOGUE: tuple[Definition, ...] = (
         question="Do the motion and the design sensitivities of the paper's planar pendulum come "
         "out as printed, and how far are they from the continuous-in-time answer?",
         run=pendulum.run,
+    ),
+    Definition(
+        name="elements",
+        title="How many elements a beam needs",
+        question="How fast do deflection, large rotation and first frequency converge with the "
+        "number of elements, for every strain energy and slenderness?",
+        run=elements.run,
+        source="theory",
     ),
     Definition(
         name="crank-slider",
