@@ -76,14 +76,19 @@ def driven(damping_time=None):
     """Joints that turn: Phi_qt counts neither in K nor in its derivatives."""
     damped = {} if damping_time is None else {"damping_time": damping_time}
     rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.05, 0.05), Material(1000, 2e7, 0.0, **damped))
-    joints = [Pin(rod.at_start), Drive(rod.at(0.5), Harmonic(0.5, 4.0), name="drive")]
-    return Scene([rod], joints, (0, -9.81), start=[RigidMotion("rod", 2.0, (0, 0))])
+    joints = [
+        Pin(rod.at_start),
+        Drive(rod.at(0.5), Harmonic(0.5, 4.0), name="drive"),
+        Distance(rod.at_end, 1.0, ground=(2, 0), name="rope"),  # Not linear in q.
+    ]
+    spin = [RigidMotion("rod", 2.0, (0, 0))]
+    return Scene([rod], joints, (0, -9.81), start=spin, project_start=True)
 
 
 CASES = {
     "cantilever": (cantilever, ["rod.youngs_modulus", "rod.height", "rod.length", "rod.density"]),
     "linkage": (linkage, ["a.length", "b.height", "slide.direction_y", "weight.force_y"]),
-    "driven": (driven, ["rod.length", "rod.height"]),
+    "driven": (driven, ["rod.density", "rod.height"]),
     "pressed": (pressed, ["rod.length", "jet.force_x", "strut.stiffness", "rod.youngs_modulus"]),
 }
 
