@@ -257,6 +257,42 @@ def test_forces_that_change_at_rest_leave_derivatives_alone():
         np.testing.assert_allclose(found.derivatives.exponents_b[0], expected, atol=1e-11)
 
 
+class Bead(ComplexStepSystem):
+    """A bead on the wire y = k x^2 that is held at x_0, which is a design variable."""
+
+    n_q, n_lam = 2, 1
+    design_names = ("k", "x_0", "m")
+    constant_mass, velocity_forces = True, False
+
+    def with_values(self, b):
+        return Bead(b)
+
+    def start(self):
+        k, x_0, _ = self.b
+        return np.array([x_0, k * x_0**2]), np.zeros(2)
+
+    def mass_matrix(self, q):
+        return self.b[2] * np.eye(2)
+
+    def force(self, q, v, t):
+        return np.array([-3.0 * q[0] ** 3, -9.81 * self.b[2]])
+
+    def constraint(self, q, t):
+        return np.array([q[1] - self.b[0] * q[0] ** 2])
+
+
+def test_a_start_that_moves_while_it_is_out_of_balance():
+    b = np.array([0.8, 0.4, 1.5])
+    direct, back = (modes(Bead(b), method=x).frequencies_b for x in (Direct(), Adjoint()))
+    # Circles in the complex plane are good to 1e-12.
+    np.testing.assert_allclose(back, direct, rtol=1e-10)
+    for i in range(3):
+        step = 1e-4 * np.eye(3)[i]
+        up, down = (modes(Bead(b + x)).frequencies for x in (step, -step))
+        # Truncation 1e-8 times the third derivative.
+        np.testing.assert_allclose(direct[:, i], (up - down) / 2e-4, rtol=1e-6)
+
+
 @pytest.mark.parametrize("balanced", [True, False])
 def test_a_mass_that_depends_on_q_and_damping_have_derivatives(balanced):
     b = np.array([1.5, 1.0, 0.3, 0.1])
