@@ -19,8 +19,9 @@ from ancfdae.statics.softness import softest
 _FIRST = 0.1
 # A step is easy up to these iterations.
 _EASY = 6
-# A step that moves no more than this part has settled; one that ends farther away has left.
-_SETTLED, _GONE = 1e-10, 100.0
+# A step has settled that moves no more than this part, and holds no more of the load by its mu;
+# one that ends farther away has left.
+_SETTLED, _HELD, _GONE = 1e-10, 1e-6, 100.0
 # 4^30 is no reason to try once more.
 _FAILURES = 30
 
@@ -63,7 +64,7 @@ class Settling:
                 if failures > _FAILURES:
                     return found.verdict
                 continue
-            moved = self._share(found.q - self.q)
+            moved, held = self._share(found.q - self.q), self._held(mu, found.q - self.q)
             if moved > _SETTLED and not softest(balance, 1.0, found.q, found.lam, mu).stable:
                 # A step this long goes uphill.
                 balance.work.rejected += 1
@@ -75,10 +76,15 @@ class Settling:
             if self._share(self.q - balance.q_0) > _GONE:
                 self.gone = True
                 return Verdict.NO_CONVERGENCE
-            if moved <= _SETTLED:
+            if moved <= _SETTLED and held <= _HELD:
                 return Verdict.EQUILIBRIUM
             mu /= 8.0 if found.iterations <= _EASY else 2.0
         return Verdict.STEP_LIMIT
+
+    def _held(self, mu: float, dq: Array) -> float:
+        """Part of the load that a step has left to do."""
+        b = self._balance
+        return b.strength(mu * b.system.pattern.dot(b.M_0, dq)) / b.load
 
     def _share(self, dq: Array) -> float:
         return self._balance.length(dq) / self._balance.extent
