@@ -76,14 +76,19 @@ def driven(damping_time=None):
     """Joints that turn: Phi_qt counts neither in K nor in its derivatives."""
     damped = {} if damping_time is None else {"damping_time": damping_time}
     rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.05, 0.05), Material(1000, 2e7, 0.0, **damped))
-    joints = [Pin(rod.at_start), Drive(rod.at(0.5), Harmonic(0.5, 4.0), name="drive")]
-    return Scene([rod], joints, (0, -9.81), start=[RigidMotion("rod", 2.0, (0, 0))])
+    joints = [
+        Pin(rod.at_start),
+        Drive(rod.at(0.5), Harmonic(0.5, 4.0), name="drive"),
+        Distance(rod.at_end, 1.0, ground=(2, 0), name="rope"),  # Not linear in q.
+    ]
+    spin = [RigidMotion("rod", 2.0, (0, 0))]
+    return Scene([rod], joints, (0, -9.81), start=spin, project_start=True)
 
 
 CASES = {
     "cantilever": (cantilever, ["rod.youngs_modulus", "rod.height", "rod.length", "rod.density"]),
     "linkage": (linkage, ["a.length", "b.height", "slide.direction_y", "weight.force_y"]),
-    "driven": (driven, ["rod.length", "rod.height"]),
+    "driven": (driven, ["rod.density", "rod.height"]),
     "pressed": (pressed, ["rod.length", "jet.force_x", "strut.stiffness", "rod.youngs_modulus"]),
 }
 
@@ -250,6 +255,42 @@ def test_forces_that_change_at_rest_leave_derivatives_alone():
         found = modes(Shaken((k, c, m)), 1, method=method)
         # Circles in the complex plane are good to 1e-12.
         np.testing.assert_allclose(found.derivatives.exponents_b[0], expected, atol=1e-11)
+
+
+class Bead(ComplexStepSystem):
+    """A bead on the wire y = k x^2 that is held at x_0, which is a design variable."""
+
+    n_q, n_lam = 2, 1
+    design_names = ("k", "x_0", "m")
+    constant_mass, velocity_forces = True, False
+
+    def with_values(self, b):
+        return Bead(b)
+
+    def start(self):
+        k, x_0, _ = self.b
+        return np.array([x_0, k * x_0**2]), np.zeros(2)
+
+    def mass_matrix(self, q):
+        return self.b[2] * np.eye(2)
+
+    def force(self, q, v, t):
+        return np.array([-3.0 * q[0] ** 3, -9.81 * self.b[2]])
+
+    def constraint(self, q, t):
+        return np.array([q[1] - self.b[0] * q[0] ** 2])
+
+
+def test_a_start_that_moves_while_it_is_out_of_balance():
+    b = np.array([0.8, 0.4, 1.5])
+    direct, back = (modes(Bead(b), method=x).frequencies_b for x in (Direct(), Adjoint()))
+    # Circles in the complex plane are good to 1e-12.
+    np.testing.assert_allclose(back, direct, rtol=1e-10)
+    for i in range(3):
+        step = 1e-4 * np.eye(3)[i]
+        up, down = (modes(Bead(b + x)).frequencies for x in (step, -step))
+        # Truncation 1e-8 times the third derivative.
+        np.testing.assert_allclose(direct[:, i], (up - down) / 2e-4, rtol=1e-6)
 
 
 @pytest.mark.parametrize("balanced", [True, False])
