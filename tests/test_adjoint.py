@@ -1,5 +1,7 @@
 """Gradients of objectives: discrete adjoint, direct differentiation and complex step agree."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from ancfdae import (
     Distance,
     DistributedForce,
     Drive,
+    EnhancedContinuum,
     FiniteDifference,
     FollowerForce,
     Guide,
@@ -99,7 +102,8 @@ def driven_with_spring():
 
 
 def guided():
-    a, _ = beams()
+    # The start is projected: a shock of one node, through which assumed strains need small steps.
+    a = replace(beams()[0], energy=EnhancedContinuum(assumed_strains=False))
     up = Guide(a.at_start, (0, 1), Harmonic(0.1, 5.0), name="up")
     scene = Scene([a], [up, Guide(a.at_start, (1, 0), Uniform(0.0))], PLANE, project_start=True)
     return scene, ["up.amplitude", "up.frequency", "a.height"]

@@ -102,7 +102,7 @@ LEAVES = {
     "height axis": slope(ROD.at(0.3), 1, 0),
     "axial strain": axial_strain(ROD.at_end),
     "axial strain between nodes": axial_strain(INNER),
-    "multiplier": multiplier("wall", 3),
+    "multiplier": multiplier("wall", 2),
     "strain energy": strain_energy(),
     "strain energy of a beam": strain_energy("rod"),
     "kinetic energy": kinetic_energy(),

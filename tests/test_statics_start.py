@@ -92,9 +92,10 @@ def test_the_derivative_of_a_motion_at_rest_is_that_of_the_equilibrium():
     found = equilibrium(scene, design=DESIGN)
     for part in ("q_b", "lam_b"):
         ours, rest = getattr(run.sensitivities, part), getattr(found, part)
-        # Waves of round-off, E A / (E I / L^2) = 5e3 times eps, over the variable.
+        # Waves of round-off: eps times the condition number of the tangent, 1e6, is 2e-10 of the
+        # largest derivative, and every one of 16 steps adds as much again.
         size = np.max(np.abs(rest), axis=0)
-        assert np.max(np.abs(ours - rest) / size) < 1e-9
+        assert np.max(np.abs(ours - rest) / size) < 4e-9
 
 
 @pytest.mark.parametrize("name", SCENES)
