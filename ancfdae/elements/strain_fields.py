@@ -25,6 +25,12 @@ curvature is that of this rotation,
 Both vanish with the mesh alike. In the thin limit the bending part is that of the cubic Hermite
 beam. c_2.b_2 is half the derivative of c_2.c_2 and becomes half the difference of its values at the
 nodes; c_2.b_3 + c_3.b_2 likewise, and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
+
+Two terms in the squares of curvatures and twist, which are linear in g too (`_squares`), follow.
+Turns: what a finite turn of the element takes off curvature and twist is put back as further rows
+of strain, l kappa^2 with a stiffness of their own. Stretch: the axial strain of a straight beam is
+lowered by 3/2 of the squared curvature times the squared radius of gyration, so that bending
+neither shortens the axis nor softens the beam. Derivations: docs/theory.md, section 2.
 """
 
 from __future__ import annotations

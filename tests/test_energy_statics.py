@@ -1,0 +1,112 @@
+"""Derivatives of equilibria and modes in all parameters, for every section and strain energy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_strain_energies import ENERGIES, SECTIONS
+
+from ancfdae import (
+    Adjoint,
+    Beam,
+    Clamp,
+    ComplexStep,
+    Direct,
+    Material,
+    PointForce,
+    Scene,
+    equilibrium,
+    modes,
+    position,
+    reaction,
+    static_gradient,
+)
+
+CASES = [(d, section, "enhanced") for section in SECTIONS for d in (2, 3)]
+CASES += [(d, "rectangle", energy) for energy in ENERGIES for d in (2, 3)]
+CASES = [(d, s, e) for d, s, e in CASES if d in ENERGIES[e].dimensions]
+
+
+def loaded(d, section, energy):
+    """Return an oblique cantilever bent by about a third of its length, and its variables."""
+    end = (0.5, 0.1, 0.05)[:d]
+    material = Material(1000.0, 1e7, 0.3)
+    beam = Beam("rod", (0.0,) * d, end, 2, SECTIONS[section], material, energy=ENERGIES[energy])
+    y, z, dA = beam.section.points(np.array([beam.section.sizes()]), False)
+    softest = min(np.sum(dA * y * y), np.sum(dA * z * z))
+    force = PointForce(beam.at_end, tuple(1e7 * softest * x for x in (0.5, -4.0, 1.0)[:d]))
+    idle = {"density", "damping_time"} | (
+        {"torsion_moment", "second_moment_z"} if d == 2 else set()
+    )
+    design = [f"rod.{name}" for name in beam.parameter_names() if name not in idle]
+    return Scene([beam], [Clamp(beam.at_start, name="wall")], loads=[force]), beam, design
+
+
+def value_of(scene, name):
+    beam = scene.beams[0]
+    if name == "rod.length":
+        return beam.length
+    return beam.element_parameters()[0, beam.parameter_names()[name.removeprefix("rod.")]]
+
+
+@pytest.mark.parametrize(("d", "section", "energy"), CASES)
+def test_statics_by_every_method(d, section, energy):
+    scene, beam, design = loaded(d, section, energy)
+    b = np.array([value_of(scene, name) for name in design])
+    for observable in (position(beam.at_end, 1), reaction("wall", 1)):
+        direct, adjoint, steps = (
+            static_gradient(scene, observable, design=design, method=method)
+            for method in (Direct(), Adjoint(), ComplexStep())
+        )
+        # The reaction is the load: its derivatives vanish, up to round-off of its size.
+        scale = max(np.max(np.abs(direct.gradient * b)), abs(direct.value))
+        for other in (adjoint, steps):
+            assert np.max(np.abs(direct.gradient - other.gradient) * np.abs(b)) < 1e-9 * scale
+    tip = position(beam.at_end, 1)
+    slopes = static_gradient(scene, tip, design=design).gradient * b
+    for name, value, slope in zip(design, b, slopes, strict=True):
+        low, high = (
+            static_gradient(
+                scene.with_values({name: value * (1 + x)}), tip, design=design[:1], method=Direct()
+            ).value
+            for x in (-1e-4, 1e-4)
+        )
+        # Error of central differences: the square of 1e-4 times a third derivative below 100.
+        assert abs((high - low) / 2e-4 - slope) < 1e-6 * np.max(np.abs(slopes)), name
+
+
+@pytest.mark.parametrize(("d", "section", "energy"), CASES)
+def test_modes_about_an_equilibrium_by_both_methods_and_differences(d, section, energy):
+    scene, _, design = loaded(d, section, energy)
+    b = np.array([value_of(scene, name) for name in design])
+
+    def lowest(scene, **options):
+        at = equilibrium(scene, **({"design": design} if options else {}))
+        return modes(scene, 2, at=at, **options)
+
+    direct = lowest(scene, design=design, method=Direct())
+    adjoint = lowest(scene, design=design, method=Adjoint())
+    slopes = direct.frequencies_b * b / direct.frequencies[:, None]
+    other = adjoint.frequencies_b * b / adjoint.frequencies[:, None]
+    assert np.max(np.abs(slopes - other)) < 1e-9 * np.max(np.abs(slopes))
+    for i, name in enumerate(design):
+        low, high = (
+            lowest(scene.with_values({name: b[i] * (1 + x)})).frequencies for x in (-1e-4, 1e-4)
+        )
+        found = (high - low) / 2e-4 / direct.frequencies
+        # As above; close modes of nearly square sections turn, which multiplies derivatives.
+        assert np.max(np.abs(found - slopes[:, i])) < 1e-5 * np.max(np.abs(slopes)), name
+
+
+def test_nearly_incompressible_material_does_not_lock():
+    scene, beam, _ = loaded(3, "circle", "enhanced")
+    scene = replace(scene, beams=[replace(beam, elements=8)])
+    tip = position(beam.at_end, 1)
+    found = [
+        static_gradient(
+            scene.with_values({"rod.poisson_ratio": nu}), tip, design=["rod.length"]
+        ).value
+        for nu in (0.3, 0.4999)
+    ]
+    # Only the shear modulus changes, and with it shear, h^2/L^2 = 1e-3 of the deflection.
+    assert abs(found[1] / found[0] - 1) < 1e-3
