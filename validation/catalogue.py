@@ -16,6 +16,7 @@ from validation import (
     pendulum,
     work_precision,
 )
+from validation.literature import report as literature
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -110,5 +111,13 @@ CATALOGUE: tuple[Definition, ...] = (
         "control of HHT-I3 gain?",
         run=work_precision.run,
         source="expectation",
+    ),
+    Definition(
+        name="literature",
+        title="Beams of the literature",
+        question="Do published problems of beams and cables, at rest, vibrating and moving, come "
+        "out right, how fast with the mesh, and are the derivatives those of the solution?",
+        run=literature.run,
+        source="literature",
     ),
 )

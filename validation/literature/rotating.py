@@ -1,0 +1,187 @@
+"""Case: bending frequencies of a rotating cantilever (Wright et al. 1982; Hodges & Rutkowski 1981).
+
+In the frame that turns by Omega about z the equations of a scene keep their form: nodal vectors
+turn together, elastic forces with them, and the mass matrix does not notice. What comes in is
+
+    M p'' + 2 Omega M J p' - Omega^2 M P p = Q(p),   J (x, y, z) = (-y, x, 0),  P = diag(1, 1, 0)
+
+for every nodal vector. The case solves for p at rest and for small motions about it.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.polynomial.legendre import Legendre, leggauss
+from scipy.linalg import cho_factor, cho_solve, eigh, eigvals
+
+from ancfdae import AncfSystem, Beam, Clamp, Material, Rectangle, Scene, assemble
+from ancfdae.plotting import Panel, Series
+from validation.external.runs import Requirement
+from validation.literature.tables import Array, convergence, derivative_table, relative
+from validation.report import Agreement, Report
+
+__all__ = ["rotating"]
+
+# Omega and the first three flap frequencies, both over sqrt(E I/(rho A L^4)).
+_PUBLISHED: Final = np.array(
+    [
+        [0, 3.5160, 22.0345, 61.6972],
+        [1, 3.6816, 22.1810, 61.8418],
+        [2, 4.1373, 22.6149, 62.2732],
+        [3, 4.7973, 23.3203, 62.9850],
+        [4, 5.5850, 24.2733, 63.9668],
+        [5, 6.4495, 25.4461, 65.2050],
+        [6, 7.3604, 26.8091, 66.6839],
+        [7, 8.2996, 28.3341, 68.3860],
+        [8, 9.2568, 29.9954, 70.2930],
+        [9, 10.2257, 31.7705, 72.3867],
+        [10, 11.2023, 33.6404, 74.6493],
+        [11, 12.1843, 35.5890, 77.0638],
+        [12, 13.1702, 37.6031, 79.6145],
+    ]
+)
+_NAMES: Final = ("flap 1", "flap 2", "flap 3")
+_L, _W, _RHO, _E = 1.0, 0.004, 1000.0, 1e9
+_UNIT: Final = np.sqrt(_E * _W**2 / (12 * _RHO * _L**4))
+_FAST: Final = 12.0
+
+
+def rotating(report: Report, quick: bool) -> list[Requirement]:
+    """Fill the section and return what was required of it."""
+    counts = (2, 4) if quick else (2, 4, 8, 16)
+    speeds = _PUBLISHED[::6] if quick else _PUBLISHED[::2]
+    report.heading("Rotating cantilever")
+    report.text(_TEXT)
+    exact = np.array([_reference(speed) for speed in _PUBLISHED[:, 0]])
+    printed = float(np.max(relative(exact, _PUBLISHED[:, 1:])))
+    report.text(
+        f"Reference and printed table are {printed:.0e} apart at most, their last digit. "
+        f"Convergence at the speed {_FAST:g}:"
+    )
+    convergence(report, "rotating", _NAMES, counts, [_flap(n, _FAST) for n in counts], exact[-1])
+    found = np.array([_flap(counts[-1], row[0]) for row in speeds])
+    error = float(np.max(relative(found, speeds[:, 1:])))
+    apart = _derivatives(report, counts[-1])
+    _plot(report, speeds[:, 0], found, exact)
+    report.claim(
+        "Rotating cantilever: flap frequencies at the speed 12",
+        "13.1702, 37.6031, 79.6145 (Wright et al. 1982; Hodges & Rutkowski 1981)",
+        "{:.4f}, {:.4f}, {:.4f}; all speeds within {:.0e}".format(*found[-1], error),
+        Agreement.AGREES if error < 2e-3 else Agreement.DISAGREES,
+    )
+    return [
+        Requirement(f"rotating cantilever, {counts[-1]} elements: all speeds", 2e-3, error),
+        Requirement("rotating cantilever: d(frequency)/d(E, w, L)", 5e-3, apart),
+    ]
+
+
+def _scene(n: int) -> Scene:
+    section = Rectangle(2 * _W, _W)
+    beam = Beam("blade", (0, 0, 0), (_L, 0, 0), n, section, Material(_RHO, _E, 0.0))
+    return Scene([beam], [Clamp(beam.at_start)])
+
+
+def _flap(n: int, speed: float, system: AncfSystem | None = None) -> Array:
+    """Return the first three flap frequencies in the unit of the speed."""
+    if system is None:
+        system = assemble(_scene(n), [])
+    omega = speed * _UNIT
+    q = system.start()[0]
+    still = np.zeros_like(q)
+    held = np.any(system.constraint_pattern.dense(system.constraint_q(q, 0.0)) != 0, axis=0)
+    M = system.pattern.dense(system.mass(q))
+    axis = np.arange(len(q)) % 3
+    centrifugal = omega**2 * M * (axis < 2)
+    free = ~held
+    size = float("inf")
+    while True:
+        K = -system.pattern.dense(system.force_q(q, still, 0.0)) - centrifugal
+        R = system.force(q, still, 0.0) + centrifugal @ q
+        change = np.linalg.solve(K[np.ix_(free, free)], R[free])
+        q[free] += change
+        if np.linalg.norm(change) >= size or not speed:
+            break
+        size = 0.5 * float(np.linalg.norm(change))
+    # Motions odd in z: z of positions and slopes along x and y, x and y of the slope along z.
+    slope_z = (np.arange(len(q)) // 3) % 4 == 3
+    odd = free & ((axis == 2) != slope_z)
+    J = np.zeros_like(M)
+    x = np.flatnonzero(axis == 0)
+    J[x, x + 1], J[x + 1, x] = -1.0, 1.0
+    pick = np.ix_(odd, odd)
+    M_odd = cho_factor(M[pick])
+    stiffness, coriolis = (cho_solve(M_odd, A[pick]) for A in (K, 2 * omega * M @ J))
+    zero, one = np.zeros_like(stiffness), np.eye(len(stiffness))
+    s = eigvals(np.block([[zero, one], [-stiffness, -coriolis]]))
+    frequencies: Array = np.sort(np.abs(s.imag[s.imag > 0]))[:3] / _UNIT
+    return frequencies
+
+
+def _reference(speed: float, degree: int = 24) -> Array:
+    """Return the frequencies of the rotating Euler beam: Ritz's method with polynomials."""
+    points, weights = leggauss(2 * degree)
+    x, w = (points + 1) / 2, weights / 2
+    # x^2 times polynomials keeps the clamp.
+    clamp = Legendre.fromroots([0.0, 0.0], domain=[0, 1])
+    shapes = [clamp * Legendre.basis(k, domain=[0, 1]) for k in range(degree)]
+    V, V_1, V_2 = (np.array([s.deriv(m)(x) if m else s(x) for s in shapes]).T for m in (0, 1, 2))
+    M = (V.T * w) @ V
+    K = (V_2.T * w) @ V_2 + speed**2 * (V_1.T * (w * (1 - x**2) / 2)) @ V_1
+    values: Array = np.sqrt(eigh(K, M, eigvals_only=True, subset_by_index=[0, 2]))
+    return values
+
+
+def _derivatives(report: Report, n: int) -> float:
+    """Compare d ln(frequency)/d ln(E, w, L) at the fastest speed, by central differences.
+
+    A frequency is u f(Omega/u), u = w sqrt(E/(12 rho))/L^2, and so is its derivative.
+    """
+    d = 1e-4
+    names = ("blade.youngs_modulus", "blade.width", "blade.length")
+    system = assemble(_scene(n), names)
+    value = _reference(_FAST)
+    f = (_reference(_FAST * (1 + d)) - _reference(_FAST * (1 - d))) / (2 * d)
+    rows = []
+    for k, (name, power) in enumerate(zip(("E", "w", "L"), (0.5, 1.0, -2.0), strict=True)):
+        ends = [_flap(n, _FAST, system.with_values(system.b * _grown(k, s * d))) for s in (1, -1)]
+        found = np.log(ends[0] / ends[1]) / (2 * d)
+        exact = power * (1 - f / value)
+        rows += [
+            (f"ln {mode}", f"ln {name}", float(x), float(e))
+            for mode, x, e in zip(_NAMES[:2], found, exact, strict=False)
+        ]
+    return derivative_table(report, "rotating", rows, (f"differences, {n} elements", "reference"))
+
+
+def _grown(k: int, by: float) -> Array:
+    factors = np.ones(3)
+    factors[k] += by
+    return factors
+
+
+def _plot(report: Report, speeds: Array, found: Array, exact: Array) -> None:
+    panels = []
+    for mode, name in enumerate(_NAMES):
+        series = [
+            Series("reference", _PUBLISHED[:, 0], exact[:, mode]),
+            Series(
+                "Wright et al. 1982",
+                _PUBLISHED[:, 0],
+                _PUBLISHED[:, mode + 1],
+                line=False,
+                marker=True,
+            ),
+            Series("elements", speeds, found[:, mode], line=False, marker=True),
+        ]
+        panels.append(Panel(name, "speed [-]", "frequency [-]", series))
+    report.plot("rotating", panels, 3, "Rotating cantilever: flap frequencies")
+
+
+_TEXT = """
+*Published*: A. D. Wright, C. E. Smith, R. W. Thresher and J. L. C. Wang, *J. Appl. Mech.* 49
+(1982) 197-202, and D. H. Hodges and M. J. Rutkowski, *AIAA J.* 19 (1981) 1459-1466: flap
+frequencies of a uniform cantilever that rotates about its clamped end, over sqrt(E I/(rho A L⁴)).
+*Reference*: the same Euler beam by polynomials of degree 26. *Here*: spatial beam, w/L = 0.004
+(rotary inertia and shear change mode 3 by 1e-4), small motions about steady rotation
+(`validation/literature/rotating.py`).
+"""

@@ -1,0 +1,106 @@
+"""What all cases tabulate: convergence with the mesh, and derivatives found in two ways."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from validation.report import Report
+
+__all__ = ["convergence", "derivative_table", "relative"]
+
+Array = npt.NDArray[np.float64]
+
+# Errors below this have no order: they are those of the reference.
+_FLOOR: Final = 1e-9
+
+
+def relative(found: npt.ArrayLike, exact: npt.ArrayLike) -> Array:
+    """Return |found - exact| / |exact|."""
+    e = np.asarray(exact, dtype=float)
+    apart: Array = np.abs(np.asarray(found, dtype=float) - e) / np.abs(e)
+    return apart
+
+
+def convergence(
+    report: Report,
+    key: str,
+    names: Sequence[str],
+    counts: Sequence[int],
+    values: npt.ArrayLike,
+    exact: npt.ArrayLike,
+) -> Array:
+    """Add the table of values by number of elements, errors and observed orders.
+
+    Parameters
+    ----------
+    report : Report
+    key : str
+        First word of the figures.
+    names : sequence of str
+        Of the quantities; m of them.
+    counts : sequence of int
+        Numbers of elements, rising; k of them.
+    values : array_like, shape (k, m)
+    exact : array_like, shape (m,)
+
+    Returns
+    -------
+    array, shape (k, m)
+        Relative errors.
+    """
+    found, e = np.asarray(values, dtype=float), np.asarray(exact, dtype=float)
+    errors = relative(found, e)
+    orders = _orders(counts, errors)
+    rows: list[list[object]] = []
+    for i, count in enumerate(counts):
+        row: list[object] = [count]
+        for j in range(len(names)):
+            order = "" if not i or np.isnan(orders[i - 1, j]) else f"{orders[i - 1, j]:.2f}"
+            row += [f"{found[i, j]:.9g}", f"{errors[i, j]:.1e}", order]
+            report.figure(f"{key}.{_word(names[j])}.n{count}.error", errors[i, j])
+        rows.append(row)
+    rows.append(["reference", *[x for value in e for x in (f"{value:.9g}", "", "")]])
+    header = ["elements", *[x for name in names for x in (name, "error", "order")]]
+    report.table(header, rows)
+    return errors
+
+
+def derivative_table(
+    report: Report, key: str, rows: Sequence[tuple[str, str, float, float]], ways: tuple[str, str]
+) -> float:
+    """Add the table of derivatives found in two ways; return the largest relative difference.
+
+    Parameters
+    ----------
+    report : Report
+    key : str
+        First word of the figure.
+    rows : sequence of (str, str, float, float)
+        Quantity, parameter, and the derivative in both ways.
+    ways : (str, str)
+        What they are.
+    """
+    apart = [float(relative(found, exact)) for _, _, found, exact in rows]
+    report.table(
+        ["derivative of", "in", *ways, "apart"],
+        [
+            [what, of, f"{found:.7g}", f"{exact:.7g}", f"{x:.1e}"]
+            for (what, of, found, exact), x in zip(rows, apart, strict=True)
+        ],
+    )
+    return report.figure(f"{key}.derivatives.apart", max(apart))
+
+
+def _orders(counts: Sequence[int], errors: Array) -> Array:
+    """Return the observed order between neighbouring meshes, NaN at the floor."""
+    above = (errors[1:] > _FLOOR) & (errors[:-1] > _FLOOR)
+    ratio = np.log(np.divide(counts[1:], counts[:-1]))[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        orders: Any = np.log(errors[:-1] / errors[1:]) / ratio
+    return np.where(above, orders, np.nan)
+
+
+def _word(name: str) -> str:
+    return "-".join("".join(c if c.isascii() and c.isalnum() else " " for c in name).split())
