@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from ancfdae.ancf.vectors import Vectors
-from ancfdae.joints import Coefficients, Joint
+from ancfdae.joints import Equations, Joint
 from ancfdae.naming import JointLayout
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.linear_map import LinearMap
@@ -56,7 +56,7 @@ class JointInput:
     reference: Array
     reference_b: dict[int, Array]
 
-    def at(self, t: float, order: int) -> Coefficients:
+    def at(self, t: float, order: int) -> Equations:
         """Return the coefficients."""
         return self.joint.coefficients(self.p, self.reference, t, order)
 
@@ -72,7 +72,7 @@ class JointInput:
             reference = reference + 1j * STEP * self.reference_b[i]
         return replace(self, p=p, reference=reference)
 
-    def structure(self) -> Coefficients:
+    def structure(self) -> Equations:
         """Return coefficients that vanish only where they do at all times and parameters."""
         found = self.at(0.0, 0)
         linear, bilinear = np.abs(found.linear), np.abs(found.bilinear)
@@ -84,7 +84,7 @@ class JointInput:
                 c = self.joint.coefficients(p, reference, t, order)
                 linear = linear + np.abs(c.linear.real) + np.abs(c.linear.imag)
                 bilinear = bilinear + np.abs(c.bilinear.real) + np.abs(c.bilinear.imag)
-        return Coefficients(linear, bilinear, found.offset)
+        return Equations(linear, bilinear, found.offset)
 
 
 @final

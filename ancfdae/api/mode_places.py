@@ -26,7 +26,7 @@ from ancfdae.statics import Equilibrium, Tangent
 At: TypeAlias = Configuration | Equilibrium | None
 
 
-class Place(abc.ABC):
+class DesignedConfiguration(abc.ABC):
     """A configuration that depends on the design."""
 
     @abc.abstractmethod
@@ -38,7 +38,7 @@ class Place(abc.ABC):
         """Return q_b^T on_q + lam_b^T on_lam + on_b, shape (n_b,)."""
 
 
-def place(system: MechanicalSystem, at: At) -> Place:
+def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
     """Return the place that a user means.
 
     Raises
@@ -53,7 +53,7 @@ def place(system: MechanicalSystem, at: At) -> Place:
 
 
 @final
-class _Given(Place):
+class _Given(DesignedConfiguration):
     """A configuration as it is, with the derivatives it brings."""
 
     def __init__(self, at: Configuration) -> None:
@@ -70,7 +70,7 @@ class _Given(Place):
 
 
 @final
-class _Balanced(Place):
+class _Balanced(DesignedConfiguration):
     """An equilibrium; its derivatives are those of this system, whatever it was found with."""
 
     def __init__(self, system: MechanicalSystem, at: Equilibrium) -> None:
@@ -103,7 +103,7 @@ class _Balanced(Place):
 
 
 @final
-class _Start(Place):
+class _Start(DesignedConfiguration):
     """The start with the multipliers of a motion that sets out from rest, joints held.
 
     M a + Phi_q^T lam = Q, Phi_q a = 0: of all multipliers these leave the least unbalanced force

@@ -2,7 +2,7 @@
 
 from ancfdae.integrators.explicit import Explicit
 from ancfdae.integrators.hht.method import HHT
-from ancfdae.integrators.integrand import Density, Integrand, Part, Points
+from ancfdae.integrators.integrand import Density, Integrand, PartialIntegral, Points
 from ancfdae.integrators.integrator import (
     AdjointIntegrator,
     Integrator,
@@ -30,7 +30,7 @@ __all__ = [
     "Integrand",
     "Integrator",
     "MissingPackage",
-    "Part",
+    "PartialIntegral",
     "Points",
     "QuadratureIntegrator",
     "Seeds",

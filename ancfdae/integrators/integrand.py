@@ -76,7 +76,7 @@ class Points:
 
 @final
 @dataclass(frozen=True)
-class Part:
+class PartialIntegral:
     """What an integrand makes of a part of the run.
 
     `slopes` has the shape (n_b,); `size`, (n,), are integrals without signs. The error is
@@ -101,11 +101,11 @@ class Integrand(abc.ABC):
         """Whether it depends on multipliers."""
 
     @abc.abstractmethod
-    def part(self, points: Points) -> Part:
+    def part(self, points: Points) -> PartialIntegral:
         """Evaluate it on the next part of the run."""
 
     @abc.abstractmethod
-    def add(self, part: Part) -> None:
+    def add(self, part: PartialIntegral) -> None:
         """Take the next part in, in the order of time."""
 
 

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.index_1 import Accelerations
-from ancfdae.integrators.integrand import Integrand, Part, Points, Rule
+from ancfdae.integrators.integrand import Integrand, PartialIntegral, Points, Rule
 
 # Gauss-Lobatto rule of four points with its Kronrod extension of seven, of degrees 5 and 9
 # (Gander & Gautschi, BIT 40, 2000), moved from [-1, 1] to [0, 1].
@@ -41,7 +41,7 @@ class Quadrature:
         The choices are the same part on ever finer panels; each integrand takes the first on which
         its error is within the tolerance, or the last.
         """
-        pending, unfinished = self._integrands, list[tuple[Integrand, Part]]()
+        pending, unfinished = self._integrands, list[tuple[Integrand, PartialIntegral]]()
         for choice in choices:
             points, unfinished = self._completed(choice, pending), []
             for integrand in pending:

@@ -10,7 +10,7 @@ import numpy as np
 from ancfdae.bodies import Point
 from ancfdae.errors import require_direction, require_vector
 from ancfdae.joints.frames import across, slope_weights, unit
-from ancfdae.joints.joint import SECTION, Coefficients, Joint
+from ancfdae.joints.joint import SECTION, Equations, Joint
 from ancfdae.numerics.arrays import Array
 
 
@@ -50,7 +50,7 @@ class AxisJoint(Joint):
     spatial = True
 
 
-def place_alignment(c: Coefficients, count: int, reference: Array, axis: Array) -> None:
+def place_alignment(c: Equations, count: int, reference: Array, axis: Array) -> None:
     """Enter the last two equations, b_j . a = 0."""
     own, other, axis = slice(count, count + 3), slice(count + 3, count + 6), unit(axis)
     for row, direction in zip((-2, -1), across(axis), strict=True):
@@ -61,7 +61,7 @@ def place_alignment(c: Coefficients, count: int, reference: Array, axis: Array) 
             place_product(c, row, own, other, np.outer(beta, slope_weights(reference[other], axis)))
 
 
-def place_product(c: Coefficients, row: int, i: slice, j: slice, weights: Array) -> None:
+def place_product(c: Equations, row: int, i: slice, j: slice, weights: Array) -> None:
     """Enter sum_ij weights_ij U_i . U_j, i and j different vectors, into an equation."""
     c.bilinear[row, i, j] = weights
     c.bilinear[row, j, i] = weights.T

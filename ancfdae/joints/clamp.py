@@ -10,7 +10,7 @@ import numpy as np
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement, Quantity
 from ancfdae.joints.frames import unit
-from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients, place_coincidence
+from ancfdae.joints.joint import Equations, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
@@ -45,7 +45,7 @@ class Clamp(Joint):
         section = [q for q in element.quantities if q > Quantity.SLOPE_X] or [Quantity.SLOPE_X]
         return tuple((self.point, q) for q in (Quantity.POSITION, *section))
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """Coincidence, and one equation for every turn."""
         d, slopes = reference.shape[1], reference[1:]
         c = empty_coefficients(d + d * (d - 1) // 2, p, reference)

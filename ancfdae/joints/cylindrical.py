@@ -9,7 +9,7 @@ import numpy as np
 
 from ancfdae.joints.axis_joint import AxisJoint, place_alignment, place_product
 from ancfdae.joints.frames import across, slope_weights
-from ancfdae.joints.joint import Coefficients, empty_coefficients
+from ancfdae.joints.joint import Equations, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
 
@@ -26,7 +26,7 @@ class Cylindrical(AxisJoint):
 
     kind = "cylindrical"
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """Two equations across the axis and two perpendicularities."""
         count, (axis, ground) = len(self.points), self.split(p)
         c = empty_coefficients(4, p, reference)

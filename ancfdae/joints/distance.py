@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.bodies import Point
 from ancfdae.errors import require_positive, require_vector
-from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
+from ancfdae.joints.joint import Equations, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
 
@@ -44,7 +44,7 @@ class Distance(Joint):
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """(|U_0 - U_1|^2 / L - L) / 2."""
         n, c = len(reference), empty_coefficients(1, p, reference)
         L, ground = self.split(p)

@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity
 from ancfdae.errors import InvalidInput, require_direction
 from ancfdae.joints.frames import unit
-from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
+from ancfdae.joints.joint import Equations, Joint, empty_coefficients
 from ancfdae.joints.laws import Law, require_law
 from ancfdae.numerics.arrays import Array
 
@@ -46,7 +46,7 @@ class Drive(Joint):
     design_fields = (("angle", require_law), ("axis", require_direction))
     driven = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """n(t) and its derivatives, with c = (cos, sin) and s = (-sin, cos) in the (u, w) plane."""
         c = empty_coefficients(1, p, reference)
         law, axis = self.split(p)
@@ -115,7 +115,7 @@ class Guide(Joint):
     design_fields = (("direction", require_direction), ("travel", require_law))
     driven = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """Direction . (r - r_o) - x(t)."""
         c = empty_coefficients(1, p, reference)
         direction, law = self.split(p)

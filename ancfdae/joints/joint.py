@@ -28,7 +28,7 @@ SECTION: tuple[Quantity, ...] = ()
 
 @final
 @dataclass(frozen=True)
-class Coefficients:
+class Equations:
     """Coefficients of a joint's equations, or one of their time derivatives.
 
     Attributes
@@ -64,7 +64,7 @@ class Joint(Part):
         return (*positions, *slopes)
 
     @abc.abstractmethod
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """Return the time derivative of this order, 0 to 3, of the coefficients.
 
         `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
@@ -73,14 +73,14 @@ class Joint(Part):
         """
 
 
-def empty_coefficients(rows: int, p: Array, reference: Array) -> Coefficients:
+def empty_coefficients(rows: int, p: Array, reference: Array) -> Equations:
     """Return coefficients of zeros for this number of equations, to be filled by a joint."""
     (n, d), dtype = reference.shape, np.result_type(p, reference)
     linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
-    return Coefficients(linear, bilinear, np.zeros(rows, dtype))
+    return Equations(linear, bilinear, np.zeros(rows, dtype))
 
 
-def place_coincidence(c: Coefficients, count: int, reference: Array, ground: Array | None) -> None:
+def place_coincidence(c: Equations, count: int, reference: Array, ground: Array | None) -> None:
     """Enter d first equations, U_0 - U_1 = 0 for two points, U_0 - ground = 0 for one.
 
     A ground that is not given is where U_0 is in the reference configuration.

@@ -8,7 +8,7 @@ from typing import final
 
 from ancfdae.bodies import Point
 from ancfdae.errors import require_vector
-from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients, place_coincidence
+from ancfdae.joints.joint import Equations, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 
@@ -40,7 +40,7 @@ class Pin(Joint):
     design_fields = (("ground", require_vector),)
     holds_position = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """r(point) - r(other), or r(point) - ground."""
         n, d = reference.shape
         c = empty_coefficients(d, p, reference)

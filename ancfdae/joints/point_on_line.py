@@ -9,7 +9,7 @@ from typing import final
 from ancfdae.bodies import Point
 from ancfdae.errors import require_direction, require_vector
 from ancfdae.joints.frames import across
-from ancfdae.joints.joint import Coefficients, Joint, empty_coefficients
+from ancfdae.joints.joint import Equations, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
 
@@ -40,7 +40,7 @@ class PointOnLine(Joint):
     kind = "line"
     design_fields = (("direction", require_direction), ("through", require_vector))
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """n_j . (r - through)."""
         c = empty_coefficients(reference.shape[1] - 1, p, reference)
         direction, through = self.split(p)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.joints.axis_joint import AxisJoint, place_alignment
-from ancfdae.joints.joint import Coefficients, empty_coefficients, place_coincidence
+from ancfdae.joints.joint import Equations, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 
@@ -22,7 +22,7 @@ class Revolute(AxisJoint):
     kind = "revolute"
     holds_position = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """Coincidence and two perpendicularities."""
         count, (axis, ground) = len(self.points), self.split(p)
         c = empty_coefficients(5, p, reference)

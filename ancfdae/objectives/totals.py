@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.integrators import Density, Integrand, Part, Points
+from ancfdae.integrators import Density, Integrand, PartialIntegral, Points
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives.objective import (
     Integrated,
@@ -35,7 +35,7 @@ class Total(Integrand, Integrated):
 
     def __init__(self, system: MechanicalSystem, reduction: OverTime, differentiated: bool) -> None:
         self._system, self._reduction, self._differentiated = system, reduction, differentiated
-        self._parts: list[Part] = []
+        self._parts: list[PartialIntegral] = []
         self._duration, self._size = 0.0, np.zeros(1 + system.n_b if differentiated else 1)
         self._b = np.where(system.b == 0, 1.0, np.abs(system.b))
 
@@ -44,7 +44,7 @@ class Total(Integrand, Integrated):
         """Whether a leaf of the observable depends on them."""
         return any(leaf.multipliers for leaf in self._reduction.observable.leaves())
 
-    def part(self, points: Points) -> Part:
+    def part(self, points: Points) -> PartialIntegral:
         """Reduce the observable over the points."""
         reduction, observable, w = self._reduction, self._reduction.observable, points.weights
         states = _states(self._system, points)
@@ -64,9 +64,9 @@ class Total(Integrand, Integrated):
         not_finite = float(points.t[bad[0]]) if len(bad) else None
         size = points.weights_size @ np.abs(rows)
         error = self._error(points.errors(rows), size, duration)
-        return Part(duration, value, slopes, size, error, not_finite)
+        return PartialIntegral(duration, value, slopes, size, error, not_finite)
 
-    def add(self, part: Part) -> None:
+    def add(self, part: PartialIntegral) -> None:
         """Take a part in."""
         self._parts.append(part)
         self._duration, self._size = self._duration + part.duration, self._size + part.size

@@ -46,7 +46,7 @@ class Work:
 
 @final
 @dataclass(frozen=True)
-class Point:
+class Solved:
     """A solution at the load fraction s, and the matrix of the last iteration."""
 
     s: float
@@ -158,7 +158,7 @@ class Balance:
         lam: Array,
         mu: float = 0.0,
         anchor: Array | None = None,
-    ) -> Point | Failure:
+    ) -> Solved | Failure:
         """Solve the equations by Newton's method from a guess.
 
         Parameters
@@ -181,7 +181,7 @@ class Balance:
                     dq, dlam = solve(factors, R, -Phi)
                     q, lam = q + dq, lam + dlam
                     if test.converged(q, lam, dq, dlam, R):
-                        return Point(s, q, lam, factors, iteration)
+                        return Solved(s, q, lam, factors, iteration)
                     if test.diverged:
                         break
         except SingularMatrix:

@@ -7,7 +7,7 @@ from typing import final
 
 from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Failure, Point
+from ancfdae.statics.balance import Balance, Failure, Solved
 from ancfdae.statics.softness import softest
 
 # Steps of the load fraction below this one are given up.
@@ -26,7 +26,7 @@ _SMALL = 1.0 / 128.0
 
 @final
 @dataclass(frozen=True)
-class Place:
+class PathPoint:
     """A point of the path with its derivatives in the load fraction.
 
     Attributes
@@ -52,20 +52,20 @@ class LoadPath:
     Parameters
     ----------
     balance : Balance
-    first : Place
+    first : PathPoint
         The start.
     max_steps : int
         Attempted steps.
 
     Attributes
     ----------
-    places : list of Place
+    places : list of PathPoint
         What converged, the start first.
     residual : float
         Size of the last correction of the last failure.
     """
 
-    def __init__(self, balance: Balance, first: Place, max_steps: int) -> None:
+    def __init__(self, balance: Balance, first: PathPoint, max_steps: int) -> None:
         self._balance, self._max_steps = balance, max_steps
         self.places, self.residual = [first], 0.0
 
@@ -101,7 +101,7 @@ class LoadPath:
             return None
         return stable[-1] if stable else 0.0
 
-    def _attempt(self, s: float) -> tuple[Place, int] | Failure:
+    def _attempt(self, s: float) -> tuple[PathPoint, int] | Failure:
         """Solve at s from the extrapolated path, and see whether it is the same path."""
         before = self.places[-1]
         point = self._balance.solve(s, *self._extrapolated(s))
@@ -113,7 +113,7 @@ class LoadPath:
             return Failure(Verdict.NO_CONVERGENCE, 0.0)
         return place, point.iterations
 
-    def _jumped(self, a: Place, b: Place) -> bool:
+    def _jumped(self, a: PathPoint, b: PathPoint) -> bool:
         """Whether two places do not lie on one smooth path."""
         length, secant, ds = self._balance.length, b.q - a.q, b.s - a.s
         bend = length(secant - (0.5 * ds) * (a.q_s + b.q_s))
@@ -140,8 +140,8 @@ class LoadPath:
         return q, w_a * a.lam + w_b * b.lam + d_a * a.lam_s + d_b * b.lam_s
 
 
-def place_at(balance: Balance, point: Point) -> Place:
+def place_at(balance: Balance, point: Solved) -> PathPoint:
     """Return a solution with the tangent of the path."""
     q_s, lam_s = balance.path_tangent(point.q, point.factors)
     stable = softest(balance, point.s, point.q, point.lam).stable
-    return Place(point.s, point.q, point.lam, q_s, lam_s, stable)
+    return PathPoint(point.s, point.q, point.lam, q_s, lam_s, stable)

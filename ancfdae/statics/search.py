@@ -8,7 +8,7 @@ from typing import final
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance, Failure
-from ancfdae.statics.load_path import LoadPath, Place
+from ancfdae.statics.load_path import LoadPath, PathPoint
 from ancfdae.statics.mobility import free_mechanism
 from ancfdae.statics.outcome import LoadOutcome
 from ancfdae.statics.settle import Settling
@@ -52,7 +52,7 @@ def _followed(balance: Balance, start: Softness, max_steps: int) -> Found:
         factors = balance.factor(balance.tangent(0.0, q, lam), q)
     except SingularMatrix:
         return Found(q, lam, LoadOutcome(Verdict.SINGULAR, 0.0, 0, 0.0))
-    first = Place(0.0, q, lam, *balance.path_tangent(q, factors), start.stable)
+    first = PathPoint(0.0, q, lam, *balance.path_tangent(q, factors), start.stable)
     path = LoadPath(balance, first, max_steps)
     verdict, last = path.follow(), path.places[-1]
     residual = 0.0 if verdict is Verdict.EQUILIBRIUM else path.residual

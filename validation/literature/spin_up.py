@@ -22,7 +22,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.elements import Quantity
-from ancfdae.joints import Coefficients, Drive, Joint, Law
+from ancfdae.joints import Drive, Equations, Joint, Law
 from ancfdae.joints.joint import empty_coefficients
 from ancfdae.joints.laws import require_law
 from ancfdae.plotting import Panel, Series
@@ -79,7 +79,7 @@ class SectionDrive(Joint):
     design_fields = (("angle", require_law),)
     driven = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Coefficients:
+    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """r_y . (cos psi, sin psi) = 0 and its time derivatives."""
         c = empty_coefficients(1, p, reference)
         psi, w, a, j = self.angle.derivatives(self.split(p)[0], t)

@@ -44,10 +44,10 @@ _MESSAGE = "\n[IDA"
 def without_messages() -> Iterator[None]:
     """Drop what SUNDIALS prints inside the block; whatever else is printed comes through."""
     stream = sys.stdout
-    if isinstance(stream, _Filter):  # Another thread is at it.
+    if isinstance(stream, _Unmessaged):  # Another thread is at it.
         stream = stream.stream
     if stream is not None:
-        sys.stdout = _Filter(stream)
+        sys.stdout = _Unmessaged(stream)
     try:
         yield
     finally:
@@ -55,7 +55,7 @@ def without_messages() -> Iterator[None]:
 
 
 @final
-class _Filter:
+class _Unmessaged:
     """A stream without messages of SUNDIALS."""
 
     def __init__(self, stream: TextIO) -> None:
