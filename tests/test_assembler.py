@@ -835,7 +835,7 @@ def vector_by_hand(system, q, point, quantity):
 
 
 def turns_by_hand(system, q, q_o, point):
-    """Turns of the section at a point from the reference: two tilts and a twist, or one turn."""
+    """Turns of a section from the reference: two tilts and those of its two axes, or one turn."""
     n_s, d = system.element.n_s, system.element.d
     spanning = range(2, n_s) if n_s > 2 else [1]
     now, then = (
@@ -846,7 +846,7 @@ def turns_by_hand(system, q, q_o, point):
         return np.array([now[1, 0] * y[0] - now[0, 0] * y[1]])
     normal = np.cross(*then.T) / np.linalg.norm(np.cross(*then.T))
     map_of_section, z = now @ np.linalg.pinv(then), np.cross(normal, y)
-    return np.array([*(normal @ now), z @ map_of_section @ y - y @ map_of_section @ z])
+    return np.array([*(normal @ now), z @ map_of_section @ y, y @ map_of_section @ z])
 
 
 def test_constraints_are_those_of_vectors_by_hand(conservative):

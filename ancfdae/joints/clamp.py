@@ -20,11 +20,13 @@ from ancfdae.parts import Vectors
 class Clamp(Joint):
     """Hold a section of a beam to ground where and as it stands in the reference configuration.
 
-    The section neither moves nor turns. It may still deform, and the centre line may leave it
-    obliquely: a beam that is stretched contracts there, and one that is sheared shears, as right
-    behind a wall. With n the normal of the section, y and z orthonormal in it and r^k the dual
-    slopes, all of them of the reference: r = r_o, r_y . n = r_z . n = 0 and
-    sum_k [(r^k . y) z - (r^k . z) y] . r_k = 0, the turn about n; in the plane r_y . n = 0. An
+    The section neither moves nor turns nor shears in its plane. It may still contract, and the
+    centre line may leave it obliquely: a beam that is stretched contracts there, and one that is
+    sheared shears, as right behind a wall. With n the normal of the section, y and z orthonormal
+    in it and b_y, b_z the combinations of slopes that equal them in the reference: r = r_o,
+    b_y . n = b_z . n = 0 and b_y . z = b_z . y = 0; in the plane r_y . n = 0. Were only the mean
+    turn about n held, the two slopes could turn against each other, and a strip would twist at
+    its end through the slope that hardly carries torsion, the softer the finer the mesh. An
     element without a section holds its tangent instead.
 
     Parameters
@@ -48,7 +50,7 @@ class Clamp(Joint):
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """Coincidence, and one equation for every turn."""
         d, slopes = reference.shape[1], reference[1:]
-        c = empty_coefficients(d + d * (d - 1) // 2, p, reference)
+        c = empty_coefficients(3 if d == 2 else 7, p, reference)
         place_coincidence(c, 1, reference, None)
         if d == 2:
             across = np.array([-slopes[0, 1], slopes[0, 0]])
@@ -58,6 +60,8 @@ class Clamp(Joint):
         y = unit(slopes[0])
         z = np.cross(normal, y)
         c.linear[3, 1] = c.linear[4, 2] = normal
-        dual = np.linalg.inv(slopes @ np.stack([y, z], axis=1))
-        c.linear[5, 1:] = dual[0][:, None] * z - dual[1][:, None] * y
+        # Row k: the combination of slopes that equals y or z in the reference.
+        b_y, b_z = np.linalg.inv(slopes @ np.stack([y, z], axis=1))
+        c.linear[5, 1:] = b_y[:, None] * z
+        c.linear[6, 1:] = b_z[:, None] * y
         return c
