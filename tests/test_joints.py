@@ -274,15 +274,22 @@ def equations_by_hand(s, q, t):
         return np.zeros(0), np.linalg.norm([*(gap - (gap @ axis) * axis), *tilt])
     if not isinstance(joint, Drive):
         pytest.skip(f"what a {type(joint).__name__} means is not written here")
-    tangent = vector_by_hand(s.system, q, joint.point, 1)
-    was = vector_by_hand(s.system, start, joint.point, 1)
+    n_s = s.system.element.n_s
+    slopes, were = (
+        np.array([vector_by_hand(s.system, x, joint.point, k) for k in range(min(2, n_s - 1), n_s)])
+        for x in (q, start)
+    )
     theta = law_by_hand(joint.angle, t)
     axis = np.array((0.0, 0.0, 1.0) if joint.axis is None else joint.axis)
     axis /= np.linalg.norm(axis)
-    was, tangent = np.append(was, [0.0] * (3 - d)), np.append(tangent, [0.0] * (3 - d))
-    turned = Rotation.from_rotvec(theta * axis).apply(was - (was @ axis) * axis)
-    normal = np.cross(axis, turned / np.linalg.norm(turned))
-    return np.array([normal @ tangent]), None
+    if d == 2:
+        b_o, b = np.append(were[0], 0.0), np.append(slopes[0], 0.0)
+    else:
+        b_o = np.cross(axis, np.cross(*were))
+        b = slopes.T @ np.linalg.pinv(were.T) @ b_o
+    size = np.linalg.norm(b_o)
+    turned = Rotation.from_rotvec(theta * axis).apply(np.cross(axis, b_o / size))
+    return np.array([turned @ b / (1.0 if d == 2 else size)]), None
 
 
 @pytest.mark.parametrize("t", [0.0, 0.3, 1.7])
@@ -671,8 +678,8 @@ def test_drive_turns_the_section_by_its_law_over_full_turns(d, sense):
     motor = Drive(crank.at(0.1), Uniform(speed, acceleration=grow))
     start = [RigidMotion("crank", spin, (0.0, 0.0, *z))]
     solution = simulated(Scene([crank], [bearing, motor], start=start), 1.25)
-    tangent = solution.slope(Point("crank", 0.1))
-    angle = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    height = solution.slope(Point("crank", 0.1), 1)
+    angle = np.unwrap(np.arctan2(height[:, 1], height[:, 0]))
     turned, t = angle - angle[0], solution.t
     assert np.max(np.abs(turned - (speed * t + grow * t**2 / 2))) <= 100 * HOLDS
     assert abs(turned[-1]) > 4 * np.pi

@@ -10,7 +10,7 @@ import numpy as np
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement, Quantity
 from ancfdae.joints.frames import unit
-from ancfdae.joints.joint import Equations, Joint, empty_coefficients, place_coincidence
+from ancfdae.joints.joint import Equations, Joint, empty_coefficients, place_coincidence, spanning
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
@@ -44,8 +44,7 @@ class Clamp(Joint):
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Return the position and the slopes that span the section."""
-        section = [q for q in element.quantities if q > Quantity.SLOPE_X] or [Quantity.SLOPE_X]
-        return tuple((self.point, q) for q in (Quantity.POSITION, *section))
+        return tuple((self.point, q) for q in (Quantity.POSITION, *spanning(element)))
 
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
         """Coincidence, and one equation for every turn."""

@@ -8,23 +8,28 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity
+from ancfdae.bodies import Point
+from ancfdae.elements import BeamElement
 from ancfdae.errors import InvalidInput, require_direction
 from ancfdae.joints.frames import unit
-from ancfdae.joints.joint import Equations, Joint, empty_coefficients
+from ancfdae.joints.joint import Equations, Joint, empty_coefficients, spanning
 from ancfdae.joints.laws import Law, require_law
 from ancfdae.numerics.arrays import Array
+from ancfdae.parts import Vectors
 
 
 @final
 @dataclass(frozen=True)
 class Drive(Joint):
-    """Turn the tangent of a beam at a point by a law of time (a driven crank).
+    """Turn the section of a beam at a point by a law of time (a driven crank).
 
-    With u the tangent in the reference configuration, freed of its part along the axis, and
-    w = axis x u, the tangent r_x stays perpendicular to n = -sin(theta) u + cos(theta) w: the
-    equation n(t) . r_x = 0, theta in rad from the reference configuration. Design targets: the
-    parameters of the law, and ``axis_x`` ... where the axis is given.
+    With n the normal of the section in the reference configuration, b the combination of the
+    section's slopes that equals a x n over its length there, a the axis (in the plane b = r_y): b
+    stays perpendicular to d(theta), which is a x b of the reference turned about the axis by theta,
+    in rad from the reference configuration. A beam that shears transmits a moment through its
+    sections, not through the direction of its centre line at a point. An element without a section
+    turns its tangent instead. Design targets: the parameters of the law, and ``axis_x`` ... where
+    the axis is given.
 
     Parameters
     ----------
@@ -41,30 +46,36 @@ class Drive(Joint):
     axis: Sequence[float] | None = None
     name: str = ""
 
-    takes_part = (Quantity.SLOPE_X,)
     kind = "drive"
     design_fields = (("angle", require_law), ("axis", require_direction))
     driven = True
 
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the slopes that span the section."""
+        return tuple((self.point, q) for q in spanning(element))
+
     def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
-        """n(t) and its derivatives, with c = (cos, sin) and s = (-sin, cos) in the (u, w) plane."""
+        """d(theta) and its derivatives, times the weights of the slopes in b."""
         c = empty_coefficients(1, p, reference)
         law, axis = self.split(p)
-        u, w = self._plane(reference[0], axis)
+        weights, b, d = self._material_direction(reference, axis)
         theta, theta_1, theta_2, theta_3 = self.angle.derivatives(law, t)
-        radial = np.cos(theta) * u + np.sin(theta) * w
-        normal = -np.sin(theta) * u + np.cos(theta) * w
-        # normal' = -theta' radial, radial' = theta' normal.
-        c.linear[0, 0] = (
-            normal,
-            -theta_1 * radial,
-            -theta_2 * radial - theta_1**2 * normal,
-            (theta_1**3 - theta_3) * radial - 3 * theta_1 * theta_2 * normal,
+        # a x d = -b.
+        turned = np.cos(theta) * d - np.sin(theta) * b
+        normal = -np.sin(theta) * d - np.cos(theta) * b
+        # turned' = theta' normal, normal' = -theta' turned.
+        direction = (
+            turned,
+            theta_1 * normal,
+            theta_2 * normal - theta_1**2 * turned,
+            (theta_3 - theta_1**3) * normal - 3 * theta_1 * theta_2 * turned,
         )[order]
+        c.linear[0] = weights[:, None] * direction
         return c
 
-    def _plane(self, tangent: Array, axis: Array | None) -> tuple[Array, Array]:
-        if len(tangent) == 2:
+    def _material_direction(self, slopes: Array, axis: Array | None) -> tuple[Array, Array, Array]:
+        """Return weights of the slopes in b, b of the reference, and a x b."""
+        if slopes.shape[1] == 2:
             if axis is not None:
                 raise InvalidInput(
                     f"joint {self.name!r}, axis",
@@ -72,20 +83,20 @@ class Drive(Joint):
                     self.axis,
                     "Leave it out: in the plane it is z.",
                 )
-            u = unit(tangent)
-            return u, np.array([-u[1], u[0]])
+            b = unit(slopes[0])
+            return np.array([1.0]), b, np.array([-b[1], b[0]])
         axis = np.array([0.0, 0.0, 1.0]) if axis is None else unit(axis)
-        u = tangent - np.sum(tangent * axis) * axis
-        # Below the square root of round-off what is left of the tangent is noise.
-        if np.sum(u.real**2) <= 1e-16 * np.sum(tangent.real**2):
+        across = np.cross(axis, unit(np.cross(*slopes)))
+        # Below the square root of round-off what is left across the axis is noise.
+        if np.sum(across.real**2) <= 1e-16:
             raise InvalidInput(
                 f"joint {self.name!r}, axis",
                 "must not run along the beam",
                 tuple(axis.real),
-                "A drive turns the tangent; give an axis across it.",
+                "Give an axis in the section, or across it at most in part.",
             )
-        u = unit(u)
-        return u, np.cross(axis, u)
+        b = unit(across)
+        return np.linalg.solve(slopes @ slopes.T, slopes @ b), b, np.cross(axis, b)
 
 
 @final

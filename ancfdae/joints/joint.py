@@ -73,6 +73,12 @@ class Joint(Part):
         """
 
 
+def spanning(element: BeamElement) -> tuple[Quantity, ...]:
+    """Return the slopes that span a section; of an element without one its tangent."""
+    section = tuple(q for q in element.quantities if q > Quantity.SLOPE_X)
+    return section or (Quantity.SLOPE_X,)
+
+
 def empty_coefficients(rows: int, p: Array, reference: Array) -> Equations:
     """Return coefficients of zeros for this number of equations, to be filled by a joint."""
     (n, d), dtype = reference.shape, np.result_type(p, reference)
