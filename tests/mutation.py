@@ -26,14 +26,25 @@ TESTS = {
     "elements/": [["tests/test_invariants.py"], ["tests/test_assembler.py"]],
     "joints/": [["tests/test_joints.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "loads/": [["tests/test_loads.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
-    "integrators/hht/": [["tests/test_newton.py"], PASSES, TINY, ["tests/test_order.py"]],
-    "sensitivity/adjoint": [PASSES, ["tests/test_high_order_runs.py", "-k", "adjoint"]],
+    "integrators/hht/": [
+        ["tests/test_newton.py"],
+        PASSES,
+        TINY,
+        ["tests/test_order.py"],
+        ["tests/test_start.py"],
+    ],
+    "sensitivity/adjoint": [["tests/test_adjoint.py"]],
     "sensitivity/continuous": [
         ["tests/test_adjoint_end.py"],
         ["tests/test_adjoint.py", "-k", "continuous or passes"],
+        ["tests/test_own_systems.py"],
     ],
     "observables/": [["tests/test_observables.py"], ["tests/test_objectives.py"]],
-    "objectives/": [["tests/test_objectives.py"], ["tests/test_adjoint.py", "-k", "is_complex"]],
+    "objectives/": [
+        ["tests/test_objectives.py"],
+        ["tests/test_integrals.py"],
+        ["tests/test_adjoint.py", "-k", "is_complex"],
+    ],
 }
 # Operators that a sign, a factor or a branch written wrongly looks like. The others put a bit
 # operation or a modulus where a float stands, which fails whatever the tests are, or an operator
