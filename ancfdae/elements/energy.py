@@ -12,6 +12,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.errors import require_kind
 from ancfdae.numerics.arrays import Array
 
 
@@ -28,6 +29,11 @@ class StrainEnergy(abc.ABC):
     """
 
     assumed_strains: bool = False
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        where = f"{type(self).__name__}.assumed_strains"
+        require_kind(where, self.assumed_strains, (bool,), "Use True or False.")
 
     @property
     def dimensions(self) -> tuple[int, ...]:

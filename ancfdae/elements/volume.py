@@ -52,8 +52,8 @@ class Fibres:
     centroid: Array
 
     def any(self) -> bool:
-        """Whether anything differs from zero."""
-        parts = (self.offsets, self.volume, self.factors, self.radii, self.centroid)
+        """Whether anything differs from zero; radii and centroid follow from the rest."""
+        parts = (self.offsets, self.volume, self.factors)
         return any(bool(np.any(part)) for part in parts)
 
     def axis(self) -> Fibres:

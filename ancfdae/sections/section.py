@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
@@ -63,9 +63,9 @@ class Section(abc.ABC):
         """Return the sizes; m, unless the section says otherwise."""
         return tuple(getattr(self, name) for name in self.size_names())
 
-    def with_size(self, name: str, value: float) -> Self:
-        """Return the same section with one size changed."""
-        return replace(self, **{name: value})  # type: ignore[arg-type]  # sizes are numbers
+    def with_sizes(self, sizes: Mapping[str, float]) -> Self:
+        """Return the same section with some sizes changed, which need to fit together only."""
+        return replace(self, **sizes)  # type: ignore[arg-type]  # sizes are numbers
 
     def form(self) -> tuple[object, ...]:
         """Return what sections must share to differ in their sizes only."""
