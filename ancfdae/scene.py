@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -183,9 +183,7 @@ class Scene:
         """
         require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
         parts = {part.name: part for part in self._all_parts()}
-        for text, value in values.items():
-            target, _ = self._resolve(text)
-            parts[target.owner] = _with_value(parts[target.owner], target, text, value)
+        parts |= self._changed((text, text, value) for text, value in values.items())
         changed = [part for part in parts.values() if isinstance(part, Load)]
         return replace(
             self,
@@ -195,19 +193,34 @@ class Scene:
             start=tuple(s.with_loads(changed) if isinstance(s, AtRest) else s for s in self.start),
         )
 
-    def check_value(self, variable: DesignVariable, value: float) -> None:
-        """Refuse a value that a design variable cannot take, such as a negative height.
+    def check_values(self, design: Sequence[DesignVariable], values: Sequence[float]) -> None:
+        """Refuse values that design variables cannot take, such as a negative height.
 
-        Each target is checked alone; whether all parts still fit together is not checked.
+        Each part is checked alone; whether all parts still fit together is not checked.
 
         Raises
         ------
         InvalidInput
             Naming the variable.
         """
-        for text in variable.targets:
-            target, part = self._resolve(text)
-            _with_value(part, target, f"design variable {variable.name!r}", value)
+        self._changed(
+            (f"design variable {variable.name!r}", text, value)
+            for variable, value in zip(design, values, strict=True)
+            for text in variable.targets
+        )
+
+    def _changed(self, changes: Iterable[tuple[str, str, float]]) -> dict[str, BeamBody | Part]:
+        """Return the parts that targets change, all targets of a part at once.
+
+        Changes are (what errors name, target, value).
+        """
+        own: dict[str, list[_Change]] = {}
+        for where, text, value in changes:
+            target, _ = self._resolve(text)
+            require_finite(where, value)
+            own.setdefault(target.owner, []).append((where, target, value))
+        parts = {part.name: part for part in self._all_parts()}
+        return {name: _with_values(parts[name], own[name]) for name in own}
 
     def value(self, variable: DesignVariable) -> float:
         """Return the current value of a design variable.
@@ -363,14 +376,22 @@ class Scene:
             )
 
 
-def _with_value(part: BeamBody | Part, target: Target, where: str, value: float) -> BeamBody | Part:
-    """Return the part with one number changed; errors name what the user wrote."""
-    require_finite(where, value)
+#: What errors name, target and value.
+_Change = tuple[str, Target, float]
+
+
+def _with_values(part: BeamBody | Part, changes: list[_Change]) -> BeamBody | Part:
+    """Return the part with numbers changed together; errors name what the user wrote."""
     try:
         if isinstance(part, BeamBody):
-            return part.with_value(target.parameter, target.element, value)
-        return part.with_parameter(target.parameter, value)
+            return part.with_values([(t.parameter, t.element, value) for _, t, value in changes])
+        for _, target, value in changes:
+            part = part.with_parameter(target.parameter, value)
+        return part
     except InvalidInput as error:
+        # The one that the error speaks of, or all that do not fit together.
+        named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
+        where = ", ".join(dict.fromkeys(change[0] for change in named))
         raise InvalidInput(where, error.rule, error.got, error.repair) from error
 
 

@@ -730,3 +730,27 @@ def test_points_take_part_by_position_or_slope_as_each_joint_says():
         vectors = joint.vectors(element)
         assert {point for point, _ in vectors} == set(joint.points)
         assert {quantity for _, quantity in vectors} <= set(element.quantities)
+
+
+def test_a_clamp_of_oblique_slopes_feels_turns_and_shear_but_no_stretch_of_the_section():
+    slopes = np.array([[0.3, 1.2, 0.2], [0.1, -0.4, 0.9]])
+    linear = (
+        Clamp(Point("rod", 0.0))
+        .coefficients(np.zeros(0), np.vstack([[0.0, 0.0, 0.0], slopes]), 0.0, 0)
+        .linear[:, 1:]
+    )
+    normal = np.cross(*slopes)
+    normal /= np.linalg.norm(normal)
+    y = slopes[0] / np.linalg.norm(slopes[0])
+    z = np.cross(normal, y)
+
+    def felt(gradient):
+        return np.einsum("rki,ij,kj->r", linear, gradient, slopes)[3:]
+
+    turn, shear = (np.outer(z, y) + sign * np.outer(y, z) for sign in (-1, 1))
+    np.testing.assert_allclose(felt(turn), [0, 0, 1, -1], atol=1e-14)
+    np.testing.assert_allclose(felt(shear), [0, 0, 1, 1], atol=1e-14)
+    for stretch in (np.outer(y, y), np.outer(z, z)):
+        np.testing.assert_allclose(felt(stretch), 0, atol=1e-14)
+    tilt = np.outer(normal, y)
+    np.testing.assert_allclose(felt(tilt), [slopes[0] @ y, slopes[1] @ y, 0, 0], atol=1e-14)

@@ -45,6 +45,8 @@ SECTIONS = {
     "moments": MomentSection(1e-4, 2e-9, 1e-9, 3e-9),
     "points": PointSection(places=PLACES, areas=[2e-5] * 4, shear_factors=(0.8, 0.9)),
 }
+ONE_POINT = PointSection(places=[(0.1, 0.2)], areas=[1.0])
+A_LINE = PointSection(places=[(-0.01, -0.02), (0.02, 0.04), (0.0, 0.0)], areas=[1.0, 1.0, 1.0])
 ENERGIES = {
     "SVK": SaintVenantKirchhoff(),
     "SVK assumed": SaintVenantKirchhoff(True),
@@ -124,9 +126,36 @@ def test_torsion_constants_of_rectangles():
         for sizes in ([ratio, 1.0], [1.0, ratio]):
             J = Rectangle(1, 1).torsion(np.array([sizes]))[0] / ratio
             assert abs(J - expected) < 6e-4  # half of the last digit printed
+    for ratio in (1.0, 1.7):
+        n = np.arange(1, 2001, 2)  # the rest is below 1/(8 n^4) = 1e-14
+        series = np.sum(np.tanh(n * np.pi * ratio / 2) / n**5)
+        J = Rectangle(1, 1).torsion(np.array([[ratio, 1.0]]))[0]
+        assert abs(J / ratio - (1 / 3 - 64 / np.pi**5 / ratio * series)) < 1e-13
     # A thin strip: b^3 a / 3 (1 - 0.63 b/a).
     J = Rectangle(1, 1).torsion(np.array([[1000.0, 1.0]]))[0]
     assert abs(J / (1000 / 3 * (1 - 0.630249e-3)) - 1) < 1e-8
+
+
+def test_a_section_off_its_axis_bends_and_twists_about_its_centroid():
+    # A quarter circle, phi = 0.2 per element: the same error of fourth order wherever the axis is,
+    # but for the finite strain of the axis, the square of 0.03. Then the declared torsion constant
+    # under a small torque.
+    grid = 0.005 * np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)])
+    weights = np.array([(a, b) for a in (1, 4, 1) for b in (1, 4, 1)]).prod(axis=1) / 36
+    turn, found = np.pi / 2, []
+    for centre in ([0.0, 0.0], [0.02, 0.0]):
+        section = PointSection(places=np.add(grid, centre), areas=1e-4 * weights)
+        scene = cantilever(section, 8, None, moment=turn * E * 0.01**4 / 12)
+        X = rest(scene, 12)[1]
+        found.append(np.arctan2(-X[-1, 2, 0], X[-1, 2, 1]) / turn - 1)
+    assert max(map(abs, found)) < 1e-3
+    section = PointSection(
+        places=np.add(grid, [0.02, 0.01]), areas=1e-4 * weights, torsion_constant=1e-9
+    )
+    torque = 1e-5 * E / (2 * (1 + NU)) * 1e-9
+    X = rest(cantilever(section, 2, None, moment=(torque, 0.0, 0.0)))[1]
+    # A warping part as in the test above.
+    assert abs(np.arctan2(X[-1, 2, 2], X[-1, 2, 1]) / 1e-5 - 1) < 1e-3
 
 
 @pytest.mark.parametrize("name", SECTIONS)
@@ -177,11 +206,79 @@ def test_shear_factors_meet_in_their_limits():
     assert abs(thick / solid - 1) < 1e-8
     thin = Tube(1.0, 0.1).shear(np.array([[1.0, 1e-9]]), nu)[0][0]
     assert abs(thin / (2 * (1 + NU) / (4 + 3 * NU)) - 1) < 1e-8  # Cowper's thin tube
+    assert Circle(1.0).shear(np.ones((1, 1)), nu)[0][0] == pytest.approx(solid, rel=1e-15)
     # Flanges that vanish leave webs, a rectangle.
     alone = Rectangle(1, 1).shear(np.array([[1.0, 0.1]]), nu)[0][0]
     for section in (Box(1, 1, 0.1, 0.1), ISection(1, 1, 0.1, 0.1)):
         bare = section.shear(np.array([[1.0, 0.1, 0.01, 1e-9]]), nu)[0][0]
         assert abs(bare / alone - 1) < 1e-6
+
+
+def wall_shear(h, w, t_w, t_f, webs):
+    """Shear factor I^2/(A int Q^2/t ds) of thin walls, webs of the height h between flanges."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    y, part = h / 2 * nodes, w / 4 * (nodes + 1)
+    inertia = webs * t_w * h**3 / 12 + w * t_f * h**2 / 2
+    web = w * t_f * h / (2 * webs) + t_w / 2 * (h**2 / 4 - y**2)
+    flange = part * t_f * h / 2  # from its free ends to the web, or from its middle to the webs
+    energy = webs * (h / 2) * (weights @ web**2) / t_w + w * (weights @ flange**2) / t_f
+    return inertia**2 / ((webs * h * t_w + 2 * w * t_f) * energy)
+
+
+@pytest.mark.parametrize("sizes", [(1.0, 0.7, 0.01, 0.03), (0.6, 0.9, 0.04, 0.01)])
+def test_shear_factors_of_thin_walls(sizes):
+    # Without Poisson's effect Cowper's factors are those of the energy of the shear flow.
+    h, w, t_w, t_f = sizes
+    outer, nu = np.array([[h + t_f, w + t_w, t_w, t_f]]), np.zeros(1)
+    k_y, k_z = Box(1, 1, 0.1, 0.1).shear(outer, nu)
+    assert abs(k_y[0] / wall_shear(h, w, t_w, t_f, 2) - 1) < 1e-13
+    assert abs(k_z[0] / wall_shear(w, h, t_f, t_w, 2) - 1) < 1e-13
+    outer = np.array([[h + t_f, w, t_w, t_f]])
+    k_y, k_z = ISection(1, 1, 0.1, 0.1).shear(outer, nu)
+    assert abs(k_y[0] / wall_shear(h, w, t_w, t_f, 1) - 1) < 1e-13
+    flanges = 2 * w * t_f / (2 * w * t_f + (h - t_f) * t_w)  # share of the area
+    assert abs(k_z[0] / (5 / 6 * flanges) - 1) < 1e-13
+    # What nu adds to the denominators, as printed in Cowper (1966).
+    nu = np.array([NU])
+    for section, area, own in (
+        (Box(1, 1, 0.1, 0.1), w * t_f / (h * t_w), lambda m, n: 10 * n**2 * m),
+        (ISection(1, 1, 0.1, 0.1), 2 * w * t_f / (h * t_w), lambda m, n: n**2 * m * (40 + 45 * m)),
+    ):
+        outer = np.array([[h + t_f, w + (t_w if type(section) is Box else 0), t_w, t_f]])
+        bottoms = [
+            10 * (1 + x) * (1 + 3 * area) ** 2 / section.shear(outer, x)[0][0] for x in (0 * nu, nu)
+        ]
+        printed = np.polyval([90, 135, 66, 11], area) + own(area, w / h)
+        assert abs((bottoms[1] - bottoms[0])[0] / (NU * printed) - 1) < 1e-12
+
+
+def test_thin_square_box_as_published():
+    # Cowper (1966): 20 (1 + nu)/(48 + 39 nu); a^3 t is the torsion constant.
+    t, sizes = 1e-9, np.array([[1.0, 1.0, 1e-9, 1e-9]])
+    box = Box(1, 1, 0.1, 0.1)
+    k_y, k_z = box.shear(sizes, np.array([NU]))
+    for k in (k_y, k_z):
+        assert abs(k[0] / (20 * (1 + NU) / (48 + 39 * NU)) - 1) < 1e-8
+    assert abs(box.torsion(sizes)[0] / t - 1) < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("circle", np.pi / 2 * 1e-8),
+        ("tube", np.pi / 2 * (1e-8 - 0.008**4)),
+        # Of the middle line 0.018 x 0.029.
+        ("box", 4 * (0.018 * 0.029) ** 2 / (2 * 0.018 / 0.001 + 2 * 0.029 / 0.002)),
+        # b^3 (a - 0.6302 b)/3 for a much longer than b.
+        ("I", 2 * 0.003**3 * (0.03 - 0.6302 * 0.003) / 3 + 0.002**3 * (0.034 - 0.00126) / 3),
+        ("moments", 3e-9),
+        ("points", 8e-5 * (0.006**2 + 0.004**2)),
+    ],
+)
+def test_torsion_constants(name, expected):
+    section = SECTIONS[name]
+    J = section.torsion(np.array([section.sizes()]))[0]
+    assert abs(J / expected - 1) < 1e-4  # digits of 0.6302
 
 
 @pytest.mark.parametrize(
@@ -192,6 +289,9 @@ def test_shear_factors_meet_in_their_limits():
         (lambda: Box(0.02, 0.03, 0.001, 0.010), "thinner than the height"),
         (lambda: ISection(0.02, 0.03, 0.03, 0.001), "thinner than the width"),
         (lambda: Circle(-1.0), "positive"),
+        (lambda: Beam("b", (0, 0), (1, 0), 1, ONE_POINT, STEEL), "spread along y"),
+        (lambda: Beam("b", (0, 0, 0), (1, 0, 0), 1, A_LINE, STEEL), "one line"),
+        (lambda: EnhancedContinuum("no"), "bool"),
         (lambda: Rectangle(0.1, 0.1, shear_factors=(1.0, 0.0)), "positive"),
         (lambda: Rectangle(0.1, 0.1, shear_factors=(1.0,)), "2 components"),
         (lambda: Rectangle(0.1, 0.1, torsion_constant=-1.0), "positive"),
@@ -210,6 +310,43 @@ def test_nonsense_is_refused(make, text):
 
 
 STEEL = Material(7850.0, 2.1e11, 0.3)
+
+
+def test_points_on_a_line_are_a_section_of_the_plane():
+    flat = PointSection(places=[(-0.01, 0), (0.01, 0)], areas=[1e-4, 1e-4])
+    assert Beam("b", (0, 0), (1, 0), 1, flat, STEEL).energy == EnhancedContinuum()
+
+
+def test_sizes_change_together():
+    beam = Beam("rod", (0, 0), (1, 0), 2, Tube(0.01, 0.002), STEEL)
+    scene = Scene([beam])
+    small = {"rod.radius": 0.001, "rod.thickness": 0.0002}
+    for values in (small, dict(reversed(small.items()))):
+        assert scene.with_values(values).beams[0].section[1].sizes() == (0.001, 0.0002)
+    one = scene.with_values({"rod.radius[1]": 0.003, "rod.thickness": 0.001}).beams[0]
+    assert [section.sizes() for section in one.section] == [(0.01, 0.001), (0.003, 0.001)]
+    with pytest.raises(InvalidInput, match=r"rod.thickness: must be less than the radius"):
+        scene.with_values({"rod.radius": 0.003, "rod.thickness": 0.004})
+    with pytest.raises(InvalidInput, match=r"rod.radius: must be less than the radius"):
+        scene.with_values({"rod.radius": 0.001})
+    system = assemble(scene, design=list(small))
+    assert np.all(system.with_values(np.array([0.001, 0.0002])).b == [0.001, 0.0002])
+    with pytest.raises(InvalidInput, match=r"'rod.thickness'.* less than the radius"):
+        system.with_values(np.array([0.003, 0.004]))
+
+
+def test_a_point_between_elements_may_lie_in_the_larger_section():
+    beam = Beam("rod", (0, 0), (1, 0), 2, (Rectangle(0.1, 0.1), Rectangle(0.02, 0.1)), STEEL)
+    for fraction, y in ((0.5, 0.04), (0.9, 0.009)):
+        Scene([beam], [Clamp(beam.at(fraction, y=y))])
+    with pytest.raises(InvalidInput, match="section"):
+        Scene([beam], [Clamp(beam.at(0.9, y=0.04))])
+
+
+def test_properties_may_be_arrays():
+    section = Rectangle(0.1, 0.1, shear_factors=np.array([0.8, 0.9]))
+    assert section == Rectangle(0.1, 0.1, shear_factors=[0.8, 0.9])
+    assemble(Scene([Beam("b", (0, 0), (1, 0), 1, section, STEEL)]))
 
 
 # ---------------------------------------------------------------- elements
@@ -343,6 +480,19 @@ def test_partials_are_complex_steps_and_differences(element, section, name, form
             # p up to 6, and round-off 1e-14/1e-5.
             slope = (getattr(ends[0], part) - getattr(ends[1], part)) / 2e-5
             assert np.max(np.abs(found - slope)) < 2e-8 * scale
+
+
+def test_partials_of_tiny_sections_keep_their_digits():
+    # In units of 1e9 m second moments are 2e-45, far below an imaginary step of 1e-40.
+    values, found = np.zeros((1, len(ElementParameter))), []
+    which, own = ElementParameter.SIZE_2, SECTIONS["moments"]
+    for unit in (1.0, 1e-9):
+        sizes = own.sizes() * unit ** np.array([2, 4, 4, 4])
+        values[0] = (E, NU, 1000.0, 0.3 * unit, 0.0, *sizes)
+        inv = prepare(BEAM_2D, kind_of(2, EnhancedContinuum(), own), values, straight(2), [which])
+        # The entry of r_y.r_y, which is integrated over the volume.
+        found.append(inv.partials[which].A[0, -1, -1] * sizes[1] / unit**3)
+    assert found[1] == pytest.approx(found[0], rel=1e-12)
 
 
 def test_curved_and_straight_rules_agree():

@@ -182,9 +182,8 @@ class AncfSystem(MechanicalSystem):
             raise InvalidInput(
                 "design values", f"must have shape ({self.n_b},)", b.shape, "One per variable."
             )
-        for variable, old, new in zip(self._design, self.b.real, b.real, strict=True):
-            if new != old:
-                self._scene.check_value(variable, new)
+        if np.any(b.real != self.b.real):
+            self._scene.check_values(self._design, b.real.tolist())
         return AncfSystem(self._scene, self._design, self._mapping, b)
 
     @cached_property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -15,6 +15,7 @@ from ancfdae.elements import (
     BeamElement,
     ElementParameter,
     ElementType,
+    Quantity,
     StrainEnergy,
 )
 from ancfdae.errors import InvalidInput, UnknownName, require_kind
@@ -146,28 +147,37 @@ class BeamBody(abc.ABC):
         y, z = np.max(sections, axis=0)
         return float(y), float(z)
 
-    def with_value(self, parameter: str, element: int | None, value: float) -> BeamBody:
-        """Return the same beam with one parameter changed, everywhere or in one element.
+    def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
+        """Return the same beam with parameters changed together.
+
+        Parameters
+        ----------
+        changes : iterable of (parameter, element, value)
+            The element is None where the parameter changes everywhere.
 
         Raises
         ------
         InvalidInput
-            If the value is not admissible for the parameter or the element does not exist.
+            If a value is not admissible for its parameter, sizes of a section do not fit together
+            or an element does not exist.
         UnknownName
             If there is no such parameter.
         """
-        self.check_target(parameter, element)
-        which = self.parameter_names()[parameter]
-        if which is ElementParameter.LENGTH:
-            return self.with_length(value)
+        beam, names = self, self.parameter_names()
         sections, materials = self._per_element()
-        chosen = range(self.element_count) if element is None else [element]
-        for k in chosen:
-            if which.is_size:
-                sections[k] = sections[k].with_size(parameter, value)
-            else:
-                materials[k] = replace(materials[k], **{parameter: value})
-        return self.with_parts(tuple(sections), tuple(materials))
+        sizes: list[dict[str, float]] = [{} for _ in sections]
+        for parameter, element, value in changes:
+            self.check_target(parameter, element)
+            if names[parameter] is ElementParameter.LENGTH:
+                beam = beam.with_length(value)
+                continue
+            for k in range(self.element_count) if element is None else [element]:
+                if names[parameter].is_size:
+                    sizes[k][parameter] = value
+                else:
+                    materials[k] = replace(materials[k], **{parameter: value})
+        changed = [s.with_sizes(own) for s, own in zip(sections, sizes, strict=True)]
+        return beam.with_parts(tuple(changed), tuple(materials))
 
     def check_target(self, parameter: str, element: int | None) -> None:
         """Refuse a design target that this beam does not have.
@@ -256,6 +266,26 @@ class BeamBody(abc.ABC):
                 repr(self.section),
                 "Join two beams with a Clamp instead.",
             )
+        if Quantity.SLOPE_Y in self.element.quantities and not self._is_spread():
+            raise InvalidInput(
+                f"beam {self.name!r}, section",
+                "the area of a section must spread along y, in space not along one line only",
+                repr(self._section()),
+                "Give points that lie apart.",
+            )
+
+    def _is_spread(self) -> bool:
+        """Whether the section resists bending about every axis."""
+        section = self._section()
+        y, z, dA = (x[0] for x in section.points(np.array([section.sizes()]), False))
+        places = np.stack([y, z][: self.dimension - 1])
+        centred = places - (places @ dA / np.sum(dA))[:, None]
+        moments = (centred * dA) @ centred.T
+        own = np.diag(moments)
+        # Of points on a line round-off leaves eps^2 = 5e-32 of the first, and eps of the second.
+        if np.any(own <= 1e-24 * (places**2 @ np.abs(dA))):
+            return False
+        return bool(np.linalg.det(moments / np.sqrt(np.outer(own, own))) > 1e-12)
 
     def _check_energy(self) -> None:
         where, default = f"beam {self.name!r}, energy", self.element.default_energy

@@ -32,10 +32,11 @@ from ancfdae.elements.hermite import (
     slope_weights_xi,
 )
 from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
-from ancfdae.elements.volume import change, shifted
+from ancfdae.elements.volume import change, shifted, step_of
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
+from ancfdae.sections.section import central_moments
 
 # Powers of l in s_a and in the tangent; one more of 1/l in the second derivative.
 _S_POWER, _N_POWER = np.array([0, 1, 0, 1]), np.array([-1, 0, 0])
@@ -99,7 +100,8 @@ class Cable2D(BeamElement):
         partials = {}
         for which in wanted:
             moved = _moduli(kind, shifted(parameters, which))
-            moduli_b = [change(x, at) for x, at in zip(moved, moduli, strict=True)]
+            step = step_of(parameters, which)
+            moduli_b = [change(x, at, step) for x, at in zip(moved, moduli, strict=True)]
             A_b, p_b, m_b = (_times(x, unit) for x, unit in zip(moduli_b, units, strict=True))
             Y_b = np.zeros_like(Y_l)
             if which is ElementParameter.LENGTH:
@@ -117,9 +119,10 @@ class Cable2D(BeamElement):
 def _moduli(kind: ElementType, parameters: Array) -> tuple[Array, Array, Array]:
     """E A, E I and rho A, shape (n,) each."""
     E, rho = parameters[:, [ElementParameter.YOUNGS_MODULUS, ElementParameter.DENSITY]].T
-    y, _, dA = kind.section.points(kind.sizes(parameters), False)
+    y, z, dA = kind.section.points(kind.sizes(parameters), False)
+    _, moments = central_moments(y, z, dA)
     area = dA.sum(axis=1)
-    return E * area, E * np.sum(y * y * dA, axis=1), rho * area
+    return E * area, E * moments[:, 0], rho * area
 
 
 def _times(modulus: Array, unit: Array) -> Array:

@@ -34,7 +34,7 @@ from ancfdae.elements.energy import EnhancedContinuum, StrainEnergy
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
 from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
 from ancfdae.elements.strain_fields import turn_stiffness
-from ancfdae.elements.volume import Region, change, fibres, fibres_partial, shifted
+from ancfdae.elements.volume import Region, change, fibres, fibres_partial, shifted, step_of
 from ancfdae.numerics.arrays import Array
 
 # Straight reference: the integrand of A has degree 8 in xi, that of m degree 6; 5 Gauss points are
@@ -159,9 +159,10 @@ class _Integrals:
             return np.zeros_like(self.A), self.m / self._rho[:, None, None]
         A_b, m_b = np.zeros_like(self.A), np.zeros_like(self.m)
         if which in (ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO):
+            step = step_of(self._parameters, which)
             moved = self._stiffness(shifted(self._parameters, which))
             for r, C, C_moved in zip(self._regions, self._C, moved, strict=True):
-                A_b += _quadratic(r.P, change(C_moved, C), r.dV, r.P)
+                A_b += _quadratic(r.P, change(C_moved, C, step), r.dV, r.P)
         fibres_b = fibres_partial(self._kind, self._parameters, which)
         if not fibres_b.any():
             return A_b, m_b

@@ -1,7 +1,7 @@
 """Strain energies of continuum beams: how stress follows from strain, and where strains count.
 
 Every energy is 1/2 int eps^T C eps dV, plus for some 1/2 int A eps^T C_axis eps dx with the strains
-of the beam's axis; E and nu enter C only. What an energy is for: docs/theory.md, section 3.
+of the line of centroids; E and nu enter C only. What an energy is for: docs/theory.md, section 2.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.errors import require_kind
 from ancfdae.numerics.arrays import Array
 
 
@@ -28,6 +29,11 @@ class StrainEnergy(abc.ABC):
     """
 
     assumed_strains: bool = False
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        where = f"{type(self).__name__}.assumed_strains"
+        require_kind(where, self.assumed_strains, (bool,), "Use True or False.")
 
     @property
     def dimensions(self) -> tuple[int, ...]:

@@ -28,9 +28,10 @@ nodes; c_2.b_3 + c_3.b_2 likewise, and c_2.b_3 - c_3.b_2, the twist, is constant
 
 Two terms in the squares of curvatures and twist, which are linear in g too (`_squares`), follow.
 Turns: what a finite turn of the element takes off curvature and twist is put back as further rows
-of strain, l kappa^2 with a stiffness of their own. Stretch: the axial strain of a straight beam is
-lowered by 3/2 of the squared curvature times the squared radius of gyration, so that bending
-neither shortens the axis nor softens the beam. Derivations: docs/theory.md, section 2.
+of strain, l kappa^2 times the radius of gyration, with a stiffness of their own. Stretch: the axial
+strain of a straight beam is lowered by 3/2 of the squared curvature times the squared radius of
+gyration, so that bending neither shortens the axis nor softens the beam. Derivations:
+docs/theory.md, section 2.
 """
 
 from __future__ import annotations
@@ -46,12 +47,13 @@ from ancfdae.elements.packing import upper_triangle
 from ancfdae.numerics.arrays import Array
 
 # Places of the phi_k: 1, y, z, y^2, y z, z^2; those of shear along y and z; those of torsion, y, z;
-# the squared radii of gyration.
-_ONE, _Y, _Z, _YY, _YZ, _ZZ, _SHEAR_Y, _SHEAR_Z, _TWIST_Y, _TWIST_Z, _I_Y, _I_Z = range(12)
+# the squared radii of gyration; these radii and that of twist.
+_ONE, _Y, _Z, _YY, _YZ, _ZZ, _SHEAR_Y, _SHEAR_Z, _TWIST_Y, _TWIST_Z = range(10)
+_I_Y, _I_Z, _R_Y, _R_Z, _R_TWIST = range(10, 15)
 
 
-def section_functions(offsets: Array, factors: Array, gyration: Array) -> Array:
-    """Return the phi_k, shape (n, n_s, 12).
+def section_functions(offsets: Array, factors: Array, radii: Array) -> Array:
+    """Return the phi_k, shape (n, n_s, 15).
 
     Parameters
     ----------
@@ -59,38 +61,40 @@ def section_functions(offsets: Array, factors: Array, gyration: Array) -> Array:
         y and z over the length.
     factors : array, shape (n, 3)
         What shears along y, along z and twist are multiplied by.
-    gyration : array, shape (n, 2)
-        Means of y^2 and z^2 over the section.
+    radii : array, shape (n, 3)
+        Radii of gyration along y and z, and that of twist, over the length.
     """
     y, z = offsets[..., 0], offsets[..., 1]
     one = np.ones_like(y)
     shear_y, shear_z, twist = factors.T[:, :, None]
     products = [one, y, z, y * y, y * z, z * z, one * shear_y, one * shear_z, y * twist, z * twist]
-    products += [one * i for i in gyration.T[:, :, None]]
+    products += [one * r for r in (*(radii[:, :2] ** 2).T[:, :, None], *radii.T[:, :, None])]
     return np.stack(products, axis=-1)
 
 
 def section_functions_partial(
-    offsets: Array, factors: Array, offsets_b: Array, factors_b: Array, gyration_b: Array
+    at: tuple[Array, Array, Array], b: tuple[Array, Array, Array]
 ) -> Array:
-    """Return the derivative of `section_functions`."""
+    """Return the derivative of `section_functions` at its arguments, along their derivatives."""
+    (offsets, factors, radii), (offsets_b, factors_b, radii_b) = at, b
     (y, z), (y_b, z_b) = (np.moveaxis(x, -1, 0) for x in (offsets, offsets_b))
     none = np.zeros_like(y)
     k, (k_yb, k_zb, k_b) = factors[:, 2, None], factors_b.T[:, :, None]
     products = [none, y_b, z_b, 2 * y * y_b, y_b * z + y * z_b, 2 * z * z_b]
     products += [none + k_yb, none + k_zb, y_b * k + y * k_b, z_b * k + z * k_b]
-    products += [none + i_b for i_b in gyration_b.T[:, :, None]]
+    squares_b = 2 * radii[:, :2] * radii_b[:, :2]
+    products += [none + r_b for r_b in (*squares_b.T[:, :, None], *radii_b.T[:, :, None])]
     return np.stack(products, axis=-1)
 
 
 @lru_cache(maxsize=16)
 def axial_functions(d: int, xi: tuple[float, ...], assumed: bool, straight: bool) -> Array:
-    """Return the beta_k, shape (12, n_xi, n_v, n_g); components in the order of `components`."""
+    """Return the beta_k, shape (15, n_xi, n_v, n_g); components in the order of `components`."""
     place, axis = np.array(xi), _Axis.of(d, np.array(xi))
     index = {pair: v for v, pair in enumerate(components(d))}
     n_y = 2 * d + 1
     extra = turn_count(d) if assumed else 0
-    beta = np.zeros((12, len(place), len(index) + extra, n_y * (n_y + 1) // 2))
+    beta = np.zeros((15, len(place), len(index) + extra, n_y * (n_y + 1) // 2))
     own = ((1, _Y, _YY, _SHEAR_Y), (2, _Z, _ZZ, _SHEAR_Z))
     fields = _Assumed(d, place, axis) if assumed else _Exact(axis)
     beta[_ONE, :, index[0, 0]] = _gram(axis.a, axis.a)
@@ -109,16 +113,16 @@ def axial_functions(d: int, xi: tuple[float, ...], assumed: bool, straight: bool
         squares = _squares(d)
         if straight:
             beta[[_I_Y, _I_Z][: d - 1], :, index[0, 0]] = -3 * squares[: d - 1, None]
-        own_turns = ((_Y, 0), (_Z, 1), (_TWIST_Y, 2), (_TWIST_Z, 2))[:extra]
-        for row, (function, square) in enumerate(own_turns, start=len(index)):
-            beta[function, :, row] = squares[square]
+        own_turns = (_R_Y,) if d == 2 else (_R_Y, _R_Z, _R_TWIST)
+        for row, (function, square) in enumerate(zip(own_turns, squares, strict=True), len(index)):
+            beta[function, :, row] = square
     beta.setflags(write=False)
     return beta
 
 
 def turn_count(d: int) -> int:
     """Return how many rows of turns follow the components of strain."""
-    return 1 if d == 2 else 4
+    return 1 if d == 2 else 3
 
 
 def turn_stiffness(d: int, E: Array, G: Array, straight: bool) -> Array:
@@ -129,7 +133,7 @@ def turn_stiffness(d: int, E: Array, G: Array, straight: bool) -> Array:
     volume is short by phi^2/12 of it, too: 1 - phi^2/12 - phi^2/2 + 2/3 share phi^2 = 1.
     """
     share = 1.0 if straight else 7 / 8
-    turns = [E / 6] if d == 2 else [E / 6, E / 6, G / 3, G / 3]
+    turns = [E / 6] if d == 2 else [E / 6, E / 6, G / 3]
     return share * np.stack(turns, axis=-1)
 
 

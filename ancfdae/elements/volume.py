@@ -22,6 +22,7 @@ from ancfdae.elements.strain_fields import (
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.quadrature import box_rule
+from ancfdae.sections.section import central_moments
 
 
 @final
@@ -37,25 +38,28 @@ class Fibres:
         Area that a fibre stands for, times l.
     factors : array, shape (n, 3)
         Square roots of the shear factors along y and z and of what the torsion constant is to the
-        polar moment: strains are multiplied by them.
-    gyration : array, shape (n, 2)
-        Squared radii of gyration over l^2.
+        polar moment about the centroid: strains are multiplied by them.
+    radii : array, shape (n, 3)
+        Radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
+    centroid : array, shape (n, 1, 2)
+        y and z of the centroid over l.
     """
 
     offsets: Array
     volume: Array
     factors: Array
-    gyration: Array
+    radii: Array
+    centroid: Array
 
     def any(self) -> bool:
-        """Whether anything differs from zero."""
-        parts = (self.offsets, self.volume, self.factors, self.gyration)
+        """Whether anything differs from zero; radii and centroid follow from the rest."""
+        parts = (self.offsets, self.volume, self.factors)
         return any(bool(np.any(part)) for part in parts)
 
     def axis(self) -> Fibres:
-        """All of the section in one fibre on the axis."""
-        offsets, volume = np.zeros_like(self.offsets[:, :1]), self.volume.sum(axis=1)
-        return Fibres(offsets, volume[:, None], self.factors, self.gyration)
+        """All of the section in one fibre at the centroid."""
+        volume = self.volume.sum(axis=1, keepdims=True)
+        return Fibres(self.centroid, volume, self.factors, self.radii, self.centroid)
 
 
 def fibres(kind: ElementType, parameters: Array) -> Fibres:
@@ -63,40 +67,51 @@ def fibres(kind: ElementType, parameters: Array) -> Fibres:
     l, nu = parameters[:, ElementParameter.LENGTH], parameters[:, ElementParameter.POISSON_RATIO]
     sizes = kind.sizes(parameters)
     y, z, dA = kind.section.points(sizes, not kind.straight)
+    centroid, moments = central_moments(y, z, dA)
+    polar = moments.sum(axis=1)
     factors = np.ones((len(l), 3), dtype=parameters.dtype)
     if kind.energy is not None and kind.energy.corrected:
         k_y, k_z, J = kind.section.properties(sizes, nu)
-        polar = np.sum(dA * (y**2 + z**2), axis=1)
         factors = np.sqrt(np.stack([k_y, k_z, J / polar], axis=1))
+    twist = factors[:, 2] ** 2 * polar
+    squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
     offsets = np.stack([y, z], axis=-1) / l[:, None, None]
-    gyration = np.sum(offsets**2 * dA[..., None], axis=1) / np.sum(dA, axis=1)[:, None]
-    return Fibres(offsets, dA * l[:, None], factors, gyration)
+    radii, centroid = np.sqrt(squares) / l[:, None], centroid / l[:, None, None]
+    return Fibres(offsets, dA * l[:, None], factors, radii, centroid)
 
 
 def fibres_partial(kind: ElementType, parameters: Array, which: ElementParameter) -> Fibres:
     """Return the derivative of `fibres` in a parameter."""
-    at, moved = fibres(kind, parameters), fibres(kind, shifted(parameters, which))
+    at, step = fibres(kind, parameters), step_of(parameters, which)
+    moved = fibres(kind, shifted(parameters, which))
     return Fibres(
-        change(moved.offsets, at.offsets),
-        change(moved.volume, at.volume),
-        change(moved.factors, at.factors),
-        change(moved.gyration, at.gyration),
+        change(moved.offsets, at.offsets, step),
+        change(moved.volume, at.volume, step),
+        change(moved.factors, at.factors, step),
+        change(moved.radii, at.radii, step),
+        change(moved.centroid, at.centroid, step),
     )
 
 
 def shifted(parameters: Array, which: ElementParameter) -> Array:
-    """Return parameters with one of them moved by a complex step."""
+    """Return parameters with one of them moved by an imaginary `step_of`."""
     moved = parameters.astype(complex)
-    moved[:, which] += 1j * STEP
+    moved[:, which] += 1j * step_of(parameters, which)
     return moved
 
 
-def change(moved: Array, at: Array) -> Array:
+def step_of(parameters: Array, which: ElementParameter) -> Array:
+    """Return STEP times the power of two next to each value, so that it vanishes in any units."""
+    step: Array = np.ldexp(STEP, np.frexp(parameters[:, which].real)[1])
+    return step
+
+
+def change(moved: Array, at: Array, step: Array) -> Array:
     """Return the derivative out of a value at `shifted` parameters and at the parameters.
 
     What is imaginary already, in a complex-step run, does not count.
     """
-    return np.asarray((np.imag(moved) - np.imag(at)) / STEP)
+    return np.asarray((np.imag(moved) - np.imag(at)) / step.reshape(-1, *[1] * (at.ndim - 1)))
 
 
 @final
@@ -141,7 +156,7 @@ class Region:
         assert kind.energy is not None
         assumed = kind.energy.assumed_strains
         self._beta = axial_functions(d, tuple(self._xi.tolist()), assumed, kind.straight)
-        self._B = self._metric(section_functions(fibres.offsets, fibres.factors, fibres.gyration))
+        self._B = self._metric(section_functions(fibres.offsets, fibres.factors, fibres.radii))
         self._J_inv: Array | None = None
         self.dV = self._measure(fibres.volume)
         if not kind.straight:
@@ -157,7 +172,8 @@ class Region:
         """Return the derivatives of P and dV."""
         own = self._fibres
         phi_b = section_functions_partial(
-            own.offsets, own.factors, fibres_b.offsets, fibres_b.factors, fibres_b.gyration
+            (own.offsets, own.factors, own.radii),
+            (fibres_b.offsets, fibres_b.factors, fibres_b.radii),
         )
         P_b = self._transform(self._J_inv, self._J_inv, 1.0) @ self._metric(phi_b)
         dV_b = self._measure(fibres_b.volume)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_array
 from ancfdae.numerics.arrays import Array
-from ancfdae.sections.section import Section, SectionPoints
+from ancfdae.sections.section import Section, SectionPoints, central_moments
 
 
 @final
@@ -83,7 +83,7 @@ class PointSection(Section):
     shear_factors : (float, float), optional
         1 by default.
     torsion_constant : float, optional
-        By default the polar moment, as if the section did not warp; m^4.
+        By default the polar moment about the centroid, as if the section did not warp; m^4.
 
     Raises
     ------
@@ -128,6 +128,6 @@ class PointSection(Section):
 
     def torsion(self, sizes: Array) -> Array:
         """Polar moment."""
-        y, z, dA = self.points(sizes, False)
-        J: Array = np.sum(dA * (y**2 + z**2), axis=1)
+        _, moments = central_moments(*self.points(sizes, False))
+        J: Array = moments.sum(axis=1)
         return J

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
@@ -50,6 +50,7 @@ class Section(abc.ABC):
             require_vector(f"{where}.shear_factors", self.shear_factors, (2,))
             for factor in self.shear_factors:
                 require_positive(f"{where}.shear_factors", factor)
+            object.__setattr__(self, "shear_factors", tuple(map(float, self.shear_factors)))
         if self.torsion_constant is not None:
             require_positive(f"{where}.torsion_constant", self.torsion_constant)
 
@@ -62,14 +63,14 @@ class Section(abc.ABC):
         """Return the sizes; m, unless the section says otherwise."""
         return tuple(getattr(self, name) for name in self.size_names())
 
-    def with_size(self, name: str, value: float) -> Self:
-        """Return the same section with one size changed."""
-        return replace(self, **{name: value})  # type: ignore[arg-type]  # sizes are numbers
+    def with_sizes(self, sizes: Mapping[str, float]) -> Self:
+        """Return the same section with some sizes changed, which need to fit together only."""
+        return replace(self, **sizes)  # type: ignore[arg-type]  # sizes are numbers
 
     def form(self) -> tuple[object, ...]:
         """Return what sections must share to differ in their sizes only."""
         own = (getattr(self, each.name) for each in fields(self) if each.kw_only)
-        return (type(self), *(tuple(x) if isinstance(x, Sequence) else x for x in own))
+        return (type(self), *own)
 
     @property
     @abc.abstractmethod
@@ -104,6 +105,13 @@ class Section(abc.ABC):
         if self.torsion_constant is not None:
             J = np.full_like(J, self.torsion_constant)
         return k_y, k_z, J
+
+
+def central_moments(y: Array, z: Array, dA: Array) -> tuple[Array, Array]:
+    """Return the centroid, shape (n, 1, 2), and the integrals of y^2 and z^2 about it, (n, 2)."""
+    places, areas = np.stack([y, z], axis=-1), dA[..., None]
+    centroid = np.sum(places * areas, axis=1, keepdims=True) / np.sum(areas, axis=1, keepdims=True)
+    return centroid, np.sum((places - centroid) ** 2 * areas, axis=1)
 
 
 def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:

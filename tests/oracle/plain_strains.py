@@ -1,0 +1,128 @@
+"""Strain energy of one element as docs/theory.md, section 2, defines it in vectors.
+
+Nothing is packed, scaled or precomputed: the strains are those of the position field at each point
+in metres, for node vectors Y = [r_2 - r_1, slopes of node 1, slopes of node 2].
+"""
+
+import numpy as np
+
+
+def curve(Y, xi, l):
+    """Return r_x and r_xx of the axis."""
+    d = Y.shape[1]
+    chord, t_1, t_2 = Y[0], Y[1], Y[1 + d]
+    r_x = 6 * xi * (1 - xi) / l * chord + (1 - xi) * (1 - 3 * xi) * t_1 + xi * (3 * xi - 2) * t_2
+    r_xx = ((6 - 12 * xi) / l * chord + (6 * xi - 4) * t_1 + (6 * xi - 2) * t_2) / l
+    return r_x, r_xx
+
+
+def section_slopes(Y, xi, l):
+    """Return the section slopes and their derivatives, one row per axis of the section."""
+    d = Y.shape[1]
+    first, second = Y[2 : 1 + d], Y[2 + d :]
+    return (1 - xi) * first + xi * second, (second - first) / l
+
+
+def metric(Y, xi, y, z, l, law):
+    """Return the metric B, (d, d), and the rows of turns."""
+    d, offset = Y.shape[1], (y, z)
+    r_x, r_xx = curve(Y, xi, l)
+    c, b = section_slopes(Y, xi, l)
+    shear, thickness, twist = c @ r_x, c @ c.T, c @ b.T
+    bending = b @ r_x
+    if law["assumed"]:
+        ends = [(section_slopes(Y, x, l)[0], curve(Y, x, l)[0]) for x in (0.0, 1.0)]
+        S = [slopes @ tangent for slopes, tangent in ends]
+        t = [slopes @ slopes.T for slopes, _ in ends]
+        shear, thickness = (1 - xi) * S[0] + xi * S[1], (1 - xi) * t[0] + xi * t[1]
+        bending = (S[1] - S[0]) / l - c @ r_xx
+        twist = 0.5 * ((t[1] - t[0]) / l + c @ b.T - b @ c.T)
+    B = np.zeros((d, d))
+    B[1:, 1:] = thickness
+    B[0, 0] = r_x @ r_x
+    for i in range(d - 1):
+        B[0, 0] += 2 * offset[i] * bending[i]
+        B[0, 1 + i] = law["factors"][i] * shear[i] + offset[i] * twist[i, i]
+        for j in range(d - 1):
+            B[0, 0] += offset[i] * offset[j] * (b[i] @ b[j])
+            if j != i:
+                B[0, 1 + i] += law["factors"][2] * offset[j] * twist[i, j]
+    turns = np.zeros(0)
+    if law["assumed"]:
+        middle = curve(Y, 0.5, l)[1]
+        bent = middle @ middle
+        if d == 2:
+            squares = np.array([0.5 * (bent + b[0] @ b[0])])
+        else:
+            y_turn, z_turn = b[0] @ b[0], b[1] @ b[1]
+            squares = 0.5 * np.array(
+                [bent + y_turn - z_turn, bent - y_turn + z_turn, y_turn + z_turn - bent]
+            )
+        turns = l * np.asarray(law["radii"])[: len(squares)] * squares
+        if law["straight"]:
+            radii = np.asarray(law["radii"])[: d - 1]
+            B[0, 0] -= 3 * np.sum(radii**2 * squares[: d - 1])
+    B[1:, 0] = B[0, 1:]
+    return B, turns
+
+
+def section_axes(J):
+    """Rows: normal of the section, r_y, what is across both."""
+    r_y = J[:, 1] / np.linalg.norm(J[:, 1])
+    if len(J) == 2:
+        return np.array([[r_y[1], -r_y[0]], r_y])
+    normal = np.cross(r_y, J[:, 2])
+    normal /= np.linalg.norm(normal)
+    return np.array([normal, r_y, np.cross(normal, r_y)])
+
+
+def gradient(Y, xi, y, z, l):
+    """Position gradient dr/dx, one column per coordinate."""
+    c, b = section_slopes(Y, xi, l)
+    columns = [curve(Y, xi, l)[0] + (y, z)[: len(b)] @ b, *c]
+    return np.stack(columns, axis=1)
+
+
+def energy(Y, Y_o, l, points, law):
+    """Strain energy of one element; `law` holds E, nu, factors, radii and three choices."""
+    d = Y.shape[1]
+    G = law["E"] / (2 * (1 + law["nu"]))
+    plain = np.diag([law["E"]] * d + [G] * (d * (d - 1) // 2))
+    full = lame(d, law["E"], law["nu"])
+    nodes, weights = np.polynomial.legendre.leggauss(5 if law["straight"] else 12)
+    U = 0.0
+    for x, weight in zip((nodes + 1) / 2, weights / 2, strict=True):
+        for y, z, dA in points:
+            eps, turns, det_J = strain(Y, Y_o, x, y, z, l, law)
+            U += 0.5 * weight * dA * l * det_J * (eps @ plain @ eps)
+            share = 1.0 if law["straight"] else 7 / 8
+            stiff = share * np.array([law["E"] / 6] * (d - 1) + [G / 3] * (d - 2))
+            U += 0.5 * weight * dA * l * det_J * (turns @ (stiff[: len(turns)] * turns))
+    area = sum(dA for _, _, dA in points)
+    y_c, z_c = (sum(point[k] * point[2] for point in points) / area for k in (0, 1))
+    for x in (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)):
+        eps, _, det_J = strain(Y, Y_o, x, y_c, z_c, l, law)
+        U += 0.25 * area * l * det_J * (eps @ (full - plain) @ eps)
+    return U
+
+
+def lame(d, E, nu):
+    """Hooke's law, in the plane without stress across it."""
+    kappa = E * nu / ((1 + nu) * (1 - 2 * nu)) if d == 3 else E * nu / (1 - nu**2)
+    G = E / (2 * (1 + nu))
+    C = np.diag([2 * G] * d + [G] * (d * (d - 1) // 2))
+    C[:d, :d] += kappa
+    return C
+
+
+def strain(Y, Y_o, xi, y, z, l, law):
+    """Return strains with engineering shears in the axes of the section, turns and det J_o."""
+    (B, turns), (B_o, turns_o) = (metric(X, xi, y, z, l, law) for X in (Y, Y_o))
+    d, green, det_J = len(B), 0.5 * (B - B_o), 1.0
+    if not law["straight"]:
+        J = gradient(Y_o, xi, y, z, l)
+        inverse, det_J = np.linalg.inv(section_axes(J) @ J), np.linalg.det(J)
+        green = inverse.T @ green @ inverse
+    shears = [(0, 1)] if d == 2 else [(1, 2), (0, 2), (0, 1)]
+    eps = np.append(np.diag(green), [2 * green[i, j] for i, j in shears])
+    return eps, turns - turns_o, det_J
