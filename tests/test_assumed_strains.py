@@ -48,3 +48,22 @@ def test_energy_is_that_of_strains_in_vectors(element, form, assumed):
         expected = plain_strains.energy(Y, Y_o, L, points, law)
         # Sums of some hundred terms, cancelling by a factor of ten: 1e-13.
         assert energy(inv.A, inv.g_o, Y[None])[0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("element", [BEAM_2D, BEAM_3D], ids=lambda e: e.name)
+@pytest.mark.parametrize("form", ["straight", "curved"])
+def test_partials_of_a_section_off_its_axis_are_complex_steps(element, form):
+    Y = straight(element.d) if form == "straight" else arc(element.d)
+    section = PointSection(places=PLACES, areas=AREAS)
+    kind = kind_of(element.d, EnhancedContinuum(), section, form == "straight")
+    values = np.zeros((1, len(ElementParameter)))
+    values[0, :7] = E, NU, 1000.0, L, 0.0, 1.1, 0.9
+    wanted = (ElementParameter.LENGTH, ElementParameter.SIZE_1, ElementParameter.SIZE_2)
+    partials = prepare(element, kind, values, Y, wanted).partials
+    for which in wanted:
+        moved = values.astype(complex)
+        moved[0, which] += 1e-40j
+        exact = prepare(element, kind, moved, Y).A.imag / 1e-40
+        # Two evaluations of one derivative: round-off of sums of some hundred terms.
+        scale = np.max(np.abs(exact))
+        np.testing.assert_allclose(partials[which].A, exact, rtol=0, atol=1e-11 * scale)
