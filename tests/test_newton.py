@@ -29,14 +29,15 @@ def error(system, run, exact):
 
 @pytest.mark.parametrize("steps", [1, 2], ids=["fresh matrix", "kept matrix"])
 @pytest.mark.parametrize(
-    ("system", "h"), [(CartesianPendulum(-1.0, 2.0), 0.25), (chain(), 0.02)], ids=["rod", "chain"]
+    ("system", "h"), [(CartesianPendulum(-1.0, 2.0), 0.25), (chain(), 0.01)], ids=["rod", "chain"]
 )
 def test_newtons_method_leaves_what_its_tolerance_says(system, h, steps):
     exact = HHT(h, newton_tolerance=1e-14).integrate(system, steps * h)
     runs = [HHT(h, newton_tolerance=x).integrate(system, steps * h) for x in TOLERANCES]
     used = [error(system, run, exact) / x for run, x in zip(runs, TOLERANCES, strict=True)]
     # Where one more iteration is just saved, the error is that of the tolerance: measured 0.7 to
-    # 4.5 times, since one rate tells it and the first of two steps hands its own on.
+    # 4.5 times, since one rate tells it and the first of two steps hands its own on. At twice the
+    # step the chain, whose start is projected, has two solutions, and tolerances choose.
     assert 0.2 < max(used) < 10
 
 
