@@ -431,6 +431,13 @@ def test_a_run_that_a_smaller_step_may_cure_tells_the_periods():
     assert "suggest_step" in str(run.outcome)
     good = simulate(simply_supported(2), 0.1, HHT(0.1))
     assert good.outcome.advice == ""
+    # A message must not take longer than the run: none where modes are expensive.
+    beam = rod(30, (0, 0), (0, -1), 0.05, 1e9, 2500.0)
+    large = simulate(
+        Scene([beam], [Pin(beam.at_start)], (5.0, -9.81)), 1.0, HHT(0.1, max_iterations=1)
+    )
+    assert not large.outcome.success
+    assert large.outcome.advice == ""
 
 
 def test_an_instant_of_a_run_can_be_looked_at():

@@ -65,8 +65,17 @@ def suggestion(
     )
 
 
+# Coordinates up to which all modes take a fraction of a second by dense methods.
+_QUICK = 120
+
+
 def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
-    """Return the periods of small motions about a state in words; nothing if there are none."""
+    """Return the periods of small motions about a state in words; nothing if there are none.
+
+    Larger systems get no such words: a message must not take longer than the run that it ends.
+    """
+    if system.n_q > _QUICK:
+        return ""
     try:
         with np.errstate(all="ignore"):
             found = suggestion(system, Configuration(q, lam, t=t), 1.0, None)
