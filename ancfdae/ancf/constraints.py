@@ -4,8 +4,8 @@ With the point vectors U = L q of all joints,
 
     Phi = sum over linear entries a (e . U) + sum over bilinear entries s U_i . U_j - offset,
 
-where a linear entry picks one component of one vector. `a` and `offset` may
-depend on time (driven joints), s does not. The *raw* Jacobian is the list of
+where a linear entry picks one component of one vector. Coefficients of driven
+joints depend on time, s as a rule not. The *raw* Jacobian is the list of
 nonzero entries of Phi_U: a for linear entries; s U_j and s U_i, component by
 component, for bilinear ones. Constant maps turn it into Phi_q on its pattern
 and into Phi_q^T lam. Every other quantity is a polynomial in the same
@@ -24,6 +24,7 @@ from typing import final
 import numpy as np
 from scipy import sparse
 
+from ancfdae.ancf.held_angles import HeldAngles
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.joints import Equations, Joint
 from ancfdae.naming import JointLayout
@@ -47,7 +48,8 @@ class _Values:
 class JointInput:
     """One joint with its parameters, (n_p,), reference vectors, (n_vectors, d), and partials.
 
-    `reference_b` has those of the design variables that move the reference.
+    `reference_b` has those of the design variables that move the reference. Equations `dropped`
+    say nothing here.
     """
 
     joint: Joint
@@ -55,10 +57,18 @@ class JointInput:
     p_b: Array
     reference: Array
     reference_b: dict[int, Array]
+    dropped: tuple[int, ...] = ()
 
     def at(self, t: float, order: int) -> Equations:
         """Return the coefficients."""
-        return self.joint.coefficients(self.p, self.reference, t, order)
+        c = self.joint.coefficients(self.p, self.reference, t, order)
+        return c.without(self.dropped)
+
+    def shaped(self, held: HeldAngles) -> JointInput:
+        """Leave out right angles that are held without this joint."""
+        c = self.at(0.0, 0)
+        shapes = enumerate(c.shapes, len(c.offset) - len(c.shapes))
+        return replace(self, dropped=tuple(row for row, angle in shapes if not held.add(angle)))
 
     @property
     def active(self) -> set[int]:
@@ -81,7 +91,7 @@ class JointInput:
         reference = self.reference + 1j * STEP * sum(self.reference_b.values())
         for order in range(4 if self.joint.driven else 1):
             for t in (0.0, 0.37):
-                c = self.joint.coefficients(p, reference, t, order)
+                c = self.joint.coefficients(p, reference, t, order).without(self.dropped)
                 linear = linear + np.abs(c.linear.real) + np.abs(c.linear.imag)
                 bilinear = bilinear + np.abs(c.bilinear.real) + np.abs(c.bilinear.imag)
         return Equations(linear, bilinear, found.offset)
@@ -101,6 +111,11 @@ class JointConstraints:
         self._number(inputs)
         self.driven = any(item.joint.driven for item in inputs)
         self.linear = len(self._s_row) == 0
+        # Whether bilinear coefficients depend on time.
+        self._turning = any(
+            item.joint.driven and len(at[0]) > 0
+            for item, (_, at) in zip(inputs, self._picks, strict=True)
+        )
         self._cache: tuple[float, _Values] | None = None
         self._constant, self._moved = self._collect(0), dict[int, JointConstraints]()
         self._place()
@@ -136,12 +151,12 @@ class JointConstraints:
         a, s, offset = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
         for item, (linear, bilinear) in zip(self._inputs, self._picks, strict=True):
             c = item.at(t, order if item.joint.driven else 0)
-            # What does not depend on time: all but the rows of driven joints, all of s.
+            # All but the rows of driven joints do not depend on time.
             moving = 1.0 if order == 0 or item.joint.driven else 0.0
             a.append(moving * c.linear[linear])
             # Both halves of the symmetric matrix in one entry, 1/2 on the diagonal.
-            half = np.where(bilinear[1] == bilinear[2], 0.5, 1.0) * (order == 0)
-            s.append(c.bilinear[bilinear] * half)
+            half = np.where(bilinear[1] == bilinear[2], 0.5, 1.0)
+            s.append(moving * c.bilinear[bilinear] * half)
             offset.append(moving * c.offset)
         return _Values(np.concatenate(a), np.concatenate(s), np.concatenate(offset))
 
@@ -219,6 +234,10 @@ class JointConstraints:
     def _U(self, x: Array) -> Array:
         """Vectors of one instant."""
         return only(self._vectors.of(x[None]))
+
+    def _states(self, states: Sequence[Array]) -> Array:
+        """Vectors of some states, with them as leading axis."""
+        return self._vectors.of(np.stack(states))
 
     @cached_property
     def _zero(self) -> _Values:
@@ -304,9 +323,14 @@ class JointConstraints:
             return self._B.transposed(lam)
         return self._to_force(self._raw(self._at(t), self._U(q)) * lam[self._raw_row])
 
-    def constraint_force_q(self, lam: Array) -> Array:
+    def constraint_force_q(self, lam: Array, t: Array) -> Array:
         """Values of (Phi_q^T lam)_q for rows of lam, shape (k, nnz); independent of q."""
-        return self._curvature.rows(lam[:, self._s_row] * self._constant.s)
+        c = self._over(t) if self._turning else self._constant
+        return self._curvature.rows(lam[:, self._s_row] * c.s)
+
+    def constraint_force_rate_q(self, lam: Array, t: float) -> Array:
+        """Values of ((dPhi_q^T/dt) lam)_q, one instant; only driven products depend on time."""
+        return only(self._curvature.rows((lam[self._s_row] * self._at(t, 1).s)[None]))
 
     # -- values, many instants -----------------------------------------------------------------
 
@@ -345,17 +369,19 @@ class JointConstraints:
 
     # -- start: rates and their total derivatives, one instant -----------------------------------
 
-    def constraint_q_rate(self, x: Array, t: float, order: int) -> Array:
-        """Values of the time derivative of Phi_q of this order, 1 to 3; x is that of q."""
-        return self._to_values(self._raw_rate([self._at(t), self._at(t, order)], self._U(x)))
+    def constraint_q_rate(self, t: float, *states: Array) -> Array:
+        """Values of the time derivative of Phi_q of order 1 to 3; states are q and its rates."""
+        return self._to_values(self._raw_rate(self._series(t, len(states)), *self._states(states)))
 
     def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
         return self._partial(lambda moved: moved._rate(t, q, rates), (self.n_lam,))
 
-    def constraint_force_rate_pull_back(self, v: Array, lam: Array, t: float, mu: Array) -> Array:
+    def constraint_force_rate_pull_back(
+        self, q: Array, v: Array, lam: Array, t: float, mu: Array
+    ) -> Array:
         """Design partial of mu . (dPhi_q^T/dt) lam with everything else held, shape (n_b,)."""
-        return self._partial(lambda moved: mu @ moved.constraint_force_rate(v, v, lam, t), ())
+        return self._partial(lambda moved: mu @ moved.constraint_force_rate(q, v, lam, t), ())
 
     def side(self, t: float, *states: Array) -> Array:
         """Right side of Phi_q v, Phi_q a or Phi_q q''', by how many of q, v and a are given.
@@ -364,7 +390,7 @@ class JointConstraints:
         """
         if self._simple:
             return np.zeros(self.n_lam)
-        return self._side(self._series(t, len(states) + 1), *self._vectors.of(np.stack(states)))
+        return self._side(self._series(t, len(states) + 1), *self._states(states))
 
     def side_total(self, t: float, states: tuple[Array, ...], states_b: tuple[Array, ...]) -> Array:
         """Total design derivative of `side`."""
@@ -380,7 +406,8 @@ class JointConstraints:
 
     def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
         """(dPhi_q^T/dt) lam."""
-        return self._to_force(self._raw_rate(self._series(t, 2), self._U(v)) * lam[self._raw_row])
+        raw = self._raw_rate(self._series(t, 2), *self._states((q, v)))
+        return self._to_force(raw * lam[self._raw_row])
 
     def constraint_force_rate_total(
         self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
@@ -388,11 +415,11 @@ class JointConstraints:
         """Total design derivative of `constraint_force_rate`."""
         loads = (lam + 1j * STEP * lam_b.T)[:, self._raw_row]
 
-        def entries(series: Sequence[_Values], V: Array) -> Array:
-            return self._raw_rate(series, V) * loads
+        def entries(series: Sequence[_Values], U: Array, V: Array) -> Array:
+            return self._raw_rate(series, U, V) * loads
 
-        total = self._to_force.columns(self._total(entries, t, 2, (v,), (v_b,)))
-        still = self._raw_rate(self._series(t, 2), self._U(v)) * lam[self._raw_row]
+        total = self._to_force.columns(self._total(entries, t, 2, (q, v), (q_b, v_b)))
+        still = self._raw_rate(self._series(t, 2), *self._states((q, v))) * lam[self._raw_row]
         for i in np.flatnonzero(self._vectors.moves):
             total[:, i] += self.moved(int(i))._to_force(still).imag / STEP
         return total
@@ -410,9 +437,14 @@ class JointConstraints:
         to_i, to_j = _flat(s * U[..., self._s_j, :]), _flat(s * U[..., self._s_i, :])
         return np.concatenate([a, to_i, to_j], axis=-1)
 
-    def _raw_rate(self, series: Sequence[_Values], V: Array) -> Array:
-        """Time derivative of `_raw`: bilinear entries at that of U, linear ones differentiated."""
-        return self._raw(_Values(series[1].a, series[0].s, series[1].offset), V)
+    def _raw_rate(self, series: Sequence[_Values], *X: Array) -> Array:
+        """Time derivative of `_raw` of order n by Leibniz' rule; X_k is U^(k), k to n."""
+        n = len(X) - 1
+        rate = self._raw(_Values(series[n].a, series[0].s, series[n].offset), X[n])
+        for k in range(1, n + 1) if self._turning else ():
+            still = _Values(np.zeros_like(series[k].a), series[k].s, series[k].offset)
+            rate = rate + math.comb(n, k) * self._raw(still, X[n - k])
+        return rate
 
     def _jacobian_times(self, series: Sequence[_Values], U: Array, X: Array) -> Array:
         return self._raw_row_map.rows(self._raw(series[0], U) * _flat(X)[..., self._raw_at])
@@ -432,9 +464,12 @@ class JointConstraints:
         side = series[n].offset
         for k in range(1, n + 1):
             side = side - math.comb(n, k) * self._linear(series[k], X[n - k])
-        for j in range(1, n // 2 + 1):
-            share = math.comb(n, j) / (2 if 2 * j == n else 1)
-            side = side - share * self._product(series[0], X[j], X[n - j])
+        for k in range(n + 1 if self._turning else 1):
+            # Of s^(k) and the derivative of order m of the products; U^(n) is what is asked for.
+            m = n - k
+            for j in range(1 if k == 0 else 0, m // 2 + 1):
+                share = math.comb(n, k) * math.comb(m, j) / (2 if 2 * j == m else 1)
+                side = side - share * self._product(series[k], X[j], X[m - j])
         return side
 
     def _rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from ancfdae.ancf.block import element_block
 from ancfdae.ancf.constraints import JointConstraints, JointInput
 from ancfdae.ancf.elastic_forces import ElasticForces
+from ancfdae.ancf.held_angles import HeldAngles
 from ancfdae.ancf.inertia import Inertia
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
 from ancfdae.ancf.numbering import number
@@ -110,7 +111,7 @@ class AncfSystem(MechanicalSystem):
     # -- preparation ---------------------------------------------------------------------------
 
     def _joint_constraints(self) -> JointConstraints:
-        d, inputs, points = self.element.d, [], []
+        d, inputs, points, held = self.element.d, [], [], HeldAngles(self.naming.layout)
         q_o, active = self._start.q_reference, self._start.active
         q_ob = [self._start.moved(i).q_reference.imag / STEP for i in active]
         for joint in self._scene.joints:
@@ -122,7 +123,8 @@ class AncfSystem(MechanicalSystem):
             moving = np.flatnonzero(np.any(along, axis=(0, 1)))
             reference_b = {int(i): along[..., i] for i in moving}
             p, p_b = self._mapping.part(joint.name, self.b)
-            inputs.append(JointInput(joint, p, p_b, reference, reference_b))
+            item = JointInput(joint, p, p_b, reference, reference_b)
+            inputs.append(item.shaped(held))
             points += own
         vectors = Vectors(points, d, self.n_q, self.n_b)
         return JointConstraints(inputs, vectors, self.n_b, d)
@@ -321,7 +323,7 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
         """(Phi_q^T lam)_q."""
-        return only(self._constraints.constraint_force_q(lam[None]))
+        return only(self._constraints.constraint_force_q(lam[None], np.array([t])))
 
     def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
         """(Phi_q^T lam)_b."""
@@ -333,11 +335,11 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
         """dPhi_q/dt."""
-        return self._constraints.constraint_q_rate(v, t, 1)
+        return self._constraints.constraint_q_rate(t, q, v)
 
     def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """d^2 Phi_q/dt^2."""
-        return self._constraints.constraint_q_rate(a, t, 2)
+        return self._constraints.constraint_q_rate(t, q, v, a)
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
@@ -384,7 +386,7 @@ class AncfSystem(MechanicalSystem):
         Q_q, Q_v = self._tangents(q, v)
         f_q = -Q_q
         if not self.linear_constraints:
-            f_q = f_q + self._constraints.constraint_force_q(lam)
+            f_q = f_q + self._constraints.constraint_force_q(lam, t)
         f_v = None if Q_v is None else -Q_v
         M = self._inertia.values[None]
         return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
@@ -411,7 +413,7 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
         """d^3 Phi_q/dt^3."""
-        return self._constraints.constraint_q_rate(jerk, t, 3)
+        return self._constraints.constraint_q_rate(t, q, v, a, jerk)
 
     def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
         """Return partials of constraint rates, of the variables that constraints depend on."""
@@ -420,7 +422,7 @@ class AncfSystem(MechanicalSystem):
     def force_rate_partials(
         self, t: float, states: tuple[Array, ...], later: Array
     ) -> tuple[Array, Array, Array]:
-        """f'_q = -(Q_q)', f'_v = f_q - (Q_v)': M is constant, and so is (Phi_q^T lam)_q in q."""
+        """f'_q = ((Phi_q^T)' lam)_q - (Q_q)', f'_v = f_q - (Q_v)'; M is constant."""
         q, v, a, lam = states
         Q_q, Q_v = self._elastic.tangent_rates(q, v, (v, later))
         if Q_v is None:
@@ -428,7 +430,8 @@ class AncfSystem(MechanicalSystem):
         if self._scene.loads:
             self._loads.add_tangent_rates((q, v, later), Q_q, Q_v)
         f_q = self.linearise(np.array([t]), q[None], v[None], a[None], lam[None]).f_q
-        return -Q_q[0], only(f_q - Q_v), np.zeros(self.pattern.size)
+        turned = self._constraints.constraint_force_rate_q(lam, t)
+        return turned - Q_q[0], only(f_q - Q_v), np.zeros(self.pattern.size)
 
     def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
         """Contract masses pair by pair, joints for the variables they depend on."""
@@ -439,7 +442,7 @@ class AncfSystem(MechanicalSystem):
     def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
         """Contract forces pair by pair, the rest for the variables it depends on."""
         q, v, _, lam = states
-        total = self._constraints.constraint_force_rate_pull_back(v, lam, t, mu)
+        total = self._constraints.constraint_force_rate_pull_back(q, v, lam, t, mu)
         total = total - self._elastic.pull_back_rate(q, v, (v, later), mu)
         if self._scene.loads:
             total = total - self._loads.pull_back_rate((q, v, later), mu)
