@@ -54,6 +54,8 @@ class Part(Designable, abc.ABC):
     kind: ClassVar[str]
     needs_other_end: ClassVar[bool] = False
     spatial: ClassVar[bool] = False
+    #: What it says to a second point in the place of its name.
+    no_second_point: ClassVar[str] = "It joins no second point here."
 
     name: str
 
@@ -65,7 +67,7 @@ class Part(Designable, abc.ABC):
                 f"{self.role} {self.kind!r}, name",
                 "must be a string",
                 repr(name),
-                "It joins no second point here." if isinstance(name, Point) else "Give a name.",
+                self.no_second_point if isinstance(name, Point) else "Give a name.",
             )
         given = self._given()
         where = f"{self.role} {name!r}" if name else self.kind

@@ -39,6 +39,7 @@ class Clamp(Joint):
 
     kind = "clamp"
     holds_position = True
+    no_second_point = "It holds to ground; use Weld to hold two sections together."
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Return the position and the slopes that span the section."""
