@@ -60,14 +60,13 @@ from ancfdae.joints import (
     Distance,
     Drive,
     Guide,
-    Harmonic,
     Joint,
     Pin,
     PointOnLine,
     Revolute,
     Spherical,
-    Uniform,
 )
+from ancfdae.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
 from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
 from ancfdae.material import Material
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
@@ -152,6 +151,7 @@ __all__ = [
     "ComplexStepSystem",
     "Configuration",
     "Conformance",
+    "Constant",
     "ContinuousAdjoint",
     "ControlledSteps",
     "CurvedBeam",
@@ -181,6 +181,7 @@ __all__ = [
     "Integrator",
     "InvalidInput",
     "Joint",
+    "Law",
     "Load",
     "LoadOutcome",
     "Material",
@@ -203,6 +204,7 @@ __all__ = [
     "PointForce",
     "PointOnLine",
     "PointSection",
+    "Ramp",
     "Rectangle",
     "RedundantConstraints",
     "Revolute",
@@ -215,6 +217,7 @@ __all__ = [
     "SmoothMaximum",
     "Solution",
     "Spherical",
+    "Spline",
     "SpringDamper",
     "StabilityWarning",
     "Statistics",
@@ -228,6 +231,7 @@ __all__ = [
     "UnfinishedRun",
     "Uniform",
     "UnknownName",
+    "UserLaw",
     "Verdict",
     "__version__",
     "adjoint_error",

@@ -13,7 +13,8 @@ from ancfdae.elements import BeamElement
 from ancfdae.errors import InvalidInput, require_direction
 from ancfdae.joints.frames import unit
 from ancfdae.joints.joint import Equations, Joint, empty_coefficients, spanning
-from ancfdae.joints.laws import Law, require_law
+from ancfdae.laws import Law
+from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
