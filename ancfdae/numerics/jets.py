@@ -10,7 +10,7 @@ Entries may be complex, so that a complex step in a parameter gives derivatives 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, final
 
 import numpy as np
@@ -61,6 +61,10 @@ class Jet(NDArrayOperatorsMixin):
     def __getitem__(self, key: Any) -> Jet:
         return self.map(lambda x: x[key])
 
+    def sum(self, axis: int, keepdims: bool = False) -> Jet:
+        """Return the sum over an axis."""
+        return self.map(lambda x: np.asarray(x.sum(axis=axis, keepdims=keepdims)))
+
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Jet:
         """Apply a function of NumPy.
 
@@ -72,10 +76,10 @@ class Jet(NDArrayOperatorsMixin):
         plain = method == "__call__" and not kwargs
         if plain and ufunc in _LINEAR:
             return Jet(*map(ufunc, *(self._entries(x) for x in inputs)))
-        if plain and ufunc is np.multiply:
-            return self._product(*inputs)
+        if plain and ufunc in (np.multiply, np.matmul):
+            return _product(ufunc, *inputs)
         if plain and ufunc is np.divide:
-            return self._product(inputs[0], np.reciprocal(inputs[1]))
+            return _product(np.multiply, inputs[0], np.reciprocal(inputs[1]))
         if plain and ufunc is np.power:
             return self._power(*inputs)
         if plain and ufunc in _DERIVATIVES:
@@ -95,19 +99,6 @@ class Jet(NDArrayOperatorsMixin):
         if isinstance(x, Jet):
             return x.derivatives
         return (x, *(np.zeros(()) for _ in self.derivatives[1:]))
-
-    def _product(self, x: Any, y: Any) -> Jet:
-        if not isinstance(x, Jet):
-            return y.map(lambda b: x * b)  # type: ignore[no-any-return]
-        if not isinstance(y, Jet):
-            return x.map(lambda a: a * y)
-        a, b = x.derivatives, y.derivatives
-        return Jet(
-            *(
-                sum((math.comb(n, k) * a[k] * b[n - k] for k in range(1, n + 1)), a[0] * b[n])
-                for n in range(len(a))
-            )
-        )
 
     def _power(self, x: Any, n: Any) -> Jet:
         if isinstance(n, Jet):
@@ -129,3 +120,47 @@ class Jet(NDArrayOperatorsMixin):
         if len(x) > 2:
             whole.append(f[2] * x[0] ** 3 + 3 * f[1] * x[0] * x[1] + f[0] * x[2])
         return Jet(*whole)
+
+
+def _product(product: np.ufunc, x: Any, y: Any) -> Jet:
+    """Return a product by Leibniz' rule; one factor may be constant."""
+    if not isinstance(x, Jet):
+        return y.map(lambda b: product(x, b))  # type: ignore[no-any-return]
+    if not isinstance(y, Jet):
+        return x.map(lambda a: product(a, y))
+    a, b = x.derivatives, y.derivatives
+    whole = [product(a[0], b_n) for b_n in b]
+    for n in range(1, len(a)):
+        for k in range(1, n + 1):
+            whole[n] = whole[n] + math.comb(n, k) * product(a[k], b[n - k])
+    return Jet(*whole)
+
+
+# -- vectors, (..., n_vectors, d), of arrays and of jets -------------------------------------------
+
+
+def dot(a: Any, b: Any) -> Any:
+    """Return a . b over the last axis, which is kept."""
+    return (a * b).sum(axis=-1, keepdims=True)
+
+
+def cross(a: Any, b: Any) -> Any:
+    """Return a x b of spatial vectors."""
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+
+
+def direction(e: Any) -> tuple[Any, Any]:
+    """Return the length l of vectors, shape (..., 1), and n = e / l."""
+    l = np.sqrt(dot(e, e))
+    return l, e / l
+
+
+def concatenate(parts: Sequence[Any]) -> Any:
+    """Return one list of vectors out of several; all are jets or none is."""
+    if isinstance(parts[0], Jet):
+        entries = zip(*(part.derivatives for part in parts), strict=True)
+        return Jet(*(np.concatenate(x, axis=-2) for x in entries))
+    return np.concatenate(parts, axis=-2)
+
+
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
