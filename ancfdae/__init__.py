@@ -60,7 +60,6 @@ from ancfdae.joints import (
     Distance,
     Drive,
     Guide,
-    Harmonic,
     Joint,
     Pin,
     PlanarJoint,
@@ -68,10 +67,10 @@ from ancfdae.joints import (
     Prismatic,
     Revolute,
     Spherical,
-    Uniform,
     Universal,
     Weld,
 )
+from ancfdae.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
 from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
 from ancfdae.material import Material
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
@@ -156,6 +155,7 @@ __all__ = [
     "ComplexStepSystem",
     "Configuration",
     "Conformance",
+    "Constant",
     "ContinuousAdjoint",
     "ControlledSteps",
     "CurvedBeam",
@@ -185,6 +185,7 @@ __all__ = [
     "Integrator",
     "InvalidInput",
     "Joint",
+    "Law",
     "Load",
     "LoadOutcome",
     "Material",
@@ -209,6 +210,7 @@ __all__ = [
     "PointOnLine",
     "PointSection",
     "Prismatic",
+    "Ramp",
     "Rectangle",
     "RedundantConstraints",
     "Revolute",
@@ -221,6 +223,7 @@ __all__ = [
     "SmoothMaximum",
     "Solution",
     "Spherical",
+    "Spline",
     "SpringDamper",
     "StabilityWarning",
     "Statistics",
@@ -235,6 +238,7 @@ __all__ = [
     "Uniform",
     "Universal",
     "UnknownName",
+    "UserLaw",
     "Verdict",
     "Weld",
     "__version__",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import re
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, TypeAlias, final
 
@@ -26,6 +27,9 @@ class CentreLine:
 
     beam: str
 
+
+# Names by default hold numbers: pin(rod@0.5).
+_NO_NAME = re.compile(r"\.(?!\d)|\[")
 
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
 Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine, ...]
@@ -68,6 +72,13 @@ class Part(Designable, abc.ABC):
                 "must be a string",
                 repr(name),
                 self.no_second_point if isinstance(name, Point) else "Give a name.",
+            )
+        if _NO_NAME.search(name):
+            raise InvalidInput(
+                f"{self.role} {self.kind!r}, name",
+                "must hold no '[' and no dot, except in a number: design targets have them",
+                repr(name),
+                "Write '_' or '-' instead.",
             )
         given = self._given()
         where = f"{self.role} {name!r}" if name else self.kind
@@ -114,7 +125,7 @@ class Part(Designable, abc.ABC):
                 element.require(where, vector[1], vector[0].y, vector[0].z)
         for name, _ in self.design_fields:
             value = getattr(self, name)
-            if np.ndim(value) == 1:
+            if np.ndim(value) == 1 and name not in self.indexed_fields:
                 require_vector(f"{where}, {name}", value, (d,))
 
     def _given(self) -> dict[str, Any]:

@@ -148,14 +148,7 @@ class Scene:
             known = [*(beam.name for beam in self.beams), *parts]
             raise UnknownName("beam, joint or load", target.owner, known)
         part = parts[target.owner]
-        if target.element is not None:
-            raise InvalidInput(
-                f"design target {target}",
-                "only beams have elements",
-                f"[{target.element}]",
-                f"Use {target.owner}.{target.parameter}.",
-            )
-        if target.parameter not in part.parameters():
+        if target.indexed not in part.parameters():
             known = [f"{part.name}.{name}" for name in part.parameters()]
             raise UnknownName("design target", str(target), known)
         return part
@@ -235,7 +228,7 @@ class Scene:
         for text in variable.targets:
             target = parse_target(text)
             if not self.is_beam(target):
-                values.append(float(self.part(target).parameters()[target.parameter]))
+                values.append(float(self.part(target).parameters()[target.indexed]))
                 continue
             beam = self.beam(target.owner)
             rows = self.target_elements(target)
@@ -386,7 +379,7 @@ def _with_values(part: BeamBody | Part, changes: list[_Change]) -> BeamBody | Pa
         if isinstance(part, BeamBody):
             return part.with_values([(t.parameter, t.element, value) for _, t, value in changes])
         for _, target, value in changes:
-            part = part.with_parameter(target.parameter, value)
+            part = part.with_parameter(target.indexed, value)
         return part
     except InvalidInput as error:
         # The one that the error speaks of, or all that do not fit together.

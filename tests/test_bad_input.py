@@ -731,3 +731,9 @@ def test_every_error_of_this_package_is_also_a_value_error():
     # So that callers who know nothing of the package catch bad input the usual way.
     with pytest.raises(ValueError, match=r"Rectangle\.height: must be positive; got -1"):
         Rectangle(-1, 1)
+
+
+@pytest.mark.parametrize("name", ["a.b", "motor.", "m[0]", 3, None])
+def test_names_of_joints_and_loads_that_a_target_could_not_have_are_refused(name):
+    refused(lambda: Pin(ROD.at_start, name=name), "joint 'pin', name", "must")
+    assert Pin(ROD.at(0.5), name="motor 1.5-2").name == "motor 1.5-2"

@@ -1,4 +1,4 @@
-"""Joints and motion laws: equations by hand, partials by complex step, rates along a curve.
+"""Joints: equations by hand, partials by complex step, rates along a curve.
 
 Every joint stands alone in a scene, at nodes and between them, to ground and between beams. Its
 equations are compared with their geometric meaning, every derivative of the protocol with a
@@ -18,7 +18,6 @@ from test_assembler import (
     DERIVATIVE,
     FLAT,
     STEEL,
-    STEP,
     THICK,
     VALUE,
     Setting,
@@ -39,6 +38,7 @@ from ancfdae import (
     Drive,
     Guide,
     Harmonic,
+    Law,
     Material,
     Pin,
     PlanarJoint,
@@ -58,7 +58,7 @@ from ancfdae import (
     joints,
     simulate,
 )
-from ancfdae.joints import Joint, Law
+from ancfdae.joints import Joint
 from ancfdae.joints.frames import Section, across, unit
 
 # Derivatives along a curve: an interpolant of degree DEGREE at Chebyshev points of [t - WINDOW,
@@ -85,7 +85,6 @@ def rates_of(function, t):
 
 UNIFORM = Uniform(speed=2.0, offset=0.3, acceleration=1.5)
 HARMONIC = Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)
-LAWS = {"uniform": UNIFORM, "harmonic": HARMONIC}
 
 
 def beams(d):
@@ -235,7 +234,7 @@ def one(request):
     return JointSetting(request.param)
 
 
-def test_every_public_joint_and_law_has_examples_in_each_dimension_it_works_in():
+def test_every_public_joint_has_examples_in_each_dimension_it_works_in():
     kinds = set(public_classes(joints, Joint).values())
     assert kinds == concrete_subclasses(Joint)
     for space in ("planar", "spatial"):
@@ -246,17 +245,9 @@ def test_every_public_joint_and_law_has_examples_in_each_dimension_it_works_in()
         given = [vars(joint) for joint in VARIANTS.values() if type(joint) is kind]
         for field in fields(kind):
             assert any(values[field.name] is not None for values in given), (kind, field.name)
-    assert {type(law) for law in LAWS.values()} == concrete_subclasses(Law)
 
 
 # ---------------------------------------------------------------- equations by hand
-
-
-def law_by_hand(law, t):
-    if isinstance(law, Uniform):
-        return law.offset + law.speed * t + 0.5 * law.acceleration * t * t
-    assert isinstance(law, Harmonic)
-    return law.offset + law.amplitude * np.sin(law.frequency * t + law.phase)
 
 
 def equations_by_hand(s, q, t):
@@ -286,7 +277,7 @@ def equations_by_hand(s, q, t):
         return np.zeros(0), np.linalg.norm(gap - (gap @ along) * along)
     if isinstance(joint, Guide):
         direction = np.array(joint.direction) / np.linalg.norm(joint.direction)
-        return np.array([direction @ gap - law_by_hand(joint.travel, t)]), None
+        return np.array([direction @ gap - joint.travel.at(t)]), None
     if not isinstance(joint, Drive):
         pytest.skip(f"what a {type(joint).__name__} means stands in test_joint_kinematics")
     n_s = s.system.element.n_s
@@ -296,7 +287,7 @@ def equations_by_hand(s, q, t):
     )
     axis = np.array((0.0, 0.0, 1.0) if joint.axis is None else joint.axis)
     axis /= np.linalg.norm(axis)
-    turn = Rotation.from_rotvec(law_by_hand(joint.angle, t) * axis)
+    turn = Rotation.from_rotvec(joint.angle.at(t) * axis)
     if d == 2:
         b_o, b = np.append(were[0], 0.0), np.append(slopes[0], 0.0)
         return np.array([turn.apply(np.cross(axis, b_o)) @ b / np.linalg.norm(b_o)]), None
@@ -497,30 +488,7 @@ def test_constraint_force_rate_is_the_derivative_along_a_curve_with_multipliers_
     assert np.any(rate) == (np.max(np.abs(expected)) > CURVE)
 
 
-# ---------------------------------------------------------------- laws and directions
-
-
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-@pytest.mark.parametrize("t", [0.0, 0.7])
-def test_derivatives_of_a_law_are_those_of_its_value(law, t):
-    p = np.array(list(law.parameters().values()))
-    rates = rates_of(lambda time: law.derivatives(p, time)[0], t)
-    ours = np.array(law.derivatives(p, t))
-    assert ours[0] == pytest.approx(law_by_hand(law, t), rel=1e-15)
-    assert_close(ours, rates, CURVE)
-    assert np.all(ours[:3] != 0)
-
-
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_every_parameter_of_a_law_goes_through_as_a_complex_number(law):
-    p, t = np.array(list(law.parameters().values())), 0.7
-    for k in range(len(p)):
-        moved = p.astype(complex)
-        moved[k] += 1j * STEP
-        by_step = [np.imag(x) / STEP for x in law.derivatives(moved, t)]
-        # The derivative in p of a time derivative is the time derivative of that in p.
-        rates = rates_of(lambda time, m=moved: np.imag(law.derivatives(m, time)[0]) / STEP, t)
-        assert_close(np.array(by_step), rates, CURVE)
+# ---------------------------------------------------------------- directions
 
 
 @pytest.mark.parametrize("d", [2, 3])

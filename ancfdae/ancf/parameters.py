@@ -88,7 +88,7 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
             target = parse_target(text)
             if not scene.is_beam(target):
                 part = scene.part(target)
-                slots.append((part.name, list(part.parameters()).index(target.parameter), index))
+                slots.append((part.name, list(part.parameters()).index(target.indexed), index))
                 continue
             rows = scene.target_elements(target)
             which = scene.beam(target.owner).parameter_names()[target.parameter]

@@ -112,19 +112,11 @@ class AncfSystem(MechanicalSystem):
 
     def _joint_constraints(self) -> JointConstraints:
         d, inputs, points, held = self.element.d, [], [], HeldAngles(self.naming.layout)
-        q_o, active = self._start.q_reference, self._start.active
-        q_ob = [self._start.moved(i).q_reference.imag / STEP for i in active]
         for joint in self._scene.joints:
             own = [self._point_vector(vector) for vector in joint.vectors(self.element)]
-            vectors = Vectors(own, d, self.n_q, self.n_b)
-            reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
-            if active:
-                along[..., active] += np.moveaxis(vectors.of(np.array(q_ob)), 0, -1).real
-            moving = np.flatnonzero(np.any(along, axis=(0, 1)))
-            reference_b = {int(i): along[..., i] for i in moving}
+            reference = self._in_reference(Vectors(own, d, self.n_q, self.n_b))
             p, p_b = self._mapping.part(joint.name, self.b)
-            item = JointInput(joint, p, p_b, reference, reference_b)
-            inputs.append(item.shaped(held))
+            inputs.append(JointInput(joint, p, p_b, *reference).shaped(held))
             points += own
         vectors = Vectors(points, d, self.n_q, self.n_b)
         return JointConstraints(inputs, vectors, self.n_b, d)
@@ -135,8 +127,20 @@ class AncfSystem(MechanicalSystem):
             own = [self._point_vector(vector) for vector in load.vectors(self.element)]
             p, p_b = self._mapping.part(load.name, self.b)
             vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
-            inputs.append(LoadInput(load, vectors, p, p_b))
+            reference, reference_b = self._in_reference(vectors)
+            used = reference_b if load.refers else {}
+            inputs.append(LoadInput(load, vectors, p, p_b, reference, used))
         return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
+
+    def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
+        """Return vectors in the reference configuration, and their partials that are not zero."""
+        q_o, active = self._start.q_reference, self._start.active
+        reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
+        if active:
+            q_ob = np.array([self._start.moved(i).q_reference.imag / STEP for i in active])
+            along[..., active] += np.moveaxis(vectors.of(q_ob), 0, -1).real
+        moving = np.flatnonzero(np.any(along, axis=(0, 1)))
+        return reference, {int(i): along[..., i] for i in moving}
 
     def _point_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
         if isinstance(vector, CentreLine):
@@ -238,42 +242,44 @@ class AncfSystem(MechanicalSystem):
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
         Q = self._inertia.gravity + self._elastic.force(q, v)
         if self._scene.loads:
-            Q = Q + self._loads.force(q[None], v[None])[0]
+            Q = Q + self._loads.force(q[None], v[None], np.array([t]))[0]
         return Q
 
     def force_q(self, q: Array, v: Array, t: float) -> Array:
         """Q_q (eq. 19)."""
-        return only(self._tangents(q[None], v[None])[0])
+        return only(self._tangents(q[None], v[None], np.array([t]))[0])
 
     def force_v(self, q: Array, v: Array, t: float) -> Array:
         """Q_v."""
-        Q_v = self._tangents(q[None], v[None])[1]
+        Q_v = self._tangents(q[None], v[None], np.array([t]))[1]
         return np.zeros(self.pattern.size) if Q_v is None else Q_v[0]
 
     def force_b(self, q: Array, v: Array, t: float) -> Array:
         """Q_b (eqs. 24, 25)."""
-        return only(self._forces_b(q[None], v[None]))
+        return only(self._forces_b(q[None], v[None], np.array([t])))
 
     def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q."""
         total = self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
-        return total + self._loads.force_total(q, v, q_b, v_b) if self._scene.loads else total
+        if self._scene.loads:
+            total = total + self._loads.force_total(q, v, np.array([t]), q_b, v_b)
+        return total
 
     def following_load(self, q: Array, t: float) -> Array:
         """Follower forces and moments."""
-        return self._loads.following(q)
+        return self._loads.following(q, np.array([t]))
 
     def following_load_q(self, q: Array, t: float) -> Array:
         """Their tangents."""
         values = np.zeros((1, self.pattern.size), dtype=np.result_type(q, self.b, float))
-        self._loads.add_following_tangents(q, values)
+        self._loads.add_following_tangents(q, np.array([t]), values)
         return only(values)
 
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Q_q v + Q_v a."""
+        """Q_q v + Q_v a + Q_t."""
         rate = self._elastic.force_rate(q, v, a)
         if self._scene.loads:
-            rate = rate + self._loads.force_rate(q[None], v[None], a[None])[0]
+            rate = rate + self._loads.force_rate(q[None], v[None], a[None], np.array([t]))[0]
         return rate
 
     def force_rate_total(
@@ -281,20 +287,33 @@ class AncfSystem(MechanicalSystem):
     ) -> Array:
         """Total design derivative of `force_rate`."""
         states, states_b = (q, v, a), (q_b, v_b, a_b)
+        return self._force_rate_total(self._loads, states, t, states_b)
+
+    def _force_rate_total(
+        self, loads: LoadForces, states: Sequence[Array], t: float, states_b: Sequence[Array]
+    ) -> Array:
         total = self._elastic.force_rate_total(states, states_b)
-        return total + self._loads.force_rate_total(states, states_b)
+        return total + loads.force_rate_total(states, np.array([t]), states_b)
+
+    def force_q_times(self, q: Array, x: Array, t: float) -> Array:
+        """Q_q x at rest: the rate along a tiny velocity while laws of time stand still."""
+        still, tiny = np.zeros_like(x), STEP * x
+        rate = self._elastic.force_rate(q, tiny, still)
+        held = self._loads.held.force_rate(q[None], tiny[None], still[None], np.array([t]))[0]
+        return np.asarray((rate + held) / STEP)
 
     def force_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Total design derivative of Q_q x at rest: of the rate along a tiny velocity."""
+        """Total design derivative of Q_q x at rest."""
         still, none = np.zeros_like(x), np.zeros_like(q_b)
-        return self.force_rate_total(q, STEP * x, still, t, q_b, none, none) / STEP
+        states, states_b = (q, STEP * x, still), (q_b, none, none)
+        return self._force_rate_total(self._loads.held, states, t, states_b) / STEP
 
     def force_q_times_q(self, q: Array, x: Array, t: float) -> Array:
         """(Q_q x)_q at rest: the rate of Q_q."""
         still, tiny = np.zeros_like(x), STEP * x
         Q_q, _ = self._elastic.tangent_rates(q, tiny, (tiny, still))
         if self._scene.loads:
-            self._loads.add_tangent_rates((q, tiny, still), Q_q, None)
+            self._loads.held.add_tangent_rates((q, tiny, still), np.array([t]), Q_q, None)
         return only(Q_q) / STEP
 
     def pull_back_force_q_times(self, q: Array, x: Array, t: float, mu: Array) -> Array:
@@ -302,7 +321,7 @@ class AncfSystem(MechanicalSystem):
         still, tiny = np.zeros_like(x), STEP * x
         total = self._elastic.pull_back_rate(q, tiny, (tiny, still), mu)
         if self._scene.loads:
-            total = total + self._loads.pull_back_rate((q, tiny, still), mu)
+            total = total + self._loads.held.pull_back_rate((q, tiny, still), np.array([t]), mu)
         return total / STEP
 
     def constraint(self, q: Array, t: float) -> Array:
@@ -383,7 +402,7 @@ class AncfSystem(MechanicalSystem):
 
     def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
         """M, f_q, f_v and Phi_q."""
-        Q_q, Q_v = self._tangents(q, v)
+        Q_q, Q_v = self._tangents(q, v, t)
         f_q = -Q_q
         if not self.linear_constraints:
             f_q = f_q + self._constraints.constraint_force_q(lam, t)
@@ -393,7 +412,7 @@ class AncfSystem(MechanicalSystem):
 
     def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
         """Design partials of f and Phi."""
-        f_b = self._inertia.times_b(a) - self._forces_b(q, v)
+        f_b = self._inertia.times_b(a) - self._forces_b(q, v, t)
         f_b += self._constraints.constraint_forces_b(q, lam, t)
         return DesignPartials(f_b, self._constraints.constraints_b(q, t))
 
@@ -406,7 +425,7 @@ class AncfSystem(MechanicalSystem):
         """Contraction over pairs and active variables, without arrays of the size n_q n_b."""
         (q, v, a, lam), (mu, zeta) = states, covectors
         total = self._inertia.pull_back(a, mu) - self._elastic.pull_back(q, v, mu)
-        total = total - self._loads.pull_back(q, v, mu)
+        total = total - self._loads.pull_back(q, v, t, mu)
         return np.asarray(total + self._constraints.pull_back(q, lam, t, mu, zeta))
 
     # -- rates for the transpose of the start --------------------------------------------------
@@ -428,7 +447,7 @@ class AncfSystem(MechanicalSystem):
         if Q_v is None:
             Q_v = np.zeros_like(Q_q)
         if self._scene.loads:
-            self._loads.add_tangent_rates((q, v, later), Q_q, Q_v)
+            self._loads.add_tangent_rates((q, v, later), np.array([t]), Q_q, Q_v)
         f_q = self.linearise(np.array([t]), q[None], v[None], a[None], lam[None]).f_q
         turned = self._constraints.constraint_force_rate_q(lam, t)
         return turned - Q_q[0], only(f_q - Q_v), np.zeros(self.pattern.size)
@@ -445,7 +464,7 @@ class AncfSystem(MechanicalSystem):
         total = self._constraints.constraint_force_rate_pull_back(q, v, lam, t, mu)
         total = total - self._elastic.pull_back_rate(q, v, (v, later), mu)
         if self._scene.loads:
-            total = total - self._loads.pull_back_rate((q, v, later), mu)
+            total = total - self._loads.pull_back_rate((q, v, later), np.array([t]), mu)
         return total
 
     # -- energies, instants as rows ------------------------------------------------------------
@@ -495,16 +514,16 @@ class AncfSystem(MechanicalSystem):
             chosen[place.first_element + place.element_count :] = 0.0
         return chosen
 
-    def _tangents(self, q: Array, v: Array) -> tuple[Array, Array | None]:
+    def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
         Q_q, Q_v = self._elastic.force_q(q, v), None
         if self._elastic.damped:
             Q_v = self._elastic.force_v(q)
         elif self.velocity_forces:
             Q_v = np.zeros_like(Q_q)
         if self._scene.loads:
-            self._loads.add_tangents(q, v, Q_q, Q_v)
+            self._loads.add_tangents(q, v, t, Q_q, Q_v)
         return Q_q, Q_v
 
-    def _forces_b(self, q: Array, v: Array) -> Array:
+    def _forces_b(self, q: Array, v: Array, t: Array) -> Array:
         Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
-        return Q_b + self._loads.force_b(q, v) if self._scene.loads else Q_b
+        return Q_b + self._loads.force_b(q, v, t) if self._scene.loads else Q_b

@@ -22,7 +22,8 @@ from ancfdae.joints.frames import (
     unit,
 )
 from ancfdae.joints.joint import SECTION, Equations, Joint, empty_coefficients, spanning
-from ancfdae.joints.laws import Law, require_law
+from ancfdae.laws import Law
+from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 

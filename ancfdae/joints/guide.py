@@ -11,7 +11,8 @@ from ancfdae.elements import BeamElement, Quantity
 from ancfdae.errors import require_direction
 from ancfdae.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
 from ancfdae.joints.joint import SECTION, Equations, Joint, empty_coefficients
-from ancfdae.joints.laws import Law, require_law
+from ancfdae.laws import Law
+from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
