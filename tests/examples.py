@@ -12,9 +12,24 @@ from typing import Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from ancfdae import Harmonic, InvalidInput, Law, Point, Scene, assemble, laws
+from ancfdae.joints import DrivenJoint, Equations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)
+
+
+def coefficients_of(joint, p, reference, t, order=0):
+    """Coefficients of a joint at an instant, or their time derivatives: its parts, put together."""
+    still = joint.coefficients(p, reference)
+    moving, factors = (), ()
+    if isinstance(joint, DrivenJoint):
+        moving, factors = joint.moving(p, reference), joint.factors(p, np.array([t]), order)[:, 0]
+    parts = [(float(order == 0), still), *zip(factors, moving, strict=True)]
+    arrays = (
+        sum(factor * getattr(part, name) for factor, part in parts)
+        for name in ("linear", "bilinear", "offset")
+    )
+    return Equations(*arrays, still.shapes)
 
 
 def public_classes(module, base):

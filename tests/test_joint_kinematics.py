@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from examples import coefficients_of
 from scipy.spatial.transform import Rotation
 
 from ancfdae import (
@@ -135,7 +136,7 @@ class Pose:
         self.places = {HERE: place + shift + carrier.apply(slide), THERE: place + shift}
         self.now = self.rigid(self.places, self.turns)
         p = np.array(list(self.joint.parameters().values()))
-        self.c = self.joint.coefficients(p, self.reference, T, 0)
+        self.c = coefficients_of(self.joint, p, self.reference, T)
         self.own = len(self.c.offset) - len(self.c.shapes)
 
     def rigid(self, places, turns):

@@ -45,7 +45,7 @@ class Clamp(Joint):
         """Return the position and the slopes that span the section."""
         return tuple((self.point, q) for q in (Quantity.POSITION, *spanning(element)))
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and one equation for every turn."""
         d, slopes = reference.shape[1], reference[1:]
         shapes = flat_angle(self.point) if d == 3 else ()

@@ -23,7 +23,7 @@ class Cylindrical(AxisJoint):
 
     kind = "cylindrical"
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Two equations across the axis and two perpendicularities."""
         axis, carrier, ground = self.around(p, reference)
         c = self.aligned(4, p, reference, square(carrier))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -21,7 +21,7 @@ from ancfdae.joints.frames import (
     spanned,
     unit,
 )
-from ancfdae.joints.joint import SECTION, Equations, Joint, empty_coefficients, spanning
+from ancfdae.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients, spanning
 from ancfdae.laws import Law
 from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
@@ -30,7 +30,7 @@ from ancfdae.parts import Vectors
 
 @final
 @dataclass(frozen=True)
-class Drive(Joint):
+class Drive(DrivenJoint):
     """Turn the section of a beam at a point by a law of time: a driven crank, a motor in an elbow.
 
     The angle is that from the reference configuration, in rad, about an axis that stays, or against
@@ -60,7 +60,6 @@ class Drive(Joint):
     kind = "drive"
     takes_part = SECTION
     design_fields = (("angle", require_law), ("axis", require_direction))
-    driven = True
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Return the slopes: those that span the section, all where there is another."""
@@ -68,55 +67,70 @@ class Drive(Joint):
             return super().vectors(element)[2:]
         return tuple((self.point, q) for q in spanning(element))
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
-        """Return the turn of the section, less the angle, and right angles that carry a torque."""
-        law, axis = self.split(p)
-        axis = self._axis(axis, reference)
-        turning = _turning(self.angle.derivatives(law, t))[order]
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return what does not turn: along the axis, shear, and right angles."""
+        a, d = self._axis(p, reference), reference.shape[1]
         if self.other is None:
-            return self._against_ground(p, reference, axis, turning, order)
-        return self._against_section(p, reference, axis, turning, order)
+            return self._against_ground(p, reference, lambda m: (a @ m) * a, still=True)
+        own, other = sections(self.points, reference)
+        shapes = () if d == 2 else axis_torque(own, a) + axis_torque(other, a)
+        c = empty_coefficients(1, p, reference, shapes)
+        own.take_out_shear(c, 0, a, 1.0)
+        other.take_out_shear(c, 0, a, -1.0)
+        place_shapes(c, (own, other))
+        return c
+
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return what goes with the cosine and the sine of the angle."""
+        a = self._axis(p, reference)
+        if self.other is None:
+            cosine = self._against_ground(p, reference, lambda m: m - (a @ m) * a)
+            return cosine, self._against_ground(p, reference, lambda m: np.cross(a, m))
+        e_1, e_2 = np.eye(2) if reference.shape[1] == 2 else across(a)
+        cosine = self._against_section(p, reference, ((e_1, e_2), (e_2, -e_1)))
+        return cosine, self._against_section(p, reference, ((e_1, -e_1), (e_2, -e_2)))
+
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Cosine and sine of the angle."""
+        law = self.split(p)[0]
+        return cosine_and_sine([self.angle.derivative(law, t, k) for k in range(order + 1)])
 
     def _against_ground(
-        self, p: Array, slopes: Array, a: Array, turning: Array, order: int
+        self,
+        p: Array,
+        slopes: Array,
+        part: Callable[[Array], Array],
+        still: bool = False,
     ) -> Equations:
-        """Sum over the axes w of the section of F w . R(theta) m_w, m_w = (a - 1/2 (a . n) n) x w.
+        """Part of the sum over the axes w of the section of F w . R m_w, with R the turn.
 
-        In the reference a turn phi of the section changes F w . m_w by a . phi in all (theory.md).
+        m_w = (a - 1/2 (a . n) n) x w: in the reference a turn phi of the section changes F w . m_w
+        by a . phi in all (theory.md).
         """
-        d, (cosine, sine) = slopes.shape[1], turning
+        d, a = slopes.shape[1], self._axis(p, slopes)
         n, axes, weights = spanned(slopes)
         twisting = d == 3 and abs((a @ n).real) > OUT_OF_PLANE
         c = empty_coefficients(1, p, slopes, flat_angle(self.point) if twisting else ())
         for w, own in zip(axes, weights, strict=True):
             m = np.cross(a - (a @ n) / 2 * n, w)
-            along = (a @ m) * a
-            direction = cosine * (m - along) + sine * np.cross(a, m) + (order == 0) * along
-            c.linear[0] += np.outer(own, direction[:d])
-        if twisting and order == 0:
+            c.linear[0] += np.outer(own, part(m)[:d])
+        if twisting and still:
             product = np.outer(*weights)
             c.bilinear[1] = product + product.T
         return c
 
     def _against_section(
-        self, p: Array, reference: Array, a: Array, turning: Array, order: int
+        self, p: Array, reference: Array, pairs: Sequence[tuple[Array, Array]]
     ) -> Equations:
-        """1/2 (F e_1 . F' R e_2 - F e_2 . F' R e_1) less the shear of both, R = R(theta)."""
-        d, (own, other) = reference.shape[1], sections(self.points, reference)
-        space = a[:d] if d == 3 else None
-        shapes = () if space is None else axis_torque(own, space) + axis_torque(other, space)
-        c = empty_coefficients(1, p, reference, shapes)
-        e_1, e_2 = np.eye(2) if space is None else across(space)
-        for e, e_cos, e_sin in ((e_1, e_2, -e_1), (e_2, -e_1, -e_2)):
-            turned = (turning[0] * e_cos + turning[1] * e_sin) / 2
-            other.meet(c, 0, own.carried(e), turned)
-        if order == 0:
-            own.take_out_shear(c, 0, a, 1.0)
-            other.take_out_shear(c, 0, a, -1.0)
-            place_shapes(c, (own, other))
+        """Part of 1/2 (F e_1 . F' R e_2 - F e_2 . F' R e_1), with R the turn."""
+        own, other = sections(self.points, reference)
+        c = empty_coefficients(len(self.coefficients(p, reference).offset), p, reference)
+        for e, e_other in pairs:
+            other.meet(c, 0, own.carried(e), e_other, 0.5)
         return c
 
-    def _axis(self, axis: Array | None, reference: Array) -> Array:
+    def _axis(self, p: Array, reference: Array) -> Array:
+        axis = self.split(p)[1]
         if axis is None:
             return np.array([0.0, 0.0, 1.0])
         if reference.shape[1] == 3:
@@ -129,9 +143,15 @@ class Drive(Joint):
         )
 
 
-def _turning(theta: tuple[Array, Array, Array, Array]) -> Array:
-    """Return the cosine and the sine of an angle with three time derivatives, shape (4, 2)."""
-    angle, w, w_1, w_2 = theta
+def cosine_and_sine(theta: Sequence[Array]) -> Array:
+    """Return the time derivative of cos and sin of an angle, of the order of its last one given."""
+    angle, order = theta[0], len(theta) - 1
     e, e_n = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    if order == 0:
+        return e
     # e' = w e_n, e_n' = -w e.
-    return np.array([e, w * e_n, w_1 * e_n - w**2 * e, (w_2 - w**3) * e_n - 3 * w * w_1 * e])
+    w, last = theta[1], theta[order]
+    by_e = (0 * w, -(w**2), -3 * w * theta[min(order, 2)])[order - 1]
+    by_e_n = last - w**3 if order == 3 else last
+    rate: Array = by_e_n * e_n + by_e * e
+    return rate

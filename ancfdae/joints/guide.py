@@ -10,7 +10,7 @@ from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement, Quantity
 from ancfdae.errors import require_direction
 from ancfdae.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
-from ancfdae.joints.joint import SECTION, Equations, Joint, empty_coefficients
+from ancfdae.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients
 from ancfdae.laws import Law
 from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
@@ -19,7 +19,7 @@ from ancfdae.parts import Vectors
 
 @final
 @dataclass(frozen=True)
-class Guide(Joint):
+class Guide(DrivenJoint):
     """Move a point along a direction by a law of time.
 
     direction . (r(point) - r(other)) = x(t) more than in the reference configuration, the ground
@@ -48,7 +48,6 @@ class Guide(Joint):
     kind = "guide"
     takes_part = SECTION
     design_fields = (("direction", require_direction), ("travel", require_law))
-    driven = True
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Return the position to ground; both positions and the slopes of the other point."""
@@ -57,18 +56,23 @@ class Guide(Joint):
         first, second, *slopes = super().vectors(element)
         return (first, second, *slopes[element.d :])
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
-        """Direction . (r - r') - x(t)."""
-        direction, law = self.split(p)
-        e = unit(direction)
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Direction . (r - r') as in the reference."""
+        e = unit(self.split(p)[0])
         others = sections(self.points[1:], reference)
         carrier = carrier_of(others)
         c = empty_coefficients(1, p, reference, square(carrier, unless_it_holds=e))
-        x = self.travel.derivatives(law, t)[order]
-        if order > 0:
-            c.offset[0] = x
-            return c
-        apart = reference[0] - reference[1] if others else reference[0]
-        hold_place(c, 0, carrier, e, e @ apart + x)
+        hold_place(c, 0, carrier, e, e @ (reference[0] - reference[1] if others else reference[0]))
         place_shapes(c, others)
         return c
+
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return minus the travel."""
+        c = self.coefficients(p, reference)
+        travel = empty_coefficients(len(c.offset), p, reference)
+        travel.offset[0] = 1.0
+        return (travel,)
+
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Its law."""
+        return self.travel.derivative(self.split(p)[1], t, order)[None]

@@ -75,8 +75,6 @@ class Joint(Part):
     role = "joint"
     #: What takes part of every point; its position, or `SECTION`, say.
     takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
-    #: Whether the coefficients depend on time.
-    driven: ClassVar[bool] = False
     #: Whether the first d equations equate positions: their multipliers are then minus the reaction
     #: force on the first point.
     holds_position: ClassVar[bool] = False
@@ -89,12 +87,26 @@ class Joint(Part):
         return (*positions, *slopes)
 
     @abc.abstractmethod
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
-        """Return the time derivative of this order, 0 to 3, of the coefficients.
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return the coefficients, of a driven joint those that do not depend on time.
 
         `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
-        the reference configuration, (n_vectors, d); complex ones must go through. Orders above 0
-        are only asked of driven joints.
+        the reference configuration, (n_vectors, d); complex ones must go through.
+        """
+
+
+class DrivenJoint(Joint):
+    """A joint whose coefficients depend on time: `coefficients` + sum_k factor_k(t) moving_k."""
+
+    @abc.abstractmethod
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return what goes with each of the `factors`; arguments as in `coefficients`."""
+
+    @abc.abstractmethod
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Return the time derivative of this order, 0 to 3, of the factors.
+
+        The instants t have the shape (k,), the result (n_factors, k).
         """
 
 

@@ -22,7 +22,7 @@ class PlanarJoint(AxisJoint):
 
     kind = "planar"
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """One equation along the normal of the plane and two perpendicularities."""
         axis, carrier, ground = self.around(p, reference)
         c = self.aligned(3, p, reference, square(carrier, unless_it_holds=axis))

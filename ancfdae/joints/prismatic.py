@@ -53,7 +53,7 @@ class Prismatic(Joint):
     takes_part = SECTION
     design_fields = (("axis", require_direction),)
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Equations across the axis, and one for every turn."""
         (axis,), d = self.split(p), reference.shape[1]
         own, *others = sections(self.points, reference)

@@ -22,7 +22,7 @@ class Revolute(AxisJoint):
     kind = "revolute"
     holds_position = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence and two perpendicularities."""
         c = self.aligned(5, p, reference)
         place_coincidence(c, len(self.points), reference, self.around(p, reference)[2])

@@ -54,7 +54,7 @@ class Universal(Joint):
     spatial = True
     holds_position = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and F axis . F' cross as in the reference."""
         axis, cross = (unit(direction) for direction in self.split(p))
         both = sections(self.points, reference)

@@ -43,7 +43,7 @@ class Weld(Joint):
     takes_part = SECTION
     holds_position = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and one equation for every turn."""
         d, (own, other) = reference.shape[1], sections(self.points, reference)
         rows = 3 if d == 2 else 6
