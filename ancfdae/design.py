@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self, final
 
@@ -20,6 +20,9 @@ from ancfdae.numerics.arrays import Array
 
 # The owner may contain dots: joints are named like pin(rod@0.5) by default.
 _TARGET = re.compile(r"(.+)\.([a-z_]+)(?:\[(\d+)\])?")
+
+# Entries of a symmetric tensor, in the order of a field that holds one.
+_TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
 class Designable:
@@ -44,25 +47,27 @@ class Designable:
             found |= _numbers(name, value)
         return found
 
-    def with_parameter(self, parameter: str, number: float) -> Self:
-        """Return the same object with one of its `parameters` changed.
+    def with_parameters(self, changes: Mapping[str, float]) -> Self:
+        """Return the same object with some of its `parameters` changed together.
 
         Raises
         ------
         UnknownName
         """
+        unknown = [parameter for parameter in changes if parameter not in self.parameters()]
+        if unknown:
+            raise UnknownName("design target", unknown[0], self.parameters())
+        new: dict[str, object] = {}
         for name, value in self._design_values():
-            own = list(_numbers(name, value))
-            if parameter in own:
-                if isinstance(value, Designable):
-                    new: object = value.with_parameter(parameter, number)
-                elif np.ndim(value) == 0:
-                    new = number
-                else:
-                    place = own.index(parameter)
-                    new = (*value[:place], number, *value[place + 1 :])
-                return replace(self, **{name: new})  # type: ignore[type-var]
-        raise UnknownName("design target", parameter, self.parameters())
+            own = _numbers(name, value)
+            changed = {key: changes.get(key, number) for key, number in own.items()}
+            if changed == own:
+                continue
+            if isinstance(value, Designable):
+                new[name] = value.with_parameters(changed)
+            else:
+                new[name] = changed[name] if np.ndim(value) == 0 else tuple(changed.values())
+        return replace(self, **new)  # type: ignore[type-var]
 
     def split(self, p: Array) -> list[Any]:
         """Return the values of the design fields out of those of all `parameters`.
@@ -115,8 +120,8 @@ def _numbers(name: str, value: Any) -> dict[str, float]:
         return value.parameters()
     if np.ndim(value) == 0:
         return {name: value}
-    prefix = name.partition("_")[0]
-    return {f"{prefix}_{axis}": x for axis, x in zip("xyz", value, strict=False)}
+    prefix, axes = name.partition("_")[0], _TENSOR if len(value) == len(_TENSOR) else "xyz"
+    return {f"{prefix}_{axis}": x for axis, x in zip(axes, value, strict=False)}
 
 
 @final

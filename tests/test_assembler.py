@@ -827,7 +827,7 @@ def vector_by_hand(system, q, point, quantity):
     l = system.naming.lengths[place.first_element + k]
     oracle = oracle_of(system.element)
     size = system.element.n_s * d
-    first = (place.first_node + k) * size
+    first = system.naming.layout.body(point.beam).first_vector * d + k * size
     X = q[first : first + 2 * size].reshape(-1, d)
     if quantity == 0:
         return oracle.shape(d, xi, point.y, point.z, l) @ X
@@ -883,8 +883,9 @@ def test_rigid_motion_turns_positions_and_slopes():
         omega = np.zeros(3)
         omega[-1 if d == 2 else slice(None)] = motion.angular_velocity
         expected = np.zeros(s.system.n_q).reshape(-1, d + 1, d)
-        place = s.system.naming.layout.beam(motion.beam)
-        nodes = slice(place.first_node, place.first_node + place.element_count + 1)
+        place = s.system.naming.layout.body(motion.beam)
+        first, count = place.first_vector // place.stride, place.count // place.stride
+        nodes = slice(first, first + count)
         arms = s.system.start()[0].reshape(-1, d + 1, d)[nodes].copy()
         arms[:, 0] -= motion.about
         space = np.zeros((*arms.shape[:-1], 3))

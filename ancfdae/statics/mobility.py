@@ -13,7 +13,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.naming import BeamLayout, Naming
+from ancfdae.naming import BodyLayout, Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.text import listed
 
@@ -52,7 +52,7 @@ def _of_coordinates(motions: Array) -> str:
 
 
 def _of_beams(naming: Naming, q: Array, motions: Array) -> str:
-    bodies = [_Body.of(naming, beam, q) for beam in naming.layout.beams]
+    bodies = [_Body.of(naming, beam, q) for beam in naming.layout.bodies]
     fits = [body.fit(motions) for body in bodies]
     basis = np.concatenate([fit.rigid for fit in fits])
     size = max(fit.size for fit in fits)
@@ -101,7 +101,7 @@ class _Fit:
 @final
 @dataclass(frozen=True)
 class _Body:
-    """A beam as it stands: node positions r (n, d), slopes (n, n_s - 1, d) and its length."""
+    """A beam or a rigid body as it stands: nodes r (n, d), slopes (n, n_s - 1, d), and size."""
 
     name: str
     r: Array
@@ -110,13 +110,11 @@ class _Body:
     columns: slice
 
     @staticmethod
-    def of(naming: Naming, beam: BeamLayout, q: Array) -> _Body:
-        d, n_s = naming.layout.d, naming.layout.element.n_s
-        first, count = beam.first_node * n_s * d, len(beam.fractions) * n_s * d
-        X = q[first : first + count].reshape(-1, n_s, d)
-        elements = slice(beam.first_element, beam.first_element + beam.element_count)
-        length = float(np.sum(naming.lengths[elements].real))
-        return _Body(beam.name, X[:, 0], X[:, 1:], length, slice(first, first + count))
+    def of(naming: Naming, beam: BodyLayout, q: Array) -> _Body:
+        d = naming.layout.d
+        columns = slice(beam.first_vector * d, (beam.first_vector + beam.count) * d)
+        X = q[columns].reshape(-1, beam.stride, d)
+        return _Body(beam.name, X[:, 0], X[:, 1:], beam.size, columns)
 
     def fit(self, motions: Array) -> _Fit:
         """Fit rigid motions to the given ones."""
