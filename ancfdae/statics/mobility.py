@@ -1,4 +1,4 @@
-"""What a mechanism that is free to move does, in words: which beams move, and how.
+"""What a mechanism that is free to move does, in words: which beams and bodies move, and how.
 
 A motion without stiffness strains no beam, so each beam moves as a rigid body: v of its start and
 omega are fitted to its node vectors. Several motions are combined so that each moves few beams in
@@ -41,7 +41,7 @@ def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMecha
 
 
 def motions_in_words(naming: Naming | None, q: Array, motions: Array) -> str:
-    """Say which beams move, and how, in motions without stiffness, shape (n_q, k)."""
+    """Say which beams and bodies move, and how, in motions without stiffness, shape (n_q, k)."""
     return _of_coordinates(motions) if naming is None else _of_beams(naming, q.real, motions)
 
 
@@ -150,13 +150,15 @@ class _Body:
         centre = self.r[0] + np.cross(axis, v) / turning
         about = f"the axis {_direction(axis)} through {self._place(centre, axis)}"
         chord = (self.r[-1] - self.r[0]) / self.length
-        if np.linalg.norm(np.cross(axis, chord)) <= _SMALL and self._near(self.r[0], centre, axis):
+        along = np.any(chord) and np.linalg.norm(np.cross(axis, chord)) <= _SMALL
+        if along and self._near(self.r[0], centre, axis):
             about = "its own axis"
         pitch = abs(v @ axis) > _SMALL * turning * self.length
         return f"{self.name} turns about {about}{' and moves along it' if pitch else ''}"
 
     def _place(self, centre: Array, axis: Array | None = None) -> str:
-        for name, place in (("its start", self.r[0]), ("its end", self.r[-1])):
+        names = ("its origin",) if len(self.r) == 1 else ("its start", "its end")
+        for name, place in zip(names, (self.r[0], self.r[-1]), strict=False):
             if self._near(place, centre, axis):
                 return name
         rounded = self.length * np.round(centre / self.length, 6) + 0.0
