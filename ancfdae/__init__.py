@@ -21,7 +21,16 @@ from ancfdae.api import (
     taylor_test,
     tradeoff,
 )
-from ancfdae.bodies import Beam, CurvedBeam, Point
+from ancfdae.bodies import (
+    Beam,
+    BodyShape,
+    CurvedBeam,
+    Point,
+    RigidBody,
+    RigidBox,
+    RigidCylinder,
+    RigidSphere,
+)
 from ancfdae.design import DesignVariable, distribution
 from ancfdae.elements import (
     BEAM_2D,
@@ -101,6 +110,7 @@ from ancfdae.observables import (
     time,
     velocity,
 )
+from ancfdae.point_mass import PointMass
 from ancfdae.protocol import (
     EstimatedErrors,
     MechanicalSystem,
@@ -148,6 +158,7 @@ __all__ = [
     "AtRest",
     "AtTimes",
     "Beam",
+    "BodyShape",
     "Box",
     "Circle",
     "Clamp",
@@ -207,6 +218,7 @@ __all__ = [
     "PlaneStress",
     "Point",
     "PointForce",
+    "PointMass",
     "PointOnLine",
     "PointSection",
     "Prismatic",
@@ -214,7 +226,11 @@ __all__ = [
     "Rectangle",
     "RedundantConstraints",
     "Revolute",
+    "RigidBody",
+    "RigidBox",
+    "RigidCylinder",
     "RigidMotion",
+    "RigidSphere",
     "SaintVenantKirchhoff",
     "Scene",
     "Section",

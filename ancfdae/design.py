@@ -21,6 +21,9 @@ from ancfdae.numerics.arrays import Array
 # The owner may contain dots: joints are named like pin(rod@0.5) by default.
 _TARGET = re.compile(r"(.+)\.([a-z_]+)(?:\[(\d+)\])?")
 
+# Entries of a symmetric tensor, in the order of a field that holds one.
+_TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
+
 
 class Designable:
     """A dataclass with numbers that design variables can drive.
@@ -48,25 +51,27 @@ class Designable:
             found |= self.numbers_of(name)
         return found
 
-    def with_parameter(self, parameter: str, number: float) -> Self:
-        """Return the same object with one of its `parameters` changed.
+    def with_parameters(self, changes: Mapping[str, float]) -> Self:
+        """Return the same object with some of its `parameters` changed together.
 
         Raises
         ------
         UnknownName
         """
+        unknown = [parameter for parameter in changes if parameter not in self.parameters()]
+        if unknown:
+            raise UnknownName("design target", unknown[0], self.parameters())
+        new: dict[str, object] = {}
         for name, value in self._design_values():
-            own = list(self.numbers_of(name))
-            if parameter in own:
-                if isinstance(value, Designable):
-                    new: object = value.with_parameter(parameter, number)
-                elif np.ndim(value) == 0:
-                    new = number
-                else:
-                    place = own.index(parameter)
-                    new = (*value[:place], number, *value[place + 1 :])
-                return replace(self, **{name: new})  # type: ignore[type-var]
-        raise UnknownName("design target", parameter, self.parameters())
+            own = self.numbers_of(name)
+            changed = {key: changes.get(key, number) for key, number in own.items()}
+            if changed == own:
+                continue
+            if isinstance(value, Designable):
+                new[name] = value.with_parameters(changed)
+            else:
+                new[name] = changed[name] if np.ndim(value) == 0 else tuple(changed.values())
+        return replace(self, **new)  # type: ignore[type-var]
 
     def split(self, p: Array) -> list[Any]:
         """Return the values of the design fields out of those of all `parameters`.
@@ -113,8 +118,8 @@ class Designable:
             return {f"{self.indexed_fields[name]}[{k}]": x for k, x in enumerate(value)}
         if np.ndim(value) == 0:
             return {name: value}
-        prefix = name.partition("_")[0]
-        return {f"{prefix}_{axis}": x for axis, x in zip("xyz", value, strict=False)}
+        prefix, axes = name.partition("_")[0], _TENSOR if len(value) == len(_TENSOR) else "xyz"
+        return {f"{prefix}_{axis}": x for axis, x in zip(axes, value, strict=False)}
 
     def _design_values(self) -> list[tuple[str, Any]]:
         return [(name, getattr(self, name)) for name, _ in self.design_fields]

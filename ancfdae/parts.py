@@ -1,4 +1,4 @@
-"""What joints and loads share: a name, points of beams or the ground, and design targets."""
+"""What joints and loads share: a name, points of beams or bodies, and design targets."""
 
 from __future__ import annotations
 
@@ -31,8 +31,25 @@ class CentreLine:
 # Names by default hold numbers: pin(rod@0.5).
 _NO_NAME = re.compile(r"\.(?!\d)|\[")
 
+
+@final
+@dataclass(frozen=True)
+class Direction:
+    """A direction of the axes of something rigid, as a vector for what keeps it rigid.
+
+    Parameters
+    ----------
+    body : str
+    number : int
+        From 1 on.
+    """
+
+    body: str
+    number: int
+
+
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
-Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine, ...]
+Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine | Direction, ...]
 
 
 class Part(Designable, abc.ABC):
@@ -85,7 +102,7 @@ class Part(Designable, abc.ABC):
         at = given.get("beam")
         if "point" in given:
             require_point(where, given["point"])
-            at = f"{given['point'].beam}@{given['point'].fraction:g}"
+            at = str(given["point"])
         if not name:
             object.__setattr__(self, "name", f"{self.kind}({at})")
         where = f"{self.role} {self.name!r}"
@@ -121,7 +138,7 @@ class Part(Designable, abc.ABC):
                 where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
             )
         for vector in self.vectors(element):
-            if not isinstance(vector, CentreLine):
+            if isinstance(vector, tuple) and vector[0].fraction is not None:
                 element.require(where, vector[1], vector[0].y, vector[0].z)
         for name, _ in self.design_fields:
             value = getattr(self, name)

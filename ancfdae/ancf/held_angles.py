@@ -38,7 +38,7 @@ class HeldAngles:
 
     def add(self, angle: RightAngle) -> bool:
         """Name one more, and tell whether it needs an equation."""
-        if angle.beam in self._rigid or angle in self._named:
+        if angle.fraction is None or angle.beam in self._rigid or angle in self._named:
             return False
         self._named.add(angle)
         if angle.slopes != _FLAT:

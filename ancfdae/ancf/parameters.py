@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -31,9 +31,9 @@ class ParameterMap:
     weights : array, shape (n_pairs,)
         One, except for a length: share of the element in the length of its beam.
     part_values : dict
-        Values of the `parameters` of every joint and load as declared, by its name.
+        Values of the `parameters` of every body, joint and load as declared, by its name.
     part_slots : tuple of (str, int, int)
-        Joint or load, place among its parameters, and design variable that writes there.
+        Body, joint or load, place among its parameters, and design variable that writes there.
     """
 
     base: Array
@@ -45,8 +45,8 @@ class ParameterMap:
     part_slots: tuple[tuple[str, int, int], ...]
 
     def part(self, name: str, b: Array) -> tuple[Array, Array]:
-        """Return the parameters p of a joint or load at design values b, and p_b."""
-        p = np.array(self.part_values[name]).astype(np.result_type(float, b))
+        """Return the parameters p of a body, joint or load at design values b, and p_b."""
+        p = np.array(self.part_values.get(name, ())).astype(np.result_type(float, b))
         p_b = np.zeros((len(p), len(b)))
         for owner, place, variable in self.part_slots:
             if owner == name:
@@ -59,6 +59,28 @@ class ParameterMap:
         P = self.base.astype(np.result_type(self.base, b))
         P[self.elements, self.parameters] = self.weights * b[self.variables]
         return P
+
+    def only(self, rows: Array) -> ParameterMap:
+        """Return what is written to some elements, numbered in the order given."""
+        places = np.full(len(self.base), -1)
+        places[rows] = np.arange(len(rows))
+        own = places[self.elements]
+        kept = own >= 0
+        return replace(
+            self,
+            base=self.base[rows],
+            elements=own[kept],
+            parameters=self.parameters[kept],
+            variables=self.variables[kept],
+            weights=self.weights[kept],
+        )
+
+    def lengths_b(self, n_b: int) -> Array:
+        """Return d(element lengths)/db, shape (n, n_b)."""
+        partial = np.zeros((len(self.base), n_b))
+        chosen = self.pairs(ElementParameter.LENGTH)
+        partial[self.elements[chosen], self.variables[chosen]] = self.weights[chosen]
+        return partial
 
     def pairs(self, which: ElementParameter) -> Array:
         """Return the indices of the pairs of one parameter."""

@@ -8,20 +8,10 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf.parameters import ParameterMap
-from ancfdae.bodies import ReferenceShape
-from ancfdae.elements import ElementParameter
+from ancfdae.bodies import BeamBody, RigidBody
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.scene import Scene
 from ancfdae.starts import NodeState, RigidMotion
-
-
-def length_partials(mapping: ParameterMap, n_b: int) -> Array:
-    """Return d(element lengths)/db, shape (n, n_b)."""
-    partial = np.zeros((len(mapping.base), n_b))
-    chosen = mapping.pairs(ElementParameter.LENGTH)
-    partial[mapping.elements[chosen], mapping.variables[chosen]] = mapping.weights[chosen]
-    return partial
 
 
 @final
@@ -45,7 +35,7 @@ class StartState:
 
     def __init__(self, scene: Scene, lengths: Array, lengths_b: Array) -> None:
         self._scene, self._lengths, self._lengths_b = scene, lengths, lengths_b
-        self._shapes = [beam.reference() for beam in scene.beams]
+        self._firsts = scene.first_elements()
         self.active: list[int] = np.flatnonzero(np.any(lengths_b != 0, axis=0)).tolist()
 
     @property
@@ -65,13 +55,11 @@ class StartState:
 
     @cached_property
     def _states(self) -> tuple[Array, Array, Array]:
-        first, parts = 0, []
-        for beam, shape in zip(self._scene.beams, self._shapes, strict=True):
-            own = self._lengths[first : first + beam.element_count]
-            X = Z = _nodes(shape, own, beam.element.n_s)
-            first += beam.element_count
+        parts = []
+        for body in self._scene.members:
+            X = Z = self._nodes(body)
             V = np.zeros_like(X)
-            motion = self._scene.start_of(beam.name)
+            motion = self._scene.start_of(body.name)
             if isinstance(motion, RigidMotion):
                 V = _rigid_velocity(motion, Z)
             elif isinstance(motion, NodeState):
@@ -81,6 +69,18 @@ class StartState:
             parts.append((X.ravel(), Z.ravel(), V.ravel()))
         q_o, q, v = (np.concatenate(part) for part in zip(*parts, strict=True))
         return q_o, q, v
+
+    def _nodes(self, body: BeamBody | RigidBody) -> Array:
+        """Node vectors (n_nodes, n_s, d) of the reference configuration, one node if rigid."""
+        if isinstance(body, RigidBody):
+            frame = np.concatenate([[body.position], body.directions()])
+            return frame[None].astype(self._lengths.dtype)
+        if body.rigid:
+            frame = np.concatenate([[body.reference().start], body.directions()])
+            return frame[None].astype(self._lengths.dtype)
+        first = self._firsts[body.name]
+        lengths = self._lengths[first : first + body.element_count]
+        return _beam_nodes(body, lengths)
 
     def moved(self, i: int) -> StartState:
         """Return them moved in design variable i by an imaginary step."""
@@ -92,8 +92,9 @@ class StartState:
         return other
 
 
-def _nodes(shape: ReferenceShape, lengths: Array, n_s: int) -> Array:
+def _beam_nodes(beam: BeamBody, lengths: Array) -> Array:
     """Node vectors (n + 1, n_s, d) of the reference configuration."""
+    shape, n_s = beam.reference(), beam.element.n_s
     X = np.zeros((len(lengths) + 1, n_s, len(shape.start)), dtype=lengths.dtype)
     X[:, 0] = shape.start
     X[1:, 0] += np.cumsum(lengths[:, None] * shape.chords, axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import final
 
@@ -14,18 +15,20 @@ from ancfdae.ancf.elastic_forces import ElasticForces
 from ancfdae.ancf.held_angles import HeldAngles
 from ancfdae.ancf.inertia import Inertia
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
+from ancfdae.ancf.mass_blocks import element_masses, other_masses
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
-from ancfdae.ancf.reference import StartState, length_partials
+from ancfdae.ancf.reference import StartState
+from ancfdae.ancf.rigidity import Rigidity
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.bodies import Point, Quantity
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput
-from ancfdae.loads import CentreLine
 from ancfdae.naming import Layout, Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
+from ancfdae.parts import CentreLine, Direction
 from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.scene import Scene
 from ancfdae.statics import RestingStart
@@ -88,18 +91,23 @@ class AncfSystem(MechanicalSystem):
         self._numbering = number(scene)
         self.element, self.n_q = self._numbering.element, self._numbering.n_q
         lengths = parameters[:, ElementParameter.LENGTH]
-        layout = Layout(self.element.name, self._numbering.beams, ())
-        self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
+        masses = tuple(mass.name for mass in scene.point_masses)
+        numbering = self._numbering
+        layout = Layout(self.element.name, numbering.bodies, numbering.beams, masses, ())
+        self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
         self._start = StartState(scene, lengths, self.naming.lengths_b)
         self._constraints = self._joint_constraints()
         self._loads = self._load_forces()
         self.pattern = self._joint_pattern()
         self._constraints.place_curvature(self.pattern)
         self._loads.place(self.pattern)
-        block = element_block(scene, mapping, parameters)
-        common = (block, self._numbering, mapping, self.n_b, self.pattern)
-        self._elastic = ElasticForces(*common)
-        self._inertia = Inertia(*common, scene.gravity)
+        soft = mapping.only(self._numbering.elements)
+        beams = [beam for beam in scene.beams if not beam.rigid]
+        block = element_block(self.element, beams, soft, soft.values(self.b))
+        self._elastic = ElasticForces(block, self._numbering, soft, self.n_b, self.pattern)
+        others = other_masses(scene, self.naming, mapping, self.b)
+        blocks = (element_masses(self._numbering, soft, block), *others)
+        self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, scene.gravity)
         self._describe()
 
     def __repr__(self) -> str:
@@ -111,8 +119,11 @@ class AncfSystem(MechanicalSystem):
     # -- preparation ---------------------------------------------------------------------------
 
     def _joint_constraints(self) -> JointConstraints:
-        d, inputs, points, held = self.element.d, [], [], HeldAngles(self.naming.layout)
-        for joint in self._scene.joints:
+        d, inputs, points = self.element.d, [], []
+        bodies = zip(self._numbering.bodies, self._numbering.rigid, strict=True)
+        rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
+        held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
+        for joint in (*self._scene.joints, *rigidities):
             own = [self._point_vector(vector) for vector in joint.vectors(self.element)]
             reference = self._in_reference(Vectors(own, d, self.n_q, self.n_b))
             p, p_b = self._mapping.part(joint.name, self.b)
@@ -142,22 +153,27 @@ class AncfSystem(MechanicalSystem):
         moving = np.flatnonzero(np.any(along, axis=(0, 1)))
         return reference, {int(i): along[..., i] for i in moving}
 
-    def _point_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
+    def _point_vector(self, vector: tuple[Point, Quantity] | CentreLine | Direction) -> PointVector:
         if isinstance(vector, CentreLine):
             return self.naming.centre_line(vector.beam)
+        if isinstance(vector, Direction):
+            return self.naming.direction(vector.body, vector.number)
         return self.naming.vector(*vector)
 
     def _joint_pattern(self) -> Pattern:
-        """Pattern of everything: elements, curvature of joints, tangents of loads."""
+        """Pattern of everything: elements, rigid bodies, curvature of joints, tangents of loads."""
         numbering = self._numbering
-        own = numbering.coordinates(numbering.vectors).reshape(len(numbering.vectors), -1)
+        size = self.element.n_a * self.element.d
+        own = numbering.coordinates(numbering.vectors).reshape(-1, size)
         rows, columns = np.broadcast_arrays(own[:, :, None], own[:, None, :])
+        frames = numbering.coordinates(numbering.frames)
+        body_rows, body_columns = np.broadcast_arrays(frames[:, :, None], frames[:, None])
         joint_rows, joint_columns, _, _ = self._constraints.couplings()
         load_rows, load_columns = self._loads.couplings()
         return Pattern(
             (self.n_q, self.n_q),
-            np.concatenate([rows.ravel(), joint_rows, load_rows]),
-            np.concatenate([columns.ravel(), joint_columns, load_columns]),
+            np.concatenate([rows.ravel(), body_rows.ravel(), joint_rows, load_rows]),
+            np.concatenate([columns.ravel(), body_columns.ravel(), joint_columns, load_columns]),
         )
 
     def _describe(self) -> None:
@@ -169,8 +185,7 @@ class AncfSystem(MechanicalSystem):
         self.weights = self._inertia.weights
         self.force_round_off = self._elastic.round_off(self._start.q, self.weights)
         joints = self._constraints.joints
-        layout = Layout(self.element.name, self._numbering.beams, joints)
-        self.naming = Naming(layout, self.naming.lengths, self.naming.lengths_b)
+        self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=joints))
         self.constraint_names = tuple(joint.name for joint in joints for _ in range(joint.rows))
 
     # -- the protocol --------------------------------------------------------------------------
@@ -470,11 +485,11 @@ class AncfSystem(MechanicalSystem):
     # -- energies, instants as rows ------------------------------------------------------------
 
     def strain_energy(self, q: Array) -> Array:
-        """Return the strain energy of every element at one instant, shape (n,)."""
+        """Return the strain energy of every element that deforms at one instant, shape (n,)."""
         return only(self._elastic.energies(q[None]))
 
     def strain_energies(self, q: Array, beam: str | None = None) -> Array:
-        """Return the strain energy of the scene or of one beam, shape (k,)."""
+        """Return the strain energy of the scene or of one beam or body, shape (k,)."""
         energies: Array = self._elastic.energies(q) @ self._chosen(beam)
         return energies
 
@@ -487,7 +502,7 @@ class AncfSystem(MechanicalSystem):
         return self._elastic.energy_b(q, self._chosen(beam))
 
     def kinetic_energies(self, v: Array, beam: str | None = None) -> Array:
-        """Return the kinetic energy (eq. 9), shape (k,)."""
+        """Return the kinetic energy (eq. 9) of the scene, a beam, a body or a point mass, (k,)."""
         energies: Array = 0.5 * np.sum(v * self.kinetic_energies_v(v, beam), axis=1)
         return energies
 
@@ -495,24 +510,23 @@ class AncfSystem(MechanicalSystem):
         """Return the momenta M v, shape (k, n_q)."""
         if beam is None:
             return self._inertia.times(v.T).T
-        return self._inertia.chosen_times(v, self._chosen(beam))
+        return self._inertia.owner_times(v, self.naming.layout.owner(beam))
 
     def kinetic_energies_b(self, v: Array, beam: str | None = None) -> Array:
         """Return the design partial of `kinetic_energies`, shape (k, n_b)."""
-        return 0.5 * self._inertia.quadratic_b(v, self._chosen(beam))
+        owner = None if beam is None else self.naming.layout.owner(beam)
+        return 0.5 * self._inertia.quadratic_b(v, owner)
 
     def gravity_potential(self, q: Array) -> Array:
         """Return the potential of gravity at one instant, zero at q = 0."""
         return -np.asarray(self._inertia.gravity @ q)
 
     def _chosen(self, beam: str | None) -> Array:
-        """One for the elements of a beam, or for all, shape (n,)."""
-        chosen = np.ones(len(self.naming.lengths))
-        if beam is not None:
-            place = self.naming.layout.beam(beam)
-            chosen[: place.first_element] = 0.0
-            chosen[place.first_element + place.element_count :] = 0.0
-        return chosen
+        """One for the elements of a beam, or for all, that deform, shape (n,)."""
+        owners = self._numbering.owners
+        if beam is None:
+            return np.ones(len(owners))
+        return np.asarray(owners == self.naming.layout.owner(beam), dtype=float)
 
     def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
         Q_q, Q_v = self._elastic.force_q(q, v), None

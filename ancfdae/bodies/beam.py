@@ -46,6 +46,8 @@ class Beam(BeamBody):
         deformation of the section.
     energy : StrainEnergy, optional
         By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
+    rigid : bool, optional
+        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class Beam(BeamBody):
     height_axis: Sequence[float] | None = None
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
     energy: StrainEnergy | None = None
+    rigid: bool = False
 
     def __post_init__(self) -> None:
         """Validate."""

@@ -18,9 +18,10 @@ from ancfdae.elements import (
     Quantity,
     StrainEnergy,
 )
-from ancfdae.errors import InvalidInput, UnknownName, require_kind
+from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind, require_name
 from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.frames import orthonormal
 from ancfdae.sections import Section
 
 # Parameters of every beam as a user writes them; the sizes of its section follow.
@@ -73,6 +74,8 @@ class BeamBody(abc.ABC):
         The element that models it.
     energy : StrainEnergy or None
         How it resists strain; None for elements with a law of their own.
+    rigid : bool
+        Whether it has the coordinates of a rigid body instead of those of its elements.
     """
 
     name: str
@@ -80,6 +83,7 @@ class BeamBody(abc.ABC):
     energy: StrainEnergy | None
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]
+    rigid: bool
 
     @property
     @abc.abstractmethod
@@ -105,6 +109,10 @@ class BeamBody(abc.ABC):
     ) -> BeamBody:
         """Return the same beam with another section and material."""
 
+    def directions(self) -> Array:
+        """Return the axes of the beam as a rigid body: those at its start, as rows."""
+        return orthonormal(self.reference().slopes[0])
+
     @property
     def at_start(self) -> Point:
         """The point at the start of the centre line."""
@@ -117,6 +125,7 @@ class BeamBody(abc.ABC):
 
     def at(self, fraction: float, y: float = 0.0, z: float = 0.0) -> Point:
         """Return the point at an arc-length fraction, offset in the section by y and z."""
+        require_finite(f"point of {self.name!r}", fraction)
         return Point(self.name, fraction, y, z)
 
     def parameter_names(self) -> dict[str, ElementParameter]:
@@ -220,14 +229,7 @@ class BeamBody(abc.ABC):
         return sections, materials
 
     def _check_parts(self) -> None:
-        name: object = self.name
-        if not isinstance(name, str) or not name or "." in name or "[" in name:
-            raise InvalidInput(
-                "Beam.name",
-                "must be a non-empty string without '.' and '['",
-                repr(name),
-                "Names appear in design targets such as 'rod.height[2]'.",
-            )
+        require_name("Beam.name", self.name)
         given: object = self.element
         if given is None:
             given = next(each for each in ALL_ELEMENTS if each.d == self.dimension)

@@ -46,6 +46,8 @@ class CurvedBeam(BeamBody):
         By default the beam of the dimension, BEAM_2D or BEAM_3D.
     energy : StrainEnergy, optional
         By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
+    rigid : bool, optional
+        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
 
     Raises
     ------
@@ -61,6 +63,7 @@ class CurvedBeam(BeamBody):
     element_lengths: Sequence[float] | None = None
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
     energy: StrainEnergy | None = None
+    rigid: bool = False
 
     def __post_init__(self) -> None:
         """Validate."""

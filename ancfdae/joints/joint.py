@@ -36,7 +36,7 @@ class RightAngle:
     """
 
     beam: str
-    fraction: float
+    fraction: float | None
     slopes: frozenset[Quantity]
 
 
