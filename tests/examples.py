@@ -53,13 +53,13 @@ def values_of(hint, name, points, d):
     }.get(hint, [])
 
 
-def examples(kind, beams, points):
+def examples(kind, beams, points, bodies=()):
     """Admissible examples of a class on two points, by what they are given beside the rest.
 
     All fields that must be given take every combination of values of their types; each field that
     need not be given is left out or given. What a scene of the beams refuses is none.
     """
-    d, hints = beams[0].dimension, get_type_hints(kind)
+    d, hints = (*beams, *bodies)[0].dimension, get_type_hints(kind)
     choices = [{}]
     for field in fields(kind):
         if field.name == "name":
@@ -74,7 +74,7 @@ def examples(kind, beams, points):
     for arguments in choices:
         try:
             part = kind(**arguments)
-            assemble(Scene(beams, **{f"{part.role}s": [part]}))
+            assemble(Scene(beams, **{f"{part.role}s": [part]}, bodies=bodies))
         except InvalidInput:
             continue
         extras = [f.name for f in fields(kind) if f.default is not MISSING and f.name in arguments]
@@ -82,11 +82,11 @@ def examples(kind, beams, points):
     return found
 
 
-def all_examples(module, base, beams, points):
+def all_examples(module, base, beams, points, bodies=()):
     """Examples of all public classes of a kind."""
     found = {}
     for kind in public_classes(module, base).values():
-        found |= examples(kind, beams, points)
+        found |= examples(kind, beams, points, bodies)
     return found
 
 
