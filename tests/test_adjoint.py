@@ -178,7 +178,8 @@ def test_transposed_operator_satisfies_the_dot_product_identity(build):
             np.linalg.norm(x) * np.linalg.norm(y) for x, y in zip(seeds, columns, strict=True)
         )
         # The claim.
-        assert abs(forward - back[i]) < 1e-13 * size, (design[i], forward, back[i])
+        # Round-off of the stiffness times a motion that is rigid, which cancels, at the start.
+        assert abs(forward - back[i]) < 1e-12 * size, (design[i], forward, back[i])
 
 
 @pytest.mark.parametrize("build", SCENES, ids=lambda build: build.__name__)
