@@ -1,7 +1,8 @@
 """Mutation testing with cosmic-ray (docs/mutation.md): a sample of mutants, and their tests.
 
 python tests/mutation.py sample SESSION NUMBER SEED    keeps NUMBER mutants of every package
-python tests/mutation.py test                          runs the tests of the mutated module
+python tests/mutation.py baseline                      runs every selection without a mutation
+python tests/mutation.py run SESSION                   tests the mutants that have no result
 python tests/mutation.py report SESSION                counts, and the mutants that survived
 """
 
@@ -23,27 +24,34 @@ TINY = ["tests/test_extremes.py", "-k", "tiny_steps"]
 # From the path of a module, without ancfdae/, to the tests that are to kill its mutants: quick
 # ones first.
 TESTS = {
-    "elements/": [["tests/test_invariants.py"], ["tests/test_assembler.py"]],
+    "elements/": [
+        ["tests/test_assumed_strains.py"],
+        ["tests/test_cable.py"],
+        ["tests/test_strain_energies.py"],
+        ["tests/test_invariants.py"],
+        ["tests/test_assembler.py"],
+    ],
     "joints/": [["tests/test_joints.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "loads/": [["tests/test_loads.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "integrators/hht/": [
         ["tests/test_newton.py"],
         PASSES,
         TINY,
-        ["tests/test_order.py"],
         ["tests/test_start.py"],
+        ["tests/test_order.py"],
+        ["tests/test_own_systems.py"],
     ],
     "sensitivity/adjoint": [["tests/test_adjoint.py"]],
     "sensitivity/continuous": [
         ["tests/test_adjoint_end.py"],
-        ["tests/test_adjoint.py", "-k", "continuous or passes"],
         ["tests/test_own_systems.py"],
+        ["tests/test_adjoint.py", "-k", "continuous or passes"],
     ],
     "observables/": [["tests/test_observables.py"], ["tests/test_objectives.py"]],
     "objectives/": [
         ["tests/test_objectives.py"],
-        ["tests/test_integrals.py"],
         ["tests/test_adjoint.py", "-k", "is_complex"],
+        ["tests/test_integrals.py"],
     ],
 }
 # Operators that a sign, a factor or a branch written wrongly looks like. The others put a bit
