@@ -37,6 +37,7 @@ from ancfdae import (
 from ancfdae.integrators.integrand import Points
 from ancfdae.integrators.quadrature import KRONROD, SHARES
 from ancfdae.integrators.sundials.step_points import _between, _panels
+from ancfdae.objectives.totals import Total
 from ancfdae.observables import states_of, time
 from validation.scenes import crank_slider
 
@@ -207,6 +208,18 @@ def test_errors_of_panels_do_not_cancel():
     nothing = np.zeros((14, 0))
     points = Points(KRONROD, h, np.zeros(14), nothing, nothing)
     assert points.errors(x)[0] == pytest.approx(2 * abs(KRONROD.error @ SHARES**6))
+
+
+@pytest.mark.parametrize("share", [0.5, 1e-4])
+def test_errors_of_derivatives_are_relative_to_them_or_to_a_hundredth_of_the_value(share):
+    system = CartesianPendulum(b=(1.0, 9.81))
+    observable = custom(lambda t, q, v, lam, b: 1 + share * b[0] * t**6)
+    nothing = np.zeros((7, 2))
+    points = Points(KRONROD, np.ones(1), SHARES, nothing, nothing)
+    part = Total(system, Integral(observable), differentiated=True).part(points)
+    # The value is 1 + share/7, its derivative in ln b_0 share/7: 7 and 1e-5 per cent of it.
+    scale = max(share / 7, 1e-2 * (1 + share / 7))
+    assert part.error == pytest.approx(share * abs(KRONROD.error @ SHARES**6) / scale, rel=1e-9)
 
 
 # ---- trouble
