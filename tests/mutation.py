@@ -14,10 +14,15 @@ import resource
 import sys
 from collections import defaultdict
 
+# What takes longer to import than most tests run, for the children of `passes`.
+import matplotlib.figure  # noqa: F401
 import pytest
 import scipy.integrate
 import scipy.interpolate
-import scipy.sparse.linalg  # noqa: F401
+import scipy.optimize
+import scipy.sparse.csgraph
+import scipy.sparse.linalg
+import scipy.special  # noqa: F401
 
 PASSES = ["tests/test_adjoint.py", "-k", "dot_product or complex_step_of_the_run or pass"]
 # From the path of a module, without ancfdae/, to the tests that are to kill its mutants: quick
