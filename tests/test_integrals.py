@@ -37,6 +37,7 @@ from ancfdae import (
 from ancfdae.integrators.integrand import Points
 from ancfdae.integrators.quadrature import KRONROD, SHARES
 from ancfdae.integrators.sundials.step_points import _between, _panels
+from ancfdae.objectives.totals import Total
 from ancfdae.observables import states_of, time
 from validation.scenes import crank_slider
 
@@ -207,6 +208,32 @@ def test_errors_of_panels_do_not_cancel():
     nothing = np.zeros((14, 0))
     points = Points(KRONROD, h, np.zeros(14), nothing, nothing)
     assert points.errors(x)[0] == pytest.approx(2 * abs(KRONROD.error @ SHARES**6))
+
+
+@pytest.mark.parametrize("share", [0.5, 1e-4])
+def test_errors_of_derivatives_are_relative_to_them_or_to_a_hundredth_of_the_value(share):
+    observable = custom(lambda t, q, v, lam, b: 1 + share * b[0] * t**6)
+    total = Total(CartesianPendulum(b=(2.0, 9.81)), Integral(observable), differentiated=True)
+    # The value is 1 + 2 share/7, its derivative in ln b_0 2 share/7: 12 and 3e-3 per cent of it.
+    scale = max(2 * share / 7, 1e-2 * (1 + 2 * share / 7))
+    error = 2 * share * abs(KRONROD.error @ SHARES**6)
+    assert total.part(panel(1.0)).error == pytest.approx(error / scale, rel=1e-9, abs=0)
+
+
+def test_errors_are_relative_to_a_usual_part_of_the_same_duration():
+    total = Total(CartesianPendulum(), Integral(custom(lambda t, *_: t**6)), differentiated=False)
+    large, small = panel(2.0), panel(1e-3)
+    total.add(total.part(large))
+    # The first part has the size 2^7/7 in 2 s; in 1e-3 s one would have 5e-4 of it.
+    usual = 2.0**7 / 7 * 1e-3 / 2
+    error = abs(KRONROD.error @ small.t**6) * 1e-3
+    assert total.part(small).error == pytest.approx(error / usual, rel=1e-9, abs=0)
+
+
+def panel(h):
+    """Points of one panel from zero to h."""
+    nothing = np.zeros((7, 2))
+    return Points(KRONROD, np.array([h]), h * SHARES, nothing, nothing)
 
 
 # ---- trouble
