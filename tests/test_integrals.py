@@ -204,6 +204,16 @@ def test_integrals_of_a_system_of_ones_own_cost_little_beside_its_motion(kind, o
     assert motion <= both < (max(most, 1.3) if kind is Explicit else most) * motion
 
 
+def test_steps_whose_stages_are_too_few_are_not_all_repeated():
+    system, integrator = CartesianPendulum(), Explicit(1e-8, intervals=1)
+    objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0] ** 2))
+    plain = differentiate(system, 5.0, integrator)
+    run = gradient(system, objective, 5.0, integrator).solution
+    # Dense output takes three evaluations beside the twelve or more of a step, a repetition 16:
+    # a quarter more; without dense output that is kept half as much again.
+    assert plain.statistics.residuals < run.statistics.residuals < 1.3 * plain.statistics.residuals
+
+
 @pytest.mark.parametrize("kind", [IDA, Explicit])
 def test_a_function_may_read_multipliers_later(kind):
     system, integrator = CartesianPendulum(), kind(1e-8, intervals=1)
