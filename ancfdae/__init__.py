@@ -21,7 +21,16 @@ from ancfdae.api import (
     taylor_test,
     tradeoff,
 )
-from ancfdae.bodies import Beam, CurvedBeam, Point
+from ancfdae.bodies import (
+    Beam,
+    BodyShape,
+    CurvedBeam,
+    Point,
+    RigidBody,
+    RigidBox,
+    RigidCylinder,
+    RigidSphere,
+)
 from ancfdae.design import DesignVariable, distribution
 from ancfdae.elements import (
     BEAM_2D,
@@ -60,14 +69,17 @@ from ancfdae.joints import (
     Distance,
     Drive,
     Guide,
-    Harmonic,
     Joint,
     Pin,
+    PlanarJoint,
     PointOnLine,
+    Prismatic,
     Revolute,
     Spherical,
-    Uniform,
+    Universal,
+    Weld,
 )
+from ancfdae.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
 from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
 from ancfdae.material import Material
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
@@ -98,6 +110,7 @@ from ancfdae.observables import (
     time,
     velocity,
 )
+from ancfdae.point_mass import PointMass
 from ancfdae.protocol import (
     EstimatedErrors,
     MechanicalSystem,
@@ -145,6 +158,7 @@ __all__ = [
     "AtRest",
     "AtTimes",
     "Beam",
+    "BodyShape",
     "Box",
     "Circle",
     "Clamp",
@@ -152,6 +166,7 @@ __all__ = [
     "ComplexStepSystem",
     "Configuration",
     "Conformance",
+    "Constant",
     "ContinuousAdjoint",
     "ControlledSteps",
     "CurvedBeam",
@@ -181,6 +196,7 @@ __all__ = [
     "Integrator",
     "InvalidInput",
     "Joint",
+    "Law",
     "Load",
     "LoadOutcome",
     "Material",
@@ -198,15 +214,23 @@ __all__ = [
     "Outcome",
     "Pattern",
     "Pin",
+    "PlanarJoint",
     "PlaneStress",
     "Point",
     "PointForce",
+    "PointMass",
     "PointOnLine",
     "PointSection",
+    "Prismatic",
+    "Ramp",
     "Rectangle",
     "RedundantConstraints",
     "Revolute",
+    "RigidBody",
+    "RigidBox",
+    "RigidCylinder",
     "RigidMotion",
+    "RigidSphere",
     "SaintVenantKirchhoff",
     "Scene",
     "Section",
@@ -215,6 +239,7 @@ __all__ = [
     "SmoothMaximum",
     "Solution",
     "Spherical",
+    "Spline",
     "SpringDamper",
     "StabilityWarning",
     "Statistics",
@@ -227,8 +252,11 @@ __all__ = [
     "Tube",
     "UnfinishedRun",
     "Uniform",
+    "Universal",
     "UnknownName",
+    "UserLaw",
     "Verdict",
+    "Weld",
     "__version__",
     "adjoint_error",
     "apply",

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import all_examples, public_classes
+from examples import LAW_TIME, all_examples, law_examples, public_classes
 from test_assembler import (
     DERIVATIVE,
     FLAT,
@@ -39,6 +39,7 @@ from ancfdae import (
     Scene,
     SpringDamper,
     assemble,
+    check_system,
     loads,
     simulate,
 )
@@ -119,11 +120,13 @@ class LoadSetting(Setting):
         design = [*self.own, *(f"{name}.length" for name in touched)]
         super().__init__(Scene(chosen, loads=[self.load]), design)
         self.bare = assemble(Scene(chosen), design[len(self.own) :])
+        self.factor = 1.0 if self.load.law is None else self.load.law.at(self.t)
 
-    def added(self, q=None, v=None):
+    def added(self, q=None, v=None, t=None):
         """Generalised force of the load."""
         q, v = self.q if q is None else q, self.v if v is None else v
-        return self.system.force(q, v, self.t) - self.bare.force(q, v, self.t)
+        t = self.t if t is None else t
+        return self.system.force(q, v, t) - self.bare.force(q, v, t)
 
 
 @pytest.fixture(scope="module", params=VARIANTS)
@@ -232,7 +235,7 @@ def test_power_of_a_moment_in_a_rigid_motion_of_any_state_is_moment_times_spin(n
         R = [vector_by_hand(s.system, s.q, s.load.point, k) for k in (2, 3)]
         M = M @ [v / np.linalg.norm(v) for v in (np.cross(*R), *R)]
     # Turned by a quarter about z, as any other way round, the sign would show.
-    power = s.added() @ V.ravel()
+    power = s.added() @ V.ravel() / s.factor
     assert power == pytest.approx(M @ omega, abs=VALUE * np.sum(np.abs(s.added() * V.ravel())))
     assert abs(M @ omega) > 1e-3
 
@@ -267,7 +270,7 @@ def test_virtual_work_is_that_of_the_forces_on_their_points(one, seed):
     Q = one.added()
     # Forces of 10 N in 40 terms of size one; relative to the sum of their magnitudes.
     size = np.sum(np.abs(Q * virtual))
-    assert abs(Q @ virtual - power_by_hand(one, virtual)) <= VALUE * size
+    assert abs(Q @ virtual - one.factor * power_by_hand(one, virtual)) <= VALUE * size
     assert size > 1e-3
 
 
@@ -275,7 +278,7 @@ def test_resultant_of_a_load_is_its_force(one):
     d = one.scene.dimension
     translation = np.zeros((one.system.n_q // d, d, d))
     translation[:: one.system.element.n_s] = np.eye(d)
-    resultant = one.added() @ translation.reshape(-1, d)
+    resultant = one.added() @ translation.reshape(-1, d) / one.factor
     if isinstance(one.load, DistributedForce):
         length = one.scene.beam(one.load.beam).length
         expected = length * np.array(one.load.force_per_length)
@@ -302,7 +305,12 @@ def test_line_load_of_rho_h_w_g_is_gravity(d):
     assert_close(loaded.force(q, v, 0.0), heavy.force(q, v, 0.0), 1e-10)
 
 
-@pytest.mark.parametrize("name", [name for name in VARIANTS if "follower, " in name])
+FOLLOWERS = [
+    f"{space} follower, {at}" for space in ("planar", "spatial") for at in ("node", "inside")
+]
+
+
+@pytest.mark.parametrize("name", FOLLOWERS)
 @pytest.mark.parametrize("seed", range(3))
 def test_follower_force_turns_with_the_section_and_keeps_its_size(name, seed):
     s = LoadSetting(name)
@@ -431,10 +439,11 @@ def test_force_b_is_the_complex_step_of_force(one):
 
 def test_force_rate_is_the_complex_step_of_force_along_the_motion(one):
     s = one
-    moved = s.added(s.q + 1j * STEP * s.v, s.v + 1j * STEP * s.a).imag / STEP
+    e = 1j * STEP
+    moved = s.added(s.q + e * s.v, s.v + e * s.a, s.t + e).imag / STEP
     arguments = (s.q, s.v, s.a, s.t)
     rate = s.system.force_rate(*arguments) - s.bare.force_rate(*arguments)
-    if s.load.constant:
+    if s.load.constant and s.load.law is None:
         assert not np.any(rate)
         return
     assert_close(rate, moved, DERIVATIVE)
@@ -465,10 +474,68 @@ def test_loads_of_a_scene_add_up():
     bare, whole = assemble(Scene([rod, bow])), assemble(Scene([rod, bow], loads=many))
     rng = np.random.default_rng(6)
     q, v = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q), rng.uniform(-1, 1, bare.n_q)
-    expected = bare.force(q, v, 0.0)
-    parts = [assemble(Scene([rod, bow], loads=[load])).force(q, v, 0.0) for load in many]
+    expected = bare.force(q, v, 0.3)
+    parts = [assemble(Scene([rod, bow], loads=[load])).force(q, v, 0.3) for load in many]
     expected = expected + sum(part - expected for part in parts)
-    assert_close(whole.force(q, v, 0.0), expected, VALUE)
+    assert_close(whole.force(q, v, 0.3), expected, VALUE)
+
+
+# ---------------------------------------------------------------- laws of time
+
+
+@pytest.mark.parametrize("law", law_examples().values(), ids=law_examples())
+@pytest.mark.parametrize("name", ["planar point, node", "planar spring, beams"])
+def test_a_law_multiplies_a_load_at_every_instant(law, name):
+    load = VARIANTS[name]
+    scene = Scene(ELEMENT_BEAMS["planar"], loads=[replace(load, law=law)])
+    design = [f"{load.name}.{parameter}" for parameter in law.parameters()]
+    system, still = assemble(scene, design), assemble(replace(scene, loads=[load]))
+    bare, rng = assemble(replace(scene, loads=[])), np.random.default_rng(4)
+    q = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q)
+    v, a = rng.uniform(-1, 1, (2, bare.n_q))
+    lam = np.zeros(0)
+    times = LAW_TIME + np.array([0.0, 0.1])
+    for t in times:
+        added = system.force(q, v, t) - bare.force(q, v, t)
+        one = still.force(q, v, t) - bare.force(q, v, t)
+        assert_close(added, law.at(t) * one, VALUE)
+        rate = system.force_rate(q, v, a, t) - bare.force_rate(q, v, a, t)
+        moving = still.force_rate(q, v, a, t) - bare.force_rate(q, v, a, t)
+        expected = law.at(t) * moving + law.at(t, 1) * one
+        assert np.max(np.abs(rate - expected)) <= DERIVATIVE * (1 + np.max(np.abs(expected)))
+        # Q_q x holds the law still.
+        held = system.force_q_times(q, v, t) - bare.force_q_times(q, v, t)
+        now = still.force_q_times(q, v, t) - bare.force_q_times(q, v, t)
+        assert np.max(np.abs(held - law.at(t) * now)) <= DERIVATIVE * (1 + np.max(np.abs(now)))
+    # Many instants at once are the instants one by one.
+    rows = [np.array([x, x]) for x in (q, v, a, lam)]
+    both = system.linearise(times, *rows)
+    each = [system.linearise(times[[k]], *(x[[k]] for x in rows)) for k in (0, 1)]
+    for member in ("f_q", "f_v"):
+        whole, parts = getattr(both, member), [getattr(one, member) for one in each]
+        assert (whole is None) == (parts[0] is None)
+        if whole is not None:
+            assert_close(whole, np.concatenate(parts), VALUE)
+    mu = rng.uniform(-1, 1, (2, bare.n_q))
+    pulled = system.pull_back(times, tuple(rows), (mu, np.zeros((2, 0))))
+    expected = sum(-system.force_b(q, v, t).T @ y for t, y in zip(times, mu, strict=True))
+    assert_close(pulled, expected, DERIVATIVE)
+    assert np.all(expected != 0)
+
+
+def test_loads_that_depend_on_time_pass_every_check_of_a_system():
+    law = law_examples()["Harmonic"]
+    rod, bow = beams(2)
+    scene = Scene(
+        [rod, bow],
+        loads=[
+            PointForce(bow.at(0.4), (3.0, -5.0), law=law, name="pull"),
+            FollowerForce(rod.at(0.5), (4.0, 1.0), law=law, name="jet"),
+            SpringDamper(rod.at(0.3), 30.0, 5.0, 0.4, bow.at_end, law=law, name="spring"),
+        ],
+    )
+    targets = ["pull.frequency", "pull.force_x", "jet.phase", "spring.offset", "spring.damping"]
+    assert check_system(assemble(scene, targets)).passed
 
 
 # ---------------------------------------------------------------- statics
