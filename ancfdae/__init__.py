@@ -67,7 +67,19 @@ from ancfdae.joints import (
     Spherical,
 )
 from ancfdae.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
-from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
+from ancfdae.loads import (
+    Bushing,
+    DistributedForce,
+    FollowerForce,
+    JointFriction,
+    Load,
+    Moment,
+    PointForce,
+    SlideFriction,
+    SpringDamper,
+    Torque,
+    TorsionSpring,
+)
 from ancfdae.material import Material
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
@@ -145,6 +157,7 @@ __all__ = [
     "AtTimes",
     "Beam",
     "Box",
+    "Bushing",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -181,6 +194,7 @@ __all__ = [
     "Integrator",
     "InvalidInput",
     "Joint",
+    "JointFriction",
     "Law",
     "Load",
     "LoadOutcome",
@@ -214,6 +228,7 @@ __all__ = [
     "Section",
     "Sensitivities",
     "Setting",
+    "SlideFriction",
     "SmoothMaximum",
     "Solution",
     "Spherical",
@@ -226,6 +241,8 @@ __all__ = [
     "TargetNotReached",
     "TaylorTest",
     "Terminal",
+    "Torque",
+    "TorsionSpring",
     "Tradeoff",
     "Tube",
     "UnfinishedRun",
