@@ -39,10 +39,13 @@ class Designable:
     indexed_fields : mapping of str to str
         Those of them that hold numbers told apart by an index, each with the word that targets
         have: ``{"values": "value"}`` gives ``value[0]``, ``value[1]`` ...
+    vector_words : mapping of str to str
+        The words for vectors whose first word would be that of another.
     """
 
     design_fields: ClassVar[tuple[tuple[str, Callable[[str, Any], None]], ...]] = ()
     indexed_fields: ClassVar[Mapping[str, str]] = {}
+    vector_words: ClassVar[Mapping[str, str]] = {}
 
     def parameters(self) -> dict[str, float]:
         """Return the numbers that can be design targets, by name; the order is fixed."""
@@ -118,7 +121,8 @@ class Designable:
             return {f"{self.indexed_fields[name]}[{k}]": x for k, x in enumerate(value)}
         if np.ndim(value) == 0:
             return {name: value}
-        prefix, axes = name.partition("_")[0], _TENSOR if len(value) == len(_TENSOR) else "xyz"
+        prefix = self.vector_words.get(name, name.partition("_")[0])
+        axes = _TENSOR if len(value) == len(_TENSOR) else "xyz"
         return {f"{prefix}_{axis}": x for axis, x in zip(axes, value, strict=False)}
 
     def _design_values(self) -> list[tuple[str, Any]]:

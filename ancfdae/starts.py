@@ -27,7 +27,7 @@ class RigidMotion(Designable):
     """Initial velocity of a beam or a rigid body: a rigid-body motion.
 
     v = velocity + angular_velocity x (r - about); slopes turn with it. Design targets, under the
-    name of the beam: ``angular_velocity`` (in space ``angular_x`` ...), ``about_x`` ..., and
+    name of the beam: ``angular_velocity`` (in space ``angular_velocity_x`` ...), ``about_x`` ..., and
     ``velocity_x`` ... where it is given.
 
     Parameters
@@ -52,6 +52,7 @@ class RigidMotion(Designable):
         ("about", require_vector),
         ("velocity", require_vector),
     )
+    vector_words = {"angular_velocity": "angular_velocity"}  # noqa: RUF012
 
     def __post_init__(self) -> None:
         """Validate."""
