@@ -14,7 +14,7 @@ from typing import Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ancfdae import Harmonic, InvalidInput, Law, Point, Scene, assemble, laws
+from ancfdae import Harmonic, InvalidInput, Law, Point, RigidBody, Scene, assemble, laws
 from ancfdae.joints import DrivenJoint, Equations
 
 #: Oblique and of no special length.
@@ -56,6 +56,13 @@ def values_of(hint, name, points, d):
     }.get(hint, [])
 
 
+def scene_of(members, part):
+    """A scene of beams or rigid bodies and one joint or load."""
+    bodies = [body for body in members if isinstance(body, RigidBody)]
+    beams = [beam for beam in members if beam not in bodies]
+    return Scene(beams, bodies=bodies, **{f"{part.role}s": [part]})
+
+
 def examples(kind, beams, points):
     """Admissible examples of a class on two points, by what they are given beside the rest.
 
@@ -89,7 +96,7 @@ def examples(kind, beams, points):
     for arguments in choices:
         try:
             part = kind(**arguments)
-            assemble(Scene(beams, **{f"{part.role}s": [part]}))
+            assemble(scene_of(beams, part))
         except InvalidInput:
             continue
         extras = [f.name for f in fields(kind) if f.default is not MISSING and f.name in arguments]
