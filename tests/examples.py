@@ -63,13 +63,13 @@ def scene_of(members, part):
     return Scene(beams, bodies=bodies, **{f"{part.role}s": [part]})
 
 
-def examples(kind, beams, points):
+def examples(kind, beams, points, bodies=()):
     """Admissible examples of a class on two points, by what they are given beside the rest.
 
     All fields that must be given take every combination of values of their types. Of those that
     need not be given none, one, all but one, or all are. What a scene of the beams refuses is none.
     """
-    d, hints = beams[0].dimension, get_type_hints(kind)
+    d, hints = (*beams, *bodies)[0].dimension, get_type_hints(kind)
     needed, optional, count = [{}], {}, 0
     for field in fields(kind):
         if field.name == "name":
@@ -96,7 +96,7 @@ def examples(kind, beams, points):
     for arguments in choices:
         try:
             part = kind(**arguments)
-            assemble(scene_of(beams, part))
+            assemble(scene_of((*beams, *bodies), part))
         except InvalidInput:
             continue
         extras = [f.name for f in fields(kind) if f.default is not MISSING and f.name in arguments]
@@ -104,11 +104,11 @@ def examples(kind, beams, points):
     return found
 
 
-def all_examples(module, base, beams, points):
+def all_examples(module, base, beams, points, bodies=()):
     """Examples of all public classes of a kind."""
     found = {}
     for kind in public_classes(module, base).values():
-        found |= examples(kind, beams, points)
+        found |= examples(kind, beams, points, bodies)
     return found
 
 

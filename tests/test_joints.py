@@ -40,6 +40,7 @@ from ancfdae import (
     Harmonic,
     Law,
     Material,
+    MovingBase,
     Pin,
     PlanarJoint,
     Point,
@@ -280,6 +281,10 @@ def equations_by_hand(s, q, t):
     if isinstance(joint, Guide):
         direction = np.array(joint.direction) / np.linalg.norm(joint.direction)
         return np.array([direction @ gap - joint.travel.at(t)]), None
+    if isinstance(joint, MovingBase):
+        direction = np.array(joint.direction) / np.linalg.norm(joint.direction)
+        turns = turns_by_hand(s.system, q, start, joint.point)
+        return np.append(gap - joint.travel.at(t) * direction, turns), None
     if not isinstance(joint, Drive):
         pytest.skip(f"what a {type(joint).__name__} means stands in test_joint_kinematics")
     n_s = s.system.element.n_s

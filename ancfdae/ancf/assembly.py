@@ -56,35 +56,12 @@ _Unknowns = tuple[Array, Array, Array]
 class Declared:
     """What a scene declares at a value of its design: joints, coordinates, and velocities.
 
-    `velocities` gives v for the coordinates q and the turns x that brought the bodies there. Moved
-    by an imaginary step, `changed` are the joints that the step reaches.
+    `velocities` gives v for the coordinates q and the turns x that brought the bodies there.
     """
 
     constraints: JointConstraints
     Z: Array
     velocities: Callable[[Array, Array], Array]
-    changed: JointConstraints | None = None
-
-    def constraint(self, q: Array) -> Array:
-        """Return Phi at the start."""
-        Phi = self.constraints.constraint(q, 0.0)
-        if self.changed is None:
-            return Phi
-        return Phi + 1j * self.changed.constraint(q.real, 0.0).imag
-
-    def constraint_force(self, q: Array, lam: Array) -> Array:
-        """Return Phi_q^T lam."""
-        force = self.constraints.constraint_force(q, lam, 0.0)
-        if self.changed is None:
-            return force
-        return force + 1j * self.changed.constraint_force(q.real, lam.real, 0.0).imag
-
-    def constraint_rate(self, q: Array, v: Array) -> Array:
-        """Return dPhi/dt = Phi_q v - nu."""
-        rate = self.constraints.rate(0.0, q, (v,))
-        if self.changed is None:
-            return rate
-        return rate + 1j * self.changed.rate(0.0, q.real, (v.real,)).imag
 
 
 @final
@@ -153,7 +130,7 @@ class Assembly:
     def left(self, q: Array, moved: Declared | None = None) -> Array:
         """Return Phi in units of the size of the mechanism."""
         declared = self._declared if moved is None else moved
-        return self._weights * declared.constraint(q)
+        return self._weights * declared.constraints.constraint(q, 0.0)
 
     # -- positions -----------------------------------------------------------------------------
 
@@ -266,7 +243,7 @@ class Assembly:
         return y
 
     def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: _Unknowns) -> Array:
-        rate = self._weights * declared.constraint_rate(q, v)
+        rate = self._weights * declared.constraints.rate(0.0, q, (v,))
         return self._equations(declared, q, self._rigid(q), y, rate)
 
     @cached_property
@@ -304,7 +281,7 @@ class Assembly:
         """(F_1, F_2, F_3), with `left` for what is left of the joints' equations."""
 
         def work(multipliers: Array) -> Array:
-            force = declared.constraint_force(q, self._weights * multipliers)
+            force = declared.constraints.constraint_force(q, self._weights * multipliers, 0.0)
             collected: Array = self._motions.collect(T, force).ravel()[self._free]
             return self._units * collected
 
@@ -394,13 +371,11 @@ class Assembly:
         held = np.max(np.abs(self.left(declared, moved).imag), initial=0.0) / STEP
         left = np.abs(self.left(self.q.real + 1j * STEP * q_b, moved).imag) / STEP
         # Round-off is that of terms that cancel, and of moving coordinates.
-        size = held
-        if moved.changed is not None:
-            # Coefficients that change, seen along a direction of no special kind.
-            q = self.q.real
-            along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
-            terms = self._weights * moved.changed.rate(0.0, q, (along,)).imag / STEP
-            size += np.max(np.abs(terms), initial=0.0)
+        # Coefficients that change, seen along a direction of no special kind.
+        q = self.q.real
+        along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
+        terms = self._weights * moved.constraints.rate(0.0, q, (along,)).imag / STEP
+        size = held + np.max(np.abs(terms), initial=0.0)
         size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self._size
         if np.max(left, initial=0.0) > _FREE * size:
             raise InconsistentStart(

@@ -171,7 +171,11 @@ class JointConstraints:
         self.driven = any(isinstance(item.joint, DrivenJoint) for item in inputs)
         self.linear = len(self._s_row) == 0
         self._cache: tuple[float, _Values] | None = None
-        self._parts, self._moved = self._collect(), dict[int, JointConstraints]()
+        self._parts = self._collect()
+        self._moved, self._parts_moved = (
+            dict[int, JointConstraints](),
+            dict[int, JointConstraints](),
+        )
         # Whether bilinear coefficients depend on time.
         self._turning = bool(np.any(self._parts.s[1:]))
         self._place()
@@ -329,33 +333,47 @@ class JointConstraints:
         return sorted(moves | changes)
 
     def moved(self, i: int) -> JointConstraints:
+        """Return the constraints moved in design variable i by an imaginary step."""
+        if i not in self.active:
+            return self
+        if i not in self._moved:
+            slots = [replace(slot, item=slot.item.moved(i)) for slot in self._slots]
+            other = self._with(slots, self._vectors.moved(i), np.ones(self.n_lam, dtype=bool))
+            other._place()
+            self._moved[i] = other
+        return self._moved[i]
+
+    def _reaching(self, i: int) -> JointConstraints:
         """Return the joints that design variable i reaches, moved by an imaginary step.
 
         Of the others they know the rows only, as zeros.
         """
-        if i not in self._moved:
-            self._moved[i] = self._move(i)
-        return self._moved[i]
+        if i not in self._parts_moved:
+            touched, rows = self._vectors.moved_by(i), np.zeros(self.n_lam, dtype=bool)
+            reached = [
+                replace(slot, item=slot.item.moved(i))
+                for slot in self._slots
+                if i in slot.item.active or np.any(touched[slot.vectors])
+            ]
+            for slot in reached:
+                rows[slot.rows] = True
+            other = self._with(reached, self._vectors.moved(i), rows)
+            other._place_maps()
+            self._parts_moved[i] = other
+        return self._parts_moved[i]
 
-    def _move(self, i: int) -> JointConstraints:
-        other, touched = copy.copy(self), self._vectors.moved_by(i)
-        reached = [
-            slot for slot in self._slots if i in slot.item.active or np.any(touched[slot.vectors])
-        ]
-        rows = np.zeros(self.n_lam, dtype=bool)
-        for slot in reached:
-            rows[slot.rows] = True
-        other._slots = [replace(slot, item=slot.item.moved(i)) for slot in reached]
-        other._vectors = self._vectors.moved(i)
+    def _with(self, slots: list[_Slot], vectors: Vectors, rows: Array) -> JointConstraints:
+        """Return constraints of some of the joints, those of the rows given."""
+        other = copy.copy(self)
+        for name in ("_still", "_zero"):
+            other.__dict__.pop(name, None)
+        other._slots, other._vectors = slots, vectors
         other._reached = _Reached(rows[self._a_row], rows[self._s_row], rows[self._raw_row])
         a, s = other._reached.a, other._reached.s
         other._a_row, other._a_at = self._a_row[a], self._a_at[a]
         other._s_row, other._s_i, other._s_j = self._s_row[s], self._s_i[s], self._s_j[s]
-        other._cache, other._parts, other._simple = None, other._collect(), False
-        other.driven = any(isinstance(slot.item.joint, DrivenJoint) for slot in other._slots)
-        for name in ("_still", "_zero"):
-            other.__dict__.pop(name, None)
-        other._place_maps()
+        other.driven = any(isinstance(slot.item.joint, DrivenJoint) for slot in slots)
+        other._cache, other._parts = None, other._collect()
         return other
 
     def _seen(self, moved: JointConstraints, q: Array, U: Array) -> Array:
@@ -366,7 +384,7 @@ class JointConstraints:
         """Design partial of something of this shape that the constraints give, (*shape, n_b)."""
         result = np.zeros((*shape, self._n_b))
         for i in self.active:
-            result[..., i] = of(self.moved(i)).imag / STEP
+            result[..., i] = of(self._reaching(i)).imag / STEP
         return result
 
     def _together(self, t: float, order: int) -> _Values:
@@ -378,7 +396,7 @@ class JointConstraints:
             *(np.repeat(x[None].astype(complex), self._n_b, 0) for x in (c.a, c.s, c.offset))
         )
         for i in self.active:
-            moved = self.moved(i)
+            moved = self._reaching(i)
             m = moved._at(t, order)
             together.a[i, moved._reached.a], together.s[i, moved._reached.s] = m.a, m.s
             together.offset[i] += 1j * m.offset.imag
@@ -513,7 +531,7 @@ class JointConstraints:
         total = self._to_force.columns(self._total(entries, t, 2, (q, v), (q_b, v_b)))
         still = self._raw_rate(self._series(t, 2), *self._states((q, v))) * lam[self._raw_row]
         for i in np.flatnonzero(self._vectors.moves):
-            moved = self.moved(int(i))
+            moved = self._reaching(int(i))
             total[:, i] += moved._to_force(still[moved._reached.raw]).imag / STEP
         return total
 

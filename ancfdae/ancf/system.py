@@ -281,11 +281,10 @@ class AncfSystem(MechanicalSystem):
 
     def _declared(self, i: int | None) -> Declared:
         """Return what is declared, moved in design variable i by an imaginary step."""
-        joints, reference, changed = self._constraints, self._reference, None
+        joints, reference = self._constraints, self._reference
         if i is not None:
-            reference = reference.moved(i)
-            changed = joints.moved(i) if i in joints.active else None
-        return Declared(joints, reference.Z, reference.velocities, changed)
+            joints, reference = joints.moved(i), reference.moved(i)
+        return Declared(joints, reference.Z, reference.velocities)
 
     @cached_property
     def _start_along(self) -> dict[int, tuple[Array, Array]]:

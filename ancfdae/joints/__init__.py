@@ -6,6 +6,7 @@ from ancfdae.joints.distance import Distance
 from ancfdae.joints.drive import Drive
 from ancfdae.joints.guide import Guide
 from ancfdae.joints.joint import DrivenJoint, Equations, Joint, RightAngle
+from ancfdae.joints.moving_base import MovingBase
 from ancfdae.joints.pin import Pin, Spherical
 from ancfdae.joints.planar_joint import PlanarJoint
 from ancfdae.joints.point_on_line import PointOnLine
