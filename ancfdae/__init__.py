@@ -81,7 +81,19 @@ from ancfdae.joints import (
     Weld,
 )
 from ancfdae.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
-from ancfdae.loads import DistributedForce, FollowerForce, Load, Moment, PointForce, SpringDamper
+from ancfdae.loads import (
+    Bushing,
+    DistributedForce,
+    FollowerForce,
+    JointFriction,
+    Load,
+    Moment,
+    PointForce,
+    SlideFriction,
+    SpringDamper,
+    Torque,
+    TorsionSpring,
+)
 from ancfdae.material import Material
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
@@ -161,6 +173,7 @@ __all__ = [
     "Beam",
     "BodyShape",
     "Box",
+    "Bushing",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -197,6 +210,7 @@ __all__ = [
     "Integrator",
     "InvalidInput",
     "Joint",
+    "JointFriction",
     "Law",
     "Load",
     "LoadOutcome",
@@ -238,6 +252,7 @@ __all__ = [
     "Section",
     "Sensitivities",
     "Setting",
+    "SlideFriction",
     "SmoothMaximum",
     "Solution",
     "Spherical",
@@ -250,6 +265,8 @@ __all__ = [
     "TargetNotReached",
     "TaylorTest",
     "Terminal",
+    "Torque",
+    "TorsionSpring",
     "Tradeoff",
     "Tube",
     "UnfinishedRun",

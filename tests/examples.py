@@ -6,12 +6,15 @@ A new class is found by its line of export and runs through every test over its 
 import inspect
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
+from functools import reduce
+from itertools import product
+from operator import or_
 from types import UnionType
 from typing import Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ancfdae import Harmonic, InvalidInput, Law, Point, Scene, assemble, laws
+from ancfdae import Harmonic, InvalidInput, Law, Point, RigidBody, Scene, assemble, laws
 from ancfdae.joints import DrivenJoint, Equations
 
 #: Oblique and of no special length.
@@ -53,28 +56,47 @@ def values_of(hint, name, points, d):
     }.get(hint, [])
 
 
+def scene_of(members, part):
+    """A scene of beams or rigid bodies and one joint or load."""
+    bodies = [body for body in members if isinstance(body, RigidBody)]
+    beams = [beam for beam in members if beam not in bodies]
+    return Scene(beams, bodies=bodies, **{f"{part.role}s": [part]})
+
+
 def examples(kind, beams, points, bodies=()):
     """Admissible examples of a class on two points, by what they are given beside the rest.
 
-    All fields that must be given take every combination of values of their types; each field that
-    need not be given is left out or given. What a scene of the beams refuses is none.
+    All fields that must be given take every combination of values of their types. Of those that
+    need not be given none, one, all but one, or all are. What a scene of the beams refuses is none.
     """
     d, hints = (*beams, *bodies)[0].dimension, get_type_hints(kind)
-    choices = [{}]
+    needed, optional, count = [{}], {}, 0
     for field in fields(kind):
         if field.name == "name":
             continue
         values = values_of(hints[field.name], field.name, points, d)
+        # Numbers of their own, and numbers that need not be given are: their default could hide.
+        values = [x + 0.1 * count if isinstance(x, float) else x for x in values]
+        count += any(isinstance(x, float) for x in values)
         options = [{field.name: value} for value in values]
-        if field.default is not MISSING:
-            # Numbers that need not be given are: their default could hide them.
-            options = options if hints[field.name] is float else [{}, *options]
-        choices = [a | b for a in choices for b in options]
+        if field.default is MISSING or hints[field.name] is float:
+            needed = [a | b for a in needed for b in options]
+        else:
+            optional[field.name] = options
+    # None of what need not be given, each alone, all but one, and all.
+    sets = {(), tuple(optional), *((name,) for name in optional)}
+    sets |= {tuple(name for name in optional if name != left) for left in optional}
+    choices = [
+        reduce(or_, given, first)
+        for first in needed
+        for names in sorted(sets, key=lambda names: (len(names), names))
+        for given in product(*(optional[name] for name in names))
+    ]
     found = {}
     for arguments in choices:
         try:
             part = kind(**arguments)
-            assemble(Scene(beams, **{f"{part.role}s": [part]}, bodies=bodies))
+            assemble(scene_of((*beams, *bodies), part))
         except InvalidInput:
             continue
         extras = [f.name for f in fields(kind) if f.default is not MISSING and f.name in arguments]

@@ -485,7 +485,7 @@ class JointConstraints:
 
     def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
-        return self._partial(lambda moved: moved._rate(t, q, rates), (self.n_lam,))
+        return self._partial(lambda moved: moved.rate(t, q, rates), (self.n_lam,))
 
     def constraint_force_rate_pull_back(
         self, q: Array, v: Array, lam: Array, t: float, mu: Array
@@ -583,7 +583,7 @@ class JointConstraints:
                 side = side - share * self._product(series[k], X[j], X[m - j])
         return side
 
-    def _rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
+    def rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
         """Time derivative of Phi, of the order of the number of rates."""
         U, *V = self._vectors.of(np.stack([q, *rates]))
         series = self._series(t, len(V) + 1)

@@ -81,8 +81,8 @@ def other_masses(
             own = _of_rigid_beam(member, layout.beam(member.name), mapping, b)
             single.append(_Single(vectors, owner, *own))
     for owner, mass in enumerate(scene.point_masses, start=len(scene.members)):
-        p, p_b = mapping.part(mass.name, b)
-        at = naming.vector(mass.point, Quantity.POSITION)
+        p, p_b = mapping.numbers(mass.name, b)
+        at = naming.vector(mass.point, Quantity.POSITION, (p[1:], p_b[1:]))
         w, w_b = at.weights, at.weights_b.T
         # The product rule for p w w^T.
         once = p[0] * w_b[:, :, None] * w
@@ -118,7 +118,7 @@ def _together(blocks: Sequence[_Single]) -> MassBlocks:
 
 def _of_body(body: RigidBody, mapping: ParameterMap, b: Array) -> tuple[Array, Array]:
     """Return m and m_b, a closed form of a few numbers that is differentiated by complex steps."""
-    p, p_b = mapping.part(body.name, b)
+    p, p_b = mapping.numbers(body.name, b)
     m = body.moments(p)
     m_b = np.zeros((len(b), *m.shape))
     for i in np.flatnonzero(np.any(p_b, axis=0)):

@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from scipy import sparse
 
+from ancfdae.ancf.rigid_motions import RigidMotions
 from ancfdae.bodies import BeamBody, RigidBody
 from ancfdae.elements import BeamElement
 from ancfdae.naming import BeamLayout, BodyLayout, RigidNodes
@@ -46,6 +47,14 @@ class Numbering:
     elements: Array
     vectors: Array
     n_q: int
+
+    def rigid_motions(self) -> RigidMotions:
+        """Return the rigid motions of all bodies."""
+        owner = np.repeat(np.arange(len(self.bodies)), [body.count for body in self.bodies])
+        is_position = np.zeros(len(owner), dtype=bool)
+        for body in self.bodies:
+            is_position[body.positions] = True
+        return RigidMotions(owner, is_position, self.element.d)
 
     @property
     def owners(self) -> Array:

@@ -13,12 +13,14 @@ from ancfdae.elements import BeamElement
 from ancfdae.errors import InvalidInput, require_finite, require_vector
 from ancfdae.laws import Law
 from ancfdae.loads.load import LAW, Load
+from ancfdae.loads.sections import QUARTER_TURN, section_of
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, cross, direction, dot
 from ancfdae.parts import Vectors
 
 
-def _require_moment(where: str, value: object) -> None:
+def require_moment(where: str, value: object) -> None:
+    """Raise InvalidInput for what is neither a number nor three."""
     if np.ndim(value) == 0:  # type: ignore[arg-type]
         require_finite(where, value)
     else:
@@ -58,7 +60,7 @@ class Moment(Load):
     law: Law | None = None
 
     kind = "moment"
-    design_fields = (("moment", _require_moment), LAW)
+    design_fields = (("moment", require_moment), LAW)
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Slopes of the section."""
@@ -69,13 +71,13 @@ class Moment(Load):
                 self.moment,
                 f"The scene has {element.d} dimensions.",
             )
-        return tuple((self.point, slope) for slope in element.quantities[1 - element.d :])
+        return section_of(self.points, element)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """(M - (M . n) n / 2) x r^k."""
         M = self.split(p)[0]
         if U_o.shape[1] == 2:
-            return M * (U @ _QUARTER_TURN) / dot(U, U)
+            return M * (U @ QUARTER_TURN) / dot(U, U)
         r_y, r_z = U[..., :1, :], U[..., 1:, :]
         s, n = direction(cross(r_y, r_z))
         if self.follower:
@@ -83,7 +85,3 @@ class Moment(Load):
             M = (M[:, None] * axes).sum(axis=-2, keepdims=True)
         duals = concatenate([cross(r_z, n), cross(n, r_y)]) / s
         return cross(M - 0.5 * dot(M, n) * n, duals)
-
-
-# U @ _QUARTER_TURN is U turned by 90 degrees, from x to y.
-_QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])

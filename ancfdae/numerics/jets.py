@@ -54,6 +54,11 @@ class Jet(NDArrayOperatorsMixin):
     def __init__(self, *derivatives: Array) -> None:
         self.derivatives = derivatives
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the value."""
+        return np.shape(self.derivatives[0])
+
     def map(self, linear: Callable[[Array], Array]) -> Jet:
         """Return the jet of a linear function of the value."""
         return Jet(*(linear(x) for x in self.derivatives))
@@ -153,6 +158,21 @@ def direction(e: Any) -> tuple[Any, Any]:
     """Return the length l of vectors, shape (..., 1), and n = e / l."""
     l = np.sqrt(dot(e, e))
     return l, e / l
+
+
+def angle(y: Any, x: Any) -> Any:
+    """Return the angle of (x, y), of complex numbers too that are real but for a tiny step."""
+    if not isinstance(y, Jet):
+        size = x.real**2 + y.real**2
+        turned = (x.real * y.imag - y.real * x.imag) / size
+        found = np.arctan2(y.real, x.real)
+        return found + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else found
+    (x_0, *x_1), (y_0, *y_1) = x.derivatives, y.derivatives
+    if not x_1:
+        return Jet(angle(y_0, x_0))
+    low_x, low_y = Jet(*x.derivatives[:-1]), Jet(*y.derivatives[:-1])
+    rate = (low_x * Jet(*y_1) - low_y * Jet(*x_1)) / (low_x * low_x + low_y * low_y)
+    return Jet(angle(y_0, x_0), *rate.derivatives)
 
 
 def concatenate(parts: Sequence[Any]) -> Any:
