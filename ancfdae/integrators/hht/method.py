@@ -63,7 +63,8 @@ class HHT(AdjointIntegrator):
         Estimated error of a and lam after the last iteration, relative to the forces of the
         motion; free of units. By default 1e-14, with error control rtol/1000 but at most 1e-9.
     max_iterations : int
-        Newton iterations per step before the run ends with an outcome.
+        Newton iterations of a step before it is tried by way of shorter ones (at fixed and given
+        steps, in ten times as many), or given up.
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
