@@ -31,7 +31,7 @@ _SHORTEST = 2.0**-20
 # Where the part grows by less than this of itself the branch is taken for ended.
 _FINEST = 1e-4
 # Iterations, in multiples of those that Newton's method may take: more than any branch took that
-# reached a solution (measured: 10 to 350).
+# reached a solution (measured: 10 to 200, with 20).
 _MOST = 10
 # Solutions that a guess is made of.
 _POINTS = 4
