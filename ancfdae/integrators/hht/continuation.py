@@ -31,8 +31,8 @@ _SHORTEST = 2.0**-20
 # Where the part grows by less than this of itself the branch is taken for ended.
 _FINEST = 1e-4
 # Iterations, in multiples of those that Newton's method may take: more than any branch took that
-# reached a solution (measured: 10 to 200, with 20).
-_MOST = 10
+# reached a solution (measured: 10 to 200, with 15).
+_MOST = 15
 # Solutions that a guess is made of.
 _POINTS = 4
 # Rate of contraction that strides aim at, and how much one may differ from the last.

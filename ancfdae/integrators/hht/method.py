@@ -81,14 +81,14 @@ class HHT(AdjointIntegrator):
     steps: StepControl
     newton_tolerance: float
     hht_alpha: float = -0.3
-    max_iterations: int = 20
+    max_iterations: int = 15
 
     def __init__(
         self,
         steps: StepControl | float | None = None,
         hht_alpha: float = -0.3,
         newton_tolerance: float | None = None,
-        max_iterations: int = 20,
+        max_iterations: int = 15,
         *,
         step: float | None = None,
         rtol: float | None = None,
@@ -106,7 +106,7 @@ class HHT(AdjointIntegrator):
             asked = _SHARE * control.rtol if isinstance(control, ControlledSteps) else _EXACT
             newton_tolerance = max(_EXACT, min(asked, _LOOSEST))
         require_positive("HHT.newton_tolerance", newton_tolerance)
-        require_count("HHT.max_iterations", max_iterations, "20 is plenty.")
+        require_count("HHT.max_iterations", max_iterations, "15 is plenty.")
         # A NumPy number of single precision would spread its precision.
         object.__setattr__(self, "steps", control)
         object.__setattr__(self, "hht_alpha", float(hht_alpha))
