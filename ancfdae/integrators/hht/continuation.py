@@ -70,8 +70,8 @@ def remedy(h: float, part: float) -> str:
         return ""
     fitting = h / 2.0 ** math.ceil(-math.log2(part))
     return (
-        f"From there only steps up to {part * h:.3g} lead to a solution that belongs to the "
-        f"motion: try a step of {fitting:.3g}, or HHT(rtol=1e-3), which chooses its steps."
+        f"From there the solution that belongs to the motion was found for steps up to "
+        f"{part * h:.3g}: try a step of {fitting:.3g}, or HHT(rtol=1e-3), which chooses its steps."
     )
 
 
