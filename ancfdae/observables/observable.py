@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from typing import ClassVar, cast, final
+from typing import cast, final
 
 import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.differentiable import require_derivative
 from ancfdae.observables.expression import (
     Expression,
     Operation,
@@ -18,7 +19,7 @@ from ancfdae.observables.expression import (
     leaves,
     operands_of,
 )
-from ancfdae.observables.functions import Function, require_derivative
+from ancfdae.observables.functions import Function
 from ancfdae.observables.states import Named, States, states_of
 from ancfdae.protocol import MechanicalSystem, Solution
 
@@ -139,9 +140,6 @@ class Observable(Expression["Observable"]):
 
 class Leaf(Observable):
     """An observable that is not made of others; immutable and compared by value."""
-
-    #: Whether it depends on multipliers.
-    multipliers: ClassVar[bool] = False
 
     @abc.abstractmethod
     def check_leaf(self, system: Named) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -31,12 +31,12 @@ def multiplier(joint: str, row: int) -> Observable:
 
 
 def strain_energy(beam: str | None = None) -> Observable:
-    """Return the strain energy of a beam, or of the whole scene; J."""
+    """Return the strain energy of a beam or body, or of the whole scene; J."""
     return Energy(beam, kinetic=False)
 
 
 def kinetic_energy(beam: str | None = None) -> Observable:
-    """Return the kinetic energy of a beam, or of the whole scene; J."""
+    """Return the kinetic energy of a beam, a body or a point mass, or of the whole scene; J."""
     return Energy(beam, kinetic=True)
 
 
@@ -54,8 +54,6 @@ def design_value(name: str) -> Observable:
 @dataclass(frozen=True)
 class Multiplier(Leaf):
     """Multiplier of an equation of a joint; `on_point` if it must be a force on its first point."""
-
-    multipliers: ClassVar[bool] = True
 
     joint: str
     row: int
@@ -101,7 +99,7 @@ class Energy(Leaf):
         """Refuse a beam that does not exist, or a solution without its system."""
         layout = known_naming(_ancf(system)).layout
         if self.beam is not None:
-            layout.beam(self.beam)
+            layout.owner(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """T (eq. 9) or U of every instant."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
-from ancfdae.observables.functions import STEP, Function, require_derivative, require_vectorised
+from ancfdae.numerics.differentiable import require_derivative
+from ancfdae.observables.functions import STEP, Function, require_vectorised
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_system
 from ancfdae.protocol import MechanicalSystem
@@ -62,8 +63,6 @@ def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
 @dataclass(frozen=True)
 class Custom(Leaf):
     """A user's function of time, states and design variables."""
-
-    multipliers: ClassVar[bool] = True
 
     function: Callable[..., Array]
     name: str
