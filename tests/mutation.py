@@ -38,6 +38,7 @@ TESTS = {
     "joints/": [["tests/test_joints.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "loads/": [["tests/test_loads.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "integrators/hht/": [
+        ["tests/test_step_error.py"],
         ["tests/test_newton.py"],
         ["tests/test_controlled_sensitivities.py", "-k", "frozen_steps or counted"],
         ["tests/test_error_bars.py", "-k", "weighted_estimate_is and end"],
