@@ -10,16 +10,12 @@ from ancfdae import (
     Clamp,
     ComplexStep,
     Direct,
-    EnhancedContinuum,
-    Guide,
-    Harmonic,
     Material,
     Point,
     PointForce,
     Rectangle,
     Scene,
     Terminal,
-    Uniform,
     differentiate,
     gradient,
     position,
@@ -84,21 +80,9 @@ def loaded(force, elements=4):
     return Scene([rod], [Clamp(rod.at_start)], loads=[load])
 
 
-def shocked(elements=2, assumed_strains=True):
-    """A rod whose end is thrown at 0.5 m/s: the start is projected onto a moving joint."""
-    energy = EnhancedContinuum(assumed_strains=assumed_strains)
-    section, material = Rectangle(0.05, 0.05), Material(4000.0, 1e7, 0.3)
-    rod = Beam("rod", (0, 0), (1, 0), elements, section, material, energy=energy)
-    up = Guide(rod.at_start, (0, 1), Harmonic(0.1, 5.0), name="up")
-    side = Guide(rod.at_start, (1, 0), Uniform(0.0))
-    return Scene([rod], [up, side], (0, -9.81), project_start=True)
-
-
 # Full steps of Newton's method alone do not finish any of them, with 60 iterations either.
 STALLING = {
     "sudden load": (lambda: loaded(10.0, 8), 0.01, 20),
-    "shock at exact strains": (lambda: shocked(2, False), 2.0**-6, 2),
-    "shock, elements as short as high": (lambda: shocked(20), 2.0**-10, 8),
     "large step": (lambda: loaded(10.0), 0.05, 10),
 }
 
@@ -145,9 +129,9 @@ def test_controlled_steps_shrink_instead():
 
 
 def test_a_run_that_needed_shorter_steps_is_differentiated_exactly():
-    scene, design = shocked(), ["up.amplitude", "up.frequency", "rod.height"]
+    scene, design = loaded(10.0), ["load.force_y", "rod.youngs_modulus", "rod.height"]
     runs = [
-        differentiate(scene, 0.0625, HHT(2.0**-6), design=design, method=method)
+        differentiate(scene, 0.2, HHT(0.05), design=design, method=method)
         for method in (Direct(), ComplexStep())
     ]
     assert runs[0].statistics.continued >= 3
@@ -158,7 +142,7 @@ def test_a_run_that_needed_shorter_steps_is_differentiated_exactly():
         assert np.max(np.abs(direct - exact) / scale) < 1e-10
     tip = Terminal(position(Point("rod", 1.0), 1))
     back, direct = (
-        gradient(scene, tip, 0.0625, HHT(2.0**-6), design=design, method=method).gradient
+        gradient(scene, tip, 0.2, HHT(0.05), design=design, method=method).gradient
         for method in (Adjoint(), Direct())
     )
     np.testing.assert_allclose(back, direct, rtol=1e-9)
