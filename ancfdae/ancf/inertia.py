@@ -27,8 +27,8 @@ class Inertia:
         Number of design variables.
     pattern : Pattern
         Pattern of the system's matrices; must hold the entries of every block.
-    gravity : sequence of float or None
-        Acceleration of gravity.
+    gravity : (array, shape (d,), array, shape (d, n_b))
+        Acceleration of gravity, and its design derivatives.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Inertia:
         numbering: Numbering,
         n_b: int,
         pattern: Pattern,
-        gravity: Sequence[float] | None,
+        gravity: tuple[Array, Array],
     ) -> None:
         self._n_b, self._n_q, self._d, self._blocks = (
             n_b,
@@ -56,10 +56,13 @@ class Inertia:
         rows, columns, values = self._entries([(x.vectors, x.m) for x in blocks])
         self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
-        self._field = np.zeros((n_q // d, d))
-        if gravity is not None:
-            for body in numbering.bodies:
-                self._field[body.positions] = gravity
+        (field, field_b), shape = gravity, (n_q // d, d)
+        self._field = np.zeros(shape, dtype=field.dtype)
+        self._field[numbering.positions] = field
+        # Rows of the variables that gravity depends on, to save memory.
+        self._field_active = np.flatnonzero(np.any(field_b != 0, axis=0))
+        self._field_b = np.zeros((len(self._field_active), *shape))
+        self._field_b[:, numbering.positions] = field_b[:, self._field_active].T[:, None]
 
     @cached_property
     def _M(self) -> LinearMap:
@@ -84,7 +87,12 @@ class Inertia:
     @cached_property
     def gravity_b(self) -> Array:
         """Its design partials, shape (n_q, n_b)."""
-        return only(self.times_b(self._field.reshape(1, -1)))
+        Q_b = only(self.times_b(self._field.reshape(1, -1)))
+        if len(self._field_active):
+            fields = self._field_b.reshape(len(self._field_b), -1)
+            Q_b = Q_b.copy()
+            Q_b[:, self._field_active] += self.times(fields.T)
+        return Q_b
 
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
@@ -100,6 +108,9 @@ class Inertia:
         total = np.zeros(self._n_b, dtype=np.result_type(a, x))
         for block, products in self._pair_products(a, x):
             np.add.at(total, block.pair_variable, np.sum(products, axis=0))
+        if gravity and len(self._field_active):
+            fields = self._field_b.reshape(len(self._field_b), -1)
+            total[self._field_active] -= fields @ self.times(np.sum(x, axis=0))
         return total
 
     def quadratic_b(self, v: Array, owner: int | None) -> Array:

@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from scipy import sparse
 
+from ancfdae.ancf.rigid_motions import RigidMotions
 from ancfdae.bodies import BeamBody, RigidBody
 from ancfdae.elements import BeamElement
 from ancfdae.naming import BeamLayout, BodyLayout, RigidNodes
@@ -58,6 +59,18 @@ class Numbering:
         """Numbers of the vectors of everything rigid, shape (n_rigid, d + 1)."""
         rigid = [body.vectors for body, own in zip(self.bodies, self.rigid, strict=True) if own]
         return np.array(rigid, dtype=np.int64).reshape(len(rigid), self.element.d + 1)
+
+    @property
+    def positions(self) -> Array:
+        """Whether each vector is a position, shape (n_vectors,)."""
+        positions = np.zeros(self.n_q // self.element.d, dtype=bool)
+        positions[np.concatenate([body.positions for body in self.bodies])] = True
+        return positions
+
+    def rigid_motions(self) -> RigidMotions:
+        """Return the rigid motions of all beams and bodies."""
+        owner = np.repeat(np.arange(len(self.bodies)), [body.count for body in self.bodies])
+        return RigidMotions(owner, self.positions, self.element.d)
 
     def coordinates(self, vectors: Array) -> Array:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
@@ -115,15 +128,15 @@ def number(scene: Scene) -> Numbering:
 
 
 def _body_layout(member: BeamBody | RigidBody, first: int, element: BeamElement) -> BodyLayout:
+    count = stride = element.d + 1
     if isinstance(member, RigidBody):
         moments = member.moments(np.array(list(member.parameters().values())))
         size = float(np.sqrt(np.trace(moments[1:, 1:]) / moments[0, 0]))
     else:
         size = float(np.sum(member.reference().lengths))
         if not member.rigid:
-            count = (member.element_count + 1) * element.n_s
-            return BodyLayout(member.name, first, count, element.n_s, size)
-    return BodyLayout(member.name, first, element.d + 1, element.d + 1, size)
+            count, stride = (member.element_count + 1) * element.n_s, element.n_s
+    return BodyLayout(member.name, first, count, stride, size)
 
 
 def _beam_layout(beam: BeamBody, first: int) -> BeamLayout:

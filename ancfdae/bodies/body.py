@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.bodies.member import Member
 from ancfdae.bodies.point import Point
 from ancfdae.elements import (
     ALL_ELEMENTS,
@@ -18,7 +19,13 @@ from ancfdae.elements import (
     Quantity,
     StrainEnergy,
 )
-from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind, require_name
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    require_finite,
+    require_kind,
+    require_name,
+)
 from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.frames import orthonormal
@@ -39,10 +46,10 @@ _PARAMETERS = {
 class ReferenceShape:
     """Reference configuration of a beam of n elements.
 
+    It stands with its first node at the origin, before the turn of the beam.
+
     Attributes
     ----------
-    start : array, shape (d,)
-        Position of the first node.
     lengths : array, shape (n,)
         Element lengths.
     slopes : array, shape (n + 1, d, d)
@@ -53,19 +60,17 @@ class ReferenceShape:
         Whether dr_o/dx is the same at every point of the beam.
     """
 
-    start: Array
     lengths: Array
     slopes: Array
     chords: Array
     straight: bool
 
 
-class BeamBody(abc.ABC):
+class BeamBody(Member):
     """What the rest of the package needs to know about a beam.
 
     Attributes
     ----------
-    name : str
     section : Section or sequence of Section
         One for the beam or one per element, which may differ in their sizes.
     material : Material or sequence of Material
@@ -78,7 +83,8 @@ class BeamBody(abc.ABC):
         Whether it has the coordinates of a rigid body instead of those of its elements.
     """
 
-    name: str
+    placed_by = "start"
+
     element: BeamElement
     energy: StrainEnergy | None
     section: Section | Sequence[Section]
@@ -89,11 +95,6 @@ class BeamBody(abc.ABC):
     @abc.abstractmethod
     def element_count(self) -> int:
         """Number of elements."""
-
-    @property
-    @abc.abstractmethod
-    def dimension(self) -> int:
-        """Dimension of space, 2 or 3."""
 
     @abc.abstractmethod
     def reference(self) -> ReferenceShape:
@@ -172,11 +173,16 @@ class BeamBody(abc.ABC):
         UnknownName
             If there is no such parameter.
         """
-        beam, names = self, self.parameter_names()
+        names, placement = self.parameter_names(), self.placement()
+        changes = tuple(changes)
+        moved = {name: value for name, _, value in changes if name in placement}
+        beam = self.with_placement(moved) if moved else self
         sections, materials = self._per_element()
         sizes: list[dict[str, float]] = [{} for _ in sections]
         for parameter, element, value in changes:
             self.check_target(parameter, element)
+            if parameter in placement:
+                continue
             if names[parameter] is ElementParameter.LENGTH:
                 beam = beam.with_length(value)
                 continue
@@ -195,9 +201,9 @@ class BeamBody(abc.ABC):
         ------
         InvalidInput, UnknownName
         """
-        names = self.parameter_names()
-        if parameter not in names:
-            known = (f"{self.name}.{name}" for name in names)
+        names, placement = self.parameter_names(), self.placement()
+        if parameter not in names and parameter not in placement:
+            known = (f"{self.name}.{name}" for name in (*names, *placement))
             raise UnknownName("design target", f"{self.name}.{parameter}", known)
         if element is None:
             return
@@ -209,12 +215,12 @@ class BeamBody(abc.ABC):
                 element,
                 "Name an element that exists.",
             )
-        if names[parameter] is ElementParameter.LENGTH:
+        if names.get(parameter, ElementParameter.LENGTH) is ElementParameter.LENGTH:
             raise InvalidInput(
                 where,
-                "length is a property of the whole beam",
+                f"{parameter} is a property of the whole beam",
                 f"[{element}]",
-                f"Use {self.name}.length.",
+                f"Use {self.name}.{parameter}.",
             )
 
     def _section(self) -> Section:
@@ -242,6 +248,7 @@ class BeamBody(abc.ABC):
                 repr(given),
                 f"Leave it out, or choose among {names}.",
             )
+        self._check_turn(f"beam {self.name!r}")
         self._check_part(self.section, Section)
         self._check_part(self.material, Material)
         self._check_sections()

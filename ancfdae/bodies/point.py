@@ -68,6 +68,11 @@ class Point:
         place = (self.x, self.y, self.z) if self.z else (self.x, self.y)
         return f"{self.beam}({', '.join(f'{x:g}' for x in place)})" if any(place) else self.beam
 
+    def numbers(self) -> dict[str, float]:
+        """Return the place on the beam or in the body, by name."""
+        first = {"x": self.x} if self.fraction is None else {"fraction": self.fraction}
+        return {**first, "y": self.y, "z": self.z}
+
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:
     """Refuse what is no point, and a point off the plane of a planar scene.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
+from ancfdae.bodies.member import Member
 from ancfdae.bodies.point import Point
 from ancfdae.bodies.shapes import BodyShape, require_shape
 from ancfdae.design import Designable
@@ -35,13 +36,14 @@ def _require_inertia(where: str, value: object) -> None:
 
 @final
 @dataclass(frozen=True)
-class RigidBody(Designable):
+class RigidBody(Designable, Member):
     """A body that does not deform, with axes of its own through a reference point.
 
     Its coordinates are the reference point r and its directions d_1, d_2(, d_3); a place x, y, z
     of it is at r + x d_1 + y d_2 + z d_3. Give either its mass and inertia or a shape with its
     density. Design targets: ``mass``, ``centre_x`` ..., ``inertia`` in the plane, ``inertia_x``
-    ... or ``inertia_xx`` ... in space; ``density`` and the sizes of the shape.
+    ... or ``inertia_xx`` ... in space; ``density`` and the sizes of the shape; ``position_x`` ...,
+    and ``turn``, in space ``turn_x`` ...
 
     Parameters
     ----------
@@ -64,6 +66,8 @@ class RigidBody(Designable):
         Of the shape; kg/m^3.
     frame : sequence of sequence of float, optional
         Directions of the axes in the reference configuration as rows; by default those of space.
+    turn : float or sequence of float, optional
+        Turn of the body about its reference point, frame and all, as of a `Beam`.
 
     Raises
     ------
@@ -80,7 +84,9 @@ class RigidBody(Designable):
     shape: BodyShape | None = None
     density: float | None = None
     frame: Sequence[Sequence[float]] | None = None
+    turn: float | Sequence[float] = 0.0
 
+    placed_by = "position"
     design_fields = (
         ("mass", require_positive),
         ("inertia", _require_inertia),
@@ -100,11 +106,21 @@ class RigidBody(Designable):
         require_vector(f"{where}, centre", self.centre, (self.dimension,))
         self._check_mass(where)
         self._check_frame(where)
+        self._check_turn(where)
 
     @property
     def dimension(self) -> int:
         """Dimension of space."""
         return len(tuple(self.position))
+
+    @property
+    def place(self) -> Sequence[float]:
+        """Where the reference point is."""
+        return self.position
+
+    def with_place(self, place: Sequence[float]) -> RigidBody:
+        """Return the same body at another place."""
+        return replace(self, position=tuple(place))
 
     @property
     def origin(self) -> Point:
@@ -121,7 +137,7 @@ class RigidBody(Designable):
         return Point(self.name, x=x, y=y, z=z)
 
     def directions(self) -> Array:
-        """Return the directions of the axes in the reference configuration as rows."""
+        """Return the directions of the axes before the turn as rows."""
         if self.frame is None:
             return np.eye(self.dimension)
         return orthonormal(np.asarray(self.frame, dtype=float))
