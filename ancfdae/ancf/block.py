@@ -8,7 +8,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf.parameters import ParameterMap
-from ancfdae.elements import BeamElement, ElementParameter, ElementType
+from ancfdae.bodies import BeamBody
+from ancfdae.elements import ElementParameter, ElementType
 from ancfdae.elements.invariants import joined, prepare
 from ancfdae.numerics.arrays import Array
 from ancfdae.scene import Scene
@@ -61,7 +62,7 @@ def element_block(scene: Scene, mapping: ParameterMap, parameters: Array) -> Ele
     """Prepare the invariants at the given element parameters, shape (n, 9)."""
     element = scene.beams[0].element
     kinds, kind = _kinds(scene)
-    Y_unit = _unit_vectors(scene, element)
+    Y_unit = np.concatenate([unit_vectors(beam) for beam in scene.beams])
     owners = np.concatenate(
         [np.repeat(f"beam {beam.name!r}", beam.element_count) for beam in scene.beams]
     )
@@ -124,23 +125,18 @@ def _kinds(scene: Scene) -> tuple[list[ElementType], Array]:
     return list(kinds.values()), np.concatenate(places)
 
 
-def _unit_vectors(scene: Scene, element: BeamElement) -> Array:
-    """Return reference relative node vectors of all elements, the chord per unit length.
+def unit_vectors(beam: BeamBody) -> Array:
+    """Return reference relative node vectors of a beam's elements, the chord per unit length.
 
     The material is isotropic, so a straight element of any orientation has the invariants of
     one along the x axis; using those makes equal elements equal bit by bit.
     """
+    element, shape, n = beam.element, beam.reference(), beam.element_count
+    slopes = slice(0, element.n_s - 1)
+    if not shape.straight:
+        frames = shape.slopes[:, slopes]
+        return np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
     canonical = np.zeros((element.n_y, element.d))
     canonical[0, 0] = 1.0
-    slopes = slice(0, element.n_s - 1)
     canonical[1 : element.n_s] = canonical[element.n_s :] = np.eye(element.d)[slopes]
-    vectors = []
-    for beam in scene.beams:
-        shape, n = beam.reference(), beam.element_count
-        if shape.straight:
-            Y = np.repeat(canonical[None], n, axis=0)
-        else:
-            frames = shape.slopes[:, slopes]
-            Y = np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
-        vectors.append(Y)
-    return np.concatenate(vectors)
+    return np.repeat(canonical[None], n, axis=0)

@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.ancf.beam_elements import BeamElements
 from ancfdae.ancf.block import element_block
 from ancfdae.ancf.constraints import JointConstraints, JointInput
 from ancfdae.ancf.elastic_forces import ElasticForces
@@ -86,7 +87,7 @@ class AncfSystem(MechanicalSystem):
         parameters = mapping.values(self.b)
         self._numbering = number(scene)
         self.element, self.n_q = self._numbering.element, self._numbering.n_q
-        lengths = parameters[:, ElementParameter.LENGTH]
+        self._parameters, lengths = parameters, parameters[:, ElementParameter.LENGTH]
         layout = Layout(self.element.name, self._numbering.beams, ())
         self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
         self._start = StartState(scene, lengths, self.naming.lengths_b)
@@ -444,6 +445,14 @@ class AncfSystem(MechanicalSystem):
         if self._scene.loads:
             total = total - self._loads.pull_back_rate((q, v, later), mu)
         return total
+
+    # -- sections of beams ---------------------------------------------------------------------
+
+    def beam_elements(self, beam: str, elements: slice = slice(None)) -> BeamElements:
+        """Return some elements of a beam, for section forces and stresses."""
+        return BeamElements(
+            self._scene, self._numbering, self._mapping, self._parameters, beam, elements
+        )
 
     # -- energies, instants as rows ------------------------------------------------------------
 

@@ -32,6 +32,7 @@ from ancfdae.elements.hermite import (
     slope_weights_xi,
 )
 from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
+from ancfdae.elements.stresses import scaled, smoothing
 from ancfdae.elements.volume import change, shifted, step_of
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
@@ -115,6 +116,53 @@ class Cable2D(BeamElement):
             partials[which] = InvariantPartial(A_b, g_ob, c, m_b)
         return Invariants(A, packed_gram(Y_o), m, p_o, partials)
 
+    def section_forces(
+        self,
+        kind: ElementType,
+        parameters: Array,
+        Y_unit: Array,
+        xi: float,
+        Y: Array,
+        V: Array,
+    ) -> Array:
+        """E A eps r_x - E I r_xxx and r_x x E I r_xx along tangent and normal.
+
+        The variation of U in r leaves these; eps with tau eps', linear as `smoothing` has it.
+        """
+        E_A, E_I, _ = _moduli(kind, parameters)
+        l, tau = parameters[:, [ElementParameter.LENGTH, ElementParameter.DAMPING_TIME]].T
+        Y, V = scaled(Y, l), scaled(V, l)
+        places, weights = smoothing(xi)
+        along, along_v = (np.einsum("pa,...nad->p...nd", _tangent(places), x) for x in (Y, V))
+        strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0)
+        strains = strains + tau * np.sum(along * along_v, axis=-1)
+        r_x = _tangent(np.array(xi)) @ Y
+        r_xx = np.stack(curvature_weights(np.array(xi))) @ Y / l[:, None]
+        r_xxx = np.array([-12.0, 6.0, 6.0]) @ Y / l[:, None] ** 2
+        n = (E_A * np.tensordot(weights, strains, 1))[..., None] * r_x - E_I[:, None] * r_xxx
+        speed = np.sqrt(np.sum(r_x * r_x, axis=-1))
+        forces = np.zeros((*n.shape[:-1], 6), dtype=n.dtype)
+        forces[..., 0] = np.sum(n * r_x, axis=-1) / speed
+        forces[..., 1] = (r_x[..., 0] * n[..., 1] - r_x[..., 1] * n[..., 0]) / speed
+        forces[..., 5] = E_I * (r_x[..., 0] * r_xx[..., 1] - r_x[..., 1] * r_xx[..., 0])
+        return forces
+
+    def stress_map(
+        self,
+        kind: ElementType,
+        parameters: Array,
+        Y_unit: Array,
+        xi: Array,
+        places: tuple[Array, Array],
+    ) -> Array:
+        """Refuse: the law knows forces of a section, no stresses in it."""
+        raise InvalidInput(
+            "stress",
+            "needs an element with a section, whose strains vary over it",
+            self.name,
+            "Divide axial_force and bending_moment by area and section modulus.",
+        )
+
 
 def _moduli(kind: ElementType, parameters: Array) -> tuple[Array, Array, Array]:
     """E A, E I and rho A, shape (n,) each."""
@@ -138,7 +186,7 @@ def _shape(xi: Array) -> Array:
 
 
 def _tangent(xi: Array) -> Array:
-    """N_y at unit length, shape (n_p, 3)."""
+    """N_y at unit length, shape (..., 3)."""
     return np.stack([end_weight_xi(xi), *slope_weights_xi(xi)], axis=-1)
 
 

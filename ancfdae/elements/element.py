@@ -221,3 +221,55 @@ class BeamElement(abc.ABC):
         owners: Array,
     ) -> Invariants:
         """Integrate the invariants of some elements; arguments as in `invariants.prepare`."""
+
+    @abc.abstractmethod
+    def section_forces(
+        self,
+        kind: ElementType,
+        parameters: Array,
+        Y_unit: Array,
+        xi: float,
+        Y: Array,
+        V: Array,
+    ) -> Array:
+        """Return N, V_y, V_z, T, M_y and M_z at xi of some elements, shape (..., n, 6).
+
+        What the part beyond the section does to the part before it, in the axes of the section;
+        real or complex. In the plane V_z, T and M_y are zero.
+
+        Parameters
+        ----------
+        kind, parameters, Y_unit
+            As in `invariants.prepare`.
+        xi : float
+        Y, V : array, shape (..., n, n_y, d)
+            Relative node vectors and their velocities.
+        """
+
+    @abc.abstractmethod
+    def stress_map(
+        self,
+        kind: ElementType,
+        parameters: Array,
+        Y_unit: Array,
+        xi: Array,
+        places: tuple[Array, Array],
+    ) -> Array:
+        """Return stresses as maps of the strains of the law, shape (n, n_f, n_xi, n_v, n_g).
+
+        Of strains of relative node vectors with the chord divided by the length; normal stresses
+        first, then shears.
+
+        Parameters
+        ----------
+        kind, parameters, Y_unit
+            As in `invariants.prepare`.
+        xi : array, shape (n_xi,)
+        places : (array, array), shape (n, n_f) each
+            y and z in the section; m.
+
+        Raises
+        ------
+        InvalidInput
+            If the element has no stresses that vary over a section.
+        """

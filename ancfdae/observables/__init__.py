@@ -9,7 +9,9 @@ from ancfdae.observables.quantities import (
     strain_energy,
     time,
 )
+from ancfdae.observables.section_forces import axial_force, bending_moment, shear_force, torque
 from ancfdae.observables.states import States, states_of
+from ancfdae.observables.stress import maximum_stress, von_mises
 from ancfdae.observables.user_functions import apply, custom
 from ancfdae.observables.vectors import (
     axial_strain,
