@@ -13,8 +13,8 @@ from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.bodies import BeamBody
 from ancfdae.elements.volume import shifted, step_of
+from ancfdae.naming import BeamLayout
 from ancfdae.numerics.arrays import Array
-from ancfdae.scene import Scene
 
 
 @final
@@ -41,33 +41,42 @@ class BeamElements:
 
     Parameters
     ----------
-    scene : Scene
+    body : BeamBody
+    place : BeamLayout
     numbering : Numbering
     mapping : ParameterMap
     parameters : array, shape (n_all, 9)
         Of all elements of the scene, real or complex.
-    beam : str
     elements : slice
         Elements of the beam, counted from its start.
     """
 
     def __init__(
         self,
-        scene: Scene,
+        body: BeamBody,
+        place: BeamLayout,
         numbering: Numbering,
         mapping: ParameterMap,
         parameters: Array,
-        beam: str,
         elements: slice,
     ) -> None:
-        self.body: BeamBody = scene.beam(beam)
-        self.element, self.kind = self.body.element, self.body.element_type()
-        first = next(place.first_element for place in numbering.beams if place.name == beam)
-        self.numbers = first + np.arange(self.body.element_count)[elements]
+        self.element, self.kind = body.element, body.element_type()
+        self.numbers = place.first_element + np.arange(place.element_count)[elements]
         self.parameters = parameters[self.numbers]
-        self.Y_unit = unit_vectors(self.body)[elements]
+        self.Y_unit = unit_vectors(body)[elements]
         self.coordinates = numbering.coordinates(numbering.vectors[self.numbers])
         self._mapping = mapping
+
+    def outline(self, parameters: Array) -> tuple[Array, Array]:
+        """Return y and z of outer points of sections of these parameters, shape (n, n_f) each.
+
+        In the plane the lowest and the highest only.
+        """
+        y, z = self.kind.section.outline(self.kind.sizes(parameters))
+        if self.element.d == 2:
+            ends = [int(np.argmin(y[0].real)), int(np.argmax(y[0].real))]
+            y, z = y[:, ends], z[:, ends]
+        return y, z
 
     def relative(self, X: Array) -> Array:
         """Relative node vectors of node vectors, shape (..., n, n_a, d) to (..., n, n_y, d)."""

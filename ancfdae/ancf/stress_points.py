@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -56,8 +57,8 @@ class StressPoints:
         own, b = self._own, np.zeros((len(q), n_b))
         Y, V = self._relative(q, v)
         still = self._law.von_mises(Y, V)
-        for moved, size, (elements, variables), factors in own.driven():
-            stresses = self._law_at(moved).von_mises(Y, V)
+        for law, size, (elements, variables), factors in self._moved:
+            stresses = law.von_mises(Y, V)
             slope = change(stresses.swapaxes(0, 1), still.swapaxes(0, 1), size)
             per_element = np.einsum("knp,nkp->nk", weights, slope)
             np.add.at(b.T, variables, factors[:, None] * per_element[elements])
@@ -68,6 +69,14 @@ class StressPoints:
             np.add.at(total.T, at.ravel(), own.spread(on_Y).reshape(len(q), -1).T)
             rows.append(total)
         return rows[0], rows[1], b
+
+    @cached_property
+    def _moved(self) -> list[tuple[_Law, Array, Array, Array]]:
+        """Laws at moved parameters, the step, and who moves them with which weights."""
+        return [
+            (self._law_at(moved), size, targets, weights)
+            for moved, size, targets, weights in self._own.driven()
+        ]
 
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
         at = self._own.coordinates

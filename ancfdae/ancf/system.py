@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import final
 
 import numpy as np
@@ -17,6 +17,8 @@ from ancfdae.ancf.load_forces import LoadForces, LoadInput
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
 from ancfdae.ancf.reference import StartState, length_partials
+from ancfdae.ancf.section_force import SectionForces
+from ancfdae.ancf.stress_points import StressPoints
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.bodies import Point, Quantity
 from ancfdae.design import DesignVariable, as_design
@@ -30,6 +32,10 @@ from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSys
 from ancfdae.scene import Scene
 from ancfdae.statics import RestingStart
 from ancfdae.text import listed
+
+# Places along every element where the largest stress is looked for: bending moments are linear in
+# them, or nearly.
+_STRESS_PLACES = np.array([0.0, 0.5, 1.0])
 
 
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
@@ -87,7 +93,7 @@ class AncfSystem(MechanicalSystem):
         parameters = mapping.values(self.b)
         self._numbering = number(scene)
         self.element, self.n_q = self._numbering.element, self._numbering.n_q
-        self._parameters, lengths = parameters, parameters[:, ElementParameter.LENGTH]
+        lengths = parameters[:, ElementParameter.LENGTH]
         layout = Layout(self.element.name, self._numbering.beams, ())
         self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
         self._start = StartState(scene, lengths, self.naming.lengths_b)
@@ -101,6 +107,9 @@ class AncfSystem(MechanicalSystem):
         self._elastic = ElasticForces(*common)
         self._inertia = Inertia(*common, scene.gravity)
         self._describe()
+        # What observables of sections have asked for, prepared once.
+        self._section_forces: dict[tuple[str, float], SectionForces] = {}
+        self._stresses: dict[Point | str, StressPoints] = {}
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""
@@ -448,11 +457,45 @@ class AncfSystem(MechanicalSystem):
 
     # -- sections of beams ---------------------------------------------------------------------
 
-    def beam_elements(self, beam: str, elements: slice = slice(None)) -> BeamElements:
-        """Return some elements of a beam, for section forces and stresses."""
-        return BeamElements(
-            self._scene, self._numbering, self._mapping, self._parameters, beam, elements
-        )
+    def section_forces(self, point: Point) -> SectionForces:
+        """Return what gives the forces in the section at a point of a beam."""
+        key = point.beam, point.fraction
+        if key not in self._section_forces:
+            self._section_forces[key] = SectionForces(*self._beam_element(point))
+        return self._section_forces[key]
+
+    def half_extents(self, point: Point) -> tuple[float, float]:
+        """Return half of the height and of the width of the section at a point of a beam."""
+        own, _ = self._beam_element(point)
+        section, sizes = own.kind.section, own.kind.sizes(own.parameters)[0].real.tolist()
+        names = section.size_names()
+        return section.with_sizes(dict(zip(names, sizes, strict=True))).half_extents
+
+    def stress_at(self, point: Point) -> StressPoints:
+        """Return what gives the stress at a point of a beam."""
+        if point not in self._stresses:
+            own, xi = self._beam_element(point)
+            y, z = np.full((1, 1), point.y), np.full((1, 1), point.z)
+            places = partial(_held, (y, z))
+            self._stresses[point] = StressPoints(own, np.array([xi]), places)
+        return self._stresses[point]
+
+    def stress_over(self, beam: str) -> StressPoints:
+        """Return what gives stresses at the outer points of all sections of a beam."""
+        if beam not in self._stresses:
+            own = self._beam_elements(beam, slice(None))
+            self._stresses[beam] = StressPoints(own, _STRESS_PLACES, own.outline)
+        return self._stresses[beam]
+
+    def _beam_element(self, point: Point) -> tuple[BeamElements, float]:
+        """Return the element that a point lies in, and where."""
+        element, xi = self.naming.layout.beam(point.beam).locate(point.fraction)
+        return self._beam_elements(point.beam, slice(element, element + 1)), xi
+
+    def _beam_elements(self, beam: str, elements: slice) -> BeamElements:
+        place, values = self.naming.layout.beam(beam), self._mapping.values(self.b)
+        body, mapping = self._scene.beam(beam), self._mapping
+        return BeamElements(body, place, self._numbering, mapping, values, elements)
 
     # -- energies, instants as rows ------------------------------------------------------------
 
@@ -514,3 +557,8 @@ class AncfSystem(MechanicalSystem):
     def _forces_b(self, q: Array, v: Array) -> Array:
         Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
         return Q_b + self._loads.force_b(q, v) if self._scene.loads else Q_b
+
+
+def _held(places: tuple[Array, Array], parameters: Array) -> tuple[Array, Array]:
+    """Places in a section that no parameter moves."""
+    return places

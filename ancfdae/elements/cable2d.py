@@ -23,6 +23,7 @@ from ancfdae.elements.element import (
     InvariantPartial,
     Invariants,
     Quantity,
+    SectionLaw,
 )
 from ancfdae.elements.hermite import (
     curvature_weights,
@@ -116,36 +117,11 @@ class Cable2D(BeamElement):
             partials[which] = InvariantPartial(A_b, g_ob, c, m_b)
         return Invariants(A, packed_gram(Y_o), m, p_o, partials)
 
-    def section_forces(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        xi: float,
-        Y: Array,
-        V: Array,
-    ) -> Array:
-        """E A eps r_x - E I r_xxx and r_x x E I r_xx along tangent and normal.
-
-        The variation of U in r leaves these; eps with tau eps', linear as `smoothing` has it.
-        """
-        E_A, E_I, _ = _moduli(kind, parameters)
-        l, tau = parameters[:, [ElementParameter.LENGTH, ElementParameter.DAMPING_TIME]].T
-        Y, V = scaled(Y, l), scaled(V, l)
-        places, weights = smoothing(xi)
-        along, along_v = (np.einsum("pa,...nad->p...nd", _tangent(places), x) for x in (Y, V))
-        strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0)
-        strains = strains + tau * np.sum(along * along_v, axis=-1)
-        r_x = _tangent(np.array(xi)) @ Y
-        r_xx = np.stack(curvature_weights(np.array(xi))) @ Y / l[:, None]
-        r_xxx = np.array([-12.0, 6.0, 6.0]) @ Y / l[:, None] ** 2
-        n = (E_A * np.tensordot(weights, strains, 1))[..., None] * r_x - E_I[:, None] * r_xxx
-        speed = np.sqrt(np.sum(r_x * r_x, axis=-1))
-        forces = np.zeros((*n.shape[:-1], 6), dtype=n.dtype)
-        forces[..., 0] = np.sum(n * r_x, axis=-1) / speed
-        forces[..., 1] = (r_x[..., 0] * n[..., 1] - r_x[..., 1] * n[..., 0]) / speed
-        forces[..., 5] = E_I * (r_x[..., 0] * r_xx[..., 1] - r_x[..., 1] * r_xx[..., 0])
-        return forces
+    def section_law(
+        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
+    ) -> SectionLaw:
+        """Return forces of the beam law."""
+        return _CableSectionLaw(kind, parameters, xi)
 
     def stress_map(
         self,
@@ -162,6 +138,37 @@ class Cable2D(BeamElement):
             self.name,
             "Divide axial_force and bending_moment by area and section modulus.",
         )
+
+
+@final
+class _CableSectionLaw(SectionLaw):
+    """E A eps r_x - E I r_xxx and r_x x E I r_xx along tangent and normal.
+
+    The variation of U in r leaves these; eps with tau eps', linear as `smoothing` has it.
+    """
+
+    def __init__(self, kind: ElementType, parameters: Array, xi: float) -> None:
+        self._E_A, self._E_I, _ = _moduli(kind, parameters)
+        self._l = parameters[:, ElementParameter.LENGTH]
+        self._tau, self._xi = parameters[:, ElementParameter.DAMPING_TIME], np.array(xi)
+
+    def forces(self, Y: Array, V: Array) -> Array:
+        """N, V_y and M_z."""
+        l, E_I, xi = self._l[:, None], self._E_I, self._xi
+        Y, V = scaled(Y, self._l), scaled(V, self._l)
+        places, weights = smoothing(float(xi))
+        along, along_v = (np.einsum("pa,...nad->...pnd", _tangent(places), x) for x in (Y, V))
+        strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0)
+        strains = strains + self._tau * np.sum(along * along_v, axis=-1)
+        r_x, r_xx = _tangent(xi) @ Y, np.stack(curvature_weights(xi)) @ Y / l
+        r_xxx = np.array([-12.0, 6.0, 6.0]) @ Y / l**2
+        n = (self._E_A * (weights @ strains))[..., None] * r_x - E_I[:, None] * r_xxx
+        speed = np.sqrt(np.sum(r_x * r_x, axis=-1))
+        forces = np.zeros((*n.shape[:-1], 6), dtype=n.dtype)
+        forces[..., 0] = np.sum(n * r_x, axis=-1) / speed
+        forces[..., 1] = (r_x[..., 0] * n[..., 1] - r_x[..., 1] * n[..., 0]) / speed
+        forces[..., 5] = E_I * (r_x[..., 0] * r_xx[..., 1] - r_x[..., 1] * r_xx[..., 0])
+        return forces
 
 
 def _moduli(kind: ElementType, parameters: Array) -> tuple[Array, Array, Array]:

@@ -29,12 +29,13 @@ from ancfdae.elements.element import (
     InvariantPartial,
     Invariants,
     Quantity,
+    SectionLaw,
 )
 from ancfdae.elements.energy import EnhancedContinuum, StrainEnergy
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
 from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
 from ancfdae.elements.strain_fields import turn_stiffness
-from ancfdae.elements.stresses import StressMap, section_forces
+from ancfdae.elements.stresses import ContinuumSectionLaw, StressMap
 from ancfdae.elements.volume import (
     AXIS_POINTS,
     Region,
@@ -137,17 +138,11 @@ class ContinuumBeam(BeamElement):
             partials[which] = InvariantPartial(A=A_b, g_o=g_ob, c=c_b, m=m_b)
         return Invariants(A=A, g_o=packed_gram(Y_o), m=m, p_o=None, partials=partials)
 
-    def section_forces(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        xi: float,
-        Y: Array,
-        V: Array,
-    ) -> Array:
+    def section_law(
+        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
+    ) -> SectionLaw:
         """Integrals of stresses over the section."""
-        return section_forces(self.d, kind, parameters, Y_unit, xi, Y, V)
+        return ContinuumSectionLaw(self.d, kind, parameters, Y_unit, xi)
 
     def stress_map(
         self,

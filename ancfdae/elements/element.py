@@ -124,6 +124,23 @@ class Invariants:
     partials: dict[ElementParameter, InvariantPartial]
 
 
+class SectionLaw(abc.ABC):
+    """Forces in sections of n elements, prepared for many states."""
+
+    @abc.abstractmethod
+    def forces(self, Y: Array, V: Array) -> Array:
+        """Return N, V_y, V_z, T, M_y and M_z, shape (..., n, 6).
+
+        What the part beyond the section does to the part before it, in the axes of the section;
+        real or complex. In the plane V_z, T and M_y are zero.
+
+        Parameters
+        ----------
+        Y, V : array, shape (..., n, n_y, d)
+            Relative node vectors and their velocities.
+        """
+
+
 class BeamElement(abc.ABC):
     """Facts about a two-node ANCF beam element.
 
@@ -223,27 +240,16 @@ class BeamElement(abc.ABC):
         """Integrate the invariants of some elements; arguments as in `invariants.prepare`."""
 
     @abc.abstractmethod
-    def section_forces(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        xi: float,
-        Y: Array,
-        V: Array,
-    ) -> Array:
-        """Return N, V_y, V_z, T, M_y and M_z at xi of some elements, shape (..., n, 6).
-
-        What the part beyond the section does to the part before it, in the axes of the section;
-        real or complex. In the plane V_z, T and M_y are zero.
+    def section_law(
+        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
+    ) -> SectionLaw:
+        """Return what gives the forces in the sections at xi of some elements.
 
         Parameters
         ----------
         kind, parameters, Y_unit
             As in `invariants.prepare`.
         xi : float
-        Y, V : array, shape (..., n, n_y, d)
-            Relative node vectors and their velocities.
         """
 
     @abc.abstractmethod

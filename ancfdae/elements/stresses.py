@@ -21,7 +21,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.elements import elastic
-from ancfdae.elements.element import ElementParameter, ElementType
+from ancfdae.elements.element import ElementParameter, ElementType, SectionLaw
 from ancfdae.elements.hermite import end_weight_xi
 from ancfdae.elements.packing import packed_gram
 from ancfdae.elements.strain_fields import components, frame_products, turn_stiffness
@@ -30,6 +30,7 @@ from ancfdae.numerics.arrays import Array
 
 # Points along an element in its mean forces: of degree 4 times 2 where the reference is straight.
 _ALONG = 5
+_LENGTH_AND_TIME = [ElementParameter.LENGTH, ElementParameter.DAMPING_TIME]
 
 
 @final
@@ -101,38 +102,43 @@ def scaled(Y: Array, l: Array) -> Array:
     return Y_s
 
 
-def section_forces(
-    d: int, kind: ElementType, parameters: Array, Y_unit: Array, xi: float, Y: Array, V: Array
-) -> Array:
-    """Return N, V_y, V_z, T, M_y and M_z at xi of every element, shape (..., n, 6).
+@final
+class ContinuumSectionLaw(SectionLaw):
+    """Forces in the sections at xi of n elements.
 
     Parameters
     ----------
     d, kind, parameters, Y_unit
         As in `StressMap`.
     xi : float
-    Y, V : array, shape (..., n, n_y, d)
-        Relative node vectors and their velocities.
     """
-    assert kind.energy is not None
-    l, tau = parameters[:, [ElementParameter.LENGTH, ElementParameter.DAMPING_TIME]].T
-    Y, V = scaled(Y, l), scaled(V, l)
-    x, g = elastic.strain(packed_gram(Y_unit), Y, V, tau), packed_gram(Y)
-    maps = _resultants(d, kind, parameters, Y_unit, xi)
-    axial, shear, squares = (_applied(R, x) for R in maps)
-    frame = frame_products(d, xi, kind.energy.assumed_strains, kind.straight)
-    vectors = _in_section_axes(np.einsum("ijg,...g->...ij", frame, g))
-    rates = _rates(vectors)
-    if kind.energy.assumed_strains:
-        axial, shear = _lessened(axial, shear, rates)
-    # int F S e_x times 1, y and z.
-    tractions = np.einsum("...ij,...cj->...ic", axial, vectors[..., [0, *range(d, 2 * d - 1)]])
-    tractions = tractions + np.einsum("...ij,...cj->...ic", shear, vectors[..., 1:d])
-    arms = np.moveaxis(vectors[..., 1:d], -1, -2)
-    moment = np.sum(np.cross(arms, tractions[..., 1:, :]), axis=-2)
-    # The last axis is about z, y and x; in the plane about z only.
-    moment[..., : -1 - squares.shape[-1] : -1] += 2 * rates * squares
-    return np.concatenate([tractions[..., 0, :], l[:, None] * moment], axis=-1)
+
+    def __init__(
+        self, d: int, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
+    ) -> None:
+        assert kind.energy is not None
+        self._l, self._tau = parameters[:, _LENGTH_AND_TIME].T
+        self._g_o, self._assumed = packed_gram(Y_unit), kind.energy.assumed_strains
+        self._maps = _resultants(d, kind, parameters, Y_unit, xi)
+        self._frame = frame_products(d, xi, self._assumed, kind.straight)
+
+    def forces(self, Y: Array, V: Array) -> Array:
+        """Return integrals of tractions, and of tractions times arms."""
+        Y, V = scaled(Y, self._l), scaled(V, self._l)
+        x = elastic.strain(self._g_o, Y, V, self._tau)
+        axial, shear, squares = (_applied(R, x) for R in self._maps)
+        vectors = _in_section_axes(np.einsum("ijg,...g->...ij", self._frame, packed_gram(Y)))
+        d, rates = self._frame.shape[0], _rates(vectors)
+        if self._assumed:
+            axial, shear = _lessened(axial, shear, rates)
+        # int F S e_x times 1, y and z.
+        tractions = np.einsum("...ij,...cj->...ic", axial, vectors[..., [0, *range(d, 2 * d - 1)]])
+        tractions = tractions + np.einsum("...ij,...cj->...ic", shear, vectors[..., 1:d])
+        arms = np.moveaxis(vectors[..., 1:d], -1, -2)
+        moment = np.sum(np.cross(arms, tractions[..., 1:, :]), axis=-2)
+        # The last axis is about z, y and x; in the plane about z only.
+        moment[..., : -1 - squares.shape[-1] : -1] += 2 * rates * squares
+        return np.concatenate([tractions[..., 0, :], self._l[:, None] * moment], axis=-1)
 
 
 def _applied(R: Array, x: Array) -> Array:

@@ -20,7 +20,6 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf import SectionForce
 from ancfdae.bodies import Point, require_point
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
@@ -112,17 +111,12 @@ class Section(Leaf):
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Integral over the section."""
-        return self._section(system).value(states.q, states.v)
+        own = known_scene(system).section_forces(self.point)
+        return own.value(self.component, states.q, states.v)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Complex steps of the element's coordinates and parameters."""
-        p = self._section(system).partials(states.q, states.v, system.n_b)
+        own = known_scene(system).section_forces(self.point)
+        p = own.partials(self.component, states.q, states.v, system.n_b)
         v = Rows(p.columns, p.v) if np.any(p.v) else None
         return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)
-
-    def _section(self, system: Named) -> SectionForce:
-        scene = known_scene(system)
-        place = scene.naming.layout.beam(self.point.beam)
-        element, xi = place.locate(self.point.fraction)
-        own = scene.beam_elements(self.point.beam, slice(element, element + 1))
-        return SectionForce(own, xi, self.component)

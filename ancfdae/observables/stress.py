@@ -15,15 +15,12 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf import StressPoints
-from ancfdae.bodies import BeamBody, Point, require_point
+from ancfdae.bodies import Point, require_point
 from ancfdae.errors import InvalidInput, require_positive
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_scene
 from ancfdae.protocol import MechanicalSystem
-
-# Places along every element: bending moments are linear in them, or nearly.
-_ALONG = np.array([0.0, 0.5, 1.0])
 
 
 def von_mises(point: Point) -> Observable:
@@ -63,9 +60,7 @@ class VonMises(Leaf):
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist or lies outside the section."""
         scene = known_scene(system)
-        element, _ = scene.naming.layout.beam(self.point.beam).locate(self.point.fraction)
-        body = scene.beam_elements(self.point.beam).body
-        half = [extent * (1 + 1e-12) for extent in body.half_extents(np.array([element]))]
+        half = [extent * (1 + 1e-12) for extent in scene.half_extents(self.point)]
         if abs(self.point.y) > half[0] or abs(self.point.z) > half[1]:
             raise InvalidInput(
                 "von_mises, point",
@@ -73,22 +68,16 @@ class VonMises(Leaf):
                 f"y = {self.point.y}, z = {self.point.z}",
                 "Move the point into the beam.",
             )
-        self._points(system)
+        scene.stress_at(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """One stress per instant."""
-        return self._points(system).value(states.q, states.v)[:, 0, 0]
+        return known_scene(system).stress_at(self.point).value(states.q, states.v)[:, 0, 0]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Pull back one stress."""
-        return _gradient(self._points(system), system, states, np.ones((len(states.t), 1, 1)))
-
-    def _points(self, system: Named) -> StressPoints:
-        scene, point = known_scene(system), self.point
-        element, xi = scene.naming.layout.beam(point.beam).locate(point.fraction)
-        own = scene.beam_elements(point.beam, slice(element, element + 1))
-        y, z = np.full((1, 1), point.y), np.full((1, 1), point.z)
-        return StressPoints(own, np.array([xi]), lambda parameters: (y, z))
+        points = known_scene(system).stress_at(self.point)
+        return _gradient(points, system, states, np.ones((len(states.t), 1, 1)))
 
 
 @final
@@ -104,42 +93,23 @@ class MaximumStress(Leaf):
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a beam that does not exist or has no stresses."""
-        known_scene(system).naming.layout.beam(self.beam)
-        self._points(system)
+        known_scene(system).stress_over(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Logarithm of the sum; the largest is split off, so that nothing overflows."""
-        stress = self._stresses(system, states)
-        largest = np.max(stress.real, axis=1, keepdims=True)
-        total = np.sum(np.exp(self.sharpness * (stress - largest)), axis=1)
-        return np.asarray(largest[:, 0] + np.log(total) / self.sharpness)
+        stress = known_scene(system).stress_over(self.beam).value(states.q, states.v)
+        largest = np.max(stress.real, axis=(1, 2), keepdims=True)
+        total = np.sum(np.exp(self.sharpness * (stress - largest)), axis=(1, 2))
+        return np.asarray(largest[:, 0, 0] + np.log(total) / self.sharpness)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Pull back the mean with the weights exp(k s)."""
-        points = self._points(system)
+        points = known_scene(system).stress_over(self.beam)
         stress = points.value(states.q, states.v)
         largest = np.max(stress, axis=(1, 2), keepdims=True)
         weights = np.exp(self.sharpness * (stress - largest))
         weights = weights / np.sum(weights, axis=(1, 2), keepdims=True)
         return _gradient(points, system, states, weights)
-
-    def _stresses(self, system: Named, states: States) -> Array:
-        """All stresses of every instant, shape (k, n)."""
-        return self._points(system).value(states.q, states.v).reshape(len(states.t), -1)
-
-    def _points(self, system: Named) -> StressPoints:
-        own = known_scene(system).beam_elements(self.beam)
-        return StressPoints(own, _ALONG, lambda parameters: _outline(own.body, parameters))
-
-
-def _outline(body: BeamBody, parameters: Array) -> tuple[Array, Array]:
-    """Points of the contours of sections; in the plane the lowest and the highest only."""
-    kind = body.element_type()
-    y, z = kind.section.outline(kind.sizes(parameters))
-    if body.dimension == 2:
-        ends = [int(np.argmin(y[0].real)), int(np.argmax(y[0].real))]
-        y, z = y[:, ends], z[:, ends]
-    return y, z
 
 
 def _gradient(
