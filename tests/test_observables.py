@@ -29,14 +29,19 @@ from ancfdae import (
 from ancfdae.observables import (
     Leaf,
     States,
+    angular_momentum,
     apply,
     axial_force,
     axial_strain,
     bending_moment,
+    centre_of_mass,
     custom,
     deflection,
     design_value,
+    inertia,
     kinetic_energy,
+    linear_momentum,
+    mass,
     maximum_stress,
     multiplier,
     observe,
@@ -52,6 +57,7 @@ from ancfdae.observables import (
     von_mises,
 )
 from ancfdae.observables.functions import _FUNCTIONS
+from ancfdae.observables.mass import MassIntegral
 from validation import scenes
 
 from mechanisms import CartesianPendulum
@@ -119,6 +125,12 @@ LEAVES = {
     "stress without damping": von_mises(ARM.at(0.9, y=-0.02)),
     "maximum stress": maximum_stress("rod", 1e-4),
     "maximum stress without damping": maximum_stress("arm", 1e-4),
+    "mass": mass("rod"),
+    "mass times place": MassIntegral("rod", right=1),
+    "mass times places": MassIntegral(None, left=0, right=1),
+    "mass times square of a place": MassIntegral("arm", left=1, right=1),
+    "mass times velocity": MassIntegral(None, right=0, rate=True),
+    "mass times place and velocity": MassIntegral("rod", left=1, right=0, rate=True),
     "multiplier": multiplier("wall", 2),
     "strain energy": strain_energy(),
     "strain energy of a beam": strain_energy("rod"),
@@ -152,6 +164,10 @@ EXPRESSIONS = {
     "own function": apply(lambda x, y: np.log(1 + x * x) * y, X, Y),
     "function of own function": np.tanh(apply(np.cos, X) * V),
     "custom in a function": np.sin(custom(power, "power")) * X,
+    "centre of mass": centre_of_mass(1),
+    "moment of inertia": inertia(beam="rod"),
+    "product of inertia": inertia(0, 1, about=ARM.at_end),
+    "angular momentum": angular_momentum(beam="rod") / linear_momentum(0),
     "deflection": deflection(ROD.at_end, ROD.at_start),
     "angle": slope_angle(INNER) * Y,
 }

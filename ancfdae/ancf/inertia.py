@@ -33,6 +33,8 @@ class Inertia:
         M on the pattern.
     weights : array, shape (n_q,)
         Real diagonal of M.
+    places : array, shape (n_q / d,)
+        One for vectors that are positions, zero for slopes.
     """
 
     def __init__(
@@ -51,9 +53,9 @@ class Inertia:
         rows, columns, values = self._entries(block.m, numbering.vectors)
         self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
-        self._field = np.zeros((n_q // element.d, element.d))
-        if gravity is not None:
-            self._field[:: element.n_s] = gravity
+        self.places = np.zeros(n_q // element.d)
+        self.places[:: element.n_s] = 1.0
+        self._field = np.outer(self.places, np.zeros(element.d) if gravity is None else gravity)
 
     @cached_property
     def _M(self) -> LinearMap:

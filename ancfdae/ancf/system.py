@@ -455,6 +455,11 @@ class AncfSystem(MechanicalSystem):
             total = total - self._loads.pull_back_rate((q, v, later), mu)
         return total
 
+    @property
+    def places(self) -> Array:
+        """One for vectors that are positions, zero for slopes; shape (n_q / d,)."""
+        return self._inertia.places
+
     # -- sections of beams ---------------------------------------------------------------------
 
     def section_forces(self, point: Point) -> SectionForces:

@@ -1,5 +1,12 @@
 """Observables: what can be seen of a motion, with exact partial derivatives."""
 
+from ancfdae.observables.mass import (
+    angular_momentum,
+    centre_of_mass,
+    inertia,
+    linear_momentum,
+    mass,
+)
 from ancfdae.observables.observable import Leaf, Observable, ObservablePartials, observe
 from ancfdae.observables.quantities import (
     design_value,
