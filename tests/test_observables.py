@@ -15,6 +15,8 @@ from ancfdae import (
     HHT,
     Beam,
     Clamp,
+    Drive,
+    Harmonic,
     InvalidInput,
     Material,
     Pin,
@@ -38,7 +40,9 @@ from ancfdae.observables import (
     custom,
     deflection,
     design_value,
+    drive_torque,
     inertia,
+    joint_power,
     kinetic_energy,
     linear_momentum,
     mass,
@@ -72,13 +76,14 @@ DESIGN = ["rod.length", "rod.youngs_modulus", "arm.height", "arm.density", "arm.
 DESIGN += ["rod.damping_time", "rod.height[1]", "rod.poisson_ratio"]
 
 
-def mechanism(dimension):
-    """A clamped arm carries a swinging rod of two elements."""
+def mechanism(dimension, driven=False):
+    """A clamped arm carries a swinging rod of two elements; a drive may turn its end."""
     z = (0.0,) * (dimension - 2)
     section = Rectangle(height=0.06, width=0.04)
     arm = Beam("arm", (0.0, 0.0, *z), (0.5, 0.1, *z), 1, section, SOFT)
     rod = Beam("rod", (0.5, 0.1, *z), (1.3, -0.2, *z), 2, section, DAMPED)
     joints = [Clamp(arm.at_start, name="wall"), Pin(arm.at_end, rod.at_start, name="pivot")]
+    joints += [Drive(rod.at_end, Harmonic(0.5, 6.0), name="motor")] if driven else []
     spin = 2.0 if dimension == 2 else (0.3, -0.5, 2.0)
     gravity = (0.5, -9.81, 1.0)[:dimension]
     return Scene([arm, rod], joints, gravity, [RigidMotion("rod", spin, (0.5, 0.1, *z))])
@@ -100,7 +105,7 @@ def states_around_start(system, count=5, seed=1):
 
 @pytest.fixture(scope="module", params=[2, 3], ids=["planar", "spatial"])
 def system(request):
-    return assemble(mechanism(request.param), DESIGN)
+    return assemble(mechanism(request.param, driven=True), [*DESIGN, "motor.frequency"])
 
 
 def power(t, q, v, lam, b):
@@ -132,6 +137,8 @@ LEAVES = {
     "mass times velocity": MassIntegral(None, right=0, rate=True),
     "mass times place and velocity": MassIntegral("rod", left=1, right=0, rate=True),
     "multiplier": multiplier("wall", 2),
+    "torque of a drive": drive_torque("motor"),
+    "power": joint_power("motor"),
     "strain energy": strain_energy(),
     "strain energy of a beam": strain_energy("rod"),
     "kinetic energy": kinetic_energy(),
@@ -627,10 +634,10 @@ def test_time_and_design_are_what_they_say(system):
         (slope_angle(dataclasses.replace(ROD, name="rood").at_end), "arm, rod"),
         (strain_energy("rood"), "arm, rod"),
         (kinetic_energy("rood"), "arm, rod"),
-        (reaction("pivott", 0), "pivot, wall"),
-        (multiplier("pivott", 0), "pivot, wall"),
-        (design_value("rod.width"), ", ".join(sorted(DESIGN))),
-        (np.sin(X * reaction("pivott", 0)), "pivot, wall"),
+        (reaction("pivott", 0), "motor, pivot, wall"),
+        (multiplier("pivott", 0), "motor, pivot, wall"),
+        (design_value("rod.width"), ", ".join(sorted([*DESIGN, "motor.frequency"]))),
+        (np.sin(X * reaction("pivott", 0)), "motor, pivot, wall"),
     ],
 )
 def test_unknown_names_are_refused_before_a_run(system, observable, known):

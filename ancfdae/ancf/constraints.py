@@ -256,11 +256,11 @@ class JointConstraints:
             other._place_constant()
         return other
 
-    def _over(self, t: Array) -> _Values:
-        """Coefficients at many instants, with a leading axis if they depend on time."""
+    def _over(self, t: Array, order: int = 0) -> _Values:
+        """Coefficients, or time derivatives, at many instants; a leading axis if they vary."""
         if not self.driven:
-            return self._constant
-        each = [self._at(float(time)) for time in t]
+            return self._at(0.0, order)
+        each = [self._at(float(time), order) for time in t]
         return _Values(
             *(np.stack(x) for x in zip(*((c.a, c.s, c.offset) for c in each), strict=True))
         )
@@ -342,6 +342,19 @@ class JointConstraints:
             return np.asarray(np.sum(terms))
 
         return self._partial(work, ())
+
+    # -- what drives do, many instants ---------------------------------------------------------
+
+    def works(self, q: Array, lam: Array, t: Array) -> Array:
+        """Lam . Phi_t, shape (k,)."""
+        rates: Array = self._phi(self._over(t, 1), self._vectors.of(q))
+        return np.asarray(np.sum(lam * rates, axis=1))
+
+    def works_partials(self, q: Array, lam: Array, t: Array) -> tuple[Array, Array, Array]:
+        """Return partials of `works` in q, lam and b; shape (k, n) each."""
+        c, U = self._over(t, 1), self._vectors.of(q)
+        on_q = self._to_force.rows(self._raw(c, U) * lam[:, self._raw_row])
+        return on_q, self._phi(c, U), self._partial(lambda x: x.works(q, lam, t), (len(q),))
 
     # -- start: rates and their total derivatives, one instant -----------------------------------
 

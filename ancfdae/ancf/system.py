@@ -11,6 +11,7 @@ import numpy as np
 from ancfdae.ancf.beam_elements import BeamElements
 from ancfdae.ancf.block import element_block
 from ancfdae.ancf.constraints import JointConstraints, JointInput
+from ancfdae.ancf.driven_joint import DrivenJoint, at_unit_rate
 from ancfdae.ancf.elastic_forces import ElasticForces
 from ancfdae.ancf.inertia import Inertia
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
@@ -24,6 +25,7 @@ from ancfdae.bodies import Point, Quantity
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput
+from ancfdae.joints import Joint
 from ancfdae.loads import CentreLine
 from ancfdae.naming import Layout, Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array, only
@@ -97,7 +99,7 @@ class AncfSystem(MechanicalSystem):
         layout = Layout(self.element.name, self._numbering.beams, ())
         self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
         self._start = StartState(scene, lengths, self.naming.lengths_b)
-        self._constraints = self._joint_constraints()
+        self._constraints = self._joint_constraints(scene.joints)
         self._loads = self._load_forces()
         self.pattern = self._joint_pattern()
         self._constraints.place_curvature(self.pattern)
@@ -107,9 +109,10 @@ class AncfSystem(MechanicalSystem):
         self._elastic = ElasticForces(*common)
         self._inertia = Inertia(*common, scene.gravity)
         self._describe()
-        # What observables of sections have asked for, prepared once.
+        # What observables have asked for, prepared once.
         self._section_forces: dict[tuple[str, float], SectionForces] = {}
         self._stresses: dict[Point | str, StressPoints] = {}
+        self._driven_joints: dict[tuple[str, bool], DrivenJoint] = {}
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""
@@ -119,11 +122,11 @@ class AncfSystem(MechanicalSystem):
 
     # -- preparation ---------------------------------------------------------------------------
 
-    def _joint_constraints(self) -> JointConstraints:
+    def _joint_constraints(self, joints: Sequence[Joint]) -> JointConstraints:
         d, inputs, points = self.element.d, [], []
         q_o, active = self._start.q_reference, self._start.active
         q_ob = [self._start.moved(i).q_reference.imag / STEP for i in active]
-        for joint in self._scene.joints:
+        for joint in joints:
             own = [self._point_vector(vector) for vector in joint.vectors(self.element)]
             vectors = Vectors(own, d, self.n_q, self.n_b)
             reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
@@ -454,6 +457,30 @@ class AncfSystem(MechanicalSystem):
         if self._scene.loads:
             total = total - self._loads.pull_back_rate((q, v, later), mu)
         return total
+
+    # -- driven joints -------------------------------------------------------------------------
+
+    def driven_joint(self, name: str, unit_rate: bool) -> DrivenJoint:
+        """Return what gives the power of a driven joint, or at a unit rate its torque or force.
+
+        Raises
+        ------
+        InvalidInput
+            If the joint is not driven: it does no work.
+        """
+        key = name, unit_rate
+        if key not in self._driven_joints:
+            place = self.naming.layout.joint(name)
+            joint = next(each for each in self._scene.joints if each.name == name)
+            if not joint.driven:
+                rule, repair = "must be driven: others do no work", "Name a Drive or a Guide."
+                raise InvalidInput(f"work of joint {name!r}", rule, joint.kind, repair)
+            moving = at_unit_rate(joint) if unit_rate else joint
+            alone = self._joint_constraints([moving])
+            self._driven_joints[key] = DrivenJoint(alone, place)
+        return self._driven_joints[key]
+
+    # -- mass ----------------------------------------------------------------------------------
 
     @property
     def places(self) -> Array:
