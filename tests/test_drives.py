@@ -62,7 +62,7 @@ def crank(d, law=None, gravity=9.81):
 @pytest.mark.parametrize("d", [2, 3])
 def test_the_energy_grows_by_the_work_of_the_drive(d):
     errors = []
-    for h in (2**-8, 2**-9):
+    for h in (2**-9, 2**-10):
         solution, system = simulate(crank(d), 0.5, HHT(h, hht_alpha=-0.01)), assemble(crank(d))
         energy = observe(strain_energy() + kinetic_energy(), solution, system)
         energy = energy + np.array([system.gravity_potential(q) for q in solution.q])
@@ -70,8 +70,8 @@ def test_the_energy_grows_by_the_work_of_the_drive(d):
         work = np.concatenate([[0.0], np.cumsum(0.5 * h * (power[1:] + power[:-1]))])
         errors.append(np.max(np.abs(energy - energy[0] - work)) / np.max(np.abs(work)))
     # Second order; hht_alpha = -0.01 hardly damps.
-    assert errors[1] <= 1e-3
-    assert errors[1] <= 0.3 * errors[0]
+    assert errors[1] <= 3e-4
+    assert errors[1] <= 0.35 * errors[0]
 
 
 @pytest.mark.parametrize("d", [2, 3])
