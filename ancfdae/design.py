@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self, final
 
@@ -147,24 +147,27 @@ class Target:
 @final
 @dataclass(frozen=True)
 class DesignVariable:
-    """A design variable that drives one or several targets with one value.
+    """A design variable that drives one or several targets.
 
     Parameters
     ----------
     name : str
-    targets : sequence of str
-        Each ``"beam.parameter"`` or ``"beam.parameter[element]"``.
+    targets : sequence of str, or mapping
+        Each ``"beam.parameter"`` or ``"beam.parameter[element]"``. All targets of a sequence hold
+        the value of the variable. A mapping gives each a factor: the first target is its factor
+        times the variable, and the others move by theirs times its change; so a length that moves
+        two joints reads ``{"rod.length": 1, "left.ground_x": -0.5, "right.ground_x": 0.5}``.
     bounds : (float, float), optional
         Admissible range for optimisation.
 
     Raises
     ------
     InvalidInput
-        If a target cannot be read or the bounds are not ordered.
+        If a target cannot be read, a factor is zero, or the bounds are not ordered.
     """
 
     name: str
-    targets: Sequence[str]
+    targets: Sequence[str] | Mapping[str, float]
     bounds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -177,6 +180,10 @@ class DesignVariable:
             raise InvalidInput(where, rule, repr(self.targets), repair)
         for text in targets:
             parse_target(text)
+            require_finite(f"{where}, factor of {text}", self.factor(text))
+            if self.factor(text) == 0:
+                rule, repair = "a factor must not be zero", "Leave the target out."
+                raise InvalidInput(where, rule, f"0 for {text}", repair)
         if self.bounds is not None:
             require_vector(f"{where}, bounds", self.bounds, (2,))
             if not self.bounds[0] < self.bounds[1]:
@@ -186,6 +193,15 @@ class DesignVariable:
                     self.bounds,
                     "Swap or widen the bounds.",
                 )
+
+    @property
+    def shares(self) -> bool:
+        """Whether targets move by factors, instead of all holding the value."""
+        return isinstance(self.targets, Mapping)
+
+    def factor(self, target: str) -> float:
+        """Return by how much a target moves with the variable."""
+        return self.targets[target] if isinstance(self.targets, Mapping) else 1.0
 
 
 def parse_target(text: str) -> Target:

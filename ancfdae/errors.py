@@ -204,6 +204,14 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
         raise InvalidInput(where, "must not be zero", value, "Give a direction.")
 
 
+def require_axial(where: str, value: object) -> None:
+    """Raise InvalidInput for what is neither a number, as in the plane, nor three components."""
+    if np.ndim(value) == 0:  # type: ignore[arg-type]
+        require_finite(where, value)
+    else:
+        require_vector(where, value, (3,))
+
+
 def require_array(
     where: str, value: object, shape: tuple[int, ...] | None = None
 ) -> npt.NDArray[np.float64]:

@@ -14,7 +14,7 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity
 from ancfdae.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.errors import InvalidInput, UnknownName
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 
 
 @final
@@ -124,22 +124,37 @@ class Naming:
     lengths: Array
     lengths_b: Array
 
-    def vector(self, point: Point, quantity: Quantity) -> PointVector:
+    def vector(
+        self, point: Point, quantity: Quantity, place: tuple[Array, Array] | None = None
+    ) -> PointVector:
         """Return how a vector of a material point is made of node vectors.
+
+        `place` has the numbers of the point, (n,), and their design derivatives, (n, n_b), where
+        the design may move it.
 
         Raises UnknownName for its beam, InvalidInput if points of its element have no such vector.
         """
         beam = self.layout.beam(point.beam)
-        local, xi = beam.locate(point.fraction)
+        numbers = np.array(list(point.numbers().values())) if place is None else place[0]
+        fraction, y, z = numbers
+        local, at = beam.locate(float(fraction.real))
+        span = beam.fractions[local + 1] - beam.fractions[local]
+        xi = at + 1j * fraction.imag / span if np.iscomplexobj(numbers) else at
         element = beam.first_element + local
         kind, where = self.layout.element, f"point of {point.beam!r}"
         kind.require(where, quantity, point.y, point.z)
         n_s = kind.n_s
-        w, p = kind.vector_weights(quantity, xi, point.y, point.z)
+        w, p = kind.vector_weights(quantity, xi, y, z)
         l = self.lengths[element]
         s, s_l = w * l**p, w * p * l ** (p - 1)
+        s_b = s_l[:, None] * self.lengths_b[element]
+        if place is not None and np.any(place[1]):
+            for k, steps in enumerate(STEP * np.diag([1 / span, 1.0, 1.0])):
+                moved = (x.real + 1j * step for x, step in zip((xi, y, z), steps, strict=True))
+                w_k = kind.vector_weights(quantity, *moved)[0].imag / STEP
+                s_b = s_b + np.outer(w_k * l**p, place[1][k])
         first = (beam.first_node + local) * n_s
-        return PointVector(first + np.arange(2 * n_s), s, s_l[:, None] * self.lengths_b[element])
+        return PointVector(first + np.arange(2 * n_s), s, s_b)
 
     def centre_line(self, beam: str) -> PointVector:
         """Return the integral of the position along the centre line of a beam.

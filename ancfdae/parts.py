@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import abc
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, TypeAlias, final
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self, TypeAlias, final
 
 import numpy as np
 
@@ -79,10 +79,33 @@ class Part(Designable, abc.ABC):
         self._check_ends(where, given)
         self.check_fields(where)
 
+    def point_numbers(self) -> dict[str, float]:
+        """Return the places of the points on their beams, which can be design targets, too.
+
+        By name ``point_fraction``, ``point_y``, ``point_z``, and likewise of `other`.
+        """
+        return {
+            f"{name}_{coordinate}": number
+            for name, point in self.point_fields().items()
+            for coordinate, number in point.numbers().items()
+        }
+
+    def with_parameter(self, parameter: str, number: float) -> Self:
+        """Return the same part with one of its `parameters` or `point_numbers` changed."""
+        if parameter not in self.point_numbers():
+            return super().with_parameter(parameter, number)
+        field, _, coordinate = parameter.rpartition("_")
+        point = replace(getattr(self, field), **{coordinate: number})
+        return replace(self, **{field: point})  # type: ignore[type-var]
+
+    def point_fields(self) -> dict[str, Point]:
+        """Return the fields that hold a point."""
+        return {name: x for name, x in self._given().items() if isinstance(x, Point)}
+
     @property
     def points(self) -> tuple[Point, ...]:
         """The points that the part touches, the one that it acts on first."""
-        return tuple(value for value in self._given().values() if isinstance(value, Point))
+        return tuple(self.point_fields().values())
 
     @property
     def whole_beam(self) -> str | None:

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias, final
 
 from ancfdae.bodies import BeamBody
+from ancfdae.design import Designable
 from ancfdae.errors import (
     require_array,
+    require_axial,
     require_finite,
     require_kind,
     require_sequence,
@@ -20,10 +22,12 @@ from ancfdae.numerics.arrays import Array
 
 @final
 @dataclass(frozen=True)
-class RigidMotion:
+class RigidMotion(Designable):
     """Initial velocity of a beam: a rigid-body motion.
 
-    v = velocity + angular_velocity x (r - about); slopes turn with it.
+    v = velocity + angular_velocity x (r - about); slopes turn with it. Design targets, under the
+    name of the beam: ``angular_velocity`` (in space ``angular_x`` ...), ``about_x`` ..., and
+    ``velocity_x`` ... where it is given.
 
     Parameters
     ----------
@@ -41,6 +45,16 @@ class RigidMotion:
     angular_velocity: float | Sequence[float]
     about: Sequence[float]
     velocity: Sequence[float] | None = None
+
+    design_fields = (
+        ("angular_velocity", require_axial),
+        ("about", require_vector),
+        ("velocity", require_vector),
+    )
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        self.check_fields(f"start of {self.beam!r}")
 
 
 @final

@@ -109,8 +109,10 @@ def planar_pair():
     joints = [
         Pin(crank.at(0.0, y=0.02), name="ground"),
         Pin(crank.at_end, rod.at_start, name="elbow"),
-        # Off the declared place, so that positions are projected, too.
+        # Off the declared place, so that bodies are assembled, and a guide too many, so that
+        # positions are projected, too.
         Pin(rod.at(0.85, y=-0.01), ground=(1.6, 0.25), name="slot"),
+        PointOnLine(rod.at(0.3), (1.0, -0.6), through=(0.93, 0.62), name="rail"),
     ]
     start = [RigidMotion("crank", 1.5, (0.0, 0.0), velocity=(0.1, 0.2))]
     return Scene([crank, rod], joints, gravity=(1.0, -9.81), start=start, project_start=True)
@@ -146,6 +148,8 @@ def spatial_pair():
     joints = [
         Pin(crank.at(0.15, y=0.02, z=-0.01), name="ground"),
         Pin(crank.at_end, rod.at(0.3, y=0.01), name="elbow"),
+        # A little more away from the first one than it is on the beam.
+        Pin(crank.at(0.7), ground=(0.3, 0.57, 0.21), name="slot"),
     ]
     start = [RigidMotion("rod", (0.3, -0.2, 0.5), (0.1, 0.2, 0.0), velocity=(1.0, 0.0, 2.0))]
     return Scene([crank, rod], joints, (0.3, -9.81, 1.0), start, project_start=True)
@@ -363,6 +367,17 @@ class Setting:
             columns.append(np.imag(value(system, i, 1j * size)) / size)
         return np.stack(columns, axis=-1)
 
+    def noise(self, name):
+        """Round-off of accelerations and multipliers where the bodies are not strained.
+
+        A start by rigid motions leaves forces that are round-off, and so are their derivatives:
+        of Q in the norm of the weights `force_round_off`, in single numbers by the least and the
+        largest weight. Factor 10 for the solve, and for coordinates that move by more than 1 m.
+        """
+        weights, Q = self.system.weights, 10 * self.system.force_round_off
+        sizes = {"a": Q / np.sqrt(np.min(weights)), "lam": Q * np.sqrt(np.max(weights))}
+        return sizes.get(name, 0.0)
+
     def unit(self, i):
         """Size of a design variable, one where it is zero."""
         return abs(self.system.b[i]) or 1.0
@@ -377,11 +392,11 @@ class Setting:
             columns.append(np.imag(value(q)) / STEP)
         return np.stack(columns, axis=-1)
 
-    def check_design(self, partial, value, magnitude, tolerance=DERIVATIVE):
+    def check_design(self, partial, value, magnitude, tolerance=DERIVATIVE, noise=0.0):
         """Compare column by column: design variables have units of their own.
 
         `magnitude` is the size of the differentiated quantity, the scale where the exact
-        derivative vanishes.
+        derivative vanishes, and `noise` that of its round-off.
         """
         system = self.system
         if not system.n_b:
@@ -391,7 +406,8 @@ class Setting:
         assert partial.shape == expected.shape
         for i in range(system.n_b):
             scale = max(np.max(np.abs(expected[..., i])), magnitude / self.unit(i))
-            assert np.max(np.abs(partial[..., i] - expected[..., i])) <= tolerance * scale, (
+            allowed = tolerance * scale + noise / self.unit(i)
+            assert np.max(np.abs(partial[..., i] - expected[..., i])) <= allowed, (
                 system.design_names[i]
             )
 
@@ -561,9 +577,7 @@ def test_design_derivatives_of_the_constraints_are_not_all_zero():
         assert np.any(partial[:, 1])
     q_b, v_b = s.system.start_b()
     assert np.all(np.any(q_b, axis=0))
-    # Only the crank turns at the start.
-    assert np.any(v_b[:, 0])
-    assert not np.any(v_b[:, 1])
+    assert np.all(np.any(v_b, axis=0))
 
 
 def test_force_is_minus_the_gradient_of_the_energies(conservative):
@@ -755,7 +769,7 @@ def plain_elements(scene):
     size, node = n_s * scene.dimension, 0
     for beam in scene.beams:
         shape, parameters = beam.reference(), beam.element_parameters()
-        positions = [np.asarray(shape.start)]
+        positions = [np.asarray(beam.start_place, float)]
         for length, chord in zip(shape.lengths, shape.chords, strict=True):
             positions.append(positions[-1] + length * chord)
         rule = {} if shape.straight else {"n_xi": 12, "n_y": 6, "n_z": 6}
@@ -852,9 +866,14 @@ def turns_by_hand(system, q, q_o, point):
 
 def test_constraints_are_those_of_vectors_by_hand(conservative):
     s, system, expected = conservative, conservative.system, []
-    q_o = system.start()[0]  # the reference configuration: these scenes start in it
+    q_o = system._reference.q
     for joint in s.scene.joints:
         here = vector_by_hand(system, s.q, joint.points[0], 0)
+        if isinstance(joint, PointOnLine):
+            along = np.array(joint.direction) / np.linalg.norm(joint.direction)
+            across = np.array([-along[1], along[0]])
+            expected.append([across @ (here - joint.through)])
+            continue
         if len(joint.points) == 2:
             there = vector_by_hand(system, s.q, joint.points[1], 0)
         elif isinstance(joint, Pin) and joint.ground is not None:
@@ -873,26 +892,26 @@ def test_pin_holds_to_the_given_ground():
     beam = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, FLAT, STEEL)
     system = assemble(Scene([beam], [Pin(beam.at_end, ground=(0.7, 0.2))]))
     # (1, 0) - (0.7, 0.2), one rounding.
-    assert system.constraint(system.start()[0], 0.0) == pytest.approx([0.3, -0.2], rel=1e-15)
+    assert system.constraint(system._reference.q, 0.0) == pytest.approx([0.3, -0.2], rel=1e-15)
 
 
 def test_rigid_motion_turns_positions_and_slopes():
     for name in ("planar_pair", "spatial_pair"):
-        s = Setting(name, [])
-        (motion,) = s.scene.start
-        d = s.scene.dimension
+        # As declared: assembled, others would have to move too.
+        scene = replace(SCENES[name](), joints=())
+        system, (motion,), d = assemble(scene), scene.start, scene.dimension
         omega = np.zeros(3)
         omega[-1 if d == 2 else slice(None)] = motion.angular_velocity
-        expected = np.zeros(s.system.n_q).reshape(-1, d + 1, d)
-        place = s.system.naming.layout.beam(motion.beam)
+        expected = np.zeros(system.n_q).reshape(-1, d + 1, d)
+        place = system.naming.layout.beam(motion.beam)
         nodes = slice(place.first_node, place.first_node + place.element_count + 1)
-        arms = s.system.start()[0].reshape(-1, d + 1, d)[nodes].copy()
+        arms = system.start()[0].reshape(-1, d + 1, d)[nodes].copy()
         arms[:, 0] -= motion.about
         space = np.zeros((*arms.shape[:-1], 3))
         space[..., :d] = arms
         expected[nodes] = np.cross(omega, space)[..., :d]
         expected[nodes, 0] += motion.velocity
-        assert_close(s.system.start()[1], expected.ravel(), 1e-15)  # two products and a sum
+        assert_close(system.start()[1], expected.ravel(), 1e-15)  # two products and a sum
 
 
 # ---------------------------------------------------------------- consistent start
@@ -917,7 +936,8 @@ def test_start_sensitivity_is_the_complex_step_of_the_consistent_start(setting):
             return getattr(start_of(x, i), name)
 
         # Solves with a scaled matrix whose condition is below 1e4 come on top of DERIVATIVE.
-        s.check_design(getattr(partials, f"{name}_b"), moved, np.max(np.abs(values)), 1e-9)
+        size, noise = np.max(np.abs(values)), s.noise(name)
+        s.check_design(getattr(partials, f"{name}_b"), moved, size, 1e-9, noise)
 
 
 def test_start_of_the_recurrence_is_differentiated_exactly(setting):
@@ -939,7 +959,7 @@ def test_start_of_the_recurrence_is_differentiated_exactly(setting):
         size = np.max(np.abs(getattr(first.node, name)))
         # Damping 1e7 times the mass stands in the matrix of the third derivative: 1e7 eps, and ten
         # times as much for the products.
-        s.check_design(getattr(partials, f"{name}_b"), moved, size, 2e-8)
+        s.check_design(getattr(partials, f"{name}_b"), moved, size, 2e-8, s.noise(name))
 
 
 def test_cases_contain_projected_starts():

@@ -470,6 +470,17 @@ def test_custom_functions_are_tried_again_where_the_motion_goes(system):
         hidden.partials(system, states_around_start(system))
 
 
+def test_custom_functions_are_tried_where_they_vanish_too():
+    def late(t, q, v, lam, b):
+        return np.where(t > 0.3, q[:, 0].real, q[:, 0])
+
+    system = CartesianPendulum()
+    t = np.linspace(0.0, 1.0, 5)
+    nothing = States(t, np.zeros((5, 2)), np.zeros((5, 2)), np.zeros((5, 1)))
+    with pytest.raises(InvalidInput, match=r"late.*complex step"):
+        custom(late, "late").partials(system, nothing)
+
+
 def test_custom_functions_serve_systems_without_names():
     system = CartesianPendulum()
     energy = custom(lambda t, q, v, lam, b: 0.5 * np.sum(v * v, axis=1) + b[1] * q[:, 1], "energy")

@@ -104,7 +104,7 @@ class JointConstraints:
         self._cache: tuple[float, _Values] | None = None
         self._constant, self._moved = self._collect(0), dict[int, JointConstraints]()
         self._place()
-        self._active = self._find_active()
+        self.active = self._find_active()
 
     # -- structure -----------------------------------------------------------------------------
 
@@ -239,7 +239,7 @@ class JointConstraints:
 
     def moved(self, i: int) -> JointConstraints:
         """Return the constraints moved in design variable i by an imaginary step."""
-        if i not in self._active:
+        if i not in self.active:
             return self
         if i not in self._moved:
             self._moved[i] = self._move(i)
@@ -268,17 +268,17 @@ class JointConstraints:
     def _partial(self, of: Callable[[JointConstraints], Array], shape: tuple[int, ...]) -> Array:
         """Design partial of something of this shape that the constraints give, (*shape, n_b)."""
         result = np.zeros((*shape, self._n_b))
-        for i in self._active:
+        for i in self.active:
             result[..., i] = of(self.moved(i)).imag / STEP
         return result
 
     def _together(self, t: float, order: int) -> _Values:
         """Coefficients moved in every design variable, with a leading axis n_b."""
         c = self._at(t, order)
-        if not self._active:
+        if not self.active:
             return c
         parts = [np.repeat(x[None].astype(complex), self._n_b, 0) for x in (c.a, c.s, c.offset)]
-        for i in self._active:
+        for i in self.active:
             m = self.moved(i)._at(t, order)
             for part, x in zip(parts, (m.a, m.s, m.offset), strict=True):
                 part[i] = x
@@ -387,7 +387,7 @@ class JointConstraints:
 
     def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
         """Total design derivative of Phi_q x with x held."""
-        if self._simple and not self._active:
+        if self._simple and not self.active:
             return np.zeros((self.n_lam, self._n_b))
         return self._total(self._jacobian_times, t, 1, (q, x), (q_b, np.zeros_like(q_b)))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import final
 
@@ -24,8 +23,8 @@ class Inertia:
     ----------
     block, numbering, mapping, n_b, pattern
         As in `ElasticForces`.
-    gravity : sequence of float or None
-        Acceleration of gravity.
+    gravity : (array, shape (d,), array, shape (d, n_b))
+        Acceleration of gravity, and its design derivatives.
 
     Attributes
     ----------
@@ -44,7 +43,7 @@ class Inertia:
         mapping: ParameterMap,
         n_b: int,
         pattern: Pattern,
-        gravity: Sequence[float] | None,
+        gravity: tuple[Array, Array],
     ) -> None:
         self._n_b, self._numbering, self._block = n_b, numbering, block
         self._pair_element = mapping.elements[block.mass_pairs]
@@ -53,9 +52,14 @@ class Inertia:
         rows, columns, values = self._entries(block.m, numbering.vectors)
         self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
-        self.places = np.zeros(n_q // element.d)
+        (field, field_b), shape = gravity, (n_q // element.d, element.d)
+        self.places = np.zeros(shape[0])
         self.places[:: element.n_s] = 1.0
-        self._field = np.outer(self.places, np.zeros(element.d) if gravity is None else gravity)
+        self._field = np.outer(self.places, field)
+        # Rows of the variables that gravity depends on, to save memory.
+        self._field_active = np.flatnonzero(np.any(field_b != 0, axis=0))
+        self._field_b = np.zeros((len(self._field_active), *shape))
+        self._field_b[:, :: element.n_s] = field_b[:, self._field_active].T[:, None]
 
     @cached_property
     def _M(self) -> LinearMap:
@@ -79,7 +83,12 @@ class Inertia:
     @cached_property
     def gravity_b(self) -> Array:
         """Its design partials, shape (n_q, n_b)."""
-        return only(self.times_b(self._field.reshape(1, -1)))
+        Q_b = only(self.times_b(self._field.reshape(1, -1)))
+        if len(self._field_active):
+            fields = self._field_b.reshape(len(self._field_b), -1)
+            Q_b = Q_b.copy()
+            Q_b[:, self._field_active] += self.times(fields.T)
+        return Q_b
 
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
@@ -93,7 +102,11 @@ class Inertia:
         """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""
         a = a - self._field.ravel() if gravity else a
         per_pair = np.sum(self._pair_products(a, x), axis=0)
-        return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+        total = np.bincount(self._pair_variable, per_pair, minlength=self._n_b).astype(float)
+        if gravity and len(self._field_active):
+            fields = self._field_b.reshape(len(self._field_b), -1)
+            total[self._field_active] -= fields @ self.times(np.sum(x, axis=0))
+        return total
 
     def quadratic_b(self, v: Array, chosen: Array) -> Array:
         """Design partial of v^T M v over the chosen elements, shape (k, n_b)."""

@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 from scipy import sparse
 
+from ancfdae.ancf.rigid_motions import RigidMotions
 from ancfdae.elements import BeamElement
 from ancfdae.naming import BeamLayout
 from ancfdae.numerics.arrays import Array
@@ -34,6 +35,12 @@ class Numbering:
     beams: tuple[BeamLayout, ...]
     vectors: Array
     n_q: int
+
+    def rigid_motions(self) -> RigidMotions:
+        """Return the rigid motions of all beams."""
+        n_s, counts = self.element.n_s, [beam.element_count + 1 for beam in self.beams]
+        owner = np.repeat(np.arange(len(counts)), np.array(counts) * n_s)
+        return RigidMotions(owner, np.arange(len(owner)) % n_s == 0, self.element.d)
 
     def coordinates(self, vectors: Array) -> Array:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""

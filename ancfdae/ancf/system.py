@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.ancf.assembly import Assembly, Declared
 from ancfdae.ancf.beam_elements import BeamElements
 from ancfdae.ancf.block import element_block
 from ancfdae.ancf.constraints import JointConstraints, JointInput
@@ -17,19 +18,19 @@ from ancfdae.ancf.inertia import Inertia
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
-from ancfdae.ancf.reference import StartState, length_partials
+from ancfdae.ancf.reference import Reference, length_partials
 from ancfdae.ancf.section_force import SectionForces
 from ancfdae.ancf.stress_points import StressPoints
 from ancfdae.ancf.vectors import Vectors
-from ancfdae.bodies import Point, Quantity
+from ancfdae.bodies import Point
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput
 from ancfdae.joints import Joint
-from ancfdae.loads import CentreLine
 from ancfdae.naming import Layout, Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
+from ancfdae.parts import CentreLine, Part
 from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.scene import Scene
 from ancfdae.statics import RestingStart
@@ -55,9 +56,8 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
         If a design variable does not fit the scene.
     """
     variables = as_design(design)
-    mapping = parameter_map(scene, variables)  # refuses unknown targets before values are read
-    values = np.array([scene.value(variable) for variable in variables], dtype=float)
-    return AncfSystem(scene, variables, mapping, values)
+    mapping = parameter_map(scene, variables)
+    return AncfSystem(scene, variables, mapping, mapping.nominal)
 
 
 @final
@@ -98,7 +98,7 @@ class AncfSystem(MechanicalSystem):
         lengths = parameters[:, ElementParameter.LENGTH]
         layout = Layout(self.element.name, self._numbering.beams, ())
         self.naming = Naming(layout, lengths, length_partials(mapping, self.n_b))
-        self._start = StartState(scene, lengths, self.naming.lengths_b)
+        self._reference = Reference(scene, mapping, self.b, self.naming)
         self._constraints = self._joint_constraints(scene.joints)
         self._loads = self._load_forces()
         self.pattern = self._joint_pattern()
@@ -107,7 +107,7 @@ class AncfSystem(MechanicalSystem):
         block = element_block(scene, mapping, parameters)
         common = (block, self._numbering, mapping, self.n_b, self.pattern)
         self._elastic = ElasticForces(*common)
-        self._inertia = Inertia(*common, scene.gravity)
+        self._inertia = Inertia(*common, self._gravity())
         self._describe()
         # What observables have asked for, prepared once.
         self._section_forces: dict[tuple[str, float], SectionForces] = {}
@@ -124,17 +124,16 @@ class AncfSystem(MechanicalSystem):
 
     def _joint_constraints(self, joints: Sequence[Joint]) -> JointConstraints:
         d, inputs, points = self.element.d, [], []
-        q_o, active = self._start.q_reference, self._start.active
-        q_ob = [self._start.moved(i).q_reference.imag / STEP for i in active]
+        q_o, active = self._reference.q, self._reference.active
+        q_ob = [self._reference.moved(i).q.imag / STEP for i in active]
         for joint in joints:
-            own = [self._point_vector(vector) for vector in joint.vectors(self.element)]
+            own, p, p_b = self._part_input(joint)
             vectors = Vectors(own, d, self.n_q, self.n_b)
             reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
             if active:
                 along[..., active] += np.moveaxis(vectors.of(np.array(q_ob)), 0, -1).real
             moving = np.flatnonzero(np.any(along, axis=(0, 1)))
             reference_b = {int(i): along[..., i] for i in moving}
-            p, p_b = self._mapping.part(joint.name, self.b)
             inputs.append(JointInput(joint, p, p_b, reference, reference_b))
             points += own
         vectors = Vectors(points, d, self.n_q, self.n_b)
@@ -143,16 +142,32 @@ class AncfSystem(MechanicalSystem):
     def _load_forces(self) -> LoadForces:
         inputs = []
         for load in self._scene.loads:
-            own = [self._point_vector(vector) for vector in load.vectors(self.element)]
-            p, p_b = self._mapping.part(load.name, self.b)
+            own, p, p_b = self._part_input(load)
             vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
             inputs.append(LoadInput(load, vectors, p, p_b))
         return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
 
-    def _point_vector(self, vector: tuple[Point, Quantity] | CentreLine) -> PointVector:
-        if isinstance(vector, CentreLine):
-            return self.naming.centre_line(vector.beam)
-        return self.naming.vector(*vector)
+    def _part_input(self, part: Part) -> tuple[list[PointVector], Array, Array]:
+        """Return vectors of a joint or load, and values and partials of its design fields."""
+        p, p_b = self._mapping.numbers(part.name, self.b)
+        count = len(part.parameters())
+        places, first = {}, count
+        for point in part.points:
+            last = first + len(point.numbers())
+            places[point] = (p[first:last], p_b[first:last])
+            first = last
+        own = [
+            self.naming.centre_line(vector.beam)
+            if isinstance(vector, CentreLine)
+            else self.naming.vector(*vector, places[vector[0]])
+            for vector in part.vectors(self.element)
+        ]
+        return own, p[:count], p_b[:count]
+
+    def _gravity(self) -> tuple[Array, Array]:
+        g, g_b = self._mapping.numbers("scene", self.b)
+        d = self.element.d
+        return (g, g_b) if len(g) else (np.zeros(d), np.zeros((d, self.n_b)))
 
     def _joint_pattern(self) -> Pattern:
         """Pattern of everything: elements, curvature of joints, tangents of loads."""
@@ -174,7 +189,7 @@ class AncfSystem(MechanicalSystem):
         self.linear_constraints = self._constraints.linear
         self.velocity_forces = self._elastic.damped or self._loads.uses_velocity
         self.weights = self._inertia.weights
-        self.force_round_off = self._elastic.round_off(self._start.q, self.weights)
+        self.force_round_off = self._elastic.round_off(self._reference.Z.ravel(), self.weights)
         joints = self._constraints.joints
         layout = Layout(self.element.name, self._numbering.beams, joints)
         self.naming = Naming(layout, self.naming.lengths, self.naming.lengths_b)
@@ -205,22 +220,26 @@ class AncfSystem(MechanicalSystem):
         scene = self._scene.at_rest()
         if scene is None:
             return None
-        return RestingStart(AncfSystem(scene, self._design, self._mapping, self.b))
+        mapping, rest = self._mapping, self._scene.rest
+        if rest is not None and rest.gravity is not None:
+            mapping = mapping.holding("scene", rest.gravity)
+        return RestingStart(AncfSystem(scene, self._design, mapping, self.b))
 
     def start(self) -> tuple[Array, Array]:
         """Return the declared start, or the equilibrium."""
         if self._rest is not None:
             return self._rest.q, np.zeros_like(self._rest.q)
-        return self._start.q, self._start.v
+        if not self.project_start:
+            self._assembly.require_closed()
+        return self._assembly.q, self._assembly.v
 
     def start_b(self) -> tuple[Array, Array]:
         """Return the partials of the start."""
         q_b, v_b = np.zeros((2, self.n_q, self.n_b))
         if self._rest is not None:
             return self._rest.q_b, v_b
-        for i in self._start.active:
-            moved = self._start.moved(i)
-            q_b[:, i], v_b[:, i] = moved.q.imag / STEP, moved.v.imag / STEP
+        for i, (along_q, along_v) in self._start_along.items():
+            q_b[:, i], v_b[:, i] = along_q, along_v
         return q_b, v_b
 
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
@@ -228,10 +247,44 @@ class AncfSystem(MechanicalSystem):
         if self._rest is not None:
             return self._rest.pull_back(on_q)
         total = np.zeros(self.n_b)
-        for i in self._start.active:
-            moved = self._start.moved(i)
-            total[i] = (on_q @ moved.q.imag + on_v @ moved.v.imag) / STEP
+        for i, (along_q, along_v) in self._start_along.items():
+            total[i] = on_q @ along_q + on_v @ along_v
         return total
+
+    @cached_property
+    def _assembly(self) -> Assembly:
+        """The start: bodies follow the joints where asked to, and where the design has moved."""
+        motions, scene = self._numbering.rigid_motions(), self._scene
+        free = np.ones(motions.none.shape, dtype=bool)
+        for name in scene.lead:
+            free[[beam.name for beam in scene.beams].index(name), self.element.d :] = False
+        extent = np.ptp(self._reference.Z.real[:: self.element.n_s], axis=0)
+        # A power of two, so that a small change of the design leaves it as it is.
+        size = 2.0 ** np.round(np.log2(np.linalg.norm(extent)))
+        follows = scene.assemble or scene.project_start
+        moves = follows or np.any(self.b.real != self._mapping.nominal)
+        declared = self._declared(None)
+        strains = scene.project_start
+        return Assembly(motions, self.pattern, free, declared, size, bool(moves), strains)
+
+    def _declared(self, i: int | None) -> Declared:
+        """Return what is declared, moved in design variable i by an imaginary step."""
+        reference = self._reference if i is None else self._reference.moved(i)
+        joints = self._constraints if i is None else self._constraints.moved(i)
+        return Declared(joints, reference.Z, reference.velocities)
+
+    @cached_property
+    def _start_along(self) -> dict[int, tuple[Array, Array]]:
+        """Derivatives of q and v of the start, of the variables that move it."""
+        active = sorted({*self._reference.active, *self._constraints.active})
+        return {i: self._follow(i) for i in active}
+
+    def _follow(self, i: int) -> tuple[Array, Array]:
+        """Differentiate the assembly in design variable i; refuse what no rigid motion follows."""
+        along = self._assembly.along(self._declared(i))
+        if not self.project_start:
+            self._assembly.require_following(self._declared(i), along[0], self.design_names[i])
+        return along
 
     def mass(self, q: Array) -> Array:
         """M (eq. 10)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -18,7 +18,13 @@ from ancfdae.elements import (
     Quantity,
     StrainEnergy,
 )
-from ancfdae.errors import InvalidInput, UnknownName, require_kind
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    require_finite,
+    require_kind,
+    require_vector,
+)
 from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
 from ancfdae.sections import Section
@@ -38,10 +44,10 @@ _PARAMETERS = {
 class ReferenceShape:
     """Reference configuration of a beam of n elements.
 
+    It stands with its first node at the origin, before the turn of the beam.
+
     Attributes
     ----------
-    start : array, shape (d,)
-        Position of the first node.
     lengths : array, shape (n,)
         Element lengths.
     slopes : array, shape (n + 1, d, d)
@@ -52,7 +58,6 @@ class ReferenceShape:
         Whether dr_o/dx is the same at every point of the beam.
     """
 
-    start: Array
     lengths: Array
     slopes: Array
     chords: Array
@@ -73,6 +78,8 @@ class BeamBody(abc.ABC):
         The element that models it.
     energy : StrainEnergy or None
         How it resists strain; None for elements with a law of their own.
+    turn : float or sequence of float
+        Turn of the whole beam about its start: in space a vector along the axis; rad.
     """
 
     name: str
@@ -80,6 +87,7 @@ class BeamBody(abc.ABC):
     energy: StrainEnergy | None
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]
+    turn: float | Sequence[float]
 
     @property
     @abc.abstractmethod
@@ -104,6 +112,48 @@ class BeamBody(abc.ABC):
         self, section: Section | Sequence[Section], material: Material | Sequence[Material]
     ) -> BeamBody:
         """Return the same beam with another section and material."""
+
+    @property
+    @abc.abstractmethod
+    def start_place(self) -> Sequence[float] | Point:
+        """Where the centre line starts: a place, or a point of another beam."""
+
+    @abc.abstractmethod
+    def with_start(self, place: Sequence[float]) -> BeamBody:
+        """Return the same beam, moved to start at another place."""
+
+    @property
+    def attached(self) -> Point | None:
+        """The point of another beam that the beam starts at, None if it starts at a place."""
+        place = self.start_place
+        return place if isinstance(place, Point) else None
+
+    def placement(self) -> dict[str, float]:
+        """Return the numbers that say where the beam stands, by the names of their targets."""
+        turns = np.atleast_1d(np.asarray(self.turn, float)).tolist()
+        names = ["turn"] if self.dimension == 2 else [f"turn_{axis}" for axis in "xyz"]
+        found = dict(zip(names, turns, strict=True))
+        if not isinstance(self.start_place, Point):
+            places = zip("xyz", self.start_place, strict=False)
+            found |= {f"start_{axis}": float(x) for axis, x in places}
+        return found
+
+    def split_placement(self, numbers: Array) -> tuple[Array | None, Array]:
+        """Return start and turn out of numbers that begin with those of `placement`.
+
+        The start is None where it is a point of another beam.
+        """
+        n_r = 1 if self.dimension == 2 else 3
+        start = None if self.attached else numbers[n_r : n_r + self.dimension]
+        return start, numbers[:n_r]
+
+    def with_placement(self, changes: Mapping[str, float]) -> BeamBody:
+        """Return the same beam with numbers of its `placement` changed."""
+        numbers = np.array(list((self.placement() | dict(changes)).values()))
+        start, turn = self.split_placement(numbers)
+        beam = self if start is None else self.with_start(tuple(start.tolist()))
+        new = float(turn[0]) if self.dimension == 2 else tuple(turn.tolist())
+        return replace(beam, turn=new)  # type: ignore[type-var]
 
     @property
     def at_start(self) -> Point:
@@ -163,11 +213,16 @@ class BeamBody(abc.ABC):
         UnknownName
             If there is no such parameter.
         """
-        beam, names = self, self.parameter_names()
+        names, placement = self.parameter_names(), self.placement()
+        changes = tuple(changes)
+        moved = {name: value for name, _, value in changes if name in placement}
+        beam = self.with_placement(moved) if moved else self
         sections, materials = self._per_element()
         sizes: list[dict[str, float]] = [{} for _ in sections]
         for parameter, element, value in changes:
             self.check_target(parameter, element)
+            if parameter in placement:
+                continue
             if names[parameter] is ElementParameter.LENGTH:
                 beam = beam.with_length(value)
                 continue
@@ -186,9 +241,9 @@ class BeamBody(abc.ABC):
         ------
         InvalidInput, UnknownName
         """
-        names = self.parameter_names()
-        if parameter not in names:
-            known = (f"{self.name}.{name}" for name in names)
+        names, placement = self.parameter_names(), self.placement()
+        if parameter not in names and parameter not in placement:
+            known = (f"{self.name}.{name}" for name in (*names, *placement))
             raise UnknownName("design target", f"{self.name}.{parameter}", known)
         if element is None:
             return
@@ -200,12 +255,12 @@ class BeamBody(abc.ABC):
                 element,
                 "Name an element that exists.",
             )
-        if names[parameter] is ElementParameter.LENGTH:
+        if names.get(parameter, ElementParameter.LENGTH) is ElementParameter.LENGTH:
             raise InvalidInput(
                 where,
-                "length is a property of the whole beam",
+                f"{parameter} is a property of the whole beam",
                 f"[{element}]",
-                f"Use {self.name}.length.",
+                f"Use {self.name}.{parameter}.",
             )
 
     def _section(self) -> Section:
@@ -240,6 +295,12 @@ class BeamBody(abc.ABC):
                 repr(given),
                 f"Leave it out, or choose among {names}.",
             )
+        if self.dimension == 2:
+            require_finite(f"beam {self.name!r}, turn", self.turn)
+        elif np.ndim(self.turn) == 0 and self.turn == 0:
+            object.__setattr__(self, "turn", (0.0, 0.0, 0.0))
+        else:
+            require_vector(f"beam {self.name!r}, turn", self.turn, (3,))
         self._check_part(self.section, Section)
         self._check_part(self.material, Material)
         self._check_sections()

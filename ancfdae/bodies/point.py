@@ -50,6 +50,10 @@ class Point:
                 "0 is the start of the beam and 1 its end.",
             )
 
+    def numbers(self) -> dict[str, float]:
+        """Return the place on the beam, by name."""
+        return {"fraction": self.fraction, "y": self.y, "z": self.z}
+
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:
     """Refuse what is no point, and a point off the plane of a planar beam.

@@ -78,8 +78,8 @@ class ContinuumBeam(BeamElement):
         self, quantity: Quantity, xi: float, y: float, z: float
     ) -> tuple[Array, Array]:
         """Eq. (8), in space with the terms of the width (docs/theory.md, section 1)."""
-        weights, powers, second = np.zeros(self.n_a), np.zeros(self.n_a), self.n_s
-        place = np.array(xi)
+        place, powers, second = np.array(xi), np.zeros(self.n_a), self.n_s
+        weights = np.zeros(self.n_a, dtype=np.result_type(xi, y, z, float))
         if quantity is Quantity.POSITION:
             s5 = end_weight(place)
             weights[0], weights[second] = 1 - s5, s5

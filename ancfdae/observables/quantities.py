@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -60,8 +60,6 @@ def design_value(name: str) -> Observable:
 @dataclass(frozen=True)
 class Multiplier(Leaf):
     """Multiplier of an equation of a joint; `on_point` if it must be a force on its first point."""
-
-    multipliers: ClassVar[bool] = True
 
     joint: str
     row: int
