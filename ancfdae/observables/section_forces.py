@@ -5,11 +5,14 @@ with the part of internal damping, in the axes of the deformed section: its norm
 what is across both. They are what the beam beyond the section does to the beam before it, moments
 about the axis of the beam (docs/theory.md, section 2).
 
-All converge with the mesh, with an error of second order in the element length at any point. Best
-places in an element, where errors are smaller by an order or two: its middle for axial force and
-torque, the points 1/2 -+ 1/(2 sqrt 3) of it for bending moments; shear forces are as good anywhere
-with assumed strains, and best in the middle without. A node belongs to the element that begins
-there, the end of a beam to the last one.
+All converge with the mesh, the error of second order in the element length or better at any point:
+at the ends of an element that turns by phi, phi^2/6 of the bending moment. Best places, where the
+error is smaller by an order or two: the middle of an element for axial force and torque, and for
+bending moments the points 1/2 -+ 1/(2 sqrt 3) of it, or its middle where it is very slender; shear
+forces are as good anywhere with assumed strains, and best in the middle without, and in cables.
+
+A node belongs to the element that begins there, the end of a beam to the last one: forces jump at
+nodes that carry a load.
 """
 
 from __future__ import annotations
