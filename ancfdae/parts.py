@@ -1,8 +1,10 @@
-"""What joints and loads share: a name, points of beams or the ground, and design targets."""
+"""What joints and loads share: a name, points of beams or bodies, and design targets."""
 
 from __future__ import annotations
 
 import abc
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self, TypeAlias, final
 
@@ -27,8 +29,28 @@ class CentreLine:
     beam: str
 
 
+# Names by default hold numbers: pin(rod@0.5).
+_NO_NAME = re.compile(r"\.(?!\d)|\[")
+
+
+@final
+@dataclass(frozen=True)
+class Direction:
+    """A direction of the axes of something rigid, as a vector for what keeps it rigid.
+
+    Parameters
+    ----------
+    body : str
+    number : int
+        From 1 on.
+    """
+
+    body: str
+    number: int
+
+
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
-Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine, ...]
+Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine | Direction, ...]
 
 
 class Part(Designable, abc.ABC):
@@ -54,6 +76,8 @@ class Part(Designable, abc.ABC):
     kind: ClassVar[str]
     needs_other_end: ClassVar[bool] = False
     spatial: ClassVar[bool] = False
+    #: What it says to a second point in the place of its name.
+    no_second_point: ClassVar[str] = "It joins no second point here."
 
     name: str
 
@@ -65,14 +89,21 @@ class Part(Designable, abc.ABC):
                 f"{self.role} {self.kind!r}, name",
                 "must be a string",
                 repr(name),
-                "It joins no second point here." if isinstance(name, Point) else "Give a name.",
+                self.no_second_point if isinstance(name, Point) else "Give a name.",
+            )
+        if _NO_NAME.search(name):
+            raise InvalidInput(
+                f"{self.role} {self.kind!r}, name",
+                "must hold no '[' and no dot, except in a number: design targets have them",
+                repr(name),
+                "Write '_' or '-' instead.",
             )
         given = self._given()
         where = f"{self.role} {name!r}" if name else self.kind
         at = given.get("beam")
         if "point" in given:
             require_point(where, given["point"])
-            at = f"{given['point'].beam}@{given['point'].fraction:g}"
+            at = str(given["point"])
         if not name:
             object.__setattr__(self, "name", f"{self.kind}({at})")
         where = f"{self.role} {self.name!r}"
@@ -90,13 +121,16 @@ class Part(Designable, abc.ABC):
             for coordinate, number in point.numbers().items()
         }
 
-    def with_parameter(self, parameter: str, number: float) -> Self:
-        """Return the same part with one of its `parameters` or `point_numbers` changed."""
-        if parameter not in self.point_numbers():
-            return super().with_parameter(parameter, number)
-        field, _, coordinate = parameter.rpartition("_")
-        point = replace(getattr(self, field), **{coordinate: number})
-        return replace(self, **{field: point})  # type: ignore[type-var]
+    def with_parameters(self, changes: Mapping[str, float]) -> Self:
+        """Return the same part with some of its `parameters` and `point_numbers` changed."""
+        own = {name: number for name, number in changes.items() if name in self.point_numbers()}
+        points = self.point_fields()
+        for name, number in own.items():
+            field, _, coordinate = name.rpartition("_")
+            points[field] = replace(points[field], **{coordinate: number})  # type: ignore[arg-type]
+        part = replace(self, **points)  # type: ignore[type-var]
+        rest = {name: number for name, number in changes.items() if name not in own}
+        return super(Part, part).with_parameters(rest)
 
     def point_fields(self) -> dict[str, Point]:
         """Return the fields that hold a point."""
@@ -131,11 +165,11 @@ class Part(Designable, abc.ABC):
                 where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
             )
         for vector in self.vectors(element):
-            if not isinstance(vector, CentreLine):
+            if isinstance(vector, tuple) and vector[0].fraction is not None:
                 element.require(where, vector[1], vector[0].y, vector[0].z)
         for name, _ in self.design_fields:
             value = getattr(self, name)
-            if np.ndim(value) == 1:
+            if np.ndim(value) == 1 and name not in self.indexed_fields:
                 require_vector(f"{where}, {name}", value, (d,))
 
     def _given(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ancfdae import (
     CABLE_2D,
@@ -28,12 +29,18 @@ from ancfdae import (
     MechanicalSystem,
     Pin,
     PointForce,
+    PointMass,
     PointOnLine,
     Rectangle,
     Revolute,
+    RigidBody,
+    RigidBox,
+    RigidCylinder,
     RigidMotion,
+    RigidSphere,
     SaintVenantKirchhoff,
     Scene,
+    Spherical,
     SpringDamper,
     Uniform,
     assemble,
@@ -216,6 +223,93 @@ def damped_pair():
     return Scene([crank, rod], joints, gravity=(1.0, -9.81))
 
 
+def planar_bodies():
+    """Nothing that bends: two bodies and a point mass, with loads that follow them."""
+    frame = ((0.8, 0.6), (-0.6, 0.8))
+    arm = RigidBody("arm", (0.1, 0.2), 2.0, 0.05, centre=(0.4, 0.1), frame=frame)
+    wheel = RigidBody("wheel", (0.9, 0.8), shape=RigidCylinder(0.2, 0.03), density=2700.0)
+    load = PointMass(wheel.at(0.1, 0.05), 0.7, name="load")
+    joints = [
+        Pin(arm.at(0.0, 0.01), name="ground"),
+        Pin(arm.at(1.0), wheel.origin, name="elbow"),
+        Distance(wheel.at(0.1, 0.1), 0.7, ground=(1.5, 0.4), name="link"),
+    ]
+    loads = [
+        FollowerForce(wheel.at(0.1, -0.02), (4.0, -3.0), name="jet"),
+        SpringDamper(wheel.at(0.3), 30.0, 5.0, 0.4, arm.at(0.2, 0.3), name="strut"),
+    ]
+    start = [RigidMotion("wheel", 1.5, (0.9, 0.8), velocity=(0.1, 0.2))]
+    bodies = [arm, wheel, load]
+    return Scene([], joints, (1.0, -9.81), start, loads, project_start=True, bodies=bodies)
+
+
+def planar_carriers():
+    """A beam that bends, two that do not, a body and point masses on all of them."""
+    rod = Beam("rod", (0.0, 0.0), (0.6, 0.8), 2, FLAT, GUM)
+    heights = [Rectangle(h, 0.05) for h in (0.05, 0.08)]
+    arm = Beam("arm", (0.6, 0.8), (1.8, 0.1), 2, heights, STEEL, rigid=True)
+    bow = replace(arc("bow", (1.8, 1.1), 1.0, (0.0, 0.5, 0.9), 2, section=[FLAT, TALL]), rigid=True)
+    box = RigidBody("box", tuple(bow.positions[-1]), shape=RigidBox(0.3, 0.2, 0.1), density=900.0)
+    bodies = [
+        box,
+        PointMass(rod.at(0.3, y=0.01), 0.3, name="bead"),
+        PointMass(arm.at(0.8, y=0.01), 0.4, name="knot"),
+        PointMass(box.at(0.1, -0.1), 0.5, name="load"),
+    ]
+    joints = [
+        Clamp(rod.at(0.1)),
+        Pin(rod.at_end, arm.at(0.0), name="elbow"),
+        Pin(arm.at_end, bow.at_start, name="knee"),
+        Pin(bow.at(0.9, y=0.01), box.at(0.1, 0.05), name="hook"),
+    ]
+    loads = [
+        DistributedForce("bow", (2.0, -4.0), name="snow"),
+        SpringDamper(arm.at(0.3), 300.0, 5.0, 0.4, rod.at(0.8, y=0.02), name="strut"),
+    ]
+    start = [RigidMotion("arm", 1.5, (0.6, 0.8), velocity=(0.1, 0.2))]
+    beams = [rod, arm, bow]
+    return Scene(beams, joints, (1.0, -9.81), start, loads, project_start=True, bodies=bodies)
+
+
+def spatial_carriers():
+    """A beam that bends, a rigid coil and a body of any inertia, on joints about axes."""
+    rod = Beam("rod", (0, 0, 0), (0.4, 0.8, 0.3), 1, THICK, STEEL, height_axis=(1, 0, 1))
+    coil = replace(arc("coil", (0.4, 1.8, 0.3), 1.0, (0.0, 0.5, 0.8), 3, pitch=0.3), rigid=True)
+    inertia = (0.05, 0.06, 0.07, 0.01, -0.02, 0.015)
+    frame = Rotation.from_rotvec((0.3, -0.5, 0.9)).as_matrix().tolist()
+    place = tuple(coil.positions[-1])
+    body = RigidBody("body", place, 2.0, inertia, (0.1, 0.2, -0.1), frame=frame)
+    ball = RigidBody("ball", (0, 1, 1), shape=RigidSphere(0.1), density=900.0, centre=(0, 0, 0.1))
+    bodies = [body, ball, PointMass(coil.at(0.7, z=0.01), 0.4, name="bead")]
+    joints = [
+        Revolute(rod.at(0.1, y=0.02), (0.3, -0.2, 1.0), name="bearing"),
+        Revolute(rod.at_end, (0.2, 1.0, 0.4), coil.at(0.0, y=0.01, z=0.01), name="elbow"),
+        Spherical(coil.at_end, body.at(0.0, 0.1, 0.0), name="knee"),
+        Distance(ball.at(0.1, 0.0, 0.0), 0.9, body.origin, name="link"),
+    ]
+    loads = [
+        DistributedForce("coil", (2.0, -4.0, 1.0), name="snow"),
+        FollowerForce(body.at(0.1, 0.2, 0.3), (4.0, -3.0, 2.0), name="jet"),
+        SpringDamper(coil.at(0.9), 300.0, 5.0, 0.4, ground=(0.3, 0.2, 1.5), name="strut"),
+    ]
+    start = [RigidMotion("body", (0.3, -0.2, 0.5), (0.0, 0.0, 0.0), velocity=(1.0, 0.0, 2.0))]
+    beams = [rod, coil]
+    return Scene(beams, joints, (0.3, -9.81, 1.0), start, loads, project_start=True, bodies=bodies)
+
+
+def cable_carriers():
+    """A cable that carries a body off its centre, and a rigid one of the same element."""
+    rope = Beam("rope", (0.0, 0.0), (0.6, 0.8), 2, FLAT, STEEL, element=CABLE_2D)
+    rod = Beam("rod", (0.6, 0.8), (1.8, 0.1), 2, FLAT, RUBBER, element=CABLE_2D, rigid=True)
+    box = RigidBody("box", (1.75, 0.0), shape=RigidBox(0.3, 0.2, 0.1), density=900.0)
+    joints = [
+        Clamp(rope.at(0.1)),
+        Pin(rope.at_end, rod.at(0.3), name="elbow"),
+        Pin(rod.at_end, box.at(0.1, 0.05), name="hook"),
+    ]
+    return Scene([rope, rod], joints, gravity=(1.0, -9.81), project_start=True, bodies=[box])
+
+
 SCENES = {
     scene.__name__: scene
     for scene in (
@@ -229,12 +323,18 @@ SCENES = {
         damped_pair,
         planar_machine,
         spatial_machine,
+        planar_bodies,
+        planar_carriers,
+        spatial_carriers,
+        cable_carriers,
     )
 }
 for ELEMENT in ALL_ELEMENTS:
     SCENES[ELEMENT.name] = lambda element=ELEMENT: clamped(element)
+#: Scenes with something rigid.
+RIGID = ("planar_bodies", "planar_carriers", "spatial_carriers", "cable_carriers")
 #: Scenes with bilinear or driven joints, with loads that follow the motion or with damping.
-MACHINES = ("damped_pair", "planar_machine", "spatial_machine")
+MACHINES = ("damped_pair", "planar_machine", "spatial_machine", *RIGID)
 MATERIAL = ("youngs_modulus", "poisson_ratio", "density")
 ALL = (*MATERIAL, "width", "height", "length", "damping_time")
 
@@ -329,6 +429,44 @@ CASES = {
             *of("strut", "stiffness", "ground_z"),
         ],
     ),
+    "planar bodies": (
+        "planar_bodies",
+        [
+            *of("arm", "mass", "inertia", "centre_x", "centre_y"),
+            *of("wheel", "radius", "length", "density", "centre_y"),
+            *of("load", "mass"),
+            *of("link", "length"),
+            *of("strut", "stiffness", "damping"),
+        ],
+    ),
+    "planar carriers": (
+        "planar_carriers",
+        [
+            *of("rod", "length", "height", "damping_time"),
+            *of("arm", "length", "density", "youngs_modulus", "height[1]"),
+            *of("bow", "length", "height[0]", "width"),
+            *of("box", "length", "height", "width", "density", "centre_x"),
+            *of("bead", "mass"),
+            *of("knot", "mass"),
+            DesignVariable("m", ["load.mass"]),
+            *of("snow", "force_y"),
+        ],
+    ),
+    "spatial carriers": (
+        "spatial_carriers",
+        [
+            *of("rod", "length", "width"),
+            *of("coil", "length", "height", "density", "poisson_ratio"),
+            *of("body", "mass", "inertia_xx", "inertia_xy", "inertia_yz", "centre_z"),
+            *of("ball", "radius", "density", "centre_z"),
+            *of("bead", "mass"),
+            *of("elbow", "axis_x"),
+        ],
+    ),
+    "cable carriers": (
+        "cable_carriers",
+        [*of("rope", "length", "height"), *of("rod", "length", "width"), "box.height"],
+    ),
 }
 
 
@@ -420,6 +558,12 @@ def setting(request):
 @pytest.fixture(scope="module", params=SCENES)
 def plain(request):
     """Every scene once, without design variables."""
+    return Setting(request.param, [])
+
+
+@pytest.fixture(scope="module", params=[name for name in SCENES if name not in RIGID])
+def bending(request):
+    """Scenes of beams that bend."""
     return Setting(request.param, [])
 
 
@@ -561,6 +705,9 @@ def test_pulling_back_forms_no_column_of_coordinates_for_every_variable():
 
 def test_lengths_b(setting):
     s = setting
+    if not s.scene.beams:
+        assert s.system.naming.lengths_b.shape == (0, s.system.n_b)
+        return
     s.check_design(s.system.naming.lengths_b, lambda x, i, e: x.naming.lengths, 1.0)
 
 
@@ -769,7 +916,7 @@ def plain_elements(scene):
     size, node = n_s * scene.dimension, 0
     for beam in scene.beams:
         shape, parameters = beam.reference(), beam.element_parameters()
-        positions = [np.asarray(beam.start_place, float)]
+        positions = [np.asarray(beam.place, float)]
         for length, chord in zip(shape.lengths, shape.chords, strict=True):
             positions.append(positions[-1] + length * chord)
         rule = {} if shape.straight else {"n_xi": 12, "n_y": 6, "n_z": 6}
@@ -805,8 +952,8 @@ def test_force_is_the_sum_of_oracle_elements(conservative):
     assert_close(paper.force(s.q, s.v, s.t), expected, VALUE)
 
 
-def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(plain):
-    s, d = plain, plain.scene.dimension
+def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(bending):
+    s, d = bending, bending.scene.dimension
     expected, volumes, oracle = (
         np.zeros((s.system.n_q, s.system.n_q)),
         0.0,
@@ -842,7 +989,7 @@ def vector_by_hand(system, q, point, quantity):
     l = system.naming.lengths[place.first_element + k]
     oracle = oracle_of(system.element)
     size = system.element.n_s * d
-    first = (place.first_node + k) * size
+    first = system.naming.layout.body(point.beam).first_vector * d + k * size
     X = q[first : first + 2 * size].reshape(-1, d)
     if quantity == 0:
         return oracle.shape(d, xi, point.y, point.z, l) @ X
@@ -903,8 +1050,9 @@ def test_rigid_motion_turns_positions_and_slopes():
         omega = np.zeros(3)
         omega[-1 if d == 2 else slice(None)] = motion.angular_velocity
         expected = np.zeros(system.n_q).reshape(-1, d + 1, d)
-        place = system.naming.layout.beam(motion.beam)
-        nodes = slice(place.first_node, place.first_node + place.element_count + 1)
+        place = system.naming.layout.body(motion.beam)
+        first, count = place.first_vector // place.stride, place.count // place.stride
+        nodes = slice(first, first + count)
         arms = system.start()[0].reshape(-1, d + 1, d)[nodes].copy()
         arms[:, 0] -= motion.about
         space = np.zeros((*arms.shape[:-1], 3))
@@ -989,7 +1137,8 @@ def test_system_with_values_is_the_scene_with_values(setting):
     other = assemble(scene, s.design)
     # Lengths go through coordinates and back, or through a factor: a few eps; a force of this
     # state changes by 10 times its relative error (strain of 0.1).
-    assert_close(moved.naming.lengths, other.naming.lengths, VALUE)
+    if s.scene.beams:
+        assert_close(moved.naming.lengths, other.naming.lengths, VALUE)
     assert_close(moved.start()[0], other.start()[0], VALUE)
     assert_close(moved.force(s.q, s.v, s.t), other.force(s.q, s.v, s.t), 10 * VALUE)
     assert_close(moved.mass_times(s.q, s.a), other.mass_times(s.q, s.a), VALUE)
@@ -1004,7 +1153,8 @@ def test_naming_design_variables_changes_nothing(setting):
     s = setting
     plain = assemble(s.scene)
     # Values are written through shares of a length: a rounding of the length or two.
-    assert_close(s.system.naming.lengths, plain.naming.lengths, VALUE)
+    if s.scene.beams:
+        assert_close(s.system.naming.lengths, plain.naming.lengths, VALUE)
     assert_close(s.system.force(s.q, s.v, s.t), plain.force(s.q, s.v, s.t), 10 * VALUE)
     assert_close(s.system.mass_times(s.q, s.a), plain.mass_times(s.q, s.a), VALUE)
     assert_close(s.system.start()[0], plain.start()[0], VALUE)

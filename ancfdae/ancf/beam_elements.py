@@ -64,7 +64,8 @@ class BeamElements:
         self.numbers = place.first_element + np.arange(place.element_count)[elements]
         self.parameters = parameters[self.numbers]
         self.Y_unit = unit_vectors(body)[elements]
-        self.coordinates = numbering.coordinates(numbering.vectors[self.numbers])
+        own = np.searchsorted(numbering.elements, self.numbers)
+        self.coordinates = numbering.coordinates(numbering.vectors[own])
         self._mapping = mapping
 
     def outline(self, parameters: Array) -> tuple[Array, Array]:

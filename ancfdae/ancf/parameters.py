@@ -51,7 +51,7 @@ class ParameterMap:
 
     def numbers(self, owner: str, b: Array) -> tuple[Array, Array]:
         """Return the numbers p of an owner at design values b, and p_b."""
-        p = np.array(self.declared[owner]).astype(np.result_type(float, b))
+        p = np.array(self.declared.get(owner, ())).astype(np.result_type(float, b))
         p_b = np.zeros((len(p), len(b)))
         for place, variable, weight, offset in self.slots.get(owner, ()):
             p[place] = weight * b[variable] + offset
@@ -68,6 +68,29 @@ class ParameterMap:
         P = self.base.astype(np.result_type(self.base, b))
         P[self.elements, self.parameters] = self.weights * b[self.variables] + self.offsets
         return P
+
+    def only(self, rows: Array) -> ParameterMap:
+        """Return what is written to some elements, numbered in the order given."""
+        places = np.full(len(self.base), -1)
+        places[rows] = np.arange(len(rows))
+        own = places[self.elements]
+        kept = own >= 0
+        return replace(
+            self,
+            base=self.base[rows],
+            elements=own[kept],
+            parameters=self.parameters[kept],
+            variables=self.variables[kept],
+            weights=self.weights[kept],
+            offsets=self.offsets[kept],
+        )
+
+    def lengths_b(self, n_b: int) -> Array:
+        """Return d(element lengths)/db, shape (n, n_b)."""
+        partial = np.zeros((len(self.base), n_b))
+        chosen = self.pairs(ElementParameter.LENGTH)
+        partial[self.elements[chosen], self.variables[chosen]] = self.weights[chosen]
+        return partial
 
     def pairs(self, which: ElementParameter) -> Array:
         """Return the indices of the pairs of one parameter."""
@@ -97,7 +120,7 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
             target = scene.resolve(text)
             factor, offset = variable.factor(text), scene.offset(variable, text)
             if not scene.is_of_elements(target):
-                place = list(scene.numbers(target.owner)).index(target.parameter)
+                place = list(scene.numbers(target.owner)).index(target.indexed)
                 slots.setdefault(target.owner, []).append((place, index, factor, offset))
                 continue
             rows = scene.target_elements(target)

@@ -46,14 +46,14 @@ def mass_properties(
     beam: str | None = None,
     design: Sequence[str | DesignVariable] = (),
 ) -> MassProperties:
-    """Return mass, centre and inertia of a scene, or of one of its beams, as it starts.
+    """Return mass, centre and inertia of a scene, or of one of its bodies, as it starts.
 
     Parameters
     ----------
     model : Scene or AncfSystem
         An assembled system brings its own design variables.
     beam : str, optional
-        By default the whole scene.
+        Name of a beam, a body or a point mass; by default the whole scene.
     design : sequence of str or DesignVariable, optional
         What to differentiate in, for a scene.
 

@@ -51,6 +51,8 @@ class Beam(BeamBody):
     turn : float or sequence of float, optional
         Turn of the whole beam about its start, a number in the plane and in space a vector along
         the axis; rad. Design targets: ``turn``, in space ``turn_x`` ..., and ``start_x`` ...
+    rigid : bool, optional
+        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
 
     Raises
     ------
@@ -69,6 +71,7 @@ class Beam(BeamBody):
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
     energy: StrainEnergy | None = None
     turn: float | Sequence[float] = 0.0
+    rigid: bool = False
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -100,7 +103,7 @@ class Beam(BeamBody):
         return len(tuple(self.end))
 
     @property
-    def start_place(self) -> Sequence[float] | Point:
+    def place(self) -> Sequence[float] | Point:
         """Start of the centre line."""
         return self.start
 
@@ -125,7 +128,7 @@ class Beam(BeamBody):
         end = self._origin + length * self._frame()[0]
         return replace(self, end=tuple(end.tolist()))
 
-    def with_start(self, place: Sequence[float]) -> Beam:
+    def with_place(self, place: Sequence[float]) -> Beam:
         """Return the same beam, moved to start at another place."""
         end = np.asarray(place, float) + self._span
         return replace(self, start=tuple(place), end=tuple(end.tolist()))

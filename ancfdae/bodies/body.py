@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
+from ancfdae.bodies.placed import Placed
 from ancfdae.bodies.point import Point
 from ancfdae.elements import (
     ALL_ELEMENTS,
@@ -18,15 +19,10 @@ from ancfdae.elements import (
     Quantity,
     StrainEnergy,
 )
-from ancfdae.errors import (
-    InvalidInput,
-    UnknownName,
-    require_finite,
-    require_kind,
-    require_vector,
-)
+from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind, require_name
 from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.frames import orthonormal
 from ancfdae.sections import Section
 
 # Parameters of every beam as a user writes them; the sizes of its section follow.
@@ -64,12 +60,11 @@ class ReferenceShape:
     straight: bool
 
 
-class BeamBody(abc.ABC):
-    """What the rest of the package needs to know about a beam.
+class BeamBody(Placed):
+    """What the rest of the package needs to know about a beam; name and turn as in `Placed`.
 
     Attributes
     ----------
-    name : str
     section : Section or sequence of Section
         One for the beam or one per element, which may differ in their sizes.
     material : Material or sequence of Material
@@ -78,16 +73,15 @@ class BeamBody(abc.ABC):
         The element that models it.
     energy : StrainEnergy or None
         How it resists strain; None for elements with a law of their own.
-    turn : float or sequence of float
-        Turn of the whole beam about its start: in space a vector along the axis; rad.
+    rigid : bool
+        Whether it has the coordinates of a rigid body instead of those of its elements.
     """
 
-    name: str
     element: BeamElement
     energy: StrainEnergy | None
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]
-    turn: float | Sequence[float]
+    rigid: bool
 
     @property
     @abc.abstractmethod
@@ -113,47 +107,9 @@ class BeamBody(abc.ABC):
     ) -> BeamBody:
         """Return the same beam with another section and material."""
 
-    @property
-    @abc.abstractmethod
-    def start_place(self) -> Sequence[float] | Point:
-        """Where the centre line starts: a place, or a point of another beam."""
-
-    @abc.abstractmethod
-    def with_start(self, place: Sequence[float]) -> BeamBody:
-        """Return the same beam, moved to start at another place."""
-
-    @property
-    def attached(self) -> Point | None:
-        """The point of another beam that the beam starts at, None if it starts at a place."""
-        place = self.start_place
-        return place if isinstance(place, Point) else None
-
-    def placement(self) -> dict[str, float]:
-        """Return the numbers that say where the beam stands, by the names of their targets."""
-        turns = np.atleast_1d(np.asarray(self.turn, float)).tolist()
-        names = ["turn"] if self.dimension == 2 else [f"turn_{axis}" for axis in "xyz"]
-        found = dict(zip(names, turns, strict=True))
-        if not isinstance(self.start_place, Point):
-            places = zip("xyz", self.start_place, strict=False)
-            found |= {f"start_{axis}": float(x) for axis, x in places}
-        return found
-
-    def split_placement(self, numbers: Array) -> tuple[Array | None, Array]:
-        """Return start and turn out of numbers that begin with those of `placement`.
-
-        The start is None where it is a point of another beam.
-        """
-        n_r = 1 if self.dimension == 2 else 3
-        start = None if self.attached else numbers[n_r : n_r + self.dimension]
-        return start, numbers[:n_r]
-
-    def with_placement(self, changes: Mapping[str, float]) -> BeamBody:
-        """Return the same beam with numbers of its `placement` changed."""
-        numbers = np.array(list((self.placement() | dict(changes)).values()))
-        start, turn = self.split_placement(numbers)
-        beam = self if start is None else self.with_start(tuple(start.tolist()))
-        new = float(turn[0]) if self.dimension == 2 else tuple(turn.tolist())
-        return replace(beam, turn=new)  # type: ignore[type-var]
+    def directions(self) -> Array:
+        """Return the axes of the beam as a rigid body: those at its start, as rows."""
+        return orthonormal(self.reference().slopes[0])
 
     @property
     def at_start(self) -> Point:
@@ -167,6 +123,7 @@ class BeamBody(abc.ABC):
 
     def at(self, fraction: float, y: float = 0.0, z: float = 0.0) -> Point:
         """Return the point at an arc-length fraction, offset in the section by y and z."""
+        require_finite(f"point of {self.name!r}", fraction)
         return Point(self.name, fraction, y, z)
 
     def parameter_names(self) -> dict[str, ElementParameter]:
@@ -275,14 +232,7 @@ class BeamBody(abc.ABC):
         return sections, materials
 
     def _check_parts(self) -> None:
-        name: object = self.name
-        if not isinstance(name, str) or not name or "." in name or "[" in name:
-            raise InvalidInput(
-                "Beam.name",
-                "must be a non-empty string without '.' and '['",
-                repr(name),
-                "Names appear in design targets such as 'rod.height[2]'.",
-            )
+        require_name("Beam.name", self.name)
         given: object = self.element
         if given is None:
             given = next(each for each in ALL_ELEMENTS if each.d == self.dimension)
@@ -295,12 +245,7 @@ class BeamBody(abc.ABC):
                 repr(given),
                 f"Leave it out, or choose among {names}.",
             )
-        if self.dimension == 2:
-            require_finite(f"beam {self.name!r}, turn", self.turn)
-        elif np.ndim(self.turn) == 0 and self.turn == 0:
-            object.__setattr__(self, "turn", (0.0, 0.0, 0.0))
-        else:
-            require_vector(f"beam {self.name!r}, turn", self.turn, (3,))
+        self._check_turn(f"beam {self.name!r}")
         self._check_part(self.section, Section)
         self._check_part(self.material, Material)
         self._check_sections()

@@ -48,6 +48,8 @@ class CurvedBeam(BeamBody):
         By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
     turn : float or sequence of float, optional
         Turn of the whole beam about its first node, as in `Beam`.
+    rigid : bool, optional
+        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
 
     Raises
     ------
@@ -64,6 +66,7 @@ class CurvedBeam(BeamBody):
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
     energy: StrainEnergy | None = None
     turn: float | Sequence[float] = 0.0
+    rigid: bool = False
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -122,11 +125,11 @@ class CurvedBeam(BeamBody):
         return ReferenceShape(lengths, slopes, steps / lengths[:, None], False)
 
     @property
-    def start_place(self) -> Sequence[float]:
+    def place(self) -> Sequence[float]:
         """Place of the first node."""
         return tuple(np.asarray(self.positions, float)[0].tolist())
 
-    def with_start(self, place: Sequence[float]) -> CurvedBeam:
+    def with_place(self, place: Sequence[float]) -> CurvedBeam:
         """Return the same beam, moved to start at another place."""
         positions = np.asarray(self.positions, float)
         return replace(self, positions=positions - positions[0] + np.asarray(place, float))

@@ -46,16 +46,16 @@ class Work(Leaf):
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a joint that does not exist or is not driven."""
-        known_scene(system).driven_joint(self.joint, self.unit_rate)
+        known_scene(system).joint_work(self.joint, self.unit_rate)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return lam . Phi_t."""
-        own = known_scene(system).driven_joint(self.joint, self.unit_rate)
+        own = known_scene(system).joint_work(self.joint, self.unit_rate)
         return own.value(states.t, states.q, states.lam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Differentiate in q, the multipliers of the joint and b."""
-        own = known_scene(system).driven_joint(self.joint, self.unit_rate)
+        own = known_scene(system).joint_work(self.joint, self.unit_rate)
         q, lam, b = own.partials(states.t, states.q, states.lam)
         columns = np.arange(own.rows.start, own.rows.stop)
         return LeafGradient(q=Rows(slice(None), q), lam=Rows(columns, lam), b=b)

@@ -1,4 +1,4 @@
-"""Observables of mass: mass, centre, moments of inertia, momentum, of a beam or the whole scene.
+"""Observables of mass: mass, centre, moments of inertia, momentum, of a body or the whole scene.
 
 All are integrals of rho a b dV with a and b one of 1, a component of the position and one of the
 velocity. With vectors X that positions depend on linearly, the mass matrix m (x) I_d holds them
@@ -25,12 +25,12 @@ from ancfdae.protocol import MechanicalSystem
 
 
 def mass(beam: str | None = None) -> Observable:
-    """Return the mass of a beam, or of the whole scene; kg. It depends on the design only."""
+    """Return the mass of a beam, a body or a point mass, or of the whole scene; kg."""
     return MassIntegral(beam)
 
 
 def centre_of_mass(axis: int, beam: str | None = None) -> Observable:
-    """Return a component of the centre of mass of a beam, or of the whole scene; m."""
+    """Return a component of the centre of mass of a beam or body, or of the whole scene; m."""
     require_index("centre_of_mass, axis", axis)
     return MassIntegral(beam, right=axis) / mass(beam)
 
@@ -41,7 +41,7 @@ def inertia(
     beam: str | None = None,
     about: Point | Sequence[float] | None = None,
 ) -> Observable:
-    """Return a moment or product of inertia of a beam, or of the whole scene; kg m^2.
+    """Return a moment or product of inertia of a beam or body, or of the whole scene; kg m^2.
 
     Parameters
     ----------
@@ -51,6 +51,7 @@ def inertia(
         The second axis of a product of inertia, -int rho r_i r_j dV; without it the moment about
         `axis`.
     beam : str, optional
+        Name of a beam, a body or a point mass.
     about : Point or sequence of float, optional
         A point of a body, which may move, or a place; by default the centre of mass.
     """
@@ -64,7 +65,7 @@ def inertia(
 
 
 def linear_momentum(axis: int, beam: str | None = None) -> Observable:
-    """Return a component of the momentum of a beam, or of the whole scene; kg m/s."""
+    """Return a component of the momentum of a beam or body, or of the whole scene; kg m/s."""
     require_index("linear_momentum, axis", axis)
     return MassIntegral(beam, right=axis, rate=True)
 
@@ -72,7 +73,7 @@ def linear_momentum(axis: int, beam: str | None = None) -> Observable:
 def angular_momentum(axis: int = 2, beam: str | None = None) -> Observable:
     """Return a component of the angular momentum about the origin; kg m^2/s.
 
-    Of a beam, or of the whole scene; in the plane about z, axis 2.
+    Of a beam, a body or a point mass, or of the whole scene; in the plane about z, axis 2.
     """
     require_index("angular_momentum, axis", axis)
     first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -115,7 +116,7 @@ class MassIntegral(Leaf):
         """Refuse a beam or an axis that does not exist."""
         layout = known_scene(system).naming.layout
         if self.beam is not None:
-            layout.beam(self.beam)
+            layout.owner(self.beam)
         for axis in (self.left, self.right):
             if axis is not None and axis >= layout.d:
                 raise InvalidInput(

@@ -37,12 +37,12 @@ def multiplier(joint: str, row: int) -> Observable:
 
 
 def strain_energy(beam: str | None = None) -> Observable:
-    """Return the strain energy of a beam, or of the whole scene; J."""
+    """Return the strain energy of a beam or body, or of the whole scene; J."""
     return Energy(beam, kinetic=False)
 
 
 def kinetic_energy(beam: str | None = None) -> Observable:
-    """Return the kinetic energy of a beam, or of the whole scene; J."""
+    """Return the kinetic energy of a beam, a body or a point mass, or of the whole scene; J."""
     return Energy(beam, kinetic=True)
 
 
@@ -105,7 +105,7 @@ class Energy(Leaf):
         """Refuse a beam that does not exist, or a solution without its system."""
         layout = known_naming(known_scene(system)).layout
         if self.beam is not None:
-            layout.beam(self.beam)
+            layout.owner(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """T (eq. 9) or U of every instant."""

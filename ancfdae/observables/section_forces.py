@@ -102,7 +102,7 @@ class Section(Leaf):
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist, and what a plane lacks."""
         layout = known_scene(system).naming.layout
-        layout.beam(self.point.beam).locate(self.point.fraction)
+        layout.beam(self.point.beam)
         planar = (Component.AXIAL_FORCE, Component.SHEAR_FORCE_Y, Component.BENDING_MOMENT_Z)
         if layout.d == 2 and self.component not in planar:
             raise InvalidInput(
@@ -111,6 +111,7 @@ class Section(Leaf):
                 self.component.name,
                 "Use one of these, or a spatial scene.",
             )
+        known_scene(system).section_forces(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Integral over the section."""
