@@ -11,7 +11,9 @@ from ancfdae import (
     Circle,
     InvalidInput,
     Material,
+    PointMass,
     Rectangle,
+    RigidBody,
     RigidMotion,
     Scene,
     UnknownName,
@@ -92,6 +94,26 @@ def test_a_body_that_spins_has_momentum_as_a_rigid_one():
         tensor = [seen(inertia(axis, other, about=(0.0, 0.0, 0.0)), system) for other in range(3)]
         found = seen(angular_momentum(axis, "rod"), system)
         assert found == pytest.approx(np.dot(tensor, spin), rel=CLOSE)
+
+
+def test_rigid_bodies_and_point_masses_count():
+    tensor = (2.0, 3.0, 4.0, 0.1, -0.2, 0.3)
+    body = RigidBody("body", (1.0, 2.0, 3.0), mass=5.0, inertia=tensor, centre=(0.1, 0.0, -0.2))
+    load = PointMass(body.at(0.0, 0.5, 0.0), 2.0, name="load")
+    system = assemble(Scene(bodies=[body, load]), ["body.mass", "load.mass"])
+    alone = mass_properties(system, "body")
+    assert alone.mass == pytest.approx(5.0, rel=CLOSE)
+    assert np.allclose(alone.centre, (1.1, 2.0, 2.8), rtol=CLOSE, atol=0)
+    full = [[2.0, 0.1, -0.2], [0.1, 3.0, 0.3], [-0.2, 0.3, 4.0]]
+    # Squares of places, 9, times the mass, less those of the centre.
+    assert np.allclose(alone.inertia, full, rtol=0, atol=1e-12)
+    both = mass_properties(system)
+    assert both.mass == pytest.approx(7.0, rel=CLOSE)
+    assert np.allclose(both.mass_b, [1.0, 1.0], rtol=CLOSE, atol=0)
+    mean = (5 * np.array([1.1, 2.0, 2.8]) + 2 * np.array([1.0, 2.5, 3.0])) / 7
+    assert np.allclose(both.centre, mean, rtol=CLOSE, atol=0)
+    expected = ((1.1, 2.0, 2.8) - mean) / 7, ((1.0, 2.5, 3.0) - mean) / 7
+    assert np.allclose(both.centre_b, np.transpose(expected), rtol=0, atol=CLOSE)
 
 
 def test_derivatives_are_those_of_the_formulas():

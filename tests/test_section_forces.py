@@ -144,21 +144,23 @@ def test_an_end_force_is_carried_by_every_section_with_its_moment():
     assert np.max(errors[1][:, 0, 4:]) <= 0.3 * np.max(errors[0][:, 0, 4:])
 
 
-@pytest.mark.parametrize("d", [2, 3])
-def test_a_moment_bends_with_one_moment_and_no_force(d):
-    # The rod turns by 0.5 rad.
-    M = 0.5 * STEEL.youngs_modulus * 0.01 * 0.02**3 / 12
+@pytest.mark.parametrize(("d", "axis"), [(2, 2), (3, 2), (3, 1)])
+def test_a_moment_bends_with_one_moment_and_no_force(d, axis):
+    # The rod turns by 0.5 rad, about its width or its height.
+    h, w = (0.02, 0.01) if axis == 2 else (0.01, 0.02)
+    M = 0.5 * STEEL.youngs_modulus * w * h**3 / 12
+    vector = tuple(M * np.eye(3)[axis])
     for n in (4, 8):
-        scene = cantilever(n, lambda rod: Moment(rod.at_end, M if d == 2 else (0.0, 0.0, M)), d)
+        scene = cantilever(n, lambda rod: Moment(rod.at_end, M if d == 2 else vector), d)
         (rod,), state, phi = scene.beams, at_rest(scene), 0.5 / n
         places = [1.5 / n, (1.0 + GAUSS) / n, 1.0 / n]
         found = seen(scene, state, [rod.at(place) for place in places]) / M
-        expected = np.zeros_like(found)
+        own = -1 if axis == 2 else -2
         # phi^4/180 is what the next term of the curvature of a cubic leaves; here 1.4e-6.
-        expected[:, -1] = 1.0 + phi**2 * np.array([-1 / 12, 0.0, 1 / 6])
-        assert np.allclose(found[:, -1], expected[:, -1], rtol=0, atol=2 * phi**4)
+        expected = 1.0 + phi**2 * np.array([-1 / 12, 0.0, 1 / 6])
+        assert np.allclose(found[:, own], expected, rtol=0, atol=2 * phi**4)
         # Forces times the height of the section, against the moment.
-        assert np.max(np.abs(found[:, :-1])) * 0.02 <= 0.1 * phi**2
+        assert np.max(np.abs(np.delete(found, own, axis=1))) * 0.02 <= 0.1 * phi**2
 
 
 @pytest.mark.parametrize(
@@ -535,6 +537,28 @@ def test_what_a_beam_does_not_have_is_refused():
     ):
         with pytest.raises(InvalidInput, match=text):
             action()
+
+
+def test_rigid_beams_have_neither_forces_nor_stresses():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, PLATE, STEEL, rigid=True)
+    system = assemble(Scene([rod]))
+    for observable in (axial_force(rod.at_end), von_mises(rod.at_end), maximum_stress("rod", 1.0)):
+        with pytest.raises(InvalidInput, match="must deform"):
+            observable.check(system)
+
+
+def test_a_rigid_beam_before_it_leaves_the_forces_of_a_beam_alone():
+    P = (0.0, 60.0)
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 4, PLATE, STEEL)
+    post = Beam("post", (0.0, -1.0), (0.0, 0.0), 3, PLATE, STEEL, rigid=True)
+    found = []
+    for beams in ([rod], [post, rod]):
+        joints = [Clamp(rod.at_start, name="wall"), *(Clamp(x.at_start) for x in beams[:-1])]
+        solution, system = at_rest(Scene(beams, joints, loads=[PointForce(rod.at_end, P)]))
+        observables = [bending_moment(rod.at(0.3)), maximum_stress("rod", 1e-6)]
+        found.append([observe(x, solution, system)[0] for x in observables])
+    # The tolerance of the search for the equilibrium.
+    assert np.allclose(found[0], found[1], rtol=1e-6)
 
 
 def test_cables_have_forces_but_no_stress():
