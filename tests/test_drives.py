@@ -15,6 +15,7 @@ from ancfdae import (
     ComplexStep,
     Direct,
     Drive,
+    FollowerForce,
     Guide,
     Harmonic,
     Integral,
@@ -24,6 +25,7 @@ from ancfdae import (
     Rectangle,
     Revolute,
     Scene,
+    SpringDamper,
     Terminal,
     Uniform,
     UnknownName,
@@ -38,6 +40,7 @@ from ancfdae.observables import (
     inertia,
     joint_power,
     kinetic_energy,
+    load_power,
     observe,
     strain_energy,
 )
@@ -72,6 +75,25 @@ def test_the_energy_grows_by_the_work_of_the_drive(d):
     # Second order; hht_alpha = -0.01 hardly damps.
     assert errors[1] <= 3e-4
     assert errors[1] <= 0.35 * errors[0]
+
+
+def test_the_energy_grows_by_the_work_of_the_loads():
+    arm = crank(2).beams[0]
+    spring = SpringDamper(arm.at_end, 40.0, 0.5, 0.3, ground=(0.5, 0.9), name="spring")
+    push = FollowerForce(arm.at(0.6), (0.0, 3.0), law=Harmonic(1.0, 9.0), name="push")
+    scene = Scene([arm], [Pin(arm.at_start)], loads=[spring, push])
+    errors = []
+    for h in (2**-9, 2**-10):
+        solution, system = simulate(scene, 0.5, HHT(h, hht_alpha=-0.01)), assemble(scene)
+        energy = observe(strain_energy() + kinetic_energy(), solution, system)
+        power = observe(load_power("spring") + load_power("push"), solution, system)
+        work = np.concatenate([[0.0], np.cumsum(0.5 * h * (power[1:] + power[:-1]))])
+        errors.append(np.max(np.abs(energy - energy[0] - work)) / np.max(np.abs(work)))
+    # Second order, as above.
+    assert errors[1] <= 1e-3
+    assert errors[1] <= 0.35 * errors[0]
+    with pytest.raises(UnknownName):
+        load_power("pull").check(system)
 
 
 @pytest.mark.parametrize("d", [2, 3])

@@ -16,6 +16,7 @@ from ancfdae import (
     Beam,
     Clamp,
     Drive,
+    FollowerForce,
     Harmonic,
     InvalidInput,
     Material,
@@ -23,6 +24,7 @@ from ancfdae import (
     Rectangle,
     RigidMotion,
     Scene,
+    SpringDamper,
     UnknownName,
     assemble,
     differentiate,
@@ -45,6 +47,7 @@ from ancfdae.observables import (
     joint_power,
     kinetic_energy,
     linear_momentum,
+    load_power,
     mass,
     maximum_stress,
     multiplier,
@@ -75,6 +78,8 @@ DAMPED = dataclasses.replace(SOFT, damping_time=2e-3)
 DESIGN = ["rod.length", "rod.youngs_modulus", "arm.height", "arm.density", "arm.length"]
 DESIGN += ["rod.damping_time", "rod.height[1]", "rod.poisson_ratio"]
 
+DRIVEN_DESIGN = [*DESIGN, "motor.frequency", "push.frequency", "spring.free_length"]
+
 
 def mechanism(dimension, driven=False):
     """A clamped arm carries a swinging rod of two elements; a drive may turn its end."""
@@ -86,7 +91,12 @@ def mechanism(dimension, driven=False):
     joints += [Drive(rod.at_end, Harmonic(0.5, 6.0), name="motor")] if driven else []
     spin = 2.0 if dimension == 2 else (0.3, -0.5, 2.0)
     gravity = (0.5, -9.81, 1.0)[:dimension]
-    return Scene([arm, rod], joints, gravity, [RigidMotion("rod", spin, (0.5, 0.1, *z))])
+    spring = SpringDamper(rod.at(0.6), 30.0, 0.2, 2.0, arm.at(0.5), name="spring")
+    push = FollowerForce(
+        rod.at(0.8), (1.0, 2.0, 0.5)[:dimension], law=Harmonic(1.0, 3.0), name="push"
+    )
+    start = [RigidMotion("rod", spin, (0.5, 0.1, *z))]
+    return Scene([arm, rod], joints, gravity, start, loads=[spring, push] if driven else [])
 
 
 ARM, ROD = mechanism(2).beams
@@ -105,7 +115,10 @@ def states_around_start(system, count=5, seed=1):
 
 @pytest.fixture(scope="module", params=[2, 3], ids=["planar", "spatial"])
 def system(request):
-    return assemble(mechanism(request.param, driven=True), [*DESIGN, "motor.frequency"])
+    return assemble(
+        mechanism(request.param, driven=True),
+        DRIVEN_DESIGN,
+    )
 
 
 def power(t, q, v, lam, b):
@@ -139,6 +152,8 @@ LEAVES = {
     "multiplier": multiplier("wall", 2),
     "torque of a drive": drive_torque("motor"),
     "power": joint_power("motor"),
+    "power of a spring": load_power("spring"),
+    "power of a follower": load_power("push"),
     "strain energy": strain_energy(),
     "strain energy of a beam": strain_energy("rod"),
     "kinetic energy": kinetic_energy(),
@@ -647,7 +662,10 @@ def test_time_and_design_are_what_they_say(system):
         (kinetic_energy("rood"), "arm, rod"),
         (reaction("pivott", 0), "motor, pivot, wall"),
         (multiplier("pivott", 0), "motor, pivot, wall"),
-        (design_value("rod.width"), ", ".join(sorted([*DESIGN, "motor.frequency"]))),
+        (
+            design_value("rod.width"),
+            ", ".join(sorted(DRIVEN_DESIGN)),
+        ),
         (np.sin(X * reaction("pivott", 0)), "motor, pivot, wall"),
     ],
 )

@@ -18,6 +18,7 @@ from ancfdae.ancf.held_angles import HeldAngles
 from ancfdae.ancf.inertia import Inertia
 from ancfdae.ancf.joint_work import JointWork, at_unit_rate
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
+from ancfdae.ancf.load_work import LoadWork
 from ancfdae.ancf.mass_blocks import element_masses, other_masses
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
@@ -29,8 +30,9 @@ from ancfdae.ancf.vectors import Vectors
 from ancfdae.bodies import Point
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, UnknownName
 from ancfdae.joints import DrivenJoint
+from ancfdae.loads import Load
 from ancfdae.naming import Layout, Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
@@ -122,6 +124,7 @@ class AncfSystem(MechanicalSystem):
         # What observables have asked for, prepared once.
         self._section_forces: dict[Point, SectionForces] = {}
         self._stresses: dict[Point | str, StressPoints] = {}
+        self._load_works: dict[str, LoadWork] = {}
         self._joint_works: dict[tuple[str, bool], JointWork] = {}
 
     def __repr__(self) -> str:
@@ -146,14 +149,15 @@ class AncfSystem(MechanicalSystem):
         return JointConstraints(inputs, vectors, self.n_b, d)
 
     def _load_forces(self) -> LoadForces:
-        inputs = []
-        for load in self._scene.loads:
-            own, p, p_b = self._part_input(load)
-            vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
-            reference, reference_b = self._in_reference(vectors)
-            used = reference_b if load.refers else {}
-            inputs.append(LoadInput(load, vectors, p, p_b, reference, used))
+        inputs = [self._load_input(load) for load in self._scene.loads]
         return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
+
+    def _load_input(self, load: Load) -> LoadInput:
+        own, p, p_b = self._part_input(load)
+        vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
+        reference, reference_b = self._in_reference(vectors)
+        used = reference_b if load.refers else {}
+        return LoadInput(load, vectors, p, p_b, reference, used)
 
     def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
         """Return vectors in the reference configuration, and their partials that are not zero."""
@@ -554,7 +558,7 @@ class AncfSystem(MechanicalSystem):
             total = total - self._loads.pull_back_rate((q, v, later), np.array([t]), mu)
         return total
 
-    # -- driven joints -------------------------------------------------------------------------
+    # -- driven joints and loads ---------------------------------------------------------------
 
     def joint_work(self, name: str, unit_rate: bool) -> JointWork:
         """Return what gives the power of a driven joint, or at a unit rate its torque or force.
@@ -578,6 +582,15 @@ class AncfSystem(MechanicalSystem):
             common = (place.first_row, self.n_b, self.element.d)
             self._joint_works[key] = JointWork(item, vectors, *common)
         return self._joint_works[key]
+
+    def load_work(self, name: str) -> LoadWork:
+        """Return what gives the power of a load, or raise UnknownName."""
+        if name not in self._load_works:
+            loads = {load.name: load for load in self._scene.loads}
+            if name not in loads:
+                raise UnknownName("load", name, loads)
+            self._load_works[name] = LoadWork(self._load_input(loads[name]), self.n_b)
+        return self._load_works[name]
 
     # -- mass ----------------------------------------------------------------------------------
 

@@ -1,6 +1,6 @@
 """Observables: what can be seen of a motion, with exact partial derivatives."""
 
-from ancfdae.observables.drives import drive_torque, guide_force, joint_power
+from ancfdae.observables.drives import drive_torque, guide_force, joint_power, load_power
 from ancfdae.observables.mass import (
     angular_momentum,
     centre_of_mass,

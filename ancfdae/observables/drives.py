@@ -1,4 +1,4 @@
-"""Observables of driven joints: torque of a drive, force of a guide, power."""
+"""Observables of what moves a scene: torque of a drive, force of a guide, power of all loads."""
 
 from __future__ import annotations
 
@@ -32,6 +32,36 @@ def joint_power(joint: str) -> Observable:
     ``Integral(joint_power("motor"))`` is its work; J.
     """
     return Work(joint, unit_rate=False)
+
+
+def load_power(load: str) -> Observable:
+    """Return the power of a load, what it adds to the energy of the scene; W.
+
+    That of a spring is what it gives back, and that of a damper is negative.
+    """
+    return LoadPower(load)
+
+
+@final
+@dataclass(frozen=True)
+class LoadPower(Leaf):
+    """Power of a load."""
+
+    load: str
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a load that does not exist."""
+        known_scene(system).load_work(self.load)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return F . V."""
+        return known_scene(system).load_work(self.load).value(states.t, states.q, states.v)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Differentiate in q, v and b."""
+        own = known_scene(system).load_work(self.load)
+        q, v, b = own.partials(states.t, states.q, states.v)
+        return LeafGradient(q=Rows(slice(None), q), v=Rows(slice(None), v), b=b)
 
 
 @final
