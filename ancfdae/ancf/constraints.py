@@ -477,6 +477,19 @@ class JointConstraints:
 
         return self._partial(work, ())
 
+    # -- what drives do, many instants ---------------------------------------------------------
+
+    def works(self, q: Array, lam: Array, t: Array) -> Array:
+        """Lam . Phi_t, shape (k,)."""
+        rates: Array = self._phi(self._over(t, 1), self._vectors.of(q))
+        return np.asarray(np.sum(lam * rates, axis=1))
+
+    def works_partials(self, q: Array, lam: Array, t: Array) -> tuple[Array, Array, Array]:
+        """Return partials of `works` in q, lam and b; shape (k, n) each."""
+        c, U = self._over(t, 1), self._vectors.of(q)
+        on_q = self._to_force.rows(self._raw(c, U) * lam[:, self._raw_row])
+        return on_q, self._phi(c, U), self._partial(lambda x: x.works(q, lam, t), (len(q),))
+
     # -- start: rates and their total derivatives, one instant -----------------------------------
 
     def constraint_q_rate(self, t: float, *states: Array) -> Array:
