@@ -332,6 +332,11 @@ class JointConstraints:
         changes = {i for slot in self._slots for i in slot.item.active if slot.changes(i)}
         return sorted(moves | changes)
 
+    @property
+    def is_complex(self) -> bool:
+        """Whether coefficients carry a complex perturbation."""
+        return np.iscomplexobj(self._parts.a)
+
     def moved(self, i: int) -> JointConstraints:
         """Return the constraints moved in design variable i by an imaginary step."""
         if i not in self.active:
