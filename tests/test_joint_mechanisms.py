@@ -53,6 +53,11 @@ STEEL = Material(7800.0, E, NU)
 F, L = 10.0, 1.0
 
 
+def body(name, place, d=3):
+    inertia = 0.02 if d == 2 else (0.02, 0.03, 0.04)
+    return RigidBody(name, place, mass=1.3, inertia=inertia)
+
+
 def section_of(h, w):
     """Section, EA, E I about z and y, and shear stiffness by Cowper's factor."""
     shear = 10 * (1 + NU) / (12 + 11 * NU)
@@ -122,6 +127,24 @@ def test_three_beams_in_a_node_hold_its_section_once():
     assert values[-1] > 0.05
 
 
+def test_a_third_section_of_an_element_needs_no_right_angle_of_its_own():
+    # The change of the right angle is linear along an element: two places hold the third.
+    rod = Beam("rod", (0, 0, 0), (1, 0, 0), 2, section_of(0.05, 0.05)[0], STEEL)
+    places = (0.1, 0.2, 0.4, 0.4, 0.7, 0.9)
+    tools = [body(f"tool{k}", (x, 0, 0)) for k, x in enumerate(places)]
+    held = [
+        Weld(rod.at(x), tool.origin, name=f"w{k}")
+        for k, (x, tool) in enumerate(zip(places, tools, strict=True))
+    ]
+    counts = []
+    for k in range(1, len(places) + 1):
+        system = assemble(Scene([rod], held[:k], bodies=tools[:k]))
+        names = list(system.constraint_names)
+        counts.append([names.count(f"w{n}") for n in range(k)][-1])
+    # Six of each weld; two angles of the first element, and one more with the node of the second.
+    assert counts == [7, 7, 6, 6, 7, 6]
+
+
 AXES = {"in the section": (0, 0, 1), "along the beam": (1, 0, 0), "oblique": (0.6, 0.5, 0.4)}
 
 
@@ -168,11 +191,6 @@ STEP = 2**-9
 
 def from_rest(amplitude, frequency):
     return Harmonic(amplitude, frequency, np.pi / 2, -amplitude)
-
-
-def body(name, place, d=3):
-    inertia = 0.02 if d == 2 else (0.02, 0.03, 0.04)
-    return RigidBody(name, place, mass=1.3, inertia=inertia)
 
 
 def run(scene, t_end=0.5, step=STEP):
@@ -429,6 +447,15 @@ def test_gradients_with_relative_drives_are_those_of_complex_steps(made):
     assert np.min(np.abs(exact)) > 1e-8 * scale  # nothing vanishes
     for ours in values.values():
         assert np.max(np.abs(ours - exact)) <= 1e-9 * scale
+    # Central differences of the public call: errors of 1e-10 times third derivatives, and
+    # round-off of 1e-13 over the step.
+    step = 1e-5
+    for i in (0, 1):
+        ends = [
+            gradient(system.with_values(b), objective, 0.125, HHT(2**-7), method=Adjoint()).value
+            for b in system.b + np.outer([step, -step], np.eye(system.n_b)[i])
+        ]
+        assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(exact[i], abs=1e-6 * scale)
 
 
 # ---------------------------------------------------------------- what joints cost
