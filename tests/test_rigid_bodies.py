@@ -569,7 +569,7 @@ def spatial_machine():
         DistributedForce("bow", (1.0, 2.0, 3.0)),
         loads.SpringDamper(body.at(0.1, 0.1, 0.1), 20.0, 0.3, 0.2, rod.at(0.3)),
     ]
-    start = [RigidMotion("body", (0.3, -0.2, 0.5), tuple(end))]
+    start = [RigidMotion("body", (0.0, 0.7, 0.7), tuple(end))]  # about the hinge
     design = [
         *("rod.width", "bow.height", "bow.length", "bow.density", "body.mass", "body.inertia_xy"),
         *("body.inertia_zz", "body.centre_y", "bead.mass", "hinge.axis_z", "body.turn_x"),
