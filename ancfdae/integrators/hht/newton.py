@@ -86,13 +86,16 @@ class StepSolver:
         """Iterations so far, of all steps."""
         return self._recorder.iterations
 
-    def advance(self, c: Coefficients, before: Node, t: float) -> Node | None:
-        """Solve eqs. (4) and (5) at t; None, with `verdict` set, if that fails."""
+    def advance(self, c: Coefficients, before: Node, t: float, patience: int = 1) -> Node | None:
+        """Solve eqs. (4) and (5) at t; None, with `verdict` set, if that fails.
+
+        It takes `patience` times as many iterations as are usual.
+        """
         far = abs(c.h - self._h) > _NEAR * self._h
         jacobian = None if far else self._jacobian
         self._h = c.h
         found = self._solve(
-            (c, before, t), (before.a, before.lam), jacobian, self._tolerance, math.inf
+            (c, before, t), (before.a, before.lam), jacobian, self._tolerance, math.inf, patience
         )
         return found and self.accept(found)
 
@@ -117,6 +120,7 @@ class StepSolver:
         jacobian: Factorization | None,
         tolerance: float,
         allowed: float,
+        patience: int = 1,
     ) -> Found | None:
         """Iterate from a guess; corrections above round-off shrink at the allowed rate at least."""
         c, before, t = step
@@ -132,7 +136,7 @@ class StepSolver:
         # The imaginary part of a complex step lags the real part by one iteration, and one is
         # for its round-off; as a guess it serves as it is. The real part goes its own way.
         more = 2 if is_complex and tolerance == self._tolerance else 0
-        for _ in range(self.max_iterations + more):
+        for _ in range(patience * self.max_iterations + more):
             q, v = correct(c, q_p, v_p, a)
             A = acceleration(c, a, before.A)
             reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)

@@ -24,6 +24,7 @@ from ancfdae.integrators.hht.equations import (
     Node,
     NodeSensitivity,
     constraint_error,
+    predict_increment,
     rescaled,
     rescaled_sensitivity,
 )
@@ -34,7 +35,11 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import Array, real_norm
+
+# Where the branch of solutions could be followed over more than this part of a step, and then was
+# lost in round-off, as many iterations as this times the usual ones are spent on the full step.
+_MOST_OF_IT, _PATIENCE = 0.5, 4
 
 # State of the recurrence at an instant, and of its derivatives if they are integrated.
 State = tuple[Node, NodeSensitivity | None]
@@ -84,6 +89,8 @@ class Stepper(OneStepMethod[State]):
         # Where steps are controlled a smaller one is the better cure.
         if node is None and self._tolerance is None:
             node, part = continued(self._solver, c, last, t)
+            if node is None and part > _MOST_OF_IT:
+                node = self._patient(c, last, t)
             self._remedy = remedy(h, part)
             self._recorder.continued += node is not None
         if node is None:
@@ -94,6 +101,16 @@ class Stepper(OneStepMethod[State]):
             row = ConstraintRow.of(system, c, last, node)
             node_b = linear_passes.advance(system, matrices, c, node_b, node, row)
         return node, node_b
+
+    def _patient(self, c: Coefficients, last: Node, t: float) -> Node | None:
+        """Iterate on where round-off hides the branch; None if that leads away from the motion."""
+        node = self._solver.advance(c, last, t, patience=_PATIENCE)
+        if node is None:
+            return None
+        ahead, _ = predict_increment(c, last.v, last.a)
+        weights = self._problem.system.weights
+        near = real_norm(node.q - last.q - ahead, weights) <= real_norm(ahead, weights)
+        return node if near else None
 
     def failure(self) -> Failure:
         """Return why Newton's method failed, the size of its last correction, and a remedy."""
