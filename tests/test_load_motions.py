@@ -300,9 +300,8 @@ def test_a_scene_starts_at_rest_under_its_loads_at_the_start_time():
     assert place[2] < -1e-3
 
 
-def test_the_start_of_hht_sees_the_rate_of_a_load():
-    # A force that grows from zero: its rate is in the third derivative of the start. The largest
-    # error of a multiplier, the first step's included, falls with the square of the step.
+def test_multipliers_under_a_growing_load_are_second_order_from_the_first_step_on():
+    # The largest error of a multiplier, the first step's included, falls with the step's square.
     beam = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.05, 0.04), SOFT)
     pull = PointForce(beam.at_end, (0.0, 1.0), law=Harmonic(20.0, 8.0))
     scene = Scene([beam], [Pin(beam.at_start)], loads=[pull])
