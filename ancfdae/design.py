@@ -21,6 +21,9 @@ from ancfdae.numerics.arrays import Array
 # The owner may contain dots: joints are named like pin(rod@0.5) by default.
 _TARGET = re.compile(r"(.+)\.([a-z_]+)(?:\[(\d+)\])?")
 
+# Entries of a symmetric tensor, in the order of a field that holds one.
+_TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
+
 
 class Designable:
     """A dataclass with numbers that design variables can drive.
@@ -51,25 +54,27 @@ class Designable:
             found |= self.numbers_of(name)
         return found
 
-    def with_parameter(self, parameter: str, number: float) -> Self:
-        """Return the same object with one of its `parameters` changed.
+    def with_parameters(self, changes: Mapping[str, float]) -> Self:
+        """Return the same object with some of its `parameters` changed together.
 
         Raises
         ------
         UnknownName
         """
+        unknown = [parameter for parameter in changes if parameter not in self.parameters()]
+        if unknown:
+            raise UnknownName("design target", unknown[0], self.parameters())
+        new: dict[str, object] = {}
         for name, value in self._design_values():
-            own = list(self.numbers_of(name))
-            if parameter in own:
-                if isinstance(value, Designable):
-                    new: object = value.with_parameter(parameter, number)
-                elif np.ndim(value) == 0:
-                    new = number
-                else:
-                    place = own.index(parameter)
-                    new = (*value[:place], number, *value[place + 1 :])
-                return replace(self, **{name: new})  # type: ignore[type-var]
-        raise UnknownName("design target", parameter, self.parameters())
+            own = self.numbers_of(name)
+            changed = {key: changes.get(key, number) for key, number in own.items()}
+            if changed == own:
+                continue
+            if isinstance(value, Designable):
+                new[name] = value.with_parameters(changed)
+            else:
+                new[name] = changed[name] if np.ndim(value) == 0 else tuple(changed.values())
+        return replace(self, **new)  # type: ignore[type-var]
 
     def split(self, p: Array) -> list[Any]:
         """Return the values of the design fields out of those of all `parameters`.
@@ -117,7 +122,8 @@ class Designable:
         if np.ndim(value) == 0:
             return {name: value}
         prefix = self.vector_words.get(name, name.partition("_")[0])
-        return {f"{prefix}_{axis}": x for axis, x in zip("xyz", value, strict=False)}
+        axes = _TENSOR if len(value) == len(_TENSOR) else "xyz"
+        return {f"{prefix}_{axis}": x for axis, x in zip(axes, value, strict=False)}
 
     def _design_values(self) -> list[tuple[str, Any]]:
         return [(name, getattr(self, name)) for name, _ in self.design_fields]
@@ -171,24 +177,27 @@ class Target:
 @final
 @dataclass(frozen=True)
 class DesignVariable:
-    """A design variable that drives one or several targets with one value.
+    """A design variable that drives one or several targets.
 
     Parameters
     ----------
     name : str
-    targets : sequence of str
-        Each ``"beam.parameter"`` or ``"beam.parameter[element]"``.
+    targets : sequence of str, or mapping
+        Each ``"beam.parameter"`` or ``"beam.parameter[element]"``. All targets of a sequence hold
+        the value of the variable. A mapping gives each a factor: the first target is its factor
+        times the variable, and the others move by theirs times its change; so a length that moves
+        two joints reads ``{"rod.length": 1, "left.ground_x": -0.5, "right.ground_x": 0.5}``.
     bounds : (float, float), optional
         Admissible range for optimisation.
 
     Raises
     ------
     InvalidInput
-        If a target cannot be read or the bounds are not ordered.
+        If a target cannot be read, a factor is zero, or the bounds are not ordered.
     """
 
     name: str
-    targets: Sequence[str]
+    targets: Sequence[str] | Mapping[str, float]
     bounds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -201,6 +210,10 @@ class DesignVariable:
             raise InvalidInput(where, rule, repr(self.targets), repair)
         for text in targets:
             parse_target(text)
+            require_finite(f"{where}, factor of {text}", self.factor(text))
+            if self.factor(text) == 0:
+                rule, repair = "a factor must not be zero", "Leave the target out."
+                raise InvalidInput(where, rule, f"0 for {text}", repair)
         if self.bounds is not None:
             require_vector(f"{where}, bounds", self.bounds, (2,))
             if not self.bounds[0] < self.bounds[1]:
@@ -210,6 +223,19 @@ class DesignVariable:
                     self.bounds,
                     "Swap or widen the bounds.",
                 )
+
+    def __hash__(self) -> int:
+        """Return a hash, so that variables can be keys of values."""
+        return hash((self.name, tuple(self.targets)))
+
+    @property
+    def shares(self) -> bool:
+        """Whether targets move by factors, instead of all holding the value."""
+        return isinstance(self.targets, Mapping)
+
+    def factor(self, target: str) -> float:
+        """Return by how much a target moves with the variable."""
+        return self.targets[target] if isinstance(self.targets, Mapping) else 1.0
 
 
 def parse_target(text: str) -> Target:

@@ -147,6 +147,17 @@ def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str
         raise InvalidInput(where, f"must be of type {names}", repr(value), repair)
 
 
+def require_name(where: str, value: object) -> None:
+    """Raise InvalidInput for what cannot stand before the parameter of a design target."""
+    if not isinstance(value, str) or not value or "." in value or "[" in value:
+        raise InvalidInput(
+            where,
+            "must be a non-empty string without '.' and '['",
+            repr(value),
+            "Names appear in design targets such as 'rod.height[2]'.",
+        )
+
+
 def require_sequence(
     where: str, value: object, rule: str = "must be a sequence", repair: str = "Put it in a list."
 ) -> tuple[Any, ...]:
@@ -202,6 +213,14 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
     require_vector(where, value, sizes)
     if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
         raise InvalidInput(where, "must not be zero", value, "Give a direction.")
+
+
+def require_axial(where: str, value: object) -> None:
+    """Raise InvalidInput for what is neither a number, as in the plane, nor three components."""
+    if np.ndim(value) == 0:  # type: ignore[arg-type]
+        require_finite(where, value)
+    else:
+        require_vector(where, value, (3,))
 
 
 def require_array(

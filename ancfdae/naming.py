@@ -1,4 +1,4 @@
-"""Where the coordinates and multipliers of beams and joints stand in q and lam.
+"""Where the coordinates and multipliers of beams, bodies and joints stand in q and lam.
 
 Plain numbers only, so that a saved solution can be read without its scene.
 """
@@ -14,30 +14,83 @@ import numpy as np
 from ancfdae.bodies import Point, Quantity
 from ancfdae.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.errors import InvalidInput, UnknownName
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
+
+
+@final
+@dataclass(frozen=True)
+class BodyLayout:
+    """Place of a beam or a rigid body: its vectors, `count` in a row from `first_vector` on.
+
+    Every `stride`-th of them is a position, the others are directions: per node of a beam, or of
+    the one frame of what is rigid. Vector k has the coordinates d k to d k + d - 1. `size` is the
+    length of a beam, the radius of gyration of a body, as declared.
+    """
+
+    name: str
+    first_vector: int
+    count: int
+    stride: int
+    size: float
+
+    @property
+    def vectors(self) -> Array:
+        """Numbers of its vectors."""
+        return self.first_vector + np.arange(self.count)
+
+    @property
+    def positions(self) -> Array:
+        """Numbers of those that are positions."""
+        return self.vectors[:: self.stride]
+
+
+@final
+@dataclass(frozen=True)
+class RigidNodes:
+    """Nodes of a rigid beam in its axes: chords over lengths, (n, d), and slopes, (n + 1, d, d)."""
+
+    chords: tuple[tuple[float, ...], ...]
+    slopes: tuple[tuple[tuple[float, ...], ...], ...]
+
+    def weights(self, lengths: Array, n_s: int) -> Array:
+        """Return W: node vectors as combinations of those of the body, (n + 1, n_s, d + 1)."""
+        chords, slopes = np.asarray(self.chords), np.asarray(self.slopes)
+        n, d = chords.shape
+        W = np.zeros((n + 1, n_s, d + 1), dtype=np.result_type(lengths, float))
+        W[:, 0, 0] = 1.0
+        W[1:, 0, 1:] = np.cumsum(lengths[:, None] * chords, axis=0)
+        W[:, 1:, 1:] = slopes[:, : n_s - 1]
+        return W
+
+    def positions_b(self, lengths_b: Array) -> Array:
+        """Return the partial of W[:, 0, 1:], which depends on lengths alone, (n + 1, d, n_b)."""
+        moved = np.cumsum(np.asarray(self.chords)[..., None] * lengths_b[:, None], axis=0)
+        return np.concatenate([np.zeros((1, *moved.shape[1:])), moved])
 
 
 @final
 @dataclass(frozen=True)
 class BeamLayout:
-    """Place of a beam: its first node, of d n_s coordinates, and its first element.
-
-    `fractions` has the arc-length fraction of each node, from 0 to 1.
-    """
+    """A beam: its first element, the arc-length fraction of each node, and what makes it rigid."""
 
     name: str
-    first_node: int
     first_element: int
     fractions: tuple[float, ...]
+    rigid: RigidNodes | None
 
     @property
     def element_count(self) -> int:
         """Number of elements."""
         return len(self.fractions) - 1
 
-    def locate(self, fraction: float) -> tuple[int, float]:
+    @property
+    def elements(self) -> slice:
+        """Its elements among those of the scene."""
+        return slice(self.first_element, self.first_element + self.element_count)
+
+    def locate(self, fraction: float | None) -> tuple[int, float]:
         """Element of the beam and its xi at an arc-length fraction; refuse one beyond [0, 1]."""
-        if not 0.0 <= fraction <= 1.0:
+        if fraction is None or not 0.0 <= fraction <= 1.0:
             raise InvalidInput(
                 f"point of {self.name!r}",
                 "the fraction along the beam must lie in [0, 1]",
@@ -71,10 +124,16 @@ class JointLayout:
 @final
 @dataclass(frozen=True)
 class Layout:
-    """Places of all beams and joints of a scene, and the name of the element of all beams."""
+    """Places of all parts of a scene, and the name of the element of all beams.
+
+    `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
+    the point masses.
+    """
 
     element_name: str
+    bodies: tuple[BodyLayout, ...]
     beams: tuple[BeamLayout, ...]
+    masses: tuple[str, ...]
     joints: tuple[JointLayout, ...]
 
     @property
@@ -88,9 +147,19 @@ class Layout:
         return self.element.d
 
     @property
-    def element_count(self) -> int:
-        """Number of elements."""
-        return sum(beam.element_count for beam in self.beams)
+    def owners(self) -> tuple[str, ...]:
+        """Names of all that has a mass."""
+        return (*(body.name for body in self.bodies), *self.masses)
+
+    def owner(self, name: str) -> int:
+        """Return the place of a name among the `owners`, or raise UnknownName."""
+        if name not in self.owners:
+            raise UnknownName("beam or body", name, self.owners)
+        return self.owners.index(name)
+
+    def body(self, name: str) -> BodyLayout:
+        """Return the vectors of the beam or rigid body of this name, or raise UnknownName."""
+        return _named("beam or body", name, self.bodies)
 
     def beam(self, name: str) -> BeamLayout:
         """Return the beam of this name, or raise UnknownName."""
@@ -101,7 +170,7 @@ class Layout:
         return _named("joint", name, self.joints)
 
 
-_Place = TypeVar("_Place", BeamLayout, JointLayout)
+_Place = TypeVar("_Place", BodyLayout, BeamLayout, JointLayout)
 
 
 def _named(kind: str, name: str, places: Sequence[_Place]) -> _Place:
@@ -124,22 +193,50 @@ class Naming:
     lengths: Array
     lengths_b: Array
 
-    def vector(self, point: Point, quantity: Quantity) -> PointVector:
-        """Return how a vector of a material point is made of node vectors.
+    def vector(
+        self, point: Point, quantity: Quantity, place: tuple[Array, Array] | None = None
+    ) -> PointVector:
+        """Return how a vector of a material point is made of vectors of its body.
 
-        Raises UnknownName for its beam, InvalidInput if points of its element have no such vector.
+        `place` has the `Point.numbers`, (3,), and their design derivatives, (3, n_b), where the
+        design may move the point.
+
+        Raises UnknownName for its body, InvalidInput if its points have no such vector.
         """
-        beam = self.layout.beam(point.beam)
-        local, xi = beam.locate(point.fraction)
+        body, beam = self.layout.body(point.beam), self._beam(point.beam)
+        numbers, numbers_b = self._place(point) if place is None else place
+        if beam is None:
+            return self._of_body(point, quantity, body, numbers, numbers_b)
+        fraction, y, z = numbers
+        local, at = beam.locate(None if point.fraction is None else float(fraction.real))
+        span = beam.fractions[local + 1] - beam.fractions[local]
+        xi = at + 1j * fraction.imag / span if np.iscomplexobj(numbers) else at
         element = beam.first_element + local
-        kind, where = self.layout.element, f"point of {point.beam!r}"
-        kind.require(where, quantity, point.y, point.z)
-        n_s = kind.n_s
-        w, p = kind.vector_weights(quantity, xi, point.y, point.z)
+        kind = self.layout.element
+        kind.require(f"point of {point.beam!r}", quantity, point.y, point.z)
+        w, p = kind.vector_weights(quantity, xi, y, z)
         l = self.lengths[element]
         s, s_l = w * l**p, w * p * l ** (p - 1)
-        first = (beam.first_node + local) * n_s
-        return PointVector(first + np.arange(2 * n_s), s, s_l[:, None] * self.lengths_b[element])
+        s_b = s_l[:, None] * self.lengths_b[element]
+        if np.any(numbers_b):
+            for k, steps in enumerate(STEP * np.diag([1 / span, 1.0, 1.0])):
+                moved = (x.real + 1j * step for x, step in zip((xi, y, z), steps, strict=True))
+                w_k = kind.vector_weights(quantity, *moved)[0].imag / STEP
+                s_b = s_b + np.outer(w_k * l**p, numbers_b[k])
+        return self._of_nodes(beam, local, s, s_b)
+
+    def nodes(self, states: Array, name: str) -> Array:
+        """Return the node vectors of a beam or a rigid body in states of shape (k, n_q).
+
+        Shape (k, n_nodes, n_s, d); a rigid body has one node, of d + 1 vectors.
+        """
+        body, beam, d = self.layout.body(name), self._beam(name), self.layout.d
+        X = states.reshape(len(states), -1, d)[:, body.vectors]
+        X = X.reshape(len(states), -1, body.stride, d)
+        if beam is None or beam.rigid is None:
+            return X
+        W = beam.rigid.weights(self.lengths[beam.elements], self.layout.element.n_s)
+        return np.asarray(W @ X)
 
     def centre_line(self, beam: str) -> PointVector:
         """Return the integral of the position along the centre line of a beam.
@@ -147,24 +244,77 @@ class Naming:
         Per element int r dx = l (r_1 + r_2)/2 + l^2 (r_x1 - r_x2)/12.
         """
         place, n_s = self.layout.beam(beam), self.layout.element.n_s
-        count = place.element_count
-        elements = place.first_element + np.arange(count)
-        l, l_b = self.lengths[elements], self.lengths_b[elements]
-        weights = np.zeros((count + 1, n_s), dtype=l.dtype)
-        weights_b = np.zeros((count + 1, n_s, l_b.shape[1]), dtype=l.dtype)
+        l, l_b = self.lengths[place.elements], self.lengths_b[place.elements]
+        weights = np.zeros((len(l) + 1, n_s), dtype=l.dtype)
+        weights_b = np.zeros((len(l) + 1, n_s, l_b.shape[1]), dtype=l.dtype)
         for end, sign in ((slice(None, -1), 1.0), (slice(1, None), -1.0)):
             weights[end, 0] += l / 2
             weights[end, 1] += sign * l**2 / 12
             weights_b[end, 0] += l_b / 2
             weights_b[end, 1] += sign * l[:, None] * l_b / 6
-        vectors = place.first_node * n_s + np.arange((count + 1) * n_s)
-        return PointVector(vectors, weights.ravel(), weights_b.reshape(len(vectors), -1))
+        return self._of_nodes(place, 0, weights.ravel(), weights_b.reshape(weights.size, -1))
+
+    def direction(self, body: str, number: int) -> PointVector:
+        """Return a direction of the axes of something rigid, counted from 1 on."""
+        at = self.layout.body(body).vectors[[number]]
+        return PointVector(at, np.ones(1), np.zeros((1, self.lengths_b.shape[1])))
+
+    def _beam(self, name: str) -> BeamLayout | None:
+        return next((beam for beam in self.layout.beams if beam.name == name), None)
+
+    def _place(self, point: Point) -> tuple[Array, Array]:
+        numbers = np.array(list(point.numbers().values()))
+        return numbers, np.zeros((len(numbers), self.lengths_b.shape[1]))
+
+    def _of_body(
+        self,
+        point: Point,
+        quantity: Quantity,
+        body: BodyLayout,
+        numbers: Array,
+        numbers_b: Array,
+    ) -> PointVector:
+        """Return r + x d_1 + y d_2 + z d_3, or one of these directions."""
+        if point.fraction is not None:
+            raise InvalidInput(
+                f"point of {point.beam!r}",
+                "a rigid body has no fractions",
+                point.fraction,
+                "Write body.at(x, y).",
+            )
+        weights = np.zeros(body.count, dtype=numbers.dtype)
+        weights_b = np.zeros((body.count, self.lengths_b.shape[1]))
+        if quantity is Quantity.POSITION:
+            weights[0], weights[1:] = 1.0, numbers[: body.count - 1]
+            weights_b[1:] = numbers_b[: body.count - 1]
+        else:
+            weights[quantity] = 1.0
+        return PointVector(body.vectors, weights, weights_b)
+
+    def _of_nodes(
+        self, beam: BeamLayout, node: int, weights: Array, weights_b: Array
+    ) -> PointVector:
+        """Return a combination of vectors of nodes from the given one on.
+
+        Those of a rigid beam are combinations of the vectors of its frame.
+        """
+        n_s, first = self.layout.element.n_s, self.layout.body(beam.name).first_vector
+        own = slice(node * n_s, node * n_s + len(weights))
+        if beam.rigid is None:
+            return PointVector(first + np.arange(own.start, own.stop), weights, weights_b)
+        W = beam.rigid.weights(self.lengths[beam.elements], n_s)
+        W = W.reshape(-1, W.shape[-1])[own]
+        moved = beam.rigid.positions_b(self.lengths_b[beam.elements])
+        at = slice(node, node + len(weights) // n_s)
+        combined_b = W.T @ weights_b
+        combined_b[1:] += np.einsum("k,kdb->db", weights[::n_s], moved[at])
+        return PointVector(first + np.arange(W.shape[1]), W.T @ weights, combined_b)
 
 
 @final
 @dataclass(frozen=True)
 class PointVector:
-    """A position or slope vector of a material point as a combination of node vectors.
+    """A position or slope vector of a material point as a combination of vectors of its body.
 
     `vectors`, (n_a,), has their numbers in the scene; vector k has the coordinates d k to
     d k + d - 1. `weights` is (n_a,), with design derivatives (n_a, n_b).

@@ -1,11 +1,12 @@
-"""What joints and loads share: a name, points of beams or the ground, and design targets."""
+"""What joints and loads share: a name, points of beams or bodies, and design targets."""
 
 from __future__ import annotations
 
 import abc
 import re
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, TypeAlias, final
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self, TypeAlias, final
 
 import numpy as np
 
@@ -31,8 +32,25 @@ class CentreLine:
 # Names by default hold numbers: pin(rod@0.5).
 _NO_NAME = re.compile(r"\.(?!\d)|\[")
 
+
+@final
+@dataclass(frozen=True)
+class Direction:
+    """A direction of the axes of something rigid, as a vector for what keeps it rigid.
+
+    Parameters
+    ----------
+    body : str
+    number : int
+        From 1 on.
+    """
+
+    body: str
+    number: int
+
+
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
-Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine, ...]
+Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine | Direction, ...]
 
 
 class Part(Designable, abc.ABC):
@@ -58,6 +76,8 @@ class Part(Designable, abc.ABC):
     kind: ClassVar[str]
     needs_other_end: ClassVar[bool] = False
     spatial: ClassVar[bool] = False
+    #: What it says to a second point in the place of its name.
+    no_second_point: ClassVar[str] = "It joins no second point here."
 
     name: str
 
@@ -69,7 +89,7 @@ class Part(Designable, abc.ABC):
                 f"{self.role} {self.kind!r}, name",
                 "must be a string",
                 repr(name),
-                "It joins no second point here." if isinstance(name, Point) else "Give a name.",
+                self.no_second_point if isinstance(name, Point) else "Give a name.",
             )
         if _NO_NAME.search(name):
             raise InvalidInput(
@@ -83,17 +103,43 @@ class Part(Designable, abc.ABC):
         at = given.get("beam")
         if "point" in given:
             require_point(where, given["point"])
-            at = f"{given['point'].beam}@{given['point'].fraction:g}"
+            at = str(given["point"])
         if not name:
             object.__setattr__(self, "name", f"{self.kind}({at})")
         where = f"{self.role} {self.name!r}"
         self._check_ends(where, given)
         self.check_fields(where)
 
+    def point_numbers(self) -> dict[str, float]:
+        """Return the places of the points on their beams, which can be design targets, too.
+
+        By name ``point_fraction``, ``point_y``, ``point_z``, and likewise of `other`.
+        """
+        return {
+            f"{name}_{coordinate}": number
+            for name, point in self.point_fields().items()
+            for coordinate, number in point.numbers().items()
+        }
+
+    def with_parameters(self, changes: Mapping[str, float]) -> Self:
+        """Return the same part with some of its `parameters` and `point_numbers` changed."""
+        own = {name: number for name, number in changes.items() if name in self.point_numbers()}
+        points = self.point_fields()
+        for name, number in own.items():
+            field, _, coordinate = name.rpartition("_")
+            points[field] = replace(points[field], **{coordinate: number})  # type: ignore[arg-type]
+        part = replace(self, **points)  # type: ignore[type-var]
+        rest = {name: number for name, number in changes.items() if name not in own}
+        return super(Part, part).with_parameters(rest)
+
+    def point_fields(self) -> dict[str, Point]:
+        """Return the fields that hold a point."""
+        return {name: x for name, x in self._given().items() if isinstance(x, Point)}
+
     @property
     def points(self) -> tuple[Point, ...]:
         """The points that the part touches, the one that it acts on first."""
-        return tuple(value for value in self._given().values() if isinstance(value, Point))
+        return tuple(self.point_fields().values())
 
     @property
     def whole_beam(self) -> str | None:
@@ -119,7 +165,7 @@ class Part(Designable, abc.ABC):
                 where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
             )
         for vector in self.vectors(element):
-            if not isinstance(vector, CentreLine):
+            if isinstance(vector, tuple) and vector[0].fraction is not None:
                 element.require(where, vector[1], vector[0].y, vector[0].z)
         for name, _ in self.design_fields:
             value = getattr(self, name)

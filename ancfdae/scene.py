@@ -2,39 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import BeamBody, Point, require_point
-from ancfdae.design import DesignVariable, Target, parse_target
-from ancfdae.elements import ElementParameter
+from ancfdae.bodies import BeamBody, Point, RigidBody, require_point
+from ancfdae.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.errors import (
     InvalidInput,
     UnknownName,
-    require_finite,
     require_kind,
     require_sequence,
     require_vector,
 )
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
-from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Part
+from ancfdae.point_mass import PointMass
+from ancfdae.scene_design import SCENE, SceneDesign
 from ancfdae.starts import AtRest, NodeState, RigidMotion, Start, checked_start
 from ancfdae.text import listed
-
-# Two targets hold the same value up to this relative difference: a length is summed from its n
-# elements, which moves it by n eps; this admits 4500 elements.
-_SAME = 1e-12
 
 
 @final
 @dataclass(frozen=True)
-class Scene:
-    """Beams, joints, loads and gravity, and how they start.
+class Scene(SceneDesign):
+    """Beams, rigid bodies, joints, loads and gravity, and how they start.
 
     Only what is declared is prepared and integrated: a planar scene has no spatial
     coordinate, a scene without damping no velocity Jacobian.
@@ -42,17 +37,25 @@ class Scene:
     Parameters
     ----------
     beams : sequence of BeamBody
-        All planar or all spatial.
+        With the rigid bodies all planar or all spatial.
     joints : sequence of Joint
     loads : sequence of Load
     gravity : sequence of float, optional
         Acceleration of gravity; m/s^2.
     start : sequence of RigidMotion, NodeState or AtRest
-        Initial motion; beams not named start at rest in the reference configuration. With `AtRest`
-        everything starts from an equilibrium.
+        Initial motion; what is not named starts at rest in the reference configuration. With
+        `AtRest` everything starts from an equilibrium.
+    assemble : bool
+        Whether bodies that do not meet their joints as declared are moved onto them by rigid
+        motions, with the least turns, instead of being refused; velocities likewise. Where the
+        design is not that of the declaration they always are.
+    lead : sequence of str
+        Beams that keep their orientation when bodies are assembled: others turn.
     project_start : bool
-        Whether a start that violates the constraints is moved onto them (the nearest one in
-        the norm of the mass matrix) instead of being refused.
+        Whether what rigid motions cannot close is moved onto the joints (the nearest state in the
+        norm of the mass matrix, which strains the bodies) instead of being refused; includes
+        `assemble`.
+    bodies : sequence of RigidBody or PointMass
 
     Raises
     ------
@@ -62,22 +65,29 @@ class Scene:
         If a joint or a start names a beam that does not exist.
     """
 
-    beams: Sequence[BeamBody]
+    beams: Sequence[BeamBody] = ()
     joints: Sequence[Joint] = ()
     gravity: Sequence[float] | None = None
     start: Sequence[Start] = ()
     loads: Sequence[Load] = ()
+    assemble: bool = False
+    lead: Sequence[str] = ()
     project_start: bool = False
+    bodies: Sequence[RigidBody | PointMass] = ()
+
+    design_fields = (("gravity", require_vector),)
 
     def __post_init__(self) -> None:
         """Freeze the sequences and validate."""
         self._freeze("beams", (BeamBody,), "Add a Beam.")
+        self._freeze("bodies", (RigidBody, PointMass), "Add a RigidBody.")
         self._freeze("joints", (Joint,), "Add a Pin.")
         self._freeze("loads", (Load,), "Add a PointForce.")
         self._freeze("start", (RigidMotion, NodeState, AtRest), "Add a RigidMotion.")
-        self._check_beams()
+        self._check_members()
         self._check_names()
         self._check_parts()
+        self._check_assembly()
         if self.gravity is not None:
             require_vector("Scene.gravity", self.gravity, (self.dimension,))
         object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
@@ -86,15 +96,35 @@ class Scene:
     @property
     def dimension(self) -> int:
         """Dimension of space."""
-        return self.beams[0].dimension
+        return self.members[0].dimension
+
+    @property
+    def element(self) -> BeamElement:
+        """The element of all beams; without beams the one whose nodes are like rigid bodies."""
+        if self.beams:
+            return self.beams[0].element
+        return next(each for each in ALL_ELEMENTS if each.d == self.dimension)
+
+    @property
+    def members(self) -> tuple[BeamBody | RigidBody, ...]:
+        """All that has coordinates, in their order: beams, then rigid bodies."""
+        rigid = (body for body in self.bodies if isinstance(body, RigidBody))
+        return (*self.beams, *rigid)
+
+    @property
+    def point_masses(self) -> tuple[PointMass, ...]:
+        """The masses at points."""
+        return tuple(body for body in self.bodies if isinstance(body, PointMass))
 
     def __repr__(self) -> str:
         """Return the names of all parts."""
         beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
-        joints, loads = (listed(part.name for part in x) for x in (self.joints, self.loads))
+        kinds = (self.bodies, self.joints, self.loads)
+        bodies, joints, loads = (listed(part.name for part in x) for x in kinds)
         where = "plane" if self.dimension == 2 else "space"
         return (
-            f"Scene in the {where}\nbeams: {beams}\njoints: {joints}\nloads: {loads}\n"
+            f"Scene in the {where}\nbeams: {beams}\nbodies: {bodies}\n"
+            f"joints: {joints}\nloads: {loads}\n"
             f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
         )
 
@@ -110,9 +140,22 @@ class Scene:
                 return beam
         raise UnknownName("beam", name, (beam.name for beam in self.beams))
 
-    def parts(self) -> dict[str, Part]:
-        """Return joints and loads, of the start at rest too; their numbers can be targets."""
-        return {part.name: part for part in (*self.joints, *self.loads, *self._rest_loads())}
+    def member(self, name: str) -> BeamBody | RigidBody:
+        """Return the beam or rigid body of this name.
+
+        Raises
+        ------
+        UnknownName
+        """
+        for body in self.members:
+            if body.name == name:
+                return body
+        raise UnknownName("beam or body", name, (body.name for body in self.members))
+
+    def parts(self) -> dict[str, Part | RigidBody]:
+        """Return bodies, joints and loads, of the start too; their numbers can be targets."""
+        parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
+        return {part.name: part for part in parts}
 
     @property
     def rest(self) -> AtRest | None:
@@ -136,149 +179,6 @@ class Scene:
         own = (start for start in self.start if not isinstance(start, AtRest))
         return next((start for start in own if start.beam == beam), None)
 
-    def part(self, target: Target) -> Part:
-        """Return the joint or load that a target names, with the parameter checked.
-
-        Raises
-        ------
-        UnknownName, InvalidInput
-        """
-        parts = self.parts()
-        if target.owner not in parts:
-            known = [*(beam.name for beam in self.beams), *parts]
-            raise UnknownName("beam, joint or load", target.owner, known)
-        part = parts[target.owner]
-        if target.indexed not in part.parameters():
-            known = [f"{part.name}.{name}" for name in part.parameters()]
-            raise UnknownName("design target", str(target), known)
-        return part
-
-    def is_beam(self, target: Target) -> bool:
-        """Whether a target names a beam."""
-        return any(beam.name == target.owner for beam in self.beams)
-
-    def first_elements(self) -> dict[str, int]:
-        """Return the scene-wide number of the first element of each beam."""
-        counts = np.cumsum([0] + [beam.element_count for beam in self.beams])
-        return {beam.name: int(k) for beam, k in zip(self.beams, counts, strict=False)}
-
-    def with_values(self, values: Mapping[str, float]) -> Scene:
-        """Return the same scene with other parameter values.
-
-        Parameters
-        ----------
-        values : mapping
-            ``{"beam.parameter": value}`` or ``{"beam.parameter[element]": value}``.
-
-        Raises
-        ------
-        InvalidInput, UnknownName
-        """
-        require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
-        parts = {part.name: part for part in self._all_parts()}
-        parts |= self._changed((text, text, value) for text, value in values.items())
-        changed = [part for part in parts.values() if isinstance(part, Load)]
-        return replace(
-            self,
-            beams=tuple(part for part in parts.values() if isinstance(part, BeamBody)),
-            joints=tuple(part for part in parts.values() if isinstance(part, Joint)),
-            loads=tuple(changed[: len(self.loads)]),
-            start=tuple(s.with_loads(changed) if isinstance(s, AtRest) else s for s in self.start),
-        )
-
-    def check_values(self, design: Sequence[DesignVariable], values: Sequence[float]) -> None:
-        """Refuse values that design variables cannot take, such as a negative height.
-
-        Each part is checked alone; whether all parts still fit together is not checked.
-
-        Raises
-        ------
-        InvalidInput
-            Naming the variable.
-        """
-        self._changed(
-            (f"design variable {variable.name!r}", text, value)
-            for variable, value in zip(design, values, strict=True)
-            for text in variable.targets
-        )
-
-    def _changed(self, changes: Iterable[tuple[str, str, float]]) -> dict[str, BeamBody | Part]:
-        """Return the parts that targets change, all targets of a part at once.
-
-        Changes are (what errors name, target, value).
-        """
-        own: dict[str, list[_Change]] = {}
-        for where, text, value in changes:
-            target, _ = self._resolve(text)
-            require_finite(where, value)
-            own.setdefault(target.owner, []).append((where, target, value))
-        parts = {part.name: part for part in self._all_parts()}
-        return {name: _with_values(parts[name], own[name]) for name in own}
-
-    def value(self, variable: DesignVariable) -> float:
-        """Return the current value of a design variable.
-
-        Raises
-        ------
-        InvalidInput
-            If its targets hold different values, so that it has no single one.
-        """
-        parameters = self.element_parameters()
-        values: list[float] = []
-        for text in variable.targets:
-            target = parse_target(text)
-            if not self.is_beam(target):
-                values.append(float(self.part(target).parameters()[target.indexed]))
-                continue
-            beam = self.beam(target.owner)
-            rows = self.target_elements(target)
-            which = beam.parameter_names()[target.parameter]
-            if which is ElementParameter.LENGTH:
-                values.append(float(np.sum(beam.reference().lengths)))
-            else:
-                values.extend(parameters[rows, which].tolist())
-        if max(values) - min(values) > _SAME * max(map(abs, values)):
-            raise InvalidInput(
-                f"design variable {variable.name!r}",
-                "all its targets must hold one and the same value",
-                sorted(set(values)),
-                "Set them equal with `with_values`, or use one variable per target.",
-            )
-        return values[0]
-
-    def target_elements(self, target: Target) -> Array:
-        """Return the scene-wide numbers of the elements that a target writes to.
-
-        Raises
-        ------
-        InvalidInput, UnknownName
-        """
-        beam = self.beam(target.owner)
-        beam.check_target(target.parameter, target.element)
-        elements = self.first_elements()[beam.name] + np.arange(beam.element_count)
-        return elements if target.element is None else elements[[target.element]]
-
-    def element_parameters(self) -> Array:
-        """Return the parameters of all elements, shape (n, 9), columns as `ElementParameter`."""
-        return np.concatenate([beam.element_parameters() for beam in self.beams])
-
-    def _all_parts(self) -> tuple[BeamBody | Part, ...]:
-        return (*self.beams, *self.joints, *self.loads, *self._rest_loads())
-
-    def _rest_loads(self) -> tuple[Load, ...]:
-        """Return the loads of the start at rest that are not those of the motion."""
-        loads = () if self.rest is None else self.rest.loads or ()
-        return tuple(load for load in loads if not any(load is own for own in self.loads))
-
-    def _resolve(self, text: str) -> tuple[Target, BeamBody | Part]:
-        """Read a target and find its part; refuse one that the scene does not have."""
-        target = parse_target(text)
-        if not self.is_beam(target):
-            return target, self.part(target)
-        beam = self.beam(target.owner)
-        beam.check_target(target.parameter, target.element)
-        return target, beam
-
     def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
         """Turn a sequence of parts into a tuple and refuse what is none of them."""
         parts = require_sequence(f"Scene.{name}", getattr(self, name))
@@ -290,21 +190,27 @@ class Scene:
         """Refuse names that stand for two parts, and beams that start twice."""
         rule, repair = "every part needs a name of its own", "Rename one."
         _require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
+        _require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
         _require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)
         _require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
+        if SCENE in (part.name for part in self._all_parts()):
+            raise InvalidInput("Scene", "'scene' names the scene itself", SCENE, repair)
         starts = [start.beam for start in self.start if not isinstance(start, AtRest)]
-        _require_unique("Scene.start", "every beam starts once", starts, "Keep one of them.")
+        _require_unique(
+            "Scene.start", "every beam and body starts once", starts, "Keep one of them."
+        )
 
-    def _check_beams(self) -> None:
-        if not self.beams:
-            raise InvalidInput("Scene.beams", "needs at least one beam", "none", "Add a beam.")
-        dimensions = {beam.dimension for beam in self.beams}
-        if len(dimensions) > 1:
+    def _check_members(self) -> None:
+        if not self.members:
+            rule, repair = "needs at least one beam or rigid body", "Add a Beam or a RigidBody."
+            raise InvalidInput("Scene.beams and bodies", rule, "none", repair)
+        dimensions = {body.name: body.dimension for body in self.members}
+        if len(set(dimensions.values())) > 1:
             raise InvalidInput(
-                "Scene.beams",
+                "Scene.beams and bodies",
                 "must be all planar or all spatial",
-                {beam.name: beam.dimension for beam in self.beams},
-                "Give every beam points with the same number of components.",
+                dimensions,
+                "Give all of them points with the same number of components.",
             )
         elements = {beam.name: beam.element.name for beam in self.beams}
         if len(set(elements.values())) > 1:
@@ -313,10 +219,11 @@ class Scene:
             )
 
     def _check_parts(self) -> None:
-        element = self.beams[0].element
         for part in self.parts().values():
+            if isinstance(part, RigidBody):
+                continue
             where = f"{part.role} {part.name!r}"
-            part.check_space(element)
+            part.check_space(self.element)
             if part.whole_beam is not None:
                 self._check_beam(where, part.whole_beam)
             for point in part.points:
@@ -328,10 +235,24 @@ class Scene:
             raise UnknownName(f"{where}, beam", name, known)
 
     def _check_point(self, where: str, point: Point) -> None:
-        """Refuse a point outside the sections of the element, or the two elements, it lies in."""
+        """Refuse a point outside the sections of the element, or the two elements, it lies in.
+
+        Points of rigid bodies may lie anywhere.
+        """
         require_point(where, point, self.dimension)
-        self._check_beam(where, point.beam)
-        beam = self.beam(point.beam)
+        known = {body.name: body for body in self.members}
+        if point.beam not in known:
+            raise UnknownName(f"{where}, beam", point.beam, known)
+        beam = known[point.beam]
+        if (point.fraction is None) != isinstance(beam, RigidBody):
+            raise InvalidInput(
+                where,
+                "a point of a beam has a fraction, one of a rigid body a place x, y, z",
+                point,
+                "Write beam.at(fraction) or body.at(x, y).",
+            )
+        if isinstance(beam, RigidBody) or point.fraction is None:
+            return
         ends = np.cumsum(beam.reference().lengths)
         ends /= ends[-1]
         starts = np.concatenate([[0.0], ends[:-1]])
@@ -349,7 +270,7 @@ class Scene:
     def _checked_start(self, start: Start) -> Start:
         if isinstance(start, AtRest):
             return start
-        return checked_start(start, self.beam(start.beam), self.dimension)
+        return checked_start(start, self.member(start.beam), self.dimension)
 
     def _check_rest(self) -> None:
         """Refuse a start at rest that moves."""
@@ -368,24 +289,19 @@ class Scene:
                 "Leave out what moves; a NodeState tells where the search starts.",
             )
 
-
-#: What errors name, target and value.
-_Change = tuple[str, Target, float]
-
-
-def _with_values(part: BeamBody | Part, changes: list[_Change]) -> BeamBody | Part:
-    """Return the part with numbers changed together; errors name what the user wrote."""
-    try:
-        if isinstance(part, BeamBody):
-            return part.with_values([(t.parameter, t.element, value) for _, t, value in changes])
-        for _, target, value in changes:
-            part = part.with_parameter(target.indexed, value)
-        return part
-    except InvalidInput as error:
-        # The one that the error speaks of, or all that do not fit together.
-        named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
-        where = ", ".join(dict.fromkeys(change[0] for change in named))
-        raise InvalidInput(where, error.rule, error.got, error.repair) from error
+    def _check_assembly(self) -> None:
+        """Refuse names that are no bodies, and beams that start at one another in a circle."""
+        object.__setattr__(self, "lead", require_sequence("Scene.lead", self.lead))
+        for name in self.lead:
+            self.member(name)
+        for body in self.members:
+            seen = [body.name]
+            while (point := self.member(seen[-1]).attached) is not None:
+                self._check_point(f"start of {seen[-1]!r}", point)
+                if point.beam in seen:
+                    rule, repair = "bodies may not start at one another", "Give one a place."
+                    raise InvalidInput(f"start of {body.name!r}", rule, seen, repair)
+                seen.append(point.beam)
 
 
 def _require_unique(where: str, rule: str, names: list[str], repair: str) -> None:

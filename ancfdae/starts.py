@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias, final
+from typing import ClassVar, TypeAlias, final
 
-from ancfdae.bodies import BeamBody
+from ancfdae.bodies import BeamBody, RigidBody
+from ancfdae.design import Designable
 from ancfdae.errors import (
+    InvalidInput,
     require_array,
+    require_axial,
     require_finite,
     require_kind,
     require_sequence,
@@ -20,15 +23,17 @@ from ancfdae.numerics.arrays import Array
 
 @final
 @dataclass(frozen=True)
-class RigidMotion:
-    """Initial velocity of a beam: a rigid-body motion.
+class RigidMotion(Designable):
+    """Initial velocity of a beam or a rigid body: a rigid-body motion.
 
-    v = velocity + angular_velocity x (r - about); slopes turn with it.
+    v = velocity + angular_velocity x (r - about); slopes turn with it. Design targets, under the
+    name of the body: ``angular_velocity`` (in space ``angular_velocity_x`` ...), ``about_x`` ...,
+    and ``velocity_x`` ... where it is given.
 
     Parameters
     ----------
     beam : str
-        Name of the beam.
+        Name of the beam or the body.
     angular_velocity : float or sequence of float
         A number in the plane, three components in space; rad/s.
     about : sequence of float
@@ -42,11 +47,22 @@ class RigidMotion:
     about: Sequence[float]
     velocity: Sequence[float] | None = None
 
+    design_fields = (
+        ("angular_velocity", require_axial),
+        ("about", require_vector),
+        ("velocity", require_vector),
+    )
+    vector_words: ClassVar[Mapping[str, str]] = {"angular_velocity": "angular_velocity"}
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        self.check_fields(f"start of {self.beam!r}")
+
 
 @final
 @dataclass(frozen=True)
 class NodeState:
-    """Initial coordinates and velocities of a beam, node by node.
+    """Initial coordinates and velocities of a beam that is not rigid, node by node.
 
     Parameters
     ----------
@@ -105,14 +121,14 @@ Start: TypeAlias = RigidMotion | NodeState | AtRest
 
 
 def checked_start(
-    start: RigidMotion | NodeState, beam: BeamBody, d: int
+    start: RigidMotion | NodeState, beam: BeamBody | RigidBody, d: int
 ) -> RigidMotion | NodeState:
     """Return a start with its arrays as such.
 
     Raises
     ------
     InvalidInput
-        If vectors have another size.
+        If vectors have another size, or a rigid body has states of nodes.
     """
     where = f"start of {beam.name!r}"
     if isinstance(start, RigidMotion):
@@ -124,6 +140,9 @@ def checked_start(
         else:
             require_vector(f"{where}, angular_velocity", start.angular_velocity, (3,))
         return start
+    if isinstance(beam, RigidBody) or beam.rigid:
+        rule, repair = "a rigid body has no nodes", "Give it a RigidMotion."
+        raise InvalidInput(where, rule, "a NodeState", repair)
     shape = (beam.element_count + 1, beam.element.n_s, d)
     coordinates = require_array(f"{where}, coordinates", start.coordinates, shape)
     velocities = None

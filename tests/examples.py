@@ -14,10 +14,27 @@ from typing import Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ancfdae import Harmonic, InvalidInput, Law, Point, Scene, assemble, laws
+from ancfdae import Harmonic, InvalidInput, Law, Point, RigidBody, Scene, assemble, laws
+from ancfdae.joints import DrivenJoint, Equations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)
+#: Another one, for joints of two axes.
+ACROSS = (0.5, 0.7, -0.4)
+
+
+def coefficients_of(joint, p, reference, t, order=0):
+    """Coefficients of a joint at an instant, or their time derivatives: its parts, put together."""
+    still = joint.coefficients(p, reference)
+    moving, factors = (), ()
+    if isinstance(joint, DrivenJoint):
+        moving, factors = joint.moving(p, reference), joint.factors(p, np.array([t]), order)[:, 0]
+    parts = [(float(order == 0), still), *zip(factors, moving, strict=True)]
+    arrays = (
+        sum(factor * getattr(part, name) for factor, part in parts)
+        for name in ("linear", "bilinear", "offset")
+    )
+    return Equations(*arrays, still.shapes)
 
 
 def public_classes(module, base):
@@ -31,7 +48,7 @@ def values_of(hint, name, points, d):
     if get_origin(hint) in (UnionType, Union):
         return [x for part in get_args(hint) for x in values_of(part, name, points, d)]
     if get_origin(hint) is Sequence:
-        return [ARROW[:d]]
+        return [ACROSS[:d] if name == "cross" else ARROW[:d]]
     return {
         Point: [points[1 if name == "other" else 0]],
         Law: [Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)],
@@ -41,13 +58,20 @@ def values_of(hint, name, points, d):
     }.get(hint, [])
 
 
-def examples(kind, beams, points):
+def scene_of(members, part):
+    """A scene of beams or rigid bodies and one joint or load."""
+    bodies = [body for body in members if isinstance(body, RigidBody)]
+    beams = [beam for beam in members if beam not in bodies]
+    return Scene(beams, bodies=bodies, **{f"{part.role}s": [part]})
+
+
+def examples(kind, beams, points, bodies=()):
     """Admissible examples of a class on two points, by what they are given beside the rest.
 
     All fields that must be given take every combination of values of their types. Of those that
     need not be given none, one, all but one, or all are. What a scene of the beams refuses is none.
     """
-    d, hints = beams[0].dimension, get_type_hints(kind)
+    d, hints = (*beams, *bodies)[0].dimension, get_type_hints(kind)
     needed, optional, count = [{}], {}, 0
     for field in fields(kind):
         if field.name == "name":
@@ -74,7 +98,7 @@ def examples(kind, beams, points):
     for arguments in choices:
         try:
             part = kind(**arguments)
-            assemble(Scene(beams, **{f"{part.role}s": [part]}))
+            assemble(scene_of((*beams, *bodies), part))
         except InvalidInput:
             continue
         extras = [f.name for f in fields(kind) if f.default is not MISSING and f.name in arguments]
@@ -82,11 +106,11 @@ def examples(kind, beams, points):
     return found
 
 
-def all_examples(module, base, beams, points):
+def all_examples(module, base, beams, points, bodies=()):
     """Examples of all public classes of a kind."""
     found = {}
     for kind in public_classes(module, base).values():
-        found |= examples(kind, beams, points)
+        found |= examples(kind, beams, points, bodies)
     return found
 
 

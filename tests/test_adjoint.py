@@ -1,5 +1,6 @@
 """Gradients of objectives: discrete adjoint, direct differentiation and complex step agree."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from ancfdae import (
     HHT,
+    IDAS,
     Adjoint,
     AtTimes,
     Beam,
@@ -178,7 +180,8 @@ def test_transposed_operator_satisfies_the_dot_product_identity(build):
             np.linalg.norm(x) * np.linalg.norm(y) for x, y in zip(seeds, columns, strict=True)
         )
         # The claim.
-        assert abs(forward - back[i]) < 1e-13 * size, (design[i], forward, back[i])
+        # Round-off of the stiffness times a motion that is rigid, which cancels, at the start.
+        assert abs(forward - back[i]) < 1e-12 * size, (design[i], forward, back[i])
 
 
 @pytest.mark.parametrize("build", SCENES, ids=lambda build: build.__name__)
@@ -345,6 +348,21 @@ def test_every_pass_back_counts_its_factorisations_as_direct_differentiation_doe
     for results, passed in zip(methods, (64, 64, 129), strict=True):
         for result in results:
             assert result.solution.statistics.factorisations == run.factorisations + passed
+
+
+@pytest.mark.idas
+def test_a_pass_back_of_idas_factorises_nothing_of_hht():
+    objective = Terminal(custom(lambda t, q, v, lam, b: q[:, 0] ** 2))
+    run = IDAS(1e-6).integrate(CartesianPendulum(), 1.0).statistics
+    found = gradient(CartesianPendulum(), objective, 1.0, IDAS(1e-6), method=Adjoint())
+    assert found.solution.statistics.factorisations == run.factorisations
+
+
+@pytest.mark.parametrize("method", [Adjoint(), Direct(), ContinuousAdjoint()])
+def test_the_time_of_a_gradient_is_that_of_run_and_pass(method):
+    objective, started = Integral(custom(lambda t, q, v, lam, b: q[:, 0])), time.perf_counter()
+    found = gradient(CartesianPendulum(), objective, 1.0, HHT(2.0**-6), method=method)
+    assert 0 < found.solution.statistics.wall_seconds < time.perf_counter() - started
 
 
 def test_any_mechanical_system_has_gradients_too():

@@ -57,6 +57,38 @@ class FourBar(ComplexStepSystem):
         return np.array([r @ r - L**2 for r, L in zip(rods, self.b[:3], strict=True)]) / 2
 
 
+class TurningGuide(ComplexStepSystem):
+    """Mass 1 on a line that is turned about the origin by w t + t^2; mass 2 hangs on it by a rod.
+
+    Phi_q depends on t itself, in direction and size; at t = -1 it would be singular.
+    """
+
+    n_q, n_lam = 4, 2
+    design_names = ("w", "L", "g")
+    constant_mass, velocity_forces = True, False
+
+    def __init__(self, b=(2.0, 0.8, 9.81)):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return TurningGuide(b)
+
+    def start(self):
+        w, L, _ = self.b
+        return np.array([1.0, 0 * L, 1.0, -L]), np.array([0.5, w, 0.5, w])
+
+    def mass_matrix(self, q):
+        return np.diag([1.0, 1.0, 2.0, 2.0])
+
+    def force(self, q, v, t):
+        return np.array([0.0, -1.0, 0.0, -2.0]) * self.b[2]
+
+    def constraint(self, q, t):
+        angle, rod = self.b[0] * t + t**2, q[2:] - q[:2]
+        guide = q[1] * np.cos(angle) - q[0] * np.sin(angle)
+        return np.array([(1 + t) * guide, (rod @ rod - self.b[1] ** 2) / 2])
+
+
 def density(t, q, v, lam, b):
     """H = lam_1 - 2 lam_2 + lam_3/2 + |v|^2/2: H_lam is constant, H_v = v."""
     return lam @ weights_of(lam.shape[1]) + 0.5 * np.sum(v * v, axis=1)
@@ -107,7 +139,10 @@ def defects(system, step, t_end):
     }
 
 
-@pytest.mark.parametrize(("system", "t_end"), [(FourBar(), 0.3), (GuidedDoublePendulum(0.5), 0.3)])
+SYSTEMS = [FourBar(), GuidedDoublePendulum(0.5), TurningGuide()]
+
+
+@pytest.mark.parametrize(("system", "t_end"), list(zip(SYSTEMS, (0.3, 0.3, 0.5), strict=True)))
 def test_the_end_of_the_continuous_adjoint_satisfies_its_conditions(system, t_end):
     coarse, fine = (defects(system, t_end / n, t_end) for n in (24, 48))
     for name, defect in fine.items():
@@ -120,7 +155,7 @@ def test_the_end_of_the_continuous_adjoint_satisfies_its_conditions(system, t_en
 
 def test_the_corrected_term_matters_on_the_closed_loop():
     # Else the test above could not tell its sign.
-    for system in (FourBar(), GuidedDoublePendulum(0.5)):
+    for system in SYSTEMS:
         (t, q, v, _, _), (mu, mu_t, *_) = end_of(system, 0.3 / 24, 0.3)
         B = system.constraint_pattern
         turning = B.dot(system.constraint_q_rate(q, v, t), mu)
@@ -129,11 +164,12 @@ def test_the_corrected_term_matters_on_the_closed_loop():
         )
 
 
-def test_the_gradient_on_a_closed_loop_is_that_of_the_discrete_adjoint_with_order_two():
+@pytest.mark.parametrize("system", [FourBar(), TurningGuide()])
+def test_the_gradient_is_that_of_the_discrete_adjoint_with_order_two(system):
     errors = []
     for n in (12, 24):
         ours, exact = (
-            gradient(FourBar(), Integral(custom(density, "H")), 0.15, HHT(0.15 / n), method=method)
+            gradient(system, Integral(custom(density, "H")), 0.15, HHT(0.15 / n), method=method)
             for method in (ContinuousAdjoint(), Adjoint())
         )
         errors.append(np.linalg.norm(ours.gradient - exact.gradient))

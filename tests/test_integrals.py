@@ -37,7 +37,9 @@ from ancfdae import (
 from ancfdae.integrators.integrand import Points
 from ancfdae.integrators.quadrature import KRONROD, SHARES
 from ancfdae.integrators.sundials.step_points import _between, _panels
+from ancfdae.objectives.totals import Total
 from ancfdae.observables import states_of, time
+from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.scenes import crank_slider
 
 from mechanisms import CartesianPendulum
@@ -165,6 +167,63 @@ def test_tradeoff_ranks_by_the_integral_itself():
     assert finest.objective < fine.objective < 0.1 * rough.objective
 
 
+# ---- cost
+
+
+class Counted(SliderCrank):
+    """Counts how often forces are evaluated, moved systems included."""
+
+    forces = 0
+
+    def force(self, q, v, t):
+        Counted.forces += 1
+        return super().force(q, v, t)
+
+
+def forces_of(call, *arguments, **options):
+    Counted.forces = 0
+    call(*arguments, **options)
+    return Counted.forces
+
+
+SQUARED_MULTIPLIER = Integral(custom(lambda t, q, v, lam, b: lam[:, 0] ** 2, "multiplier"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("objective", "most"),
+    # Without multipliers no state between the steps needs the system. With them it costs a solve.
+    [(kinetic_energy_integral(), 1.02), (SQUARED_MULTIPLIER, 1.5)],
+    ids=["energy", "multiplier"],
+)
+def test_integrals_of_a_system_of_ones_own_cost_little_beside_its_motion(kind, objective, most):
+    system, integrator = Counted(), kind(1e-8)
+    motion = forces_of(differentiate, system, 10.0, integrator)
+    both = forces_of(gradient, system, objective, 10.0, integrator, method=Direct())
+    # Explicit keeps the dense output of steps whose stages are too few: three stages beside twelve,
+    # and the repetition of the first steps that need it.
+    assert motion <= both < (max(most, 1.3) if kind is Explicit else most) * motion
+
+
+def test_steps_whose_stages_are_too_few_are_not_all_repeated():
+    system, integrator = CartesianPendulum(), Explicit(1e-8, intervals=1)
+    objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0] ** 2))
+    plain = differentiate(system, 5.0, integrator)
+    run = gradient(system, objective, 5.0, integrator).solution
+    # Dense output takes three evaluations beside the twelve or more of a step, a repetition 16:
+    # a quarter more; without dense output that is kept half as much again.
+    assert plain.statistics.residuals < run.statistics.residuals < 1.3 * plain.statistics.residuals
+
+
+@pytest.mark.parametrize("kind", [IDA, Explicit])
+def test_a_function_may_read_multipliers_later(kind):
+    system, integrator = CartesianPendulum(), kind(1e-8, intervals=1)
+    late = custom(lambda t, q, v, lam, b: np.where(t < 1.5, q[:, 0], q[:, 0] + 0 * lam[:, 0]))
+    plain = custom(lambda t, q, v, lam, b: q[:, 0])
+    found, exact = (numbers(gradient(system, Integral(x), 2.0, integrator)) for x in (late, plain))
+    np.testing.assert_allclose(found, exact, rtol=1e-13)  # the same numbers at the same points
+
+
 # ---- rules
 
 
@@ -176,6 +235,9 @@ def test_the_rule_of_a_panel_is_of_degree_nine_and_its_estimate_of_degree_five()
     for k in range(6):
         assert abs(KRONROD.error @ t**k) < 1e-15
     assert abs(KRONROD.error @ t**6) > 1e-5
+    for k in range(4):
+        assert abs(KRONROD.coarse @ t**k) < 1e-15
+    assert abs(KRONROD.coarse @ t**4) > 1e-3
 
 
 def test_steps_are_joined_by_quintics():
@@ -206,7 +268,40 @@ def test_errors_of_panels_do_not_cancel():
     h, x = np.array([1.0, 1.0]), np.concatenate([SHARES**6, -(SHARES**6)])[:, None]
     nothing = np.zeros((14, 0))
     points = Points(KRONROD, h, np.zeros(14), nothing, nothing)
-    assert points.errors(x)[0] == pytest.approx(2 * abs(KRONROD.error @ SHARES**6))
+    fine, coarse = abs(KRONROD.error @ SHARES**6), abs(KRONROD.coarse @ SHARES**6)
+    assert points.errors(x)[0] == pytest.approx(2 * fine**2 / np.hypot(fine, 0.1 * coarse))
+
+
+def estimated(values, h):
+    nothing = np.zeros((len(values), 0))
+    points = Points(KRONROD, np.array([h]), np.zeros(len(values)), nothing, nothing)
+    return points.errors(values[:, None])[0]
+
+
+@pytest.mark.parametrize("share", [0.5, 1e-4])
+def test_errors_of_derivatives_are_relative_to_them_or_to_a_hundredth_of_the_value(share):
+    observable = custom(lambda t, q, v, lam, b: 1 + share * b[0] * t**6)
+    total = Total(CartesianPendulum(b=(2.0, 9.81)), Integral(observable), differentiated=True)
+    # The value is 1 + 2 share/7, its derivative in ln b_0 2 share/7: 12 and 3e-3 per cent of it.
+    scale = max(2 * share / 7, 1e-2 * (1 + 2 * share / 7))
+    error = 2 * share * estimated(SHARES**6, 1.0)
+    assert total.part(panel(1.0)).error == pytest.approx(error / scale, rel=1e-9, abs=0)
+
+
+def test_errors_are_relative_to_a_usual_part_of_the_same_duration():
+    total = Total(CartesianPendulum(), Integral(custom(lambda t, *_: t**6)), differentiated=False)
+    large, small = panel(2.0), panel(1e-3)
+    total.add(total.part(large))
+    # The first part has the size 2^7/7 in 2 s; in 1e-3 s one would have 5e-4 of it.
+    usual = 2.0**7 / 7 * 1e-3 / 2
+    error = estimated(small.t**6, 1e-3)
+    assert total.part(small).error == pytest.approx(error / usual, rel=1e-9, abs=0)
+
+
+def panel(h):
+    """Points of one panel from zero to h."""
+    nothing = np.zeros((7, 2))
+    return Points(KRONROD, np.array([h]), h * SHARES, nothing, nothing)
 
 
 # ---- trouble

@@ -98,7 +98,7 @@ def test_three_derivatives_of_a_law_are_continuous(law):
 
 def test_every_parameter_is_its_own(law):
     for name, value in law.parameters().items():
-        changed = law.with_parameter(name, value + 0.125)
+        changed = law.with_parameters({name: value + 0.125})
         assert changed.parameters() == law.parameters() | {name: value + 0.125}
 
 

@@ -502,6 +502,13 @@ def test_power_of_spring_and_damper_is_the_loss_of_energy(name, seed):
     assert (lost > 1e3 * VALUE * size) == (load.damping > 0)
 
 
+def test_a_spring_depends_on_velocities_where_it_damps():
+    ground = (0.0, 1.0)
+    assert not SpringDamper(Point("rod", 1.0), 30.0, ground=ground).uses_velocity(())
+    for damping in (0.5, 1.0):
+        assert SpringDamper(Point("rod", 1.0), 30.0, damping, ground=ground).uses_velocity(())
+
+
 def test_damper_takes_the_energy_out_of_a_swinging_beam():
     steel = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.3)
     rod = Beam("rod", (0.0, 0.0), (0.8, 0.0), 1, FLAT, steel)

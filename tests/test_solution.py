@@ -98,7 +98,7 @@ def by_hand(solution, states, beam, element, xi, y, z, axis=None):
     d = dimension_of(solution)
     place = solution.naming.layout.beam(beam)
     size = (d + 1) * d
-    first = (place.first_node + element) * size
+    first = solution.naming.layout.body(beam).first_vector * d + element * size
     X = states[:, first : first + 2 * size].reshape(len(states), -1, d)
     l = solution.naming.lengths[place.first_element + element]
     if axis is None:
@@ -253,9 +253,9 @@ def test_reaction_of_a_pin_is_what_accelerates_the_first_beam(solution):
     # On the second beam alone act its weight and minus the pin's reaction on the first.
     scene = mechanism(dimension_of(solution))
     d = dimension_of(solution)
-    rod = solution.naming.layout.beam("rod")
+    rod = solution.naming.layout.body("rod")
     alone = Scene([scene.beam("rod")], gravity=scene.gravity)
-    first = rod.first_node * (d + 1) * d
+    first = rod.first_vector * d
     part = dataclasses.replace(solution, a=solution.a[:, first:])
     rate, weights = total_momentum_rate(alone, part)
     mass = weights.reshape(d, -1, d + 1, d)[0, :, 0, 0].sum()
@@ -511,7 +511,7 @@ def test_files_hold_no_pickled_objects(solution, tmp_path):
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}  # raises for an object array
     assert all(array.dtype.kind in "fcU" for array in arrays.values())
-    assert json.loads(str(arrays["meta"]))["format"] == "ancfdae solution 4"
+    assert json.loads(str(arrays["meta"]))["format"] == "ancfdae solution 5"
 
 
 def test_object_arrays_are_not_written(solution, tmp_path):
@@ -562,14 +562,14 @@ def archive(path, **arrays):
 
 
 def meta(**changes):
-    return np.array(json.dumps({"format": "ancfdae solution 4", **changes}))
+    return np.array(json.dumps({"format": "ancfdae solution 5", **changes}))
 
 
 def of_format(good, name):
     """Arrays of a good file that says another format and is right otherwise."""
     with np.load(io.BytesIO(good)) as file:
         arrays = dict(file)
-    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 4", name))
+    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 5", name))
     return arrays
 
 

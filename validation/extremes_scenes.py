@@ -75,7 +75,7 @@ class Rod:
         )
         gravity = (0.0, -self.gravity * L / T**2, 0.0)[: self.dimension]
         axis = self.spin / T if self.dimension == 2 else (0.0, 0.0, self.spin / T)
-        start = [RigidMotion("rod", axis, beam.start)]
+        start = [RigidMotion("rod", axis, (self.at * L, *rest))]
         return Scene([beam], [Pin(beam.at_start)], gravity=gravity, start=start)
 
     def natural(self) -> Units:

@@ -1,23 +1,24 @@
-"""All elements of a scene as one block: their invariants, prepared once per distinct element."""
+"""Elements as one block: their invariants, prepared once per distinct element."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
 from ancfdae.ancf.parameters import ParameterMap
+from ancfdae.bodies import BeamBody
 from ancfdae.elements import BeamElement, ElementParameter, ElementType
 from ancfdae.elements.invariants import joined, prepare
 from ancfdae.numerics.arrays import Array
-from ancfdae.scene import Scene
 
 
 @final
 @dataclass(frozen=True)
 class ElementBlock:
-    """Invariants of all elements, and their design derivatives pair by pair.
+    """Invariants of some elements, and their design derivatives pair by pair.
 
     Attributes
     ----------
@@ -28,7 +29,7 @@ class ElementBlock:
     tau : array, shape (n,), or None
         Damping times; None when no element is damped and no design variable could change that.
     stiffness_pairs, damping_pairs, mass_pairs : array of int
-        Pairs of the `ParameterMap` whose parameter enters A, tau and m.
+        Pairs of the `ParameterMap` of these elements whose parameter enters A, tau and m.
     A_b, g_ob, c_b : array, shape (n_stiffness_pairs, ...)
     m_b : array, shape (n_mass_pairs, n_a, n_a)
         Derivatives in the design variable of the pair (weight included).
@@ -57,14 +58,15 @@ _WEIGHTLESS = (
 _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 
 
-def element_block(scene: Scene, mapping: ParameterMap, parameters: Array) -> ElementBlock:
-    """Prepare the invariants at the given element parameters, shape (n, 9)."""
-    element = scene.beams[0].element
-    kinds, kind = _kinds(scene)
-    Y_unit = _unit_vectors(scene, element)
-    owners = np.concatenate(
-        [np.repeat(f"beam {beam.name!r}", beam.element_count) for beam in scene.beams]
-    )
+def element_block(
+    element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap, parameters: Array
+) -> ElementBlock:
+    """Prepare the invariants of the elements of beams at their parameters, shape (n, 9)."""
+    if not beams:
+        return _no_elements(element, parameters)
+    kinds, kind = _kinds(beams)
+    Y_unit = np.concatenate([unit_vectors(beam) for beam in beams])
+    owners = np.concatenate([np.repeat(f"beam {x.name!r}", x.element_count) for x in beams])
     numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
     key = np.concatenate(numbers, axis=1)
     _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
@@ -112,11 +114,19 @@ def element_block(scene: Scene, mapping: ParameterMap, parameters: Array) -> Ele
     )
 
 
-def _kinds(scene: Scene) -> tuple[list[ElementType], Array]:
+def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:
+    """Return the block of a scene where nothing deforms."""
+    n_g, none = element.n_y * (element.n_y + 1) // 2, np.zeros(0, dtype=np.int64)
+    A, g = np.zeros((0, n_g, n_g), parameters.dtype), np.zeros((0, n_g), parameters.dtype)
+    m = np.zeros((0, element.n_a, element.n_a), parameters.dtype)
+    return ElementBlock(A, g, None, m, None, none, none, none, A, g, g, m)
+
+
+def _kinds(beams: Sequence[BeamBody]) -> tuple[list[ElementType], Array]:
     """Return the distinct types of elements, and the place of each element's among them."""
     kinds: dict[tuple[object, ...], ElementType] = {}
     places = []
-    for beam in scene.beams:
+    for beam in beams:
         own = beam.element_type()
         key = (own.section.form(), own.energy, own.straight)
         kinds.setdefault(key, own)
@@ -124,23 +134,18 @@ def _kinds(scene: Scene) -> tuple[list[ElementType], Array]:
     return list(kinds.values()), np.concatenate(places)
 
 
-def _unit_vectors(scene: Scene, element: BeamElement) -> Array:
-    """Return reference relative node vectors of all elements, the chord per unit length.
+def unit_vectors(beam: BeamBody) -> Array:
+    """Return reference relative node vectors of a beam's elements, the chord per unit length.
 
     The material is isotropic, so a straight element of any orientation has the invariants of
     one along the x axis; using those makes equal elements equal bit by bit.
     """
+    element, shape, n = beam.element, beam.reference(), beam.element_count
+    slopes = slice(0, element.n_s - 1)
+    if not shape.straight:
+        frames = shape.slopes[:, slopes]
+        return np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
     canonical = np.zeros((element.n_y, element.d))
     canonical[0, 0] = 1.0
-    slopes = slice(0, element.n_s - 1)
     canonical[1 : element.n_s] = canonical[element.n_s :] = np.eye(element.d)[slopes]
-    vectors = []
-    for beam in scene.beams:
-        shape, n = beam.reference(), beam.element_count
-        if shape.straight:
-            Y = np.repeat(canonical[None], n, axis=0)
-        else:
-            frames = shape.slopes[:, slopes]
-            Y = np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
-        vectors.append(Y)
-    return np.concatenate(vectors)
+    return np.repeat(canonical[None], n, axis=0)

@@ -1,4 +1,4 @@
-"""Elastic and internal damping forces of all elements of a scene, with design derivatives."""
+"""Elastic and internal damping forces of all elements that deform, with design derivatives."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class ElasticForces:
         Y = self._R(q.real).reshape(self._shape)
         p_o = None if block.p_o is None else block.p_o.real
         K = np.abs(elastic.tangent(block.A.real, block.g_o.real, Y, p_o=p_o))
-        F = np.matmul(K, (R @ np.abs(q.real)).reshape(len(K), -1, 1))
+        F = np.matmul(K, (R @ np.abs(q.real)).reshape(*K.shape[:2], 1))
         Q = np.finfo(float).eps * (R.T @ F.ravel())
         return float(np.sqrt(np.sum(Q * Q / weights)))
 
@@ -102,7 +102,7 @@ class ElasticForces:
         """Total design derivative of Q_s for one instant, shape (n_q, n_b)."""
         block, tau, Y = self._block, self._block.tau, self._R(q).reshape(self._shape)
         V = None if tau is None else self._R(v).reshape(self._shape)
-        shape = (len(Y), Y[0].size, self._n_b)
+        shape = (len(Y), self._shape[1] * self._shape[2], self._n_b)
         U = self._R.columns(q_b).reshape(shape)
         VU = None if V is None else (V, self._R.columns(v_b).reshape(shape))
         x = elastic.strain(block.g_o, Y, V, tau)
@@ -171,7 +171,7 @@ class ElasticForces:
         Y = [self._R(x).reshape(self._shape) for x in states]
         total = self._pair_map(self._pair_rates(Y).ravel()).reshape(self._numbering.n_q, n_b)
         Y_b = [self._R.columns(x).T.reshape(n_b, *self._shape) for x in states_b]
-        count = max(1, _TOGETHER // len(Y[0]))
+        count = max(1, _TOGETHER // max(1, self._shape[0]))
         for first in range(0, n_b, count):
             some = slice(first, first + count)
             y, v, z = (y + 1j * STEP * y_b[some] for y, y_b in zip(Y, Y_b, strict=True))
@@ -257,6 +257,8 @@ def _tangent_map(numbering: Numbering, pattern: Pattern) -> LinearMap:
     rows, columns, signs = numbering.relative_entries()
     by_row = np.argsort(rows, kind="stable")
     rows, columns, signs = rows[by_row], columns[by_row], signs[by_row]
+    if n == 0:
+        return LinearMap(sparse.csr_array((pattern.size, 0)))
     per_element = len(rows) // n
     i, j = (x.ravel() for x in np.indices((per_element, per_element)))
     offset = np.arange(n)[:, None] * per_element

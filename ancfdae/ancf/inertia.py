@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import final
 
 import numpy as np
 
-from ancfdae.ancf.block import ElementBlock
+from ancfdae.ancf.mass_blocks import MassBlocks
 from ancfdae.ancf.numbering import Numbering
-from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
@@ -22,10 +21,14 @@ class Inertia:
 
     Parameters
     ----------
-    block, numbering, mapping, n_b, pattern
-        As in `ElasticForces`.
-    gravity : sequence of float or None
-        Acceleration of gravity.
+    blocks : sequence of MassBlocks
+    numbering : Numbering
+    n_b : int
+        Number of design variables.
+    pattern : Pattern
+        Pattern of the system's matrices; must hold the entries of every block.
+    gravity : (array, shape (d,), array, shape (d, n_b))
+        Acceleration of gravity, and its design derivatives.
 
     Attributes
     ----------
@@ -33,27 +36,37 @@ class Inertia:
         M on the pattern.
     weights : array, shape (n_q,)
         Real diagonal of M.
+    places : array, shape (n_q / d,)
+        One for vectors that are positions, zero for slopes.
     """
 
     def __init__(
         self,
-        block: ElementBlock,
+        blocks: Sequence[MassBlocks],
         numbering: Numbering,
-        mapping: ParameterMap,
         n_b: int,
         pattern: Pattern,
-        gravity: Sequence[float] | None,
+        gravity: tuple[Array, Array],
     ) -> None:
-        self._n_b, self._numbering, self._block = n_b, numbering, block
-        self._pair_element = mapping.elements[block.mass_pairs]
-        self._pair_variable = mapping.variables[block.mass_pairs]
-        n_q, element = numbering.n_q, numbering.element
-        rows, columns, values = self._entries(block.m, numbering.vectors)
+        self._n_b, self._n_q, self._d, self._blocks = (
+            n_b,
+            numbering.n_q,
+            numbering.element.d,
+            blocks,
+        )
+        n_q, d = self._n_q, self._d
+        rows, columns, values = self._entries([(x.vectors, x.m) for x in blocks])
         self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
-        self._field = np.zeros((n_q // element.d, element.d))
-        if gravity is not None:
-            self._field[:: element.n_s] = gravity
+        (field, field_b), shape = gravity, (n_q // d, d)
+        positions = np.concatenate([body.positions for body in numbering.bodies])
+        self.places = np.zeros(shape[0])
+        self.places[positions] = 1.0
+        self._field = np.outer(self.places, field)
+        # Rows of the variables that gravity depends on, to save memory.
+        self._field_active = np.flatnonzero(np.any(field_b != 0, axis=0))
+        self._field_b = np.zeros((len(self._field_active), *shape))
+        self._field_b[:, positions] = field_b[:, self._field_active].T[:, None]
 
     @cached_property
     def _M(self) -> LinearMap:
@@ -62,11 +75,12 @@ class Inertia:
     @cached_property
     def _M_b(self) -> LinearMap:
         """Map from a to columns of a row-major (n_q, n_b) array."""
-        element, n_q = self._numbering.element, self._numbering.n_q
-        vectors = self._numbering.vectors[self._pair_element]
-        rows, columns, values = self._entries(self._block.m_b, vectors)
-        variable = np.repeat(self._pair_variable, element.d * element.n_a**2)
-        shape = (n_q * self._n_b, n_q)
+        paired = [(x.vectors[x.pair_block], x.m_b) for x in self._blocks]
+        rows, columns, values = self._entries(paired)
+        counts = [self._d * x.vectors.shape[1] ** 2 for x in self._blocks]
+        variables = zip((x.pair_variable for x in self._blocks), counts, strict=True)
+        variable = np.concatenate([np.repeat(own, count) for own, count in variables])
+        shape = (self._n_q * self._n_b, self._n_q)
         return LinearMap.of(rows * self._n_b + variable, columns, values, shape)
 
     @cached_property
@@ -77,7 +91,12 @@ class Inertia:
     @cached_property
     def gravity_b(self) -> Array:
         """Its design partials, shape (n_q, n_b)."""
-        return only(self.times_b(self._field.reshape(1, -1)))
+        Q_b = only(self.times_b(self._field.reshape(1, -1)))
+        if len(self._field_active):
+            fields = self._field_b.reshape(len(self._field_b), -1)
+            Q_b = Q_b.copy()
+            Q_b[:, self._field_active] += self.times(fields.T)
+        return Q_b
 
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
@@ -85,45 +104,57 @@ class Inertia:
 
     def times_b(self, a: Array) -> Array:
         """(M a)_b for rows of a, shape (k, n_q, n_b)."""
-        return self._M_b.rows(a).reshape(len(a), self._numbering.n_q, self._n_b)
+        return self._M_b.rows(a).reshape(len(a), self._n_q, self._n_b)
 
     def pull_back(self, a: Array, x: Array, gravity: bool = True) -> Array:
         """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""
         a = a - self._field.ravel() if gravity else a
-        per_pair = np.sum(self._pair_products(a, x), axis=0)
-        return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+        total = np.zeros(self._n_b, dtype=np.result_type(a, x))
+        for block, products in self._pair_products(a, x):
+            np.add.at(total, block.pair_variable, np.sum(products, axis=0))
+        if gravity and len(self._field_active):
+            fields = self._field_b.reshape(len(self._field_b), -1)
+            total[self._field_active] -= fields @ self.times(np.sum(x, axis=0))
+        return total
 
-    def quadratic_b(self, v: Array, chosen: Array) -> Array:
-        """Design partial of v^T M v over the chosen elements, shape (k, n_b)."""
-        per_pair = self._pair_products(v, v) * chosen[self._pair_element]
-        result = np.zeros((len(v), self._n_b), dtype=per_pair.dtype)
-        np.add.at(result.T, self._pair_variable, per_pair.T)
+    def quadratic_b(self, v: Array, owner: int | None) -> Array:
+        """Design partial of v^T M v of one owner or of all, shape (k, n_b)."""
+        result = np.zeros((len(v), self._n_b), dtype=v.dtype)
+        for block, products in self._pair_products(v, v):
+            own = products * block.chosen(owner)[block.pair_block]
+            np.add.at(result.T, block.pair_variable, own.T)
         return result
 
-    def chosen_times(self, v: Array, chosen: Array) -> Array:
-        """M v with the masses of the chosen elements only, for rows of v, shape (k, n_q)."""
-        coordinates = self._numbering.coordinates(self._numbering.vectors)
-        products = np.einsum("n,nab,knbd->knad", chosen, self._block.m, v[:, coordinates])
-        result = np.zeros(v.shape, dtype=products.dtype)
-        np.add.at(result.T, coordinates.ravel(), products.reshape(len(v), -1).T)
-        return result
+    def owner_times(self, v: Array, owner: int) -> Array:
+        """M v with the masses of one owner only, for rows of v, shape (k, n_q)."""
+        X = v.reshape(len(v), -1, self._d)
+        # Vectors first: entries that come twice are added along the first axis.
+        result = np.zeros((X.shape[1], len(v), self._d), dtype=np.result_type(v, self.values))
+        for block in self._blocks:
+            own = np.flatnonzero(block.chosen(owner))
+            products = np.einsum("nab,knbd->nakd", block.m[own], X[:, block.vectors[own]])
+            np.add.at(result, block.vectors[own], products)
+        return result.swapaxes(0, 1).reshape(v.shape)
 
-    def _pair_products(self, a: Array, x: Array) -> Array:
-        """x^T M_b a pair by pair, shape (k, n_pairs)."""
-        coordinates = self._numbering.coordinates(self._numbering.vectors[self._pair_element])
-        products: Array = np.einsum(
-            "kpad,pab,kpbd->kp",
-            x[:, coordinates],
-            self._block.m_b,
-            a[:, coordinates],
-            optimize=True,
-        )
-        return products
+    def _pair_products(self, a: Array, x: Array) -> Iterator[tuple[MassBlocks, Array]]:
+        """Yield x^T M_b a pair by pair, shape (k, n_pairs), of all blocks."""
+        A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
+        for block in self._blocks:
+            at = block.vectors[block.pair_block]
+            yield (
+                block,
+                np.einsum("kpad,pab,kpbd->kp", X[:, at], block.m_b, A[:, at], optimize=True),
+            )
 
-    def _entries(self, m: Array, vectors: Array) -> tuple[Array, Array, Array]:
-        """Rows, columns and values of m (x) I_d for every element."""
-        coordinates = self._numbering.coordinates(vectors)
-        rows, columns, values = np.broadcast_arrays(
-            coordinates[:, :, None, :], coordinates[:, None, :, :], m[..., None]
-        )
-        return rows.ravel(), columns.ravel(), values.ravel()
+    def _entries(self, blocks: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
+        """Rows, columns and values of m (x) I_d for vectors (n, k) and m (n, k, k) of each."""
+        lists: tuple[list[Array], ...] = ([], [], [])
+        for vectors, m in blocks:
+            coordinates = vectors[..., None] * self._d + np.arange(self._d)
+            parts = np.broadcast_arrays(
+                coordinates[:, :, None, :], coordinates[:, None, :, :], m[..., None]
+            )
+            for store, part in zip(lists, parts, strict=True):
+                store.append(part.ravel())
+        rows, columns, values = map(np.concatenate, lists)
+        return rows, columns, values

@@ -1,4 +1,8 @@
-"""Numbering of coordinates: nodes of all beams in a row, each with n_s vectors of d numbers."""
+"""Numbering of coordinates: vectors of d numbers, of all beams and rigid bodies in a row.
+
+A beam has n_s vectors per node, what is rigid one frame of d + 1 vectors: its reference point and
+its directions (docs/theory.md, section 2).
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,10 @@ from typing import final
 import numpy as np
 from scipy import sparse
 
+from ancfdae.ancf.rigid_motions import RigidMotions
+from ancfdae.bodies import BeamBody, RigidBody
 from ancfdae.elements import BeamElement
-from ancfdae.naming import BeamLayout
+from ancfdae.naming import BeamLayout, BodyLayout, RigidNodes
 from ancfdae.numerics.arrays import Array
 from ancfdae.scene import Scene
 
@@ -17,23 +23,50 @@ from ancfdae.scene import Scene
 @final
 @dataclass(frozen=True)
 class Numbering:
-    """Coordinates of every element.
+    """Coordinates of every body and every element that deforms.
 
     Attributes
     ----------
     element : BeamElement
+    bodies : tuple of BodyLayout
+        Of all beams and rigid bodies in the order of their vectors.
     beams : tuple of BeamLayout
+    rigid : array of bool, shape (n_bodies,)
+    elements : array of int, shape (n,)
+        Scene-wide numbers of the elements that deform.
     vectors : array of int, shape (n, n_a)
-        Scene-wide numbers of the node vectors of each element; vector k has the coordinates
-        d k to d k + d - 1.
+        Scene-wide numbers of their node vectors; vector k has the coordinates d k to d k + d - 1.
     n_q : int
         Number of coordinates.
     """
 
     element: BeamElement
+    bodies: tuple[BodyLayout, ...]
     beams: tuple[BeamLayout, ...]
+    rigid: Array
+    elements: Array
     vectors: Array
     n_q: int
+
+    def rigid_motions(self) -> RigidMotions:
+        """Return the rigid motions of all bodies."""
+        owner = np.repeat(np.arange(len(self.bodies)), [body.count for body in self.bodies])
+        is_position = np.zeros(len(owner), dtype=bool)
+        for body in self.bodies:
+            is_position[body.positions] = True
+        return RigidMotions(owner, is_position, self.element.d)
+
+    @property
+    def owners(self) -> Array:
+        """Place among the bodies of the beam of each element that deforms, shape (n,)."""
+        counts = [0 if beam.rigid else beam.element_count for beam in self.beams]
+        return np.repeat(np.arange(len(self.beams)), counts)
+
+    @property
+    def frames(self) -> Array:
+        """Numbers of the vectors of everything rigid, shape (n_rigid, d + 1)."""
+        rigid = [body.vectors for body, own in zip(self.bodies, self.rigid, strict=True) if own]
+        return np.array(rigid, dtype=np.int64).reshape(len(rigid), self.element.d + 1)
 
     def coordinates(self, vectors: Array) -> Array:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
@@ -62,21 +95,53 @@ class Numbering:
 
 
 def number(scene: Scene) -> Numbering:
-    """Assign numbers to the coordinates of a scene, beam by beam and node by node."""
-    element = scene.beams[0].element
-    beams, vectors, node, first = [], [], 0, 0
-    for beam in scene.beams:
-        lengths = beam.reference().lengths
-        fractions = np.concatenate([[0.0], np.cumsum(lengths) / np.sum(lengths)])
-        fractions[-1] = 1.0
-        beams.append(BeamLayout(beam.name, node, first, tuple(fractions.tolist())))
-        starts = (node + np.arange(beam.element_count)) * element.n_s
-        vectors.append(starts[:, None] + np.arange(element.n_a))
-        node += beam.element_count + 1
-        first += beam.element_count
+    """Assign numbers to the coordinates of a scene, body by body and node by node."""
+    element, bodies, beams, vectors, elements = scene.element, [], [], [], []
+    vector = first = 0
+    for member in scene.members:
+        own = _body_layout(member, vector, element)
+        bodies.append(own)
+        vector += own.count
+        if isinstance(member, RigidBody):
+            continue
+        numbers = np.arange(member.element_count)
+        if not member.rigid:
+            starts = own.first_vector + numbers * element.n_s
+            vectors.append(starts[:, None] + np.arange(element.n_a))
+            elements.append(first + numbers)
+        beams.append(_beam_layout(member, first))
+        first += member.element_count
+    empty = np.zeros(0, dtype=np.int64)
     return Numbering(
         element=element,
+        bodies=tuple(bodies),
         beams=tuple(beams),
-        vectors=np.concatenate(vectors),
-        n_q=node * element.n_s * element.d,
+        rigid=np.array([isinstance(x, RigidBody) or x.rigid for x in scene.members]),
+        elements=np.concatenate([empty, *elements]),
+        vectors=np.concatenate([empty.reshape(0, element.n_a), *vectors]),
+        n_q=vector * element.d,
     )
+
+
+def _body_layout(member: BeamBody | RigidBody, first: int, element: BeamElement) -> BodyLayout:
+    if isinstance(member, RigidBody):
+        moments = member.moments(np.array(list(member.parameters().values())))
+        size = float(np.sqrt(np.trace(moments[1:, 1:]) / moments[0, 0]))
+    else:
+        size = float(np.sum(member.reference().lengths))
+        if not member.rigid:
+            count = (member.element_count + 1) * element.n_s
+            return BodyLayout(member.name, first, count, element.n_s, size)
+    return BodyLayout(member.name, first, element.d + 1, element.d + 1, size)
+
+
+def _beam_layout(beam: BeamBody, first: int) -> BeamLayout:
+    shape, rigid = beam.reference(), None
+    fractions = np.concatenate([[0.0], np.cumsum(shape.lengths) / np.sum(shape.lengths)])
+    fractions[-1] = 1.0
+    if beam.rigid:
+        axes = beam.directions().T
+        chords = tuple(map(tuple, (shape.chords @ axes).tolist()))
+        slopes = tuple(tuple(map(tuple, node)) for node in (shape.slopes @ axes).tolist())
+        rigid = RigidNodes(chords, slopes)
+    return BeamLayout(beam.name, first, tuple(fractions.tolist()), rigid)

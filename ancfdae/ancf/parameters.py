@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
-from ancfdae.design import DesignVariable, parse_target
+from ancfdae.design import DesignVariable
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
@@ -21,19 +21,22 @@ class ParameterMap:
     """Which element parameters each design variable writes to.
 
     One entry per pair (element, parameter) that a variable drives; the element's parameter
-    is `weight` times the variable.
+    is `weight` times the variable, plus `offset`.
 
     Attributes
     ----------
     base : array, shape (n, 9)
         Parameters of the scene as declared.
     elements, parameters, variables : array of int, shape (n_pairs,)
-    weights : array, shape (n_pairs,)
-        One, except for a length: share of the element in the length of its beam.
-    part_values : dict
-        Values of the `parameters` of every joint and load as declared, by its name.
-    part_slots : tuple of (str, int, int)
-        Joint or load, place among its parameters, and design variable that writes there.
+    weights, offsets : array, shape (n_pairs,)
+        Factor of the target, and what it holds beside the variable's share; for a length times the
+        share of the element in the length of its beam.
+    declared : dict
+        The `Scene.numbers` of everything that is not an element, by the name of its owner.
+    nominal : array, shape (n_b,)
+        Values of the design variables as declared.
+    slots : dict
+        By owner, the tuples (place among its numbers, design variable, weight, offset).
     """
 
     base: Array
@@ -41,24 +44,53 @@ class ParameterMap:
     parameters: Array
     variables: Array
     weights: Array
-    part_values: dict[str, tuple[float, ...]]
-    part_slots: tuple[tuple[str, int, int], ...]
+    offsets: Array
+    declared: dict[str, tuple[float, ...]]
+    slots: dict[str, list[tuple[int, int, float, float]]]
+    nominal: Array
 
-    def part(self, name: str, b: Array) -> tuple[Array, Array]:
-        """Return the parameters p of a joint or load at design values b, and p_b."""
-        p = np.array(self.part_values[name]).astype(np.result_type(float, b))
+    def numbers(self, owner: str, b: Array) -> tuple[Array, Array]:
+        """Return the numbers p of an owner at design values b, and p_b."""
+        p = np.array(self.declared.get(owner, ())).astype(np.result_type(float, b))
         p_b = np.zeros((len(p), len(b)))
-        for owner, place, variable in self.part_slots:
-            if owner == name:
-                p[place] = b[variable]
-                p_b[place, variable] = 1.0
+        for place, variable, weight, offset in self.slots.get(owner, ()):
+            p[place] = weight * b[variable] + offset
+            p_b[place, variable] = weight
         return p, p_b
+
+    def holding(self, owner: str, numbers: Sequence[float]) -> ParameterMap:
+        """Return the same map with the numbers of an owner held at others."""
+        slots = {name: own for name, own in self.slots.items() if name != owner}
+        return replace(self, declared=self.declared | {owner: tuple(numbers)}, slots=slots)
 
     def values(self, b: Array) -> Array:
         """Return element parameters at design values b, shape (n, 9), in the dtype of b."""
         P = self.base.astype(np.result_type(self.base, b))
-        P[self.elements, self.parameters] = self.weights * b[self.variables]
+        P[self.elements, self.parameters] = self.weights * b[self.variables] + self.offsets
         return P
+
+    def only(self, rows: Array) -> ParameterMap:
+        """Return what is written to some elements, numbered in the order given."""
+        places = np.full(len(self.base), -1)
+        places[rows] = np.arange(len(rows))
+        own = places[self.elements]
+        kept = own >= 0
+        return replace(
+            self,
+            base=self.base[rows],
+            elements=own[kept],
+            parameters=self.parameters[kept],
+            variables=self.variables[kept],
+            weights=self.weights[kept],
+            offsets=self.offsets[kept],
+        )
+
+    def lengths_b(self, n_b: int) -> Array:
+        """Return d(element lengths)/db, shape (n, n_b)."""
+        partial = np.zeros((len(self.base), n_b))
+        chosen = self.pairs(ElementParameter.LENGTH)
+        partial[self.elements[chosen], self.variables[chosen]] = self.weights[chosen]
+        return partial
 
     def pairs(self, which: ElementParameter) -> Array:
         """Return the indices of the pairs of one parameter."""
@@ -80,15 +112,16 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
         If two targets write to the same parameter of the same element.
     """
     base = scene.element_parameters()
-    elements, parameters, variables, weights = [], [], [], []
+    elements, parameters, variables, weights, offsets = [], [], [], [], []
     owner: dict[tuple[int, int], str] = {}
-    slots: list[tuple[str, int, int]] = []
+    slots: dict[str, list[tuple[int, int, float, float]]] = {}
     for index, variable in enumerate(design):
         for text in variable.targets:
-            target = parse_target(text)
-            if not scene.is_beam(target):
-                part = scene.part(target)
-                slots.append((part.name, list(part.parameters()).index(target.indexed), index))
+            target = scene.resolve(text)
+            factor, offset = variable.factor(text), scene.offset(variable, text)
+            if not scene.is_of_elements(target):
+                place = list(scene.numbers(target.owner)).index(target.indexed)
+                slots.setdefault(target.owner, []).append((place, index, factor, offset))
                 continue
             rows = scene.target_elements(target)
             which = scene.beam(target.owner).parameter_names()[target.parameter]
@@ -107,7 +140,8 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
             elements.append(rows)
             parameters.append(np.full(len(rows), int(which)))
             variables.append(np.full(len(rows), index))
-            weights.append(share)
+            weights.append(factor * share)
+            offsets.append(offset * share)
     empty = [np.zeros(0, dtype=np.int64)]
     return ParameterMap(
         base=base,
@@ -115,6 +149,8 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
         parameters=np.concatenate(parameters or empty),
         variables=np.concatenate(variables or empty),
         weights=np.concatenate(weights or [np.zeros(0)]),
-        part_values={name: tuple(p.parameters().values()) for name, p in scene.parts().items()},
-        part_slots=tuple(slots),
+        offsets=np.concatenate(offsets or [np.zeros(0)]),
+        declared={owner: tuple(scene.numbers(owner).values()) for owner in scene.owners()},
+        slots=slots,
+        nominal=np.array([scene.value(variable) for variable in design], dtype=float),
     )

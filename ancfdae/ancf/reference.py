@@ -1,118 +1,150 @@
-"""Reference and start configuration of a scene as functions of the element lengths."""
+"""Reference configuration and declared start of a scene as functions of the design."""
 
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import final
 
 import numpy as np
 
 from ancfdae.ancf.parameters import ParameterMap
-from ancfdae.bodies import ReferenceShape
-from ancfdae.elements import ElementParameter
+from ancfdae.bodies import BeamBody, Quantity, RigidBody
+from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.rotations import cayley, generators, rotation
 from ancfdae.scene import Scene
 from ancfdae.starts import NodeState, RigidMotion
 
 
-def length_partials(mapping: ParameterMap, n_b: int) -> Array:
-    """Return d(element lengths)/db, shape (n, n_b)."""
-    partial = np.zeros((len(mapping.base), n_b))
-    chosen = mapping.pairs(ElementParameter.LENGTH)
-    partial[mapping.elements[chosen], mapping.variables[chosen]] = mapping.weights[chosen]
-    return partial
-
-
 @final
-class StartState:
-    """Reference and start configuration.
+class Reference:
+    """Reference configuration of all bodies, and the start that is declared on it.
 
-    Only the element lengths carry the design: node k of a beam stands at
-    start + sum_{e<k} l_e chord_e, and slopes do not change with the length.
+    Node k of a beam stands at start + R (sum_{e<k} l_e chord_e), and its slopes at R times those of
+    the shape, with R the rotation by the beam's turn. Its start is a place, or a point of another
+    body. What is rigid has one node: its place and R times its directions.
 
     Parameters
     ----------
     scene : Scene
-    lengths : array, shape (n,)
-    lengths_b : array, shape (n, n_b)
+    mapping : ParameterMap
+    b : array, shape (n_b,)
+        Values of the design variables, real or complex.
+    naming : Naming
+        With element lengths at these values.
 
     Attributes
     ----------
     active : list of int
-        Design variables that they depend on.
+        Design variables that reference configuration or start depend on.
     """
 
-    def __init__(self, scene: Scene, lengths: Array, lengths_b: Array) -> None:
-        self._scene, self._lengths, self._lengths_b = scene, lengths, lengths_b
-        self._shapes = [beam.reference() for beam in scene.beams]
-        self.active: list[int] = np.flatnonzero(np.any(lengths_b != 0, axis=0)).tolist()
-
-    @property
-    def q_reference(self) -> Array:
-        """Reference configuration, shape (n_q,)."""
-        return self._states[0]
-
-    @property
-    def q(self) -> Array:
-        """Start as declared, shape (n_q,)."""
-        return self._states[1]
-
-    @property
-    def v(self) -> Array:
-        """Its velocity, shape (n_q,)."""
-        return self._states[2]
+    def __init__(self, scene: Scene, mapping: ParameterMap, b: Array, naming: Naming) -> None:
+        self._scene, self._mapping, self._b = scene, mapping, b
+        self._lengths, self._naming = naming.lengths, naming
+        self._firsts = scene.first_elements()
+        moving = np.any(naming.lengths_b != 0, axis=0)
+        for body in scene.members:
+            _, numbers_b = mapping.numbers(body.name, b)
+            moving |= np.any(numbers_b[self._skipped(body) :] != 0, axis=0)
+        self.active: list[int] = np.flatnonzero(moving).tolist()
 
     @cached_property
-    def _states(self) -> tuple[Array, Array, Array]:
-        first, parts = 0, []
-        for beam, shape in zip(self._scene.beams, self._shapes, strict=True):
-            own = self._lengths[first : first + beam.element_count]
-            X = Z = _nodes(shape, own, beam.element.n_s)
-            first += beam.element_count
-            V = np.zeros_like(X)
-            motion = self._scene.start_of(beam.name)
-            if isinstance(motion, RigidMotion):
-                V = _rigid_velocity(motion, Z)
-            elif isinstance(motion, NodeState):
-                Z = motion.coordinates.astype(X.dtype)
-                if motion.velocities is not None:
-                    V = motion.velocities.astype(X.dtype)
-            parts.append((X.ravel(), Z.ravel(), V.ravel()))
-        q_o, q, v = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return q_o, q, v
+    def q(self) -> Array:
+        """Reference configuration, shape (n_q,)."""
+        return np.concatenate([self._nodes(body).ravel() for body in self._scene.members])
 
-    def moved(self, i: int) -> StartState:
+    @cached_property
+    def Z(self) -> Array:
+        """Vectors of the start as declared, before any assembly, shape (n_vectors, d)."""
+        parts = []
+        for body in self._scene.members:
+            X, start = self._nodes(body), self._scene.start_of(body.name)
+            parts.append(start.coordinates if isinstance(start, NodeState) else X)
+        d = self._scene.dimension
+        return np.concatenate([part.reshape(-1, d) for part in parts])
+
+    def velocities(self, q: Array, motion: Array) -> Array:
+        """Return the declared velocities at coordinates that a rigid motion brought there.
+
+        Velocities of nodes turn with their body, by `motion` of shape (n_bodies, n_x).
+        """
+        d, first, parts = self._scene.dimension, 0, []
+        for body, x in zip(self._scene.members, motion, strict=True):
+            X = self._nodes(body)
+            own, first = q[first : first + X.size].reshape(X.shape), first + X.size
+            start = self._scene.start_of(body.name)
+            V = np.zeros_like(own)
+            if isinstance(start, RigidMotion):
+                V = self._rigid_velocity(body, start, own)
+            elif isinstance(start, NodeState) and start.velocities is not None:
+                V = start.velocities @ cayley(x[None, d:], d)[0].T
+            parts.append(V.ravel())
+        return np.concatenate(parts)
+
+    def moved(self, i: int) -> Reference:
         """Return them moved in design variable i by an imaginary step."""
         if i not in self.active:
             return self
         other = copy.copy(self)
-        other.__dict__.pop("_states", None)
-        other._lengths = self._lengths + 1j * STEP * self._lengths_b[:, i]
+        for name in ("q", "Z"):
+            other.__dict__.pop(name, None)
+        other._b = self._b + 1j * STEP * np.eye(len(self._b))[i]
+        other._lengths = self._lengths + 1j * STEP * self._naming.lengths_b[:, i]
+        other._naming = replace(self._naming, lengths=other._lengths)
         return other
 
+    def _nodes(self, body: BeamBody | RigidBody) -> Array:
+        """Node vectors (n_nodes, n_s, d) in the reference configuration, one node if rigid."""
+        numbers = self._placed(body)
+        place, turn = body.split_placement(numbers)
+        X = self._unturned(body)
+        X = X.astype(np.result_type(X, numbers, self._lengths)) @ rotation(turn, body.dimension).T
+        X[:, 0] += self._attached(body) if place is None else place
+        return X
 
-def _nodes(shape: ReferenceShape, lengths: Array, n_s: int) -> Array:
-    """Node vectors (n + 1, n_s, d) of the reference configuration."""
-    X = np.zeros((len(lengths) + 1, n_s, len(shape.start)), dtype=lengths.dtype)
-    X[:, 0] = shape.start
-    X[1:, 0] += np.cumsum(lengths[:, None] * shape.chords, axis=0)
-    X[:, 1:] = shape.slopes[:, : n_s - 1]
-    return X
+    def _unturned(self, body: BeamBody | RigidBody) -> Array:
+        """Return node vectors of a body that stands at the origin."""
+        if isinstance(body, RigidBody) or body.rigid:
+            return np.concatenate([np.zeros((1, body.dimension)), body.directions()])[None]
+        shape, first, n_s = body.reference(), self._firsts[body.name], body.element.n_s
+        lengths = self._lengths[first : first + body.element_count]
+        X = np.zeros((len(lengths) + 1, n_s, body.dimension), dtype=lengths.dtype)
+        X[1:, 0] = np.cumsum(lengths[:, None] * shape.chords, axis=0)
+        X[:, 1:] = shape.slopes[:, : n_s - 1]
+        return X
 
+    def _attached(self, body: BeamBody | RigidBody) -> Array:
+        """Return the place of the point of another body where a beam starts."""
+        point = body.attached
+        assert point is not None
+        vector = self._naming.vector(point, Quantity.POSITION)
+        other = self._nodes(self._scene.member(point.beam)).reshape(-1, body.dimension)
+        first = self._naming.layout.body(point.beam).first_vector
+        place: Array = vector.weights @ other[vector.vectors - first]
+        return place
 
-def _rigid_velocity(motion: RigidMotion, X: Array) -> Array:
-    """Velocity v + omega x (r - about) of positions and omega x slope of slopes."""
-    d = X.shape[-1]
-    spin = np.atleast_1d(np.asarray(motion.angular_velocity, dtype=float))
-    if d == 2:
-        omega = np.array([[0.0, -spin[0]], [spin[0], 0.0]])
-    else:
-        x, y, z = spin
-        omega = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    arms = X.copy()
-    arms[:, 0] -= np.asarray(motion.about, dtype=float)
-    V: Array = arms @ omega.T
-    if motion.velocity is not None:
-        V[:, 0] += np.asarray(motion.velocity, dtype=float)
-    return V
+    @staticmethod
+    def _skipped(body: BeamBody | RigidBody) -> int:
+        """Numbers of a body that come before those of its placement."""
+        return len(body.parameters()) if isinstance(body, RigidBody) else 0
+
+    def _placed(self, body: BeamBody | RigidBody) -> Array:
+        """Return the numbers of a body from those of its placement on."""
+        numbers, _ = self._mapping.numbers(body.name, self._b)
+        return numbers[self._skipped(body) :]
+
+    def _rigid_velocity(self, body: BeamBody | RigidBody, start: RigidMotion, X: Array) -> Array:
+        """Velocity v + omega x (r - about) of positions and omega x slope of slopes."""
+        d = X.shape[-1]
+        numbers = self._placed(body)[len(body.placement()) :]
+        spin, about, velocity = start.split(numbers)
+        omega = np.tensordot(np.atleast_1d(spin), generators(d), 1)
+        arms = X.astype(np.result_type(X, numbers))
+        arms[:, 0] -= about
+        V: Array = arms @ omega.T
+        if velocity is not None:
+            V[:, 0] += velocity
+        return V

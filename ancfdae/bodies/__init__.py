@@ -1,17 +1,24 @@
-"""Beams and points on them."""
+"""Beams, rigid bodies and points on them."""
 
 from ancfdae.bodies.beam import Beam
 from ancfdae.bodies.body import BeamBody, ReferenceShape
 from ancfdae.bodies.curved_beam import CurvedBeam
 from ancfdae.bodies.point import Point, require_point
+from ancfdae.bodies.rigid_body import RigidBody
+from ancfdae.bodies.shapes import BodyShape, RigidBox, RigidCylinder, RigidSphere
 from ancfdae.elements import Quantity
 
 __all__ = [
     "Beam",
     "BeamBody",
+    "BodyShape",
     "CurvedBeam",
     "Point",
     "Quantity",
     "ReferenceShape",
+    "RigidBody",
+    "RigidBox",
+    "RigidCylinder",
+    "RigidSphere",
     "require_point",
 ]

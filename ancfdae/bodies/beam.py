@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies.body import BeamBody, ReferenceShape
+from ancfdae.bodies.point import Point
 from ancfdae.elements import BeamElement, StrainEnergy
 from ancfdae.errors import (
     InvalidInput,
@@ -31,7 +32,8 @@ class Beam(BeamBody):
     name : str
     start, end : sequence of float
         End points of the centre line, two components for a planar and three for a spatial
-        scene; m.
+        scene; m. With a point of another beam as the start, such as ``crank.at_end``, the beam
+        stands there whatever the design, and `end` is taken from there.
     elements : int
         Number of equal elements.
     section : Section or sequence of Section
@@ -46,6 +48,11 @@ class Beam(BeamBody):
         deformation of the section.
     energy : StrainEnergy, optional
         By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
+    turn : float or sequence of float, optional
+        Turn of the whole beam about its start, a number in the plane and in space a vector along
+        the axis; rad. Design targets: ``turn``, in space ``turn_x`` ..., and ``start_x`` ...
+    rigid : bool, optional
+        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
 
     Raises
     ------
@@ -55,7 +62,7 @@ class Beam(BeamBody):
     """
 
     name: str
-    start: Sequence[float]
+    start: Sequence[float] | Point
     end: Sequence[float]
     elements: int
     section: Section | Sequence[Section]
@@ -63,18 +70,23 @@ class Beam(BeamBody):
     height_axis: Sequence[float] | None = None
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
     energy: StrainEnergy | None = None
+    turn: float | Sequence[float] = 0.0
+    rigid: bool = False
 
     def __post_init__(self) -> None:
         """Validate."""
         where = f"beam {self.name!r}"
-        require_vector(f"{where}, start", self.start)
-        require_vector(f"{where}, end", self.end, (len(tuple(self.start)),))
+        if isinstance(self.start, Point):
+            require_vector(f"{where}, end", self.end)
+        else:
+            require_vector(f"{where}, start", self.start)
+            require_vector(f"{where}, end", self.end, (len(tuple(self.start)),))
         require_count(f"{where}, elements", self.elements, "Use at least one element.")
-        if not np.any(np.subtract(self.end, self.start)):
+        if not np.any(self._span):
             raise InvalidInput(
                 where,
                 "start and end must differ",
-                tuple(self.start),
+                tuple(self.end),
                 "A beam needs a length.",
             )
         self._check_parts()
@@ -88,18 +100,22 @@ class Beam(BeamBody):
     @property
     def dimension(self) -> int:
         """Dimension of space."""
-        return len(tuple(self.start))
+        return len(tuple(self.end))
+
+    @property
+    def place(self) -> Sequence[float] | Point:
+        """Start of the centre line."""
+        return self.start
 
     @property
     def length(self) -> float:
         """Length of the centre line."""
-        return float(np.linalg.norm(np.subtract(self.end, self.start)))
+        return float(np.linalg.norm(self._span))
 
     def reference(self) -> ReferenceShape:
         """Return the straight reference configuration."""
         n, frame = self.element_count, self._frame()
         return ReferenceShape(
-            start=np.array(self.start, dtype=float),
             lengths=np.full(n, self.length / n),
             slopes=np.repeat(frame[None], n + 1, axis=0),
             chords=np.repeat(frame[None, 0], n, axis=0),
@@ -109,8 +125,13 @@ class Beam(BeamBody):
     def with_length(self, length: float) -> Beam:
         """Return the same beam with its end moved along its axis."""
         require_positive(f"{self.name}.length", length)
-        start = np.asarray(self.start, dtype=float)
-        return replace(self, end=tuple((start + length * self._frame()[0]).tolist()))
+        end = self._origin + length * self._frame()[0]
+        return replace(self, end=tuple(end.tolist()))
+
+    def with_place(self, place: Sequence[float]) -> Beam:
+        """Return the same beam, moved to start at another place."""
+        end = np.asarray(place, float) + self._span
+        return replace(self, start=tuple(place), end=tuple(end.tolist()))
 
     def with_parts(
         self, section: Section | Sequence[Section], material: Material | Sequence[Material]
@@ -118,8 +139,17 @@ class Beam(BeamBody):
         """Return the same beam with another section and material."""
         return replace(self, section=section, material=material)
 
+    @property
+    def _origin(self) -> Array:
+        """Where `end` is taken from."""
+        return np.zeros(self.dimension) if isinstance(self.start, Point) else np.array(self.start)
+
+    @property
+    def _span(self) -> Array:
+        return np.subtract(self.end, self._origin).astype(float)
+
     def _frame(self) -> Array:
-        axis = np.subtract(self.end, self.start).astype(float)
+        axis = self._span
         axis = axis / np.linalg.norm(axis)
         if self.dimension == 2:
             if self.height_axis is not None:

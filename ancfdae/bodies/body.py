@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.bodies.placed import Placed
 from ancfdae.bodies.point import Point
 from ancfdae.elements import (
     ALL_ELEMENTS,
@@ -18,9 +19,10 @@ from ancfdae.elements import (
     Quantity,
     StrainEnergy,
 )
-from ancfdae.errors import InvalidInput, UnknownName, require_kind
+from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind, require_name
 from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.frames import orthonormal
 from ancfdae.sections import Section
 
 # Parameters of every beam as a user writes them; the sizes of its section follow.
@@ -38,10 +40,10 @@ _PARAMETERS = {
 class ReferenceShape:
     """Reference configuration of a beam of n elements.
 
+    It stands with its first node at the origin, before the turn of the beam.
+
     Attributes
     ----------
-    start : array, shape (d,)
-        Position of the first node.
     lengths : array, shape (n,)
         Element lengths.
     slopes : array, shape (n + 1, d, d)
@@ -52,19 +54,17 @@ class ReferenceShape:
         Whether dr_o/dx is the same at every point of the beam.
     """
 
-    start: Array
     lengths: Array
     slopes: Array
     chords: Array
     straight: bool
 
 
-class BeamBody(abc.ABC):
-    """What the rest of the package needs to know about a beam.
+class BeamBody(Placed):
+    """What the rest of the package needs to know about a beam; name and turn as in `Placed`.
 
     Attributes
     ----------
-    name : str
     section : Section or sequence of Section
         One for the beam or one per element, which may differ in their sizes.
     material : Material or sequence of Material
@@ -73,13 +73,15 @@ class BeamBody(abc.ABC):
         The element that models it.
     energy : StrainEnergy or None
         How it resists strain; None for elements with a law of their own.
+    rigid : bool
+        Whether it has the coordinates of a rigid body instead of those of its elements.
     """
 
-    name: str
     element: BeamElement
     energy: StrainEnergy | None
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]
+    rigid: bool
 
     @property
     @abc.abstractmethod
@@ -105,6 +107,10 @@ class BeamBody(abc.ABC):
     ) -> BeamBody:
         """Return the same beam with another section and material."""
 
+    def directions(self) -> Array:
+        """Return the axes of the beam as a rigid body: those at its start, as rows."""
+        return orthonormal(self.reference().slopes[0])
+
     @property
     def at_start(self) -> Point:
         """The point at the start of the centre line."""
@@ -117,6 +123,7 @@ class BeamBody(abc.ABC):
 
     def at(self, fraction: float, y: float = 0.0, z: float = 0.0) -> Point:
         """Return the point at an arc-length fraction, offset in the section by y and z."""
+        require_finite(f"point of {self.name!r}", fraction)
         return Point(self.name, fraction, y, z)
 
     def parameter_names(self) -> dict[str, ElementParameter]:
@@ -163,11 +170,16 @@ class BeamBody(abc.ABC):
         UnknownName
             If there is no such parameter.
         """
-        beam, names = self, self.parameter_names()
+        names, placement = self.parameter_names(), self.placement()
+        changes = tuple(changes)
+        moved = {name: value for name, _, value in changes if name in placement}
+        beam = self.with_placement(moved) if moved else self
         sections, materials = self._per_element()
         sizes: list[dict[str, float]] = [{} for _ in sections]
         for parameter, element, value in changes:
             self.check_target(parameter, element)
+            if parameter in placement:
+                continue
             if names[parameter] is ElementParameter.LENGTH:
                 beam = beam.with_length(value)
                 continue
@@ -186,9 +198,9 @@ class BeamBody(abc.ABC):
         ------
         InvalidInput, UnknownName
         """
-        names = self.parameter_names()
-        if parameter not in names:
-            known = (f"{self.name}.{name}" for name in names)
+        names, placement = self.parameter_names(), self.placement()
+        if parameter not in names and parameter not in placement:
+            known = (f"{self.name}.{name}" for name in (*names, *placement))
             raise UnknownName("design target", f"{self.name}.{parameter}", known)
         if element is None:
             return
@@ -200,12 +212,12 @@ class BeamBody(abc.ABC):
                 element,
                 "Name an element that exists.",
             )
-        if names[parameter] is ElementParameter.LENGTH:
+        if names.get(parameter, ElementParameter.LENGTH) is ElementParameter.LENGTH:
             raise InvalidInput(
                 where,
-                "length is a property of the whole beam",
+                f"{parameter} is a property of the whole beam",
                 f"[{element}]",
-                f"Use {self.name}.length.",
+                f"Use {self.name}.{parameter}.",
             )
 
     def _section(self) -> Section:
@@ -220,14 +232,7 @@ class BeamBody(abc.ABC):
         return sections, materials
 
     def _check_parts(self) -> None:
-        name: object = self.name
-        if not isinstance(name, str) or not name or "." in name or "[" in name:
-            raise InvalidInput(
-                "Beam.name",
-                "must be a non-empty string without '.' and '['",
-                repr(name),
-                "Names appear in design targets such as 'rod.height[2]'.",
-            )
+        require_name("Beam.name", self.name)
         given: object = self.element
         if given is None:
             given = next(each for each in ALL_ELEMENTS if each.d == self.dimension)
@@ -240,6 +245,7 @@ class BeamBody(abc.ABC):
                 repr(given),
                 f"Leave it out, or choose among {names}.",
             )
+        self._check_turn(f"beam {self.name!r}")
         self._check_part(self.section, Section)
         self._check_part(self.material, Material)
         self._check_sections()

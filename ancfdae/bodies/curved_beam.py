@@ -46,6 +46,10 @@ class CurvedBeam(BeamBody):
         By default the beam of the dimension, BEAM_2D or BEAM_3D.
     energy : StrainEnergy, optional
         By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
+    turn : float or sequence of float, optional
+        Turn of the whole beam about its first node, as in `Beam`.
+    rigid : bool, optional
+        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
 
     Raises
     ------
@@ -61,6 +65,8 @@ class CurvedBeam(BeamBody):
     element_lengths: Sequence[float] | None = None
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
     energy: StrainEnergy | None = None
+    turn: float | Sequence[float] = 0.0
+    rigid: bool = False
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -116,7 +122,17 @@ class CurvedBeam(BeamBody):
             lengths = _arc_lengths(steps, slopes[:-1, 0], slopes[1:, 0])
         else:
             lengths = np.asarray(self.element_lengths, float)
-        return ReferenceShape(positions[0], lengths, slopes, steps / lengths[:, None], False)
+        return ReferenceShape(lengths, slopes, steps / lengths[:, None], False)
+
+    @property
+    def place(self) -> Sequence[float]:
+        """Place of the first node."""
+        return tuple(np.asarray(self.positions, float)[0].tolist())
+
+    def with_place(self, place: Sequence[float]) -> CurvedBeam:
+        """Return the same beam, moved to start at another place."""
+        positions = np.asarray(self.positions, float)
+        return replace(self, positions=positions - positions[0] + np.asarray(place, float))
 
     def with_length(self, length: float) -> CurvedBeam:
         """Return the beam with its centre line scaled about its start."""

@@ -1,4 +1,4 @@
-"""Material points of beams, and the vectors that belong to them."""
+"""Material points of beams and rigid bodies."""
 
 from __future__ import annotations
 
@@ -15,33 +15,44 @@ from ancfdae.errors import (
 @final
 @dataclass(frozen=True)
 class Point:
-    """A material point of a beam.
+    """A material point of a beam or a rigid body.
 
     Parameters
     ----------
     beam : str
-        Name of the beam.
-    fraction : float
-        Arc-length fraction along the beam, 0 at the start, 1 at the end.
+        Name of the beam or the body.
+    fraction : float, optional
+        Arc-length fraction along the beam, 0 at the start, 1 at the end; None for a body.
     y, z : float
-        Offset from the centre line along the section's axes; m.
+        Offset from the centre line along the section's axes, or place along the axes of the body;
+        m.
+    x : float
+        Place along the first axis of the body; m. Zero for a beam.
 
     Raises
     ------
     InvalidInput
-        If the fraction lies outside [0, 1] or a number is not finite.
+        If the fraction lies outside [0, 1], a number is not finite or both x and the fraction are
+        given.
     """
 
     beam: str
-    fraction: float
+    fraction: float | None = None
     y: float = 0.0
     z: float = 0.0
+    x: float = 0.0
 
     def __post_init__(self) -> None:
         """Validate."""
         where = f"point of {self.beam!r}"
-        for value in (self.fraction, self.y, self.z):
+        for value in (self.x, self.y, self.z):
             require_finite(where, value)
+        if self.fraction is None:
+            return
+        require_finite(where, self.fraction)
+        if self.x != 0:
+            rule, repair = "has a fraction along a beam or an x in a body", "Leave one of them out."
+            raise InvalidInput(where, rule, f"both: {self.fraction}, {self.x}", repair)
         if not 0.0 <= self.fraction <= 1.0:
             raise InvalidInput(
                 where,
@@ -50,15 +61,27 @@ class Point:
                 "0 is the start of the beam and 1 its end.",
             )
 
+    def numbers(self) -> dict[str, float]:
+        """Return the place on the beam or in the body, by name."""
+        first = {"x": self.x} if self.fraction is None else {"fraction": self.fraction}
+        return first | {"y": self.y, "z": self.z}
+
+    def __str__(self) -> str:
+        """Return a short name, such as rod@0.5 or box(0.1, 0)."""
+        if self.fraction is not None:
+            return f"{self.beam}@{self.fraction:g}"
+        place = (self.x, self.y, self.z) if self.z else (self.x, self.y)
+        return f"{self.beam}({', '.join(f'{x:g}' for x in place)})" if any(place) else self.beam
+
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:
-    """Refuse what is no point, and a point off the plane of a planar beam.
+    """Refuse what is no point, and a point off the plane of a planar scene.
 
     Raises
     ------
     InvalidInput
     """
-    require_kind(where, point, (Point,), "Write beam.at_start, beam.at_end or beam.at(fraction).")
+    require_kind(where, point, (Point,), "Write beam.at_end, beam.at(fraction) or body.at(x, y).")
     assert isinstance(point, Point)
     if dimension == 2 and point.z != 0.0:
-        raise InvalidInput(where, "a planar beam has no z axis", f"z = {point.z}", "Leave z out.")
+        raise InvalidInput(where, "a planar scene has no z axis", f"z = {point.z}", "Leave z out.")

@@ -16,7 +16,7 @@ times in seconds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
@@ -41,7 +41,7 @@ _STAGES = Rule(DOP853.B[_USED], DOP853.E5[_USED], DOP853.E3[_USED])
 # Panels of a step whose stages are too few.
 _PANELS = (1, 4, 16)
 # Steps that are taken into the integrals together: an evaluation of observables costs half a step.
-# Where stages are too few, these steps are repeated.
+# Where stages are too few, these steps are repeated, and the next ones keep their dense output.
 _TOGETHER = 8
 
 
@@ -54,8 +54,6 @@ class Explicit(HighOrder):
     takes 1,000 in a second. Parameters: see `HighOrder`.
     """
 
-    max_steps: int = 20_000
-
     def __post_init__(self) -> None:
         self.require_settings(_LEAST_RTOL)
 
@@ -65,10 +63,10 @@ class Explicit(HighOrder):
 
 
 class _Stage(NamedTuple):
-    """A state at which the rate was evaluated, with its multipliers."""
+    """A vector at which the rate was evaluated, with the multipliers there."""
 
-    t: float
-    state: State
+    s: float
+    y: Array
     lam: Array
     lam_b: Array | None
 
@@ -80,6 +78,7 @@ class _Step(NamedTuple):
     right: float
     y: Array
     stages: list[_Stage]
+    between: DenseOutput | None
 
 
 @final
@@ -99,7 +98,7 @@ class _ExplicitMarch(March):
         first = problem.initial
         start = State(first.q, first.v, *(b or ())[:2])
         self._between: DenseOutput | None = None
-        self._rtol, self._steps = settings.rtol, list[_Step]()
+        self._rtol, self._steps, self._dense = settings.rtol, list[_Step](), False
         self._solver = self._new_solver(0.0, self._vector(start), 1.0)
         self._first = self._stages[0]
 
@@ -124,43 +123,48 @@ class _ExplicitMarch(March):
         return self._projected(s, self._between(s))
 
     def _accept(self, y: Array) -> None:
-        """Keep the stages of a step from y for the integrals, and project its end."""
+        """Project the end of a step from y, and keep its stages for the integrals."""
         solver = self._solver
         # The last twelve evaluations: stages 1 to 11, and the state after the step.
         stages = [self._first, *self._stages[-12:]]
-        self._first = stages[-1]
-        if self._quadrature.wanted:
-            used = [stages[i] for i in _USED]
-            self._steps.append(_Step(solver.t_old, solver.t, y, used))
-            if len(self._steps) == _TOGETHER:
-                self.finish()
         if self._problem.system.n_lam:
             solver.y = self._vector(self._projected(solver.t, solver.y))
             solver.f = self._rate(solver.t, solver.y)
-            self._first = self._stages[-1]
+        self._first = self._stages[-1]
+        if not self._quadrature.wanted:
+            return
+        if self._dense:
+            self._between = solver.dense_output()
+        used = [stages[i] for i in _USED]
+        self._steps.append(_Step(solver.t_old, solver.t, y, used, self._between))
+        if len(self._steps) == _TOGETHER:
+            self.finish()
 
     def finish(self) -> None:
+        self._dense = False
         if self._steps:
-            self._quadrature.add(self._points(self._steps))
+            self._quadrature.add(self._choices(self._steps))
             self._steps = []
 
-    def _points(self, steps: list[_Step]) -> Iterator[Points]:
+    def _choices(self, steps: list[_Step]) -> Iterator[Points]:
         """Points within steps: their stages, then their dense output on ever more panels."""
-        t_end, h = self._t_end, np.array([x.right - x.left for x in steps]) * self._t_end
+        h = np.array([x.right - x.left for x in steps]) * self._t_end
         used = [stage for x in steps for stage in x.stages]
-        points = _stacked(_STAGES, h, [x.t for x in used], [x.state for x in used])
+        s, y = np.array([x.s for x in used]), np.array([x.y for x in used])
+        points = self._points(_STAGES, h, s, y)
         lam_b = [x.lam_b for x in used if x.lam_b is not None]
         yield replace(
             points, lam=np.array([x.lam for x in used]), lam_b=np.array(lam_b) if lam_b else None
         )
-        dense = [self._repeated(x) for x in steps]
+        self._dense = True
+        dense = [x.between or self._repeated(x) for x in steps]
         for n in _PANELS:
-            shares, states, times = (np.arange(n)[:, None] + SHARES).ravel() / n, [], []
-            for x, between in zip(steps, dense, strict=True):
-                s = np.minimum(x.left + shares * (x.right - x.left), x.right)
-                states += [self._point(between(each)) for each in s]
-                times += list(s * t_end)
-            yield _stacked(KRONROD, np.repeat(h / n, n), times, states)
+            shares = (np.arange(n)[:, None] + SHARES).ravel() / n
+            within = [np.minimum(x.left + shares * (x.right - x.left), x.right) for x in steps]
+            rows = [between(times).T for between, times in zip(dense, within, strict=True)]
+            yield self._points(
+                KRONROD, np.repeat(h / n, n), np.concatenate(within), np.concatenate(rows)
+            )
 
     def _repeated(self, step: _Step) -> DenseOutput:
         """Return the dense output of a step that was accepted before."""
@@ -189,6 +193,13 @@ class _ExplicitMarch(March):
         if self._m == 0:
             return State(x[:n_q, 0], x[n_q:, 0])
         return State(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
+
+    def _points(self, rule: Rule, h: Array, s: Array, y: Array) -> Points:
+        n_q = self._problem.system.n_q
+        x = y.reshape(-1, *self._size.shape) * self._size
+        q, v = x[:, :n_q], x[:, n_q:]
+        derivatives = (q[..., 1:], v[..., 1:]) if self._m else ()
+        return Points(rule, h, s * self._t_end, q[..., 0], v[..., 0], *derivatives)
 
     def _projected(self, s: float, y: Array) -> State:
         if not is_finite(y):
@@ -219,13 +230,5 @@ class _ExplicitMarch(March):
         vector = self._vector(rate) * self._t_end
         if not is_finite(vector):
             raise NotFinite
-        self._stages.append(_Stage(t, x, lam, lam_b))
+        self._stages.append(_Stage(s, y, lam, lam_b))
         return vector
-
-
-def _stacked(rule: Rule, h: Array, t: Sequence[float] | Array, states: list[State]) -> Points:
-    arrays = [
-        np.array([getattr(x, name) for x in states])
-        for name in (("q", "v") if states[0].q_b is None else ("q", "v", "q_b", "v_b"))
-    ]
-    return Points(rule, h, np.asarray(t), *arrays)

@@ -95,14 +95,9 @@ class PartialIntegral:
 class Integrand(abc.ABC):
     """A function of the states that is summed up along a run."""
 
-    @property
-    @abc.abstractmethod
-    def multipliers(self) -> bool:
-        """Whether it depends on multipliers."""
-
     @abc.abstractmethod
     def part(self, points: Points) -> PartialIntegral:
-        """Evaluate it on the next part of the run."""
+        """Evaluate it on the next part of the run; without multipliers as if they were NaN."""
 
     @abc.abstractmethod
     def add(self, part: PartialIntegral) -> None:

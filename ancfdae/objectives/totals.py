@@ -39,11 +39,6 @@ class Total(Integrand, Integrated):
         self._duration, self._size = 0.0, np.zeros(1 + system.n_b if differentiated else 1)
         self._b = np.where(system.b == 0, 1.0, np.abs(system.b))
 
-    @property
-    def multipliers(self) -> bool:
-        """Whether a leaf of the observable depends on them."""
-        return any(leaf.multipliers for leaf in self._reduction.observable.leaves())
-
     def part(self, points: Points) -> PartialIntegral:
         """Reduce the observable over the points."""
         reduction, observable, w = self._reduction, self._reduction.observable, points.weights
@@ -134,7 +129,7 @@ def totals_of(
 
 def _states(system: MechanicalSystem, points: Points) -> States:
     lam = points.lam
-    if lam is None:  # No observable reads them.
+    if lam is None:
         lam = np.full((len(points.t), system.n_lam), np.nan)
     return States(points.t, points.q, points.v, lam)
 

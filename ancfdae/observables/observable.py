@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from typing import ClassVar, cast, final
+from typing import cast, final
 
 import numpy as np
 
@@ -140,9 +140,6 @@ class Observable(Expression["Observable"]):
 
 class Leaf(Observable):
     """An observable that is not made of others; immutable and compared by value."""
-
-    #: Whether it depends on multipliers.
-    multipliers: ClassVar[bool] = False
 
     @abc.abstractmethod
     def check_leaf(self, system: Named) -> None:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
-from ancfdae.ancf import AncfSystem
 from ancfdae.errors import InvalidInput, UnknownName
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
-from ancfdae.observables.states import Named, States, known_naming, known_system, require_index
+from ancfdae.observables.states import (
+    Named,
+    States,
+    known_naming,
+    known_scene,
+    known_system,
+    require_index,
+)
 from ancfdae.protocol import MechanicalSystem
 
 
@@ -31,12 +37,12 @@ def multiplier(joint: str, row: int) -> Observable:
 
 
 def strain_energy(beam: str | None = None) -> Observable:
-    """Return the strain energy of a beam, or of the whole scene; J."""
+    """Return the strain energy of a beam or body, or of the whole scene; J."""
     return Energy(beam, kinetic=False)
 
 
 def kinetic_energy(beam: str | None = None) -> Observable:
-    """Return the kinetic energy of a beam, or of the whole scene; J."""
+    """Return the kinetic energy of a beam, a body or a point mass, or of the whole scene; J."""
     return Energy(beam, kinetic=True)
 
 
@@ -54,8 +60,6 @@ def design_value(name: str) -> Observable:
 @dataclass(frozen=True)
 class Multiplier(Leaf):
     """Multiplier of an equation of a joint; `on_point` if it must be a force on its first point."""
-
-    multipliers: ClassVar[bool] = True
 
     joint: str
     row: int
@@ -99,20 +103,20 @@ class Energy(Leaf):
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a beam that does not exist, or a solution without its system."""
-        layout = known_naming(_ancf(system)).layout
+        layout = known_naming(known_scene(system)).layout
         if self.beam is not None:
-            layout.beam(self.beam)
+            layout.owner(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """T (eq. 9) or U of every instant."""
-        scene = _ancf(system)
+        scene = known_scene(system)
         if self.kinetic:
             return scene.kinetic_energies(states.v, beam=self.beam)
         return scene.strain_energies(states.q, beam=self.beam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """T_v and T_b, or U_q and U_b."""
-        scene, q, v = _ancf(system), states.q, states.v
+        scene, q, v = known_scene(system), states.q, states.v
         if self.kinetic:
             rows = Rows(slice(None), scene.kinetic_energies_v(v, beam=self.beam))
             return LeafGradient(v=rows, b=scene.kinetic_energies_b(v, beam=self.beam))
@@ -160,10 +164,3 @@ class Design(Leaf):
         b = np.zeros((len(states.t), system.n_b))
         b[:, system.design_names.index(self.name)] = 1.0
         return LeafGradient(b=b)
-
-
-def _ancf(system: Named) -> AncfSystem:
-    if not isinstance(system, AncfSystem):
-        rule, repair = "needs the assembled scene", "Pass assemble(scene, design)."
-        raise InvalidInput("energy", rule, type(system).__name__, repair)
-    return system

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -63,8 +63,6 @@ def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
 @dataclass(frozen=True)
 class Custom(Leaf):
     """A user's function of time, states and design variables."""
-
-    multipliers: ClassVar[bool] = True
 
     function: Callable[..., Array]
     name: str

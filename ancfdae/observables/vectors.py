@@ -93,7 +93,7 @@ class Component(Leaf):
     def check_leaf(self, system: Named) -> None:
         """Refuse a point or an axis that does not exist."""
         naming = known_naming(system)
-        naming.layout.beam(self.point.beam)
+        naming.layout.body(self.point.beam)
         require_index("observable, axis", self.axis, naming.layout.d)
         if self.quantity is not Quantity.POSITION:
             require_index("slope, along", int(self.quantity) - 1, naming.layout.d)

@@ -62,8 +62,11 @@ class Solution:
     # -- named access --------------------------------------------------------------------------
 
     def nodes(self, beam: str) -> Array:
-        """Node vectors of a beam, shape (n_t, n_nodes, n_s, d): position, then slopes."""
-        return self._nodes(self.q, beam)
+        """Node vectors of a beam, shape (n_t, n_nodes, n_s, d): position, then slopes.
+
+        Of a rigid body those of its one frame, (n_t, 1, d + 1, d).
+        """
+        return self._known_naming().nodes(self.q, beam)
 
     def position(self, point: Point) -> Array:
         """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
@@ -157,9 +160,10 @@ class Solution:
         asked = np.array(times, dtype=float, ndmin=1)
         good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))
         if not good or not (self.t[0] <= asked[0] and asked[-1] <= self.t[-1]):
+            early = "" if self.outcome.success else f", where the run ended early: {self.outcome}"
             raise InvalidInput(
                 "times",
-                f"must increase and lie in [0, {self.t[-1]:.6g}]",
+                f"must increase and lie in [0, {self.t[-1]:.6g}]{early.rstrip('.')}",
                 repr(times),
                 "For example np.linspace(0, solution.t[-1], 101).",
             )
@@ -192,13 +196,6 @@ class Solution:
         naming = self._known_naming()
         require_point("point", point, naming.layout.d)
         return naming.vector(point, quantity).of(states, naming.layout.d)
-
-    def _nodes(self, states: Array, beam: str) -> Array:
-        layout = self._known_naming().layout
-        place, per_node = layout.beam(beam), layout.d * layout.element.n_s
-        first, count = place.first_node * per_node, (place.element_count + 1) * per_node
-        part = states[:, first : first + count]
-        return part.reshape(len(states), -1, layout.element.n_s, layout.d)
 
     def _known_naming(self) -> Naming:
         if self.naming is None:

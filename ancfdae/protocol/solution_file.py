@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from ancfdae.errors import InvalidInput, Outcome, Verdict
-from ancfdae.naming import BeamLayout, JointLayout, Layout, Naming
+from ancfdae.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, RigidNodes
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 
-_FORMAT = "ancfdae solution 4"
+_FORMAT = "ancfdae solution 5"
 _STATES = ("t", "q", "v", "a", "lam")
 _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
 # Exceptions raised on reading a file that is damaged or not an archive.
@@ -107,7 +107,20 @@ def _unpacked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str,
 
 
 def _layout(meta: Mapping[str, Any]) -> Layout:
-    beams = (BeamLayout(**{**x, "fractions": tuple(x["fractions"])}) for x in meta["beams"])
     return Layout(
-        meta["element_name"], tuple(beams), tuple(JointLayout(**x) for x in meta["joints"])
+        element_name=meta["element_name"],
+        bodies=tuple(BodyLayout(**x) for x in meta["bodies"]),
+        beams=tuple(_beam(x) for x in meta["beams"]),
+        masses=tuple(meta["masses"]),
+        joints=tuple(JointLayout(**x) for x in meta["joints"]),
     )
+
+
+def _beam(meta: Mapping[str, Any]) -> BeamLayout:
+    rigid = meta["rigid"] and RigidNodes(**{x: _tuples(y) for x, y in meta["rigid"].items()})
+    return BeamLayout(**{**meta, "fractions": tuple(meta["fractions"]), "rigid": rigid})
+
+
+def _tuples(nested: Any) -> Any:
+    """Return nested lists of numbers as tuples."""
+    return tuple(map(_tuples, nested)) if isinstance(nested, list) else nested

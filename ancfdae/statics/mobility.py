@@ -1,4 +1,4 @@
-"""What a mechanism that is free to move does, in words: which beams move, and how.
+"""What a mechanism that is free to move does, in words: which beams and bodies move, and how.
 
 A motion without stiffness strains no beam, so each beam moves as a rigid body: v of its start and
 omega are fitted to its node vectors. Several motions are combined so that each moves few beams in
@@ -13,7 +13,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.naming import BeamLayout, Naming
+from ancfdae.naming import BodyLayout, Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.text import listed
 
@@ -41,7 +41,7 @@ def free_mechanism(naming: Naming | None, q: Array, motions: Array) -> FreeMecha
 
 
 def motions_in_words(naming: Naming | None, q: Array, motions: Array) -> str:
-    """Say which beams move, and how, in motions without stiffness, shape (n_q, k)."""
+    """Say which beams and bodies move, and how, in motions without stiffness, shape (n_q, k)."""
     return _of_coordinates(motions) if naming is None else _of_beams(naming, q.real, motions)
 
 
@@ -52,7 +52,7 @@ def _of_coordinates(motions: Array) -> str:
 
 
 def _of_beams(naming: Naming, q: Array, motions: Array) -> str:
-    bodies = [_Body.of(naming, beam, q) for beam in naming.layout.beams]
+    bodies = [_Body.of(naming, beam, q) for beam in naming.layout.bodies]
     fits = [body.fit(motions) for body in bodies]
     basis = np.concatenate([fit.rigid for fit in fits])
     size = max(fit.size for fit in fits)
@@ -101,7 +101,7 @@ class _Fit:
 @final
 @dataclass(frozen=True)
 class _Body:
-    """A beam as it stands: node positions r (n, d), slopes (n, n_s - 1, d) and its length."""
+    """A beam or a rigid body as it stands: nodes r (n, d), slopes (n, n_s - 1, d), and size."""
 
     name: str
     r: Array
@@ -110,13 +110,11 @@ class _Body:
     columns: slice
 
     @staticmethod
-    def of(naming: Naming, beam: BeamLayout, q: Array) -> _Body:
-        d, n_s = naming.layout.d, naming.layout.element.n_s
-        first, count = beam.first_node * n_s * d, len(beam.fractions) * n_s * d
-        X = q[first : first + count].reshape(-1, n_s, d)
-        elements = slice(beam.first_element, beam.first_element + beam.element_count)
-        length = float(np.sum(naming.lengths[elements].real))
-        return _Body(beam.name, X[:, 0], X[:, 1:], length, slice(first, first + count))
+    def of(naming: Naming, beam: BodyLayout, q: Array) -> _Body:
+        d = naming.layout.d
+        columns = slice(beam.first_vector * d, (beam.first_vector + beam.count) * d)
+        X = q[columns].reshape(-1, beam.stride, d)
+        return _Body(beam.name, X[:, 0], X[:, 1:], beam.size, columns)
 
     def fit(self, motions: Array) -> _Fit:
         """Fit rigid motions to the given ones."""
@@ -152,13 +150,15 @@ class _Body:
         centre = self.r[0] + np.cross(axis, v) / turning
         about = f"the axis {_direction(axis)} through {self._place(centre, axis)}"
         chord = (self.r[-1] - self.r[0]) / self.length
-        if np.linalg.norm(np.cross(axis, chord)) <= _SMALL and self._near(self.r[0], centre, axis):
+        along = np.any(chord) and np.linalg.norm(np.cross(axis, chord)) <= _SMALL
+        if along and self._near(self.r[0], centre, axis):
             about = "its own axis"
         pitch = abs(v @ axis) > _SMALL * turning * self.length
         return f"{self.name} turns about {about}{' and moves along it' if pitch else ''}"
 
     def _place(self, centre: Array, axis: Array | None = None) -> str:
-        for name, place in (("its start", self.r[0]), ("its end", self.r[-1])):
+        names = ("its origin",) if len(self.r) == 1 else ("its start", "its end")
+        for name, place in zip(names, (self.r[0], self.r[-1]), strict=False):
             if self._near(place, centre, axis):
                 return name
         rounded = self.length * np.round(centre / self.length, 6) + 0.0

@@ -37,8 +37,7 @@ import abc
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, cached_property
-from itertools import combinations_with_replacement
-from typing import Self, TypeAlias, final
+from typing import Self, TypeAlias, cast, final
 
 import numpy as np
 
@@ -49,6 +48,7 @@ from ancfdae.numerics.patterns import Pattern
 from ancfdae.protocol.motion import Motion, require_perturbation
 from ancfdae.protocol.system import MechanicalSystem
 from ancfdae.user_systems.analytic import Reach, require_analytic
+from ancfdae.user_systems.rows import Rows
 
 # What is differentiated: a function of a system, a motion and further numbers.
 Kernel: TypeAlias = Callable[..., Array]
@@ -116,17 +116,18 @@ class Differentiator:
     def gradient(
         self, kernel: Kernel, m: Motion, radii: tuple[float, ...] = (), order: int = 1
     ) -> Array:
-        """Differentiate in every coordinate, which the kernel moves by its last number."""
-        reach = self.reach.coordinates
+        """Differentiate in every coordinate; shape (n, n_q).
 
-        def towards(unit: Array) -> Kernel:
-            return lambda system, m, *z: kernel(system, m, *z, unit)
+        The kernel takes rows of changes of q as its last argument, and returns a row for each.
+        """
+        changes = np.diag(self.reach.coordinates)
 
-        parts = [
-            self.value(towards(unit), m, (*radii, reach[j]), order)
-            for j, unit in enumerate(np.eye(self._system.n_q))
-        ]
-        return np.stack(parts, axis=-1)
+        def moved(system: MechanicalSystem, m: Motion, *z: complex) -> Array:
+            *before, x = z
+            return kernel(system, m, *before, x * changes)
+
+        rows = self.value(moved, m, (*radii, 1.0), order)
+        return np.asarray((rows / self.reach.coordinates[:, None]).T)
 
     def _total(
         self,
@@ -185,6 +186,8 @@ class ComplexStepSystem(MechanicalSystem):
         shape, or if a weight is not positive.
     """
 
+    _last: tuple[tuple[bytes, float], Array] | None = None
+
     def __init__(self, b: Array | tuple[complex, ...]) -> None:
         self.b = np.asarray(b) * 1.0
         where = type(self).__name__
@@ -230,10 +233,7 @@ class ComplexStepSystem(MechanicalSystem):
 
     def inertia_q(self, q: Array, a: Array) -> Array:
         """Differentiate M a in q."""
-        return self._d.gradient(
-            lambda system, m, x, unit: system.mass_times(m.q + x * unit, m.a),
-            self._d.motion(q, a=a),
-        ).ravel()
+        return self._d.gradient(_inertia_moved, self._d.motion(q, a=a)).ravel()
 
     # -- forces --------------------------------------------------------------------------------
 
@@ -250,21 +250,30 @@ class ComplexStepSystem(MechanicalSystem):
     # -- constraints ---------------------------------------------------------------------------
 
     def constraint_q(self, q: Array, t: float) -> Array:
-        """Differentiate Phi in q."""
-        return self._d.gradient(_constraint_moved, self._d.motion(q, t=t)).ravel()
+        """Differentiate Phi in q; constraints and their forces ask at the same state."""
+        key = q.tobytes(), t
+        if self._last is None or self._last[0] != key:
+            Phi_q = self._d.gradient(_constraint_moved, self._d.motion(q, t=t)).ravel()
+            self._last = key, Phi_q
+        return self._last[1]
 
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
-        """Differentiate lam . Phi twice in q."""
+        """Differentiate lam . Phi twice: along every coordinate and every sum of two."""
         m, _ = self._d.motion(q, lam=lam, t=t).parts()
-        base, n, reach, unit = self._d.base, self.n_q, self._d.reach.coordinates, np.eye(self.n_q)
-        result = np.zeros((n, n))
-        for i, j in combinations_with_replacement(range(n), 2):
+        base, reach, n = self._d.base, self._d.reach.coordinates, self.n_q
+        i, j = np.triu_indices(n)
+        changes = np.eye(n)[i] + np.eye(n)[j] * (i != j)[:, None]
 
-            def reaction(x: complex, y: complex, i: int = i, j: int = j) -> Array:
-                return np.asarray(m.lam @ base.constraint(m.q + x * unit[i] + y * unit[j], m.t))
+        def moved(s: complex) -> Array:
+            return _constraint_moved(base, m, s * changes * reach)
 
-            result[i, j] = result[j, i] = derivative(reaction, (reach[i], reach[j]))
-        return result.ravel()
+        curvature = np.zeros((n, n))
+        second = derivative(moved, (1.0,), 2, lambda: moved(1.0))
+        curvature[i, j] = second @ m.lam
+        own = np.diag(curvature)
+        mixed = np.triu(0.5 * (curvature - own[:, None] - own), 1)
+        result = (mixed + mixed.T + np.diag(own)) / np.outer(reach, reach)
+        return np.asarray(result.ravel())
 
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
         """Differentiate Phi in q and along the motion."""
@@ -286,6 +295,11 @@ class ComplexStepSystem(MechanicalSystem):
     def _side(self, order: int, t: float, *states: Array) -> Array:
         m = self._d.motion(*states, t=t)
         return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), order)
+
+    @cached_property
+    def rows(self) -> Rows:
+        """What evaluates Phi and M at many states."""
+        return Rows({self.n_q, self.n_lam})
 
     @cached_property
     def _d(self) -> Differentiator:
@@ -315,11 +329,18 @@ def _minus_constraint(system: MechanicalSystem, m: Motion, s: complex) -> Array:
     return -system.constraint(moved.q, moved.t)
 
 
-def _constraint_moved(system: MechanicalSystem, m: Motion, x: complex, unit: Array) -> Array:
-    return system.constraint(m.q + x * unit, m.t)
+def _constraint_moved(system: MechanicalSystem, m: Motion, changes: Array) -> Array:
+    return _rows(system).of(system.constraint, m.q + changes, m.t)
 
 
-def _constraint_rate(
-    system: MechanicalSystem, m: Motion, s: complex, x: complex, unit: Array
-) -> Array:
-    return _constraint_moved(system, m.at(s), x, unit)
+def _constraint_rate(system: MechanicalSystem, m: Motion, s: complex, changes: Array) -> Array:
+    return _constraint_moved(system, m.at(s), changes)
+
+
+def _inertia_moved(system: MechanicalSystem, m: Motion, changes: Array) -> Array:
+    mass = cast(ComplexStepSystem, system).mass_matrix
+    return np.asarray(_rows(system).of(mass, m.q + changes) @ m.a)
+
+
+def _rows(system: MechanicalSystem) -> Rows:
+    return cast(ComplexStepSystem, system).rows

@@ -1,0 +1,408 @@
+"""Assembly: bodies follow joints by rigid motions.
+
+Where design variables move joints, lengths or angles, the bodies as declared no longer meet them.
+Each then moves rigidly, x = (u, g), so that
+
+    Phi(q(x)) = 0,   the turns sum |g|^2 are least, and among those the displacements sum |u|^2.
+
+With J = Phi_q q_x, its parts J_u and J_g, and multipliers sigma and rho, that is F = 0 with
+
+    F_1 = (0, g) + J^T sigma,   F_2 = J^T Phi,   F_3 = u + J_u^T rho.
+
+Where no rigid motion closes the joints, and the consistent start may strain the bodies, they come
+as near as they can: |Phi|^2 + delta |x|^2 is least with a small delta, F = J^T Phi + delta x.
+Either F is smooth, so that the design derivatives of the start are those of the assembly: one more
+step of Newton's method along each variable (docs/theory.md, section 4).
+
+Velocities follow likewise: to those declared a rigid motion of every body is added, with the least
+angular velocities, so that Phi_q v = nu.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.constraints import JointConstraints
+from ancfdae.ancf.rigid_motions import RigidMotions
+from ancfdae.errors import InconsistentStart
+from ancfdae.numerics.arrays import STEP, Array, only
+from ancfdae.numerics.patterns import Pattern
+
+_ITERATIONS = 60
+# A step that turns a body by more than this is shortened: Newton's method shall find the assembly
+# near the declared one, not that of another branch.
+_LONGEST_TURN = 0.3
+# Singular values of dimensionless matrices below this are round-off of zero.
+_RANK = 1e-10
+# Of a motion that is fixed but for round-off nothing is left in the null space.
+_FREE = 1e-6
+# Joints count as closed at this distance over the size of the mechanism: far above round-off of
+# Newton's method, far below what a declared start may violate.
+_CLOSED = 1e-11
+# delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
+_SOFT = 1e-3
+
+#: Unknowns of a problem: a motion of all free bodies, and multipliers sigma and rho.
+_Unknowns = tuple[Array, Array, Array]
+
+
+@final
+@dataclass(frozen=True)
+class Declared:
+    """What a scene declares at a value of its design: joints, coordinates, and velocities.
+
+    `velocities` gives v for the coordinates q and the turns x that brought the bodies there.
+    """
+
+    constraints: JointConstraints
+    Z: Array
+    velocities: Callable[[Array, Array], Array]
+
+
+@final
+class Assembly:
+    """The assembled start of a scene.
+
+    Parameters
+    ----------
+    motions : RigidMotions
+    pattern : Pattern
+        Of the system's tangents, which `constraints` place their curvature on.
+    free : array of bool, shape (n_bodies, n_x)
+        Which numbers of the motions may change; the turns of a body that leads may not.
+    declared : Declared
+        At the real values of the design variables, or at complex ones.
+    size : float
+        Size of the mechanism, for the units: a power of two, so that it does not move with the
+        design.
+    moves : bool
+        Whether bodies are to follow; otherwise the start is as declared, and a violated joint is
+        for others to refuse.
+    strains : bool
+        Whether joints may stay open, because the consistent start strains the bodies.
+    """
+
+    def __init__(
+        self,
+        motions: RigidMotions,
+        pattern: Pattern,
+        free: Array,
+        declared: Declared,
+        size: float,
+        moves: bool,
+        strains: bool,
+    ) -> None:
+        self._motions, self._pattern, self._declared = motions, pattern, declared
+        self._free = np.flatnonzero(free)
+        d = declared.Z.shape[1]
+        is_shift = np.broadcast_to(np.arange(motions.n_x) < d, free.shape).ravel()[self._free]
+        self._shift, self._units = is_shift, np.where(is_shift, size, 1.0)
+        self._moves, self._strains, self._size = moves, strains, size
+
+    # -- the start -----------------------------------------------------------------------------
+
+    @cached_property
+    def q(self) -> Array:
+        """Coordinates, shape (n_q,)."""
+        if self._stands:
+            return self._declared.Z.ravel()
+        return self._placed(self._declared, self._positions[0])
+
+    @cached_property
+    def v(self) -> Array:
+        """Velocities, shape (n_q,)."""
+        if self._stands:
+            return self._declared.velocities(self.q, self._motions.none)
+        return self._moving(self._declared, self._positions[0], self.q, self._velocities[0])
+
+    def along(self, moved: Declared) -> tuple[Array, Array]:
+        """Return the derivatives of q and v along a declaration moved by an imaginary step."""
+        y = self._positions
+        x = y[0] - self._position_inverse[: len(y[0])] @ self._position_equations(moved, y)
+        q = self._placed(moved, x)
+        rates = self._velocities
+        F = self._velocity_equations(moved, q, self._moving(moved, x, q, rates[0]), rates)
+        s = rates[0] - self._velocity_inverse[: len(x)] @ F
+        v = self._moving(moved, x, q, s)
+        return q.imag / STEP, v.imag / STEP
+
+    def left(self, q: Array, moved: Declared | None = None) -> Array:
+        """Return Phi in units of the size of the mechanism."""
+        declared = self._declared if moved is None else moved
+        return self._weights * declared.constraints.constraint(q, 0.0)
+
+    # -- positions -----------------------------------------------------------------------------
+
+    @cached_property
+    def _positions(self) -> _Unknowns:
+        """Newton's method from the declared places; a complex part needs two more steps."""
+        y = self._start(self._soft)
+        if self._stands:
+            return y
+        if not self._moves:
+            # What is declared stands; a perturbation follows it.
+            F = self._position_equations(self._declared, y)
+            return _plus(y, -1j * (_inverse(self._position_matrix(y)) @ F.imag))
+        found = self._search(self._soft)
+        if found is not None:
+            return found
+        raise InconsistentStart(
+            "assembly",
+            "rigid motions of the bodies must close all joints",
+            f"no convergence in {_ITERATIONS} iterations",
+            "Change the design less, or declare the bodies nearer to where they fit together.",
+        )
+
+    @property
+    def _stands(self) -> bool:
+        """Whether the start is as declared, to the last digit."""
+        declared = self._declared
+        moved = np.iscomplexobj(declared.Z) or declared.constraints.is_complex
+        return not (moved or self._moves)
+
+    @cached_property
+    def _soft(self) -> bool:
+        """Whether bodies only come as near to their joints as rigid motions can."""
+        if not (self._moves and self._strains):
+            return False
+        found = self._search(False)
+        return found is None or self._open(found[0]) > _CLOSED
+
+    def _start(self, soft: bool) -> _Unknowns:
+        rows = np.zeros(0 if soft else len(self._weights))
+        return np.zeros(len(self._free)), rows, rows
+
+    def _search(self, soft: bool) -> _Unknowns | None:
+        """Newton's method, None if it does not settle."""
+        y, settled = self._start(soft), 0
+        for _ in range(_ITERATIONS):
+            F = self._position_equations(self._declared, y)
+            dy = -_inverse(self._position_matrix(y)) @ F
+            size = np.max(np.abs(dy[: len(y[0])].real), initial=0.0)
+            dy = dy * min(1.0, _LONGEST_TURN / max(size, _LONGEST_TURN))
+            y = _plus(y, dy)
+            # The error left is the square of the last step.
+            settled += size <= 1e-8
+            if settled == 3 or (settled and F.dtype.kind != "c"):
+                return y
+        return None
+
+    def _position_equations(self, declared: Declared, y: _Unknowns) -> Array:
+        """F of the module description, with the bodies of `declared` moved by x."""
+        x, sigma, rho = y
+        motion, q = self._motion(x), self._placed(declared, x)
+        T = self._motions.tangent(declared.Z, motion)
+        Phi = self.left(q, declared)
+        return self._equations(declared, q, T, (x, sigma, rho), Phi)
+
+    def _position_matrix(self, y: _Unknowns) -> Array:
+        """F_(x, sigma, rho)."""
+        x, sigma, rho = (part.real for part in y)
+        Z, motion = self._declared.Z.real, self._motion(x)
+        q = self._motions.place(Z, motion).ravel()
+        T = self._motions.tangent(Z, motion)
+        Phi = self.left(q).real
+        loads = (sigma, Phi, rho) if len(sigma) == len(Phi) else (Phi,)
+        bends = [self._bend(Z, motion, q, T, s) for s in loads]
+        return self._matrix(self._jacobian(q, T), bends)
+
+    def _bend(self, Z: Array, motion: Array, q: Array, T: Array, multipliers: Array) -> Array:
+        """(J^T s)_x with s held: curvature of the joints, and of the turns."""
+        lam = self._weights * multipliers
+        constraints, matrix = self._declared.constraints, self._motions.matrix(T)
+        values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
+        bend = (matrix.T @ (self._pattern.csr(values) @ matrix)).toarray()
+        force = constraints.constraint_force(q, lam, 0.0).real
+        own = self._motions.curvature(Z, motion, force)
+        count, n_x, _ = own.shape
+        for body in range(count):
+            block = slice(body * n_x, (body + 1) * n_x)
+            bend[block, block] += own[body]
+        scaled: Array = bend[np.ix_(self._free, self._free)] * np.outer(self._units, self._units)
+        return scaled
+
+    @cached_property
+    def _position_inverse(self) -> Array:
+        matrix = self._position_matrix(self._positions)
+        inverse = _inverse(matrix)
+        n = len(self._free)
+        free = np.linalg.norm(np.eye(n) - inverse[:n] @ matrix[:, :n], axis=1)
+        if np.any(free > _FREE):
+            raise InconsistentStart(
+                "assembly",
+                "must be the only one nearby",
+                "a mechanism at a point where it branches",
+                "Start from another position, or let a body lead: Scene(lead=...).",
+            )
+        return inverse
+
+    # -- velocities ----------------------------------------------------------------------------
+
+    @cached_property
+    def _velocities(self) -> _Unknowns:
+        y = self._start(self._soft)
+        declared, x, q = self._declared, self._positions[0], self.q
+        if self._stands:
+            return y
+        for _ in range(3 if q.dtype.kind == "c" else 1):
+            F = self._velocity_equations(declared, q, self._moving(declared, x, q, y[0]), y)
+            y = _plus(y, -self._velocity_inverse @ (F if self._moves else 1j * F.imag))
+        return y
+
+    def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: _Unknowns) -> Array:
+        rate = self._weights * declared.constraints.rate(0.0, q, (v,))
+        return self._equations(declared, q, self._rigid(q), y, rate)
+
+    @cached_property
+    def _velocity_inverse(self) -> Array:
+        q = self.q.real
+        n, count = len(self._free), 1 if self._soft else 3
+        bends = [np.zeros((n, n))] * count
+        return _inverse(self._matrix(self._jacobian(q, self._rigid(q)), bends))
+
+    def _moving(self, declared: Declared, x: Array, q: Array, s: Array) -> Array:
+        """Velocities as declared, with rigid motions at rates s added."""
+        v = declared.velocities(q, self._motion(x))
+        added: Array = self._motions.matrix(self._rigid(q)) @ self._motion(s).ravel()
+        return v + added
+
+    def _rigid(self, q: Array) -> Array:
+        """Rigid velocities of all bodies at q."""
+        return self._motions.tangent(q.reshape(self._declared.Z.shape), self._motions.none)
+
+    # -- both ----------------------------------------------------------------------------------
+
+    def _motion(self, x: Array) -> Array:
+        """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
+        none = self._motions.none
+        motion = none.astype(x.dtype).ravel()
+        motion[self._free] = self._units * x
+        return motion.reshape(none.shape)
+
+    def _placed(self, declared: Declared, x: Array) -> Array:
+        return self._motions.place(declared.Z, self._motion(x)).ravel()
+
+    def _equations(
+        self, declared: Declared, q: Array, T: Array, y: _Unknowns, left: Array
+    ) -> Array:
+        """(F_1, F_2, F_3), with `left` for what is left of the joints' equations."""
+
+        def work(multipliers: Array) -> Array:
+            force = declared.constraints.constraint_force(q, self._weights * multipliers, 0.0)
+            collected: Array = self._motions.collect(T, force).ravel()[self._free]
+            return self._units * collected
+
+        x, sigma, rho = y
+        shift = self._shift
+        if len(sigma) < len(left):
+            return work(left) + _SOFT * x
+        F_1, F_2 = np.where(shift, 0.0, x) + work(sigma), work(left)
+        return np.concatenate([F_1, F_2, x[shift] + work(rho)[shift]])
+
+    def _jacobian(self, q: Array, T: Array) -> Array:
+        """J, dimensionless and dense, shape (n_lam, n_free)."""
+        constraints = self._declared.constraints
+        B = constraints.pattern.csr(constraints.constraint_q(q, 0.0).real)
+        J: Array = (B @ self._motions.matrix(T)).toarray()[:, self._free]
+        scaled: Array = self._weights[:, None] * J * self._units
+        return scaled
+
+    def _matrix(self, J: Array, bends: Sequence[Array]) -> Array:
+        n, shift = J.shape[1], self._shift
+        if len(bends) == 1:
+            return J.T @ J + bends[0] + _SOFT * np.eye(n)
+        none = np.zeros((n, len(J)))
+        on_1, on_2, on_3 = bends
+        return np.block(
+            [
+                [np.diag(np.where(shift, 0.0, 1.0)) + on_1, J.T, none],
+                [J.T @ J + on_2, none, none],
+                [(np.eye(n) + on_3)[shift], none[shift], J.T[shift]],
+            ]
+        )
+
+    @cached_property
+    def _weights(self) -> Array:
+        """One over the size for equations of lengths, which displacements change; else one."""
+        Z = self._declared.Z.real
+        constraints = self._declared.constraints
+        B = constraints.pattern.csr(constraints.constraint_q(Z.ravel(), 0.0).real)
+        T = self._motions.matrix(self._motions.tangent(Z, self._motions.none))
+        J = np.abs((B @ T).toarray())
+        shifts = np.arange(J.shape[1]) % self._motions.n_x < Z.shape[1]
+        # Of a slope that is long in its own units nothing but round-off moves with the body.
+        is_length = np.max(J[:, shifts], axis=1, initial=0.0) > 1e-9 * np.max(J, axis=1, initial=0)
+        return np.where(is_length, 1.0 / self._size, 1.0)
+
+    def _open(self, x: Array) -> float:
+        left = self.left(self._placed(self._declared, x))
+        return float(np.max(np.abs(left.real), initial=0.0))
+
+    def _worst(self, x: Array) -> str:
+        left = np.abs(self.left(self._placed(self._declared, x)).real)
+        joint = self.names[int(np.argmax(left))]
+        return f"joint {joint!r} stays open by {float(np.max(left)):.3g} of the mechanism's size"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint of every equation."""
+        joints = self._declared.constraints.joints
+        return tuple(joint.name for joint in joints for _ in range(joint.rows))
+
+    def require_closed(self) -> None:
+        """Refuse joints that rigid motions leave open.
+
+        Raises
+        ------
+        InconsistentStart
+        """
+        x = self._positions[0]
+        if self._moves and self._open(x) > _CLOSED:
+            raise InconsistentStart(
+                "assembly",
+                "rigid motions of the bodies must close all joints",
+                self._worst(x),
+                "Correct the design, or set project_start=True to strain the bodies.",
+            )
+
+    def require_following(self, moved: Declared, q_b: Array, variable: str) -> None:
+        """Refuse a variable that moves joints as no rigid motion does, to first order.
+
+        `q_b` is the derivative of the start along the declaration `moved`.
+
+        Raises
+        ------
+        InconsistentStart
+        """
+        declared = self._placed(moved, self._positions[0])
+        held = np.max(np.abs(self.left(declared, moved).imag), initial=0.0) / STEP
+        left = np.abs(self.left(self.q.real + 1j * STEP * q_b, moved).imag) / STEP
+        # Round-off is that of terms that cancel, and of moving coordinates.
+        # Coefficients that change, seen along a direction of no special kind.
+        q = self.q.real
+        along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
+        terms = self._weights * moved.constraints.rate(0.0, q, (along,)).imag / STEP
+        size = held + np.max(np.abs(terms), initial=0.0)
+        size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self._size
+        if np.max(left, initial=0.0) > _FREE * size:
+            raise InconsistentStart(
+                f"design variable {variable!r}",
+                "rigid motions of the bodies must follow it",
+                f"joint {self.names[int(np.argmax(left))]!r}, which they leave open",
+                "Set project_start=True to strain the bodies, or choose another variable.",
+            )
+
+
+def _inverse(matrix: Array) -> Array:
+    inverse: Array = np.linalg.pinv(matrix, rcond=_RANK)
+    return inverse
+
+
+def _plus(y: _Unknowns, dy: Array) -> _Unknowns:
+    n, m = len(y[0]), len(y[1])
+    return y[0] + dy[:n], y[1] + dy[n : n + m], y[2] + dy[n + m :]

@@ -1,0 +1,104 @@
+"""Rigid motions of all bodies of a scene at once, and what they do to coordinates.
+
+A motion of a body is x = (u, g): a displacement u of its middle c, and a turn about it by the Gibbs
+vector g (`numerics/rotations.py`). Positions go to c + u + R(g) (r - c), slopes to R(g) r_k.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from scipy import sparse
+
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.rotations import cayley, cayley_partials
+
+
+@final
+class RigidMotions:
+    """Rigid motions of bodies, x of shape (n_bodies, n_x).
+
+    Parameters
+    ----------
+    owner : array of int, shape (n_vectors,)
+        Body that each vector of the scene belongs to, from 0 on.
+    positions : array of bool, shape (n_vectors,)
+        Whether the vector is a position; else it is a slope.
+    d : int
+        Dimension of space.
+
+    Attributes
+    ----------
+    n_x : int
+        Numbers of a motion: d displacements, and one turn in the plane or three in space.
+    """
+
+    def __init__(self, owner: Array, positions: Array, d: int) -> None:
+        self._owner, self._d, self._count = owner, d, int(owner[-1]) + 1
+        self._is_position = positions.astype(float)
+        self._per_body = np.bincount(owner, self._is_position)
+        self.n_x = d + (1 if d == 2 else 3)
+
+    @property
+    def none(self) -> Array:
+        """No motion at all."""
+        return np.zeros((self._count, self.n_x))
+
+    def place(self, Z: Array, x: Array) -> Array:
+        """Return vectors Z, shape (n_vectors, d), moved by x."""
+        arms, centres = self._split(Z)
+        turned = np.einsum("vij,vj->vi", cayley(x[:, self._d :], self._d)[self._owner], arms)
+        moved: Array = turned + self._on_positions(centres + x[:, : self._d])
+        return moved
+
+    def turn(self, V: Array, x: Array) -> Array:
+        """Return velocities V, shape (n_vectors, d), turned by x."""
+        turned: Array = np.einsum("vij,vj->vi", cayley(x[:, self._d :], self._d)[self._owner], V)
+        return turned
+
+    def tangent(self, Z: Array, x: Array) -> Array:
+        """Return the partials of `place` in the motion of each vector's body, (n_vectors, d, n_x).
+
+        At x = 0 they are the rigid velocities: translations, and e_k x (r - c).
+        """
+        arms, _ = self._split(Z)
+        partials = cayley_partials(x[:, self._d :], self._d)[:, self._owner]
+        turns = np.einsum("kvij,vj->vik", partials, arms)
+        shifts = self._is_position[:, None, None] * np.eye(self._d)
+        return np.concatenate([shifts, turns], axis=2)
+
+    def matrix(self, T: Array) -> sparse.csr_array:
+        """Return a tangent as a matrix, shape (n_q, n_bodies n_x)."""
+        n, d, n_x = T.shape
+        rows = np.broadcast_to(np.arange(n * d).reshape(n, d, 1), T.shape)
+        columns = np.broadcast_to(self._owner[:, None, None] * n_x + np.arange(n_x), T.shape)
+        shape = (n * d, self._count * n_x)
+        return sparse.csr_array((T.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+
+    def collect(self, T: Array, f: Array) -> Array:
+        """Return what forces f, shape (n_q,), do on each motion: T^T f, shape (n_bodies, n_x)."""
+        work = np.einsum("vix,vi->vx", T, f.reshape(-1, self._d))
+        total = np.zeros((self._count, self.n_x), dtype=work.dtype)
+        np.add.at(total, self._owner, work)
+        return total
+
+    def curvature(self, Z: Array, x: Array, f: Array) -> Array:
+        """Return the partial of T^T f in x with f held, (n_bodies, n_x, n_x): turns only."""
+        result = np.zeros((self._count, self.n_x, self.n_x))
+        for k in range(self._d, self.n_x):
+            moved = x.astype(complex)
+            moved[:, k] += 1j * STEP
+            result[:, :, k] = self.collect(self.tangent(Z, moved), f).imag / STEP
+        return result
+
+    def _split(self, Z: Array) -> tuple[Array, Array]:
+        """Return the vectors with positions taken from the middle of their body, and middles."""
+        total = np.zeros((self._count, self._d), dtype=Z.dtype)
+        np.add.at(total, self._owner, self._is_position[:, None] * Z)
+        centres = total / self._per_body[:, None]
+        return Z - self._on_positions(centres), centres
+
+    def _on_positions(self, of_bodies: Array) -> Array:
+        spread: Array = self._is_position[:, None] * of_bodies[self._owner]
+        return spread

@@ -1,0 +1,73 @@
+"""Rotation matrices from numbers, complex-safe, many at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ancfdae.numerics.arrays import Array
+
+_PLANAR = np.array([[[0.0, -1.0], [1.0, 0.0]]])
+_SPATIAL = np.array(
+    [
+        [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    ]
+)
+# Terms of the series of sin(x)/x and (1 - cos x)/x^2 in x^2; below |x| = 1 the next is under eps.
+_TERMS = 10
+
+
+def generators(d: int) -> Array:
+    """Return the matrices E_k of turns about each axis, E_k r = e_k x r, shape (n_r, d, d).
+
+    One in the plane, three in space.
+    """
+    return _PLANAR if d == 2 else _SPATIAL
+
+
+def rotation(turn: Array, d: int) -> Array:
+    """Return the rotation by a vector along the axis, as long as the angle, shape (d, d).
+
+    exp(W) = I + sin(x)/x W + (1 - cos x)/x^2 W^2, x = |turn|; `turn` has one entry in the plane.
+    """
+    turn = np.atleast_1d(turn)
+    W = np.tensordot(turn, generators(d), 1)
+    squared = np.sum(turn * turn)
+    if np.abs(squared.real) < 1.0:
+        first, second = _series(squared, 1), _series(squared, 2)
+    else:
+        x = np.sqrt(squared)
+        first, second = np.sin(x) / x, (1.0 - np.cos(x)) / squared
+    R: Array = np.eye(d) + first * W + second * (W @ W)
+    return R
+
+
+def _series(squared: Array, order: int) -> Array:
+    """Return the sum of (-x^2)^k / (2 k + order)!, by Horner's rule."""
+    total = 0.0 * squared + 1.0
+    for k in range(_TERMS, 0, -1):
+        total = 1.0 - squared / ((2 * k + order) * (2 * k + order - 1)) * total
+    return total / order
+
+
+def cayley(g: Array, d: int) -> Array:
+    """Return rotations from their Gibbs vectors, shape (n, n_r) to (n, d, d).
+
+    g points along the axis and is 2 tan(angle / 2) long:
+    R = I + (G + G^2 / 2) / (1 + g.g / 4), G r = g x r. Rational, so that derivatives are too.
+    """
+    G = np.tensordot(g, generators(d), 1)
+    size = 1.0 + np.sum(g * g, axis=-1)[:, None, None] / 4
+    R: Array = np.eye(d) + (G + 0.5 * G @ G) / size
+    return R
+
+
+def cayley_partials(g: Array, d: int) -> Array:
+    """Return the partials of `cayley` in the entries of g, shape (n_r, n, d, d)."""
+    E = generators(d)[:, None]
+    G = np.tensordot(g, generators(d), 1)
+    size = 1.0 + np.sum(g * g, axis=-1)[:, None, None] / 4
+    shrink = 0.5 * g.T[..., None, None] * (G + 0.5 * G @ G) / size
+    partials: Array = (E + 0.5 * (E @ G + G @ E) - shrink) / size
+    return partials

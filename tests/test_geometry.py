@@ -1,0 +1,446 @@
+"""Geometry as design: every target is the limit of differences of the very call that a user makes.
+
+Bodies follow the design by rigid motions (docs/theory.md, section 4).
+"""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    Adjoint,
+    Beam,
+    Clamp,
+    ComplexStep,
+    CurvedBeam,
+    DesignVariable,
+    Direct,
+    Distance,
+    DistributedForce,
+    Drive,
+    FollowerForce,
+    Harmonic,
+    InconsistentStart,
+    InvalidInput,
+    Material,
+    Pin,
+    Point,
+    PointForce,
+    PointOnLine,
+    Rectangle,
+    Revolute,
+    RigidMotion,
+    Scene,
+    SpringDamper,
+    Terminal,
+    Uniform,
+    UnknownName,
+    assemble,
+    differentiate,
+    gradient,
+    position,
+    simulate,
+)
+
+STRIP = Rectangle(0.04, 0.03)
+SOFT = Material(2000.0, 1e8, 0.3, damping_time=1e-2)
+STEP, END = 2.0**-9, 2.0**-6
+
+
+def pendulum():
+    """Open, in the plane, with every kind of load, and spinning."""
+    rod = Beam("rod", (0.2, 0.1), (1.1, 0.4), 2, STRIP, SOFT)
+    loads = [
+        PointForce(rod.at(0.8, y=0.01), (3.0, 2.0), name="push"),
+        FollowerForce(rod.at(0.3), (1.0, 4.0), name="jet"),
+        DistributedForce("rod", (0.5, -2.0), name="snow"),
+        SpringDamper(rod.at(0.6), 50.0, 2.0, 0.3, ground=(1.0, 0.9), name="spring"),
+    ]
+    base = Pin(rod.at(0.1, y=0.005), ground=(0.29 - 0.005 * 0.3 / 0.9**0.5, 0.13), name="base")
+    spin = RigidMotion("rod", 0.7, (0.2, 0.1), velocity=(0.1, -0.2))
+    return Scene([rod], [base], (0.3, -9.81), [spin], loads, assemble=True)
+
+
+def slider_crank():
+    """A closed loop in the plane, driven."""
+    crank = Beam("crank", (0.0, 0.0), (0.3, 0.4), 1, STRIP, SOFT)
+    rod = Beam("rod", (0.3, 0.4), (1.4, -0.1), 2, STRIP, SOFT)
+    joints = [
+        Pin(crank.at_start, ground=(0.0, 0.0), name="bearing"),
+        Drive(crank.at(0.4), Harmonic(0.2, 3.0, 0.1, -0.02), name="motor"),
+        Pin(crank.at(0.9, y=0.01), rod.at(0.05), name="elbow"),
+        PointOnLine(rod.at(0.9), (1.0, 0.1), (0.0, -0.2), name="slot"),
+    ]
+    return Scene([crank, rod], joints, (0.0, -9.81), assemble=True)
+
+
+def four_bar():
+    """A closed loop in the plane: coupler placed by the crank, a link, a bent rocker."""
+    crank = Beam("crank", (0.0, 0.0), (0.1, 0.4), 1, STRIP, SOFT, turn=0.05)
+    coupler = Beam("coupler", crank.at_end, (0.8, 0.2), 2, STRIP, SOFT)
+    angles = np.array([0.3, 0.1, -0.2]) + 0.5 * np.pi
+    frames = np.array([[[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]] for a in angles])
+    places = np.array([[1.2, -0.1], [1.15, 0.15], [1.17, 0.42]])
+    rocker = CurvedBeam("rocker", places, frames, STRIP, SOFT)
+    joints = [
+        Pin(crank.at_start, ground=(0.0, 0.0), name="left"),
+        Pin(crank.at_end, coupler.at_start, name="elbow"),
+        Distance(coupler.at(0.9), 0.4, rocker.at(0.95, y=0.004), name="link"),
+        Pin(rocker.at_start, ground=(1.2, -0.1), name="right"),
+        PointOnLine(coupler.at(0.6, y=-0.004), (0.3, 1.0), (0.41, 0.02), name="rail"),
+    ]
+    return Scene([crank, coupler, rocker], joints, (0.0, -9.81), assemble=True)
+
+
+def arm():
+    """Open, in space, driven about an oblique axis; one beam is placed by the other."""
+    upper = Beam("upper", (0, 0, 0), (0.4, 0.5, 0.1), 1, STRIP, SOFT, height_axis=(1, 0, 1))
+    lower = Beam("lower", upper.at_end, (0.5, -0.2, 0.3), 1, STRIP, SOFT, turn=(0.1, -0.2, 0.05))
+    joints = [
+        Revolute(upper.at_start, (0.1, 0.3, 1.0), ground=(0.0, 0.0, 0.0), name="shoulder"),
+        Drive(upper.at(0.3), Uniform(0.5, 0.1), axis=(0.1, 0.3, 1.0), name="motor"),
+        Revolute(upper.at_end, (0.2, -0.1, 1.0), lower.at_start, name="elbow"),
+    ]
+    loads = [PointForce(lower.at(0.7, y=0.01, z=0.005), (3.0, 2.0, 1.0), name="push")]
+    start = [RigidMotion("lower", (0.3, 0.2, 0.5), (0.1, 0.0, 0.0), (0.2, 0.1, -0.1))]
+    return Scene([upper, lower], joints, (0.5, -9.81, 1.0), start, loads, assemble=True)
+
+
+def tripod():
+    """A closed loop in space: two beams and a link on a beam that hangs from the ground."""
+    mast = Beam("mast", (0, 0, 0), (0.1, 0.9, 0.2), 1, STRIP, SOFT)
+    boom = Beam("boom", (0.1, 0.9, 0.2), (1.0, 1.1, 0.4), 1, STRIP, SOFT)
+    joints = [
+        Pin(mast.at_start, ground=(0.0, 0.0, 0.0), name="foot"),
+        Pin(mast.at_end, boom.at_start, name="top"),
+        Distance(boom.at(0.9, y=0.01), 1.35, ground=(1.2, -0.2, 0.3), name="stay"),
+        Distance(mast.at(0.6, z=0.005), 0.8, ground=(-0.4, 0.0, 0.5), name="guy"),
+        PointOnLine(boom.at(0.7), (0.3, 1.0, 0.2), (0.7, 1.0, 0.3), name="slot"),
+    ]
+    return Scene([mast, boom], joints, (0.0, -9.81, 0.5), assemble=True)
+
+
+SCENES = {f.__name__: f for f in (pendulum, slider_crank, four_bar, arm, tripod)}
+
+
+def all_targets(scene):
+    """Every target of whole beams, joints, loads, starts and the scene that is not refused."""
+    names = [f"{beam.name}.{name}" for beam in scene.beams for name in beam.parameter_names()]
+    names += [f"{owner}.{name}" for owner in scene.owners() for name in scene.numbers(owner)]
+    found = []
+    for name in names:
+        try:
+            scene.resolve(name)
+        except (InvalidInput, UnknownName):
+            continue
+        found.append(name)
+    return found
+
+
+def units(scene, targets):
+    """Sizes of the changes that matter."""
+    held = np.array([scene.value(DesignVariable("x", [target])) for target in targets])
+    return np.array([unit(target, value) for target, value in zip(targets, held, strict=True)])
+
+
+def unit(target, held):
+    return abs(held) if "damping" in target else max(abs(held), 0.1)
+
+
+def tip(scene):
+    beam = scene.beams[-1]
+    x, *others = (position(beam.at(0.95), axis) for axis in range(scene.dimension))
+    return sum(((k + 2) * other for k, other in enumerate(others)), x)
+
+
+@functools.cache
+def gradients(name, displaced):
+    """Scene, targets, and their gradient by direct differentiation."""
+    scene = SCENES[name]()
+    targets = all_targets(scene)
+    if displaced:
+        shifts = np.random.default_rng(3).uniform(-1, 1, len(targets))
+        values = {
+            target: held + 0.03 * unit(target, held) * shift
+            for target, shift in zip(targets, shifts, strict=True)
+            for held in [scene.value(DesignVariable("x", [target]))]
+            # What may not stand beside round-off of its limit stays.
+            if not target.endswith(("_y", "_z")) or "point" not in target
+        }
+        scene = scene.with_values(values)
+    found = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=targets, method=Direct())
+    return scene, targets, found
+
+
+def objective(scene):
+    return observed(simulate(scene, END, HHT(STEP)), scene)
+
+
+def observed(solution, scene):
+    place = solution.position(scene.beams[-1].at(0.95))[-1]
+    return place[0] + sum((k + 2) * x for k, x in enumerate(place[1:]))
+
+
+def central(f, x, h):
+    """Central difference of fourth order."""
+    return (8 * (f(x + h) - f(x - h)) - (f(x + 2 * h) - f(x - 2 * h))) / (12 * h)
+
+
+@pytest.mark.parametrize("displaced", [False, True], ids=["declared", "displaced"])
+@pytest.mark.parametrize("name", SCENES)
+def test_every_target_is_the_limit_of_differences_of_the_call(name, displaced):
+    scene, targets, found = gradients(name, displaced)
+    size = np.max(np.abs(found.gradient * units(scene, targets)))
+    for target, slope in zip(targets, found.gradient, strict=True):
+        held = scene.value(DesignVariable("x", [target]))
+        size_b = unit(target, held)
+        # Newton's method leaves 1e-12 of 1 m: over h = 2e-3, and the error of the difference,
+        # (2e-3)^4 over the next derivatives.
+        h = size_b * (2e-4 if "point" in target else 2e-3)
+        expected = central(lambda x, t=target: objective(scene.with_values({t: x})), held, h)
+        assert abs(slope - expected) * size_b <= 1e-7 * max(abs(slope) * size_b, size), target
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_adjoint_and_complex_step_agree(name):
+    scene, targets, found = gradients(name, True)
+    sizes = units(scene, targets)
+    for method in (Adjoint(), ComplexStep()):
+        other = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=targets, method=method)
+        np.testing.assert_allclose(
+            other.gradient * sizes,
+            found.gradient * sizes,
+            rtol=0,
+            atol=1e-9 * np.max(np.abs(found.gradient * sizes)),
+        )
+
+
+# ---------------------------------------------------------------- identities of whole mechanisms
+
+
+def moving_all(scene, name, factors):
+    """A variable that moves targets by factors; those that do not move are left out."""
+    return DesignVariable(name, {target: f for target, f in factors.items() if f != 0})
+
+
+def motion_and_slope(scene, variable):
+    """Positions, multipliers and their derivatives in one variable."""
+    run = differentiate(scene, END, HHT(STEP), design=[variable])
+    d, naming = scene.dimension, assemble(scene).naming
+    vectors = np.concatenate([body.positions for body in naming.layout.bodies])
+    rows = run.q.reshape(len(run.t), -1, d)[:, vectors]
+    slopes = run.sensitivities.q_b[..., 0].reshape(len(run.t), -1, d)[:, vectors]
+    return rows, slopes, run.lam, run.sensitivities.lam_b[..., 0]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mechanism_is_carried_along_by_its_ground(axis):
+    scene = slider_crank()
+    own = "xy"[axis]
+    variable = moving_all(
+        scene, "carry", {f"bearing.ground_{own}": 1.0, f"slot.through_{own}": 1.0}
+    )
+    _, slopes, lam, lam_b = motion_and_slope(scene, variable)
+    expected = np.zeros_like(slopes)
+    expected[..., axis] = 1.0
+    # Round-off of Newton's method over the size of the mechanism.
+    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-10)
+    assert np.max(np.abs(lam_b)) <= 1e-10 * np.max(np.abs(lam)) / 1e-2
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_spatial_arm_is_carried_along_unturned(axis):
+    scene, own = arm(), "xyz"[axis]
+    factors = {f"shoulder.ground_{own}": 1.0, f"lower.about_{own}": 1.0}
+    _, slopes, _, _ = motion_and_slope(scene, moving_all(scene, "carry", factors))
+    expected = np.zeros_like(slopes)
+    expected[..., axis] = 1.0
+    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-9)
+
+
+def test_a_mechanism_turns_with_all_that_has_a_direction():
+    scene = slider_crank()
+    numbers = {owner: scene.numbers(owner) for owner in ("bearing", "slot", "scene")}
+    factors = {"crank.turn": 1.0, "rod.turn": 1.0}
+    for owner, prefix in (
+        ("bearing", "ground"),
+        ("slot", "through"),
+        ("slot", "direction"),
+        ("scene", "gravity"),
+    ):
+        x, y = (numbers[owner][f"{prefix}_{axis}"] for axis in "xy")
+        factors |= {f"{owner}.{prefix}_x": -y, f"{owner}.{prefix}_y": x}
+    places, slopes, _, _ = motion_and_slope(scene, moving_all(scene, "turn", factors))
+    expected = np.stack([-places[..., 1], places[..., 0]], axis=-1)
+    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-9)
+
+
+def test_a_mechanism_scales_with_its_lengths():
+    # x to s x, g to s g, E to s^2 E at the same density: the same motion, s times as large.
+    scene = slider_crank()
+    factors = {}
+    for beam in ("crank", "rod"):
+        own = scene.beam(beam)
+        lengths = {"length": own.length, "height": own.section.height, "width": own.section.width}
+        factors |= {f"{beam}.{name}": x for name, x in lengths.items()}
+        factors |= {f"{beam}.youngs_modulus": 2 * own.material.youngs_modulus}
+        factors |= {f"{beam}.start_{axis}": x for axis, x in zip("xy", own.start, strict=True)}
+    for owner, name in (
+        ("bearing", "ground"),
+        ("slot", "through"),
+        ("scene", "gravity"),
+        ("elbow", "point"),
+        ("motor", "point"),
+    ):
+        numbers = scene.numbers(owner)
+        factors |= {
+            f"{owner}.{name}_{axis}": numbers[f"{name}_{axis}"]
+            for axis in "xy"
+            if f"{name}_{axis}" in numbers
+        }
+    places, slopes, _, _ = motion_and_slope(scene, moving_all(scene, "size", factors))
+    np.testing.assert_allclose(slopes, places, rtol=0, atol=1e-8 * np.max(np.abs(places)))
+
+
+# ---------------------------------------------------------------- who leads, and what is refused
+
+
+def rebuilt(length):
+    """A slider-crank put together by hand: the crank keeps its angle of 0.7 rad."""
+    end = np.array([np.cos(0.7), np.sin(0.7)]) * length
+    crank = Beam("crank", (0.0, 0.0), tuple(end), 2, STRIP, SOFT)
+    slider = (end[0] + np.sqrt(1.0 - end[1] ** 2), 0.0)
+    rod = Beam("rod", tuple(end), slider, 2, STRIP, SOFT)
+    joints = [
+        Pin(crank.at_start, ground=(0.0, 0.0), name="bearing"),
+        Pin(crank.at_end, rod.at_start, name="elbow"),
+        PointOnLine(rod.at_end, (1.0, 0.0), (0.0, 0.0), name="slot"),
+    ]
+    return Scene([crank, rod], joints, (0.0, -9.81), lead=["crank"])
+
+
+def test_the_body_that_leads_keeps_its_angle():
+    scene = rebuilt(0.4)
+    found = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=["crank.length"])
+    expected = central(lambda length: objective(rebuilt(length)), 0.4, 1e-3)
+    assert found.gradient[0] == pytest.approx(expected, rel=1e-8)
+    # Without a leader both turn: another derivative, of another mechanism.
+    free = gradient(
+        replace(scene, lead=()), Terminal(tip(scene)), END, HHT(STEP), design=["crank.length"]
+    )
+    assert abs(free.gradient[0] - expected) > 1e-2
+
+
+def test_a_moved_base_is_the_pendulum_moved():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 3, STRIP, SOFT)
+    scene = Scene([rod], [Pin(rod.at_start, ground=(0.0, 0.0), name="base")], (0.0, -9.81))
+    found = gradient(
+        scene,
+        Terminal(position(rod.at_end, 0)),
+        0.25,
+        HHT(2.0**-7),
+        design=["base.ground_x", "base.ground_y"],
+    )
+    np.testing.assert_allclose(found.gradient, [1.0, 0.0], rtol=0, atol=1e-12)
+    shifted = simulate(scene.with_values({"base.ground_x": 0.3}), 0.25, HHT(2.0**-7))
+    still = simulate(scene, 0.25, HHT(2.0**-7))
+    np.testing.assert_allclose(
+        shifted.position(rod.at_end) - still.position(rod.at_end),
+        [[0.3, 0.0]] * len(still.t),
+        atol=1e-11,
+    )
+
+
+def test_at_the_declared_design_a_start_off_its_joints_is_refused():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    scene = Scene([rod], [Pin(rod.at_start, ground=(0.1, 0.0), name="base")])
+    with pytest.raises(InconsistentStart, match="joint 'base'"):
+        simulate(scene, STEP, HHT(STEP))
+    assembled = simulate(replace(scene, assemble=True), STEP, HHT(STEP))
+    np.testing.assert_allclose(
+        assembled.q[0], assemble(scene).start()[0] + [0.1, 0, 0, 0, 0, 0] * 3, atol=1e-12
+    )
+
+
+def test_what_does_not_close_is_refused_in_words():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    joints = [
+        Pin(rod.at_start, ground=(0.0, 0.0), name="left"),
+        Pin(rod.at_end, ground=(1.0, 0.0), name="right"),
+    ]
+    scene = Scene([rod], joints)
+    with pytest.raises(
+        InconsistentStart, match="rigid motions of the bodies must close all joints"
+    ):
+        simulate(scene.with_values({"right.ground_x": 1.1}), STEP, HHT(STEP))
+    with pytest.raises(
+        InconsistentStart, match=r"design variable 'right.ground_x'.*joint '(left|right)'"
+    ):
+        differentiate(scene, STEP, HHT(STEP), design=["right.ground_x"])
+    strained = replace(scene, project_start=True).with_values({"right.ground_x": 1.001})
+    assert simulate(strained, STEP, HHT(STEP)).outcome.success
+
+
+def test_a_mechanism_at_a_point_where_it_branches_is_refused():
+    # Both cranks and the coupler on one line: the loop can fold either way.
+    cranks = [
+        Beam(n, (x, 0.0), (x, 1.0), 1, STRIP, SOFT, turn=-0.5 * np.pi)
+        for n, x in (("a", 0.0), ("b", 3.0))
+    ]
+    coupler = Beam("c", (1.0, 0.0), (4.0, 0.0), 1, STRIP, SOFT)
+    joints = [
+        Pin(cranks[0].at_start, ground=(0.0, 0.0), name="left"),
+        Pin(cranks[1].at_start, ground=(3.0, 0.0), name="right"),
+        Pin(cranks[0].at_end, coupler.at_start, name="one"),
+        Pin(cranks[1].at_end, coupler.at_end, name="two"),
+    ]
+    scene = Scene([*cranks, coupler], joints)
+    with pytest.raises(
+        InvalidInput, match=r"rigid motions of the bodies must follow it|branches|redundant"
+    ):
+        differentiate(scene, STEP, HHT(STEP), design=["right.ground_x"])
+
+
+def test_targets_that_cannot_move_both_ways_are_refused():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    scene = Scene([rod], [Pin(rod.at_end, name="end"), Clamp(rod.at(0.5), name="middle")])
+    for target, words in (
+        ("end.point_fraction", "inside an element"),
+        ("middle.point_fraction", "kink at a node"),
+        ("end.point_z", "no such axis"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            assemble(scene, [target])
+
+
+def test_beams_may_not_start_at_one_another():
+    a = Beam("a", Point("b", 1.0), (1.0, 0.0), 1, STRIP, SOFT)
+    b = Beam("b", a.at_end, (1.0, 0.0), 1, STRIP, SOFT)
+    with pytest.raises(InvalidInput, match="may not start at one another"):
+        Scene([a, b])
+
+
+def test_a_variable_moves_targets_by_its_factors():
+    scene = slider_crank()
+    variable = DesignVariable("L", {"rod.length": 2.0, "slot.through_y": -0.5})
+    half = scene.value(variable)
+    assert half == pytest.approx(scene.beam("rod").length / 2)
+    moved = scene.with_values({variable: half + 0.1})
+    assert moved.beam("rod").length == pytest.approx(scene.beam("rod").length + 0.2)
+    assert moved.numbers("slot")["through_y"] == pytest.approx(-0.25)
+    assert moved.value(variable) == pytest.approx(half + 0.1)
+    parts = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=list(variable.targets))
+    whole = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=[variable])
+    assert whole.gradient[0] == pytest.approx(parts.gradient @ [2.0, -0.5], rel=1e-12)
+    with pytest.raises(InvalidInput, match="factor must not be zero"):
+        DesignVariable("L", {"rod.length": 0.0})
+
+
+def test_scenes_that_do_not_use_geometry_start_as_declared_to_the_last_digit():
+    rod = Beam("rod", (0.2, 0.1), (1.1, 0.4), 2, STRIP, SOFT)
+    system = assemble(Scene([rod], [Pin(rod.at_start)]), ["rod.height"])
+    assert np.array_equal(system.start()[0], system._reference.q)
+    assert not system._start_along
