@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Self, TypeAlias, TypeVar
 
 import numpy as np
@@ -243,7 +244,7 @@ class SceneDesign(Designable, abc.ABC):
         which = beam.parameter_names()[target.parameter]
         if which is ElementParameter.LENGTH:
             return [float(np.sum(beam.reference().lengths))]
-        held: list[float] = self.element_parameters()[rows, which].tolist()
+        held: list[float] = self._element_parameters[rows, which].tolist()
         return held
 
     def target_elements(self, target: Target) -> Array:
@@ -260,6 +261,10 @@ class SceneDesign(Designable, abc.ABC):
 
     def element_parameters(self) -> Array:
         """Return the parameters of all elements, shape (n, 9), columns as `ElementParameter`."""
+        return self._element_parameters.copy()
+
+    @cached_property
+    def _element_parameters(self) -> Array:
         own = [beam.element_parameters() for beam in self.beams]
         return np.concatenate([np.zeros((0, len(ElementParameter))), *own])
 

@@ -62,9 +62,8 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
         If a design variable does not fit the scene.
     """
     variables = as_design(design)
-    mapping = parameter_map(scene, variables)  # refuses unknown targets before values are read
-    values = np.array([scene.value(variable) for variable in variables], dtype=float)
-    return AncfSystem(scene, variables, mapping, values)
+    mapping = parameter_map(scene, variables)
+    return AncfSystem(scene, variables, mapping, mapping.nominal)
 
 
 @final
