@@ -148,7 +148,7 @@ def test_a_third_section_of_an_element_needs_no_right_angle_of_its_own():
 AXES = {"in the section": (0, 0, 1), "along the beam": (1, 0, 0), "oblique": (0.6, 0.5, 0.4)}
 
 
-@pytest.mark.parametrize("elements", [2, 8, 32])
+@pytest.mark.parametrize("elements", [2, 16])
 @pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
 @pytest.mark.parametrize("between", [False, True], ids=["ground", "beams"])
 def test_a_hinge_with_a_resting_motor_is_a_clamp_on_every_mesh(axis, elements, between):
@@ -438,7 +438,7 @@ def test_gradients_with_relative_drives_are_those_of_complex_steps(made):
     system, objective = made()
     values = {
         type(method).__name__: np.asarray(
-            gradient(system, objective, 0.125, HHT(2**-7), method=method).gradient
+            gradient(system, objective, 2**-4, HHT(2**-7), method=method).gradient
         )
         for method in (ComplexStep(), Direct(), Adjoint())
     }
@@ -452,7 +452,7 @@ def test_gradients_with_relative_drives_are_those_of_complex_steps(made):
     step = 1e-5
     for i in (0, 1):
         ends = [
-            gradient(system.with_values(b), objective, 0.125, HHT(2**-7), method=Adjoint()).value
+            gradient(system.with_values(b), objective, 2**-4, HHT(2**-7), method=Adjoint()).value
             for b in system.b + np.outer([step, -step], np.eye(system.n_b)[i])
         ]
         assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(exact[i], abs=1e-6 * scale)
