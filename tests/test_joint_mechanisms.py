@@ -19,6 +19,7 @@ from ancfdae import (
     Guide,
     Harmonic,
     Material,
+    MechanicalSystem,
     Moment,
     MovingBase,
     Pin,
@@ -456,6 +457,19 @@ def test_gradients_with_relative_drives_are_those_of_complex_steps(made):
             for b in system.b + np.outer([step, -step], np.eye(system.n_b)[i])
         ]
         assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(exact[i], abs=1e-6 * scale)
+
+
+def test_rates_of_forces_see_the_products_of_a_motor_turn():
+    system, _ = driven_arm()
+    rng = np.random.default_rng(0)
+    q, v, a, lam = (rng.uniform(-1, 1, n) for n in (*(system.n_q,) * 3, system.n_lam))
+    states = system.start()[0] + 0.01 * q, v, a, 1e6 * lam  # reactions as large as stiffnesses
+    ours = system.force_rate_partials(0.3, states, a)
+    for value, expected in zip(
+        ours, MechanicalSystem.force_rate_partials(system, 0.3, states, a), strict=True
+    ):
+        # Sums of a dozen products of numbers of one size.
+        assert np.max(np.abs(value - expected)) <= 1e-13 * max(1.0, np.max(np.abs(expected)))
 
 
 # ---------------------------------------------------------------- what joints cost
