@@ -224,6 +224,10 @@ class DesignVariable:
                     "Swap or widen the bounds.",
                 )
 
+    def __hash__(self) -> int:
+        """Return a hash, so that variables can be keys of values."""
+        return hash((self.name, tuple(self.targets)))
+
     @property
     def shares(self) -> bool:
         """Whether targets move by factors, instead of all holding the value."""

@@ -19,6 +19,8 @@ from ancfdae.joints import DrivenJoint, Equations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)
+#: Another one, for joints of two axes.
+ACROSS = (0.5, 0.7, -0.4)
 
 
 def coefficients_of(joint, p, reference, t, order=0):
@@ -46,7 +48,7 @@ def values_of(hint, name, points, d):
     if get_origin(hint) in (UnionType, Union):
         return [x for part in get_args(hint) for x in values_of(part, name, points, d)]
     if get_origin(hint) is Sequence:
-        return [ARROW[:d]]
+        return [ACROSS[:d] if name == "cross" else ARROW[:d]]
     return {
         Point: [points[1 if name == "other" else 0]],
         Law: [Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)],

@@ -587,8 +587,9 @@ def concrete_subclasses(base):
     found = set()
     for kind in base.__subclasses__():
         found |= concrete_subclasses(kind)
-        # Only classes of the package: other tests may define some of their own.
-        if not inspect.isabstract(kind) and kind.__module__.startswith("ancfdae."):
+        # Only public classes of the package: other tests may define some of their own.
+        public = kind.__module__.startswith("ancfdae.") and not kind.__name__.startswith("_")
+        if not inspect.isabstract(kind) and public:
             found.add(kind)
     return found
 

@@ -4,6 +4,7 @@ Bodies follow the design by rigid motions (docs/theory.md, section 4).
 """
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
+    Clamp,
     ComplexStep,
     CurvedBeam,
     DesignVariable,
@@ -21,9 +23,11 @@ from ancfdae import (
     Drive,
     FollowerForce,
     Harmonic,
+    InconsistentStart,
     InvalidInput,
     Material,
     Pin,
+    Point,
     PointForce,
     PointOnLine,
     Rectangle,
@@ -34,6 +38,8 @@ from ancfdae import (
     Terminal,
     Uniform,
     UnknownName,
+    assemble,
+    differentiate,
     gradient,
     position,
     simulate,
@@ -210,3 +216,231 @@ def test_adjoint_and_complex_step_agree(name):
             rtol=0,
             atol=1e-9 * np.max(np.abs(found.gradient * sizes)),
         )
+
+
+# ---------------------------------------------------------------- identities of whole mechanisms
+
+
+def moving_all(scene, name, factors):
+    """A variable that moves targets by factors; those that do not move are left out."""
+    return DesignVariable(name, {target: f for target, f in factors.items() if f != 0})
+
+
+def motion_and_slope(scene, variable):
+    """Positions, multipliers and their derivatives in one variable."""
+    run = differentiate(scene, END, HHT(STEP), design=[variable])
+    d, naming = scene.dimension, assemble(scene).naming
+    vectors = np.concatenate([body.positions for body in naming.layout.bodies])
+    rows = run.q.reshape(len(run.t), -1, d)[:, vectors]
+    slopes = run.sensitivities.q_b[..., 0].reshape(len(run.t), -1, d)[:, vectors]
+    return rows, slopes, run.lam, run.sensitivities.lam_b[..., 0]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mechanism_is_carried_along_by_its_ground(axis):
+    scene = slider_crank()
+    own = "xy"[axis]
+    variable = moving_all(
+        scene, "carry", {f"bearing.ground_{own}": 1.0, f"slot.through_{own}": 1.0}
+    )
+    _, slopes, lam, lam_b = motion_and_slope(scene, variable)
+    expected = np.zeros_like(slopes)
+    expected[..., axis] = 1.0
+    # Round-off of Newton's method over the size of the mechanism.
+    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-10)
+    assert np.max(np.abs(lam_b)) <= 1e-10 * np.max(np.abs(lam)) / 1e-2
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_spatial_arm_is_carried_along_unturned(axis):
+    scene, own = arm(), "xyz"[axis]
+    factors = {f"shoulder.ground_{own}": 1.0, f"lower.about_{own}": 1.0}
+    _, slopes, _, _ = motion_and_slope(scene, moving_all(scene, "carry", factors))
+    expected = np.zeros_like(slopes)
+    expected[..., axis] = 1.0
+    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-9)
+
+
+def test_a_mechanism_turns_with_all_that_has_a_direction():
+    scene = slider_crank()
+    numbers = {owner: scene.numbers(owner) for owner in ("bearing", "slot", "scene")}
+    factors = {"crank.turn": 1.0, "rod.turn": 1.0}
+    for owner, prefix in (
+        ("bearing", "ground"),
+        ("slot", "through"),
+        ("slot", "direction"),
+        ("scene", "gravity"),
+    ):
+        x, y = (numbers[owner][f"{prefix}_{axis}"] for axis in "xy")
+        factors |= {f"{owner}.{prefix}_x": -y, f"{owner}.{prefix}_y": x}
+    places, slopes, _, _ = motion_and_slope(scene, moving_all(scene, "turn", factors))
+    expected = np.stack([-places[..., 1], places[..., 0]], axis=-1)
+    np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-9)
+
+
+def test_a_mechanism_scales_with_its_lengths():
+    # x to s x, g to s g, E to s^2 E at the same density: the same motion, s times as large.
+    scene = slider_crank()
+    factors = {}
+    for beam in ("crank", "rod"):
+        own = scene.beam(beam)
+        lengths = {"length": own.length, "height": own.section.height, "width": own.section.width}
+        factors |= {f"{beam}.{name}": x for name, x in lengths.items()}
+        factors |= {f"{beam}.youngs_modulus": 2 * own.material.youngs_modulus}
+        factors |= {f"{beam}.start_{axis}": x for axis, x in zip("xy", own.start, strict=True)}
+    for owner, name in (
+        ("bearing", "ground"),
+        ("slot", "through"),
+        ("scene", "gravity"),
+        ("elbow", "point"),
+        ("motor", "point"),
+    ):
+        numbers = scene.numbers(owner)
+        factors |= {
+            f"{owner}.{name}_{axis}": numbers[f"{name}_{axis}"]
+            for axis in "xy"
+            if f"{name}_{axis}" in numbers
+        }
+    places, slopes, _, _ = motion_and_slope(scene, moving_all(scene, "size", factors))
+    np.testing.assert_allclose(slopes, places, rtol=0, atol=1e-8 * np.max(np.abs(places)))
+
+
+# ---------------------------------------------------------------- who leads, and what is refused
+
+
+def rebuilt(length):
+    """A slider-crank put together by hand: the crank keeps its angle of 0.7 rad."""
+    end = np.array([np.cos(0.7), np.sin(0.7)]) * length
+    crank = Beam("crank", (0.0, 0.0), tuple(end), 2, STRIP, SOFT)
+    slider = (end[0] + np.sqrt(1.0 - end[1] ** 2), 0.0)
+    rod = Beam("rod", tuple(end), slider, 2, STRIP, SOFT)
+    joints = [
+        Pin(crank.at_start, ground=(0.0, 0.0), name="bearing"),
+        Pin(crank.at_end, rod.at_start, name="elbow"),
+        PointOnLine(rod.at_end, (1.0, 0.0), (0.0, 0.0), name="slot"),
+    ]
+    return Scene([crank, rod], joints, (0.0, -9.81), lead=["crank"])
+
+
+def test_the_body_that_leads_keeps_its_angle():
+    scene = rebuilt(0.4)
+    found = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=["crank.length"])
+    expected = central(lambda length: objective(rebuilt(length)), 0.4, 1e-3)
+    assert found.gradient[0] == pytest.approx(expected, rel=1e-8)
+    # Without a leader both turn: another derivative, of another mechanism.
+    free = gradient(
+        replace(scene, lead=()), Terminal(tip(scene)), END, HHT(STEP), design=["crank.length"]
+    )
+    assert abs(free.gradient[0] - expected) > 1e-2
+
+
+def test_a_moved_base_is_the_pendulum_moved():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 3, STRIP, SOFT)
+    scene = Scene([rod], [Pin(rod.at_start, ground=(0.0, 0.0), name="base")], (0.0, -9.81))
+    found = gradient(
+        scene,
+        Terminal(position(rod.at_end, 0)),
+        0.25,
+        HHT(2.0**-7),
+        design=["base.ground_x", "base.ground_y"],
+    )
+    np.testing.assert_allclose(found.gradient, [1.0, 0.0], rtol=0, atol=1e-12)
+    shifted = simulate(scene.with_values({"base.ground_x": 0.3}), 0.25, HHT(2.0**-7))
+    still = simulate(scene, 0.25, HHT(2.0**-7))
+    np.testing.assert_allclose(
+        shifted.position(rod.at_end) - still.position(rod.at_end),
+        [[0.3, 0.0]] * len(still.t),
+        atol=1e-11,
+    )
+
+
+def test_at_the_declared_design_a_start_off_its_joints_is_refused():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    scene = Scene([rod], [Pin(rod.at_start, ground=(0.1, 0.0), name="base")])
+    with pytest.raises(InconsistentStart, match="joint 'base'"):
+        simulate(scene, STEP, HHT(STEP))
+    assembled = simulate(replace(scene, assemble=True), STEP, HHT(STEP))
+    np.testing.assert_allclose(
+        assembled.q[0], assemble(scene).start()[0] + [0.1, 0, 0, 0, 0, 0] * 3, atol=1e-12
+    )
+
+
+def test_what_does_not_close_is_refused_in_words():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    joints = [
+        Pin(rod.at_start, ground=(0.0, 0.0), name="left"),
+        Pin(rod.at_end, ground=(1.0, 0.0), name="right"),
+    ]
+    scene = Scene([rod], joints)
+    with pytest.raises(
+        InconsistentStart, match="rigid motions of the bodies must close all joints"
+    ):
+        simulate(scene.with_values({"right.ground_x": 1.1}), STEP, HHT(STEP))
+    with pytest.raises(
+        InconsistentStart, match=r"design variable 'right.ground_x'.*joint '(left|right)'"
+    ):
+        differentiate(scene, STEP, HHT(STEP), design=["right.ground_x"])
+    strained = replace(scene, project_start=True).with_values({"right.ground_x": 1.001})
+    assert simulate(strained, STEP, HHT(STEP)).outcome.success
+
+
+def test_a_mechanism_at_a_point_where_it_branches_is_refused():
+    # Both cranks and the coupler on one line: the loop can fold either way.
+    cranks = [
+        Beam(n, (x, 0.0), (x, 1.0), 1, STRIP, SOFT, turn=-0.5 * np.pi)
+        for n, x in (("a", 0.0), ("b", 3.0))
+    ]
+    coupler = Beam("c", (1.0, 0.0), (4.0, 0.0), 1, STRIP, SOFT)
+    joints = [
+        Pin(cranks[0].at_start, ground=(0.0, 0.0), name="left"),
+        Pin(cranks[1].at_start, ground=(3.0, 0.0), name="right"),
+        Pin(cranks[0].at_end, coupler.at_start, name="one"),
+        Pin(cranks[1].at_end, coupler.at_end, name="two"),
+    ]
+    scene = Scene([*cranks, coupler], joints)
+    with pytest.raises(
+        InvalidInput, match=r"rigid motions of the bodies must follow it|branches|redundant"
+    ):
+        differentiate(scene, STEP, HHT(STEP), design=["right.ground_x"])
+
+
+def test_targets_that_cannot_move_both_ways_are_refused():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    scene = Scene([rod], [Pin(rod.at_end, name="end"), Clamp(rod.at(0.5), name="middle")])
+    for target, words in (
+        ("end.point_fraction", "inside an element"),
+        ("middle.point_fraction", "kink at a node"),
+        ("end.point_z", "no such axis"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            assemble(scene, [target])
+
+
+def test_beams_may_not_start_at_one_another():
+    a = Beam("a", Point("b", 1.0), (1.0, 0.0), 1, STRIP, SOFT)
+    b = Beam("b", a.at_end, (1.0, 0.0), 1, STRIP, SOFT)
+    with pytest.raises(InvalidInput, match="may not start at one another"):
+        Scene([a, b])
+
+
+def test_a_variable_moves_targets_by_its_factors():
+    scene = slider_crank()
+    variable = DesignVariable("L", {"rod.length": 2.0, "slot.through_y": -0.5})
+    half = scene.value(variable)
+    assert half == pytest.approx(scene.beam("rod").length / 2)
+    moved = scene.with_values({variable: half + 0.1})
+    assert moved.beam("rod").length == pytest.approx(scene.beam("rod").length + 0.2)
+    assert moved.numbers("slot")["through_y"] == pytest.approx(-0.25)
+    assert moved.value(variable) == pytest.approx(half + 0.1)
+    parts = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=list(variable.targets))
+    whole = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=[variable])
+    assert whole.gradient[0] == pytest.approx(parts.gradient @ [2.0, -0.5], rel=1e-12)
+    with pytest.raises(InvalidInput, match="factor must not be zero"):
+        DesignVariable("L", {"rod.length": 0.0})
+
+
+def test_scenes_that_do_not_use_geometry_start_as_declared_to_the_last_digit():
+    rod = Beam("rod", (0.2, 0.1), (1.1, 0.4), 2, STRIP, SOFT)
+    system = assemble(Scene([rod], [Pin(rod.at_start)]), ["rod.height"])
+    assert np.array_equal(system.start()[0], system._reference.q)
+    assert not system._start_along

@@ -237,11 +237,16 @@ def directions_by_hand(s, q, rows):
         own = [vector_by_hand(s.system, x, load.other, k) for k in slopes]
         if d == 2:
             return np.array([[own[0][1], -own[0][0]], own[0]])
-        n = np.cross(*own)
-        return np.array([n / np.sqrt(n @ n), *own])
+        return with_normal(own)
 
     # Coefficients by Cramer's rule in effect: solve(basis^T, row).
     return np.linalg.solve(basis(s.start).T, np.array(rows).T).T @ basis(q)
+
+
+def with_normal(slopes):
+    """Unit normal of a section, and its slopes."""
+    n = np.cross(*slopes)
+    return np.vstack([n / np.sqrt(n @ n), slopes])
 
 
 def angle_by_hand(s, q, axis):
@@ -251,6 +256,8 @@ def angle_by_hand(s, q, axis):
     now, then = (
         np.array([vector_by_hand(s.system, x, load.point, k) for k in slopes]) for x in (q, s.start)
     )
+    if d == 3:
+        now, then = with_normal(now), with_normal(then)
     then = directions_by_hand(s, q, then)
     if d == 2:
         (x, y), (u, w) = then[0], now[0]

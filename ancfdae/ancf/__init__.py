@@ -1,5 +1,6 @@
 """The ANCF assembler: where a scene becomes a mechanical system."""
 
+from ancfdae.ancf.stress_points import StressPoints
 from ancfdae.ancf.system import AncfSystem, assemble
 
-__all__ = ["AncfSystem", "assemble"]
+__all__ = ["AncfSystem", "StressPoints", "assemble"]

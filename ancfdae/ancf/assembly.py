@@ -109,11 +109,15 @@ class Assembly:
     @cached_property
     def q(self) -> Array:
         """Coordinates, shape (n_q,)."""
+        if self._stands:
+            return self._declared.Z.ravel()
         return self._placed(self._declared, self._positions[0])
 
     @cached_property
     def v(self) -> Array:
         """Velocities, shape (n_q,)."""
+        if self._stands:
+            return self._declared.velocities(self.q, self._motions.none)
         return self._moving(self._declared, self._positions[0], self.q, self._velocities[0])
 
     def along(self, moved: Declared) -> tuple[Array, Array]:
@@ -138,11 +142,12 @@ class Assembly:
     def _positions(self) -> _Unknowns:
         """Newton's method from the declared places; a complex part needs two more steps."""
         y = self._start(self._soft)
+        if self._stands:
+            return y
         if not self._moves:
-            # What is declared stands; perturbations follow it.
+            # What is declared stands; a perturbation follows it.
             F = self._position_equations(self._declared, y)
-            inverse = _inverse(self._position_matrix(y))
-            return y if F.dtype.kind != "c" else _plus(y, -1j * (inverse @ F.imag))
+            return _plus(y, -1j * (_inverse(self._position_matrix(y)) @ F.imag))
         found = self._search(self._soft)
         if found is not None:
             return found
@@ -152,6 +157,13 @@ class Assembly:
             f"no convergence in {_ITERATIONS} iterations",
             "Change the design less, or declare the bodies nearer to where they fit together.",
         )
+
+    @property
+    def _stands(self) -> bool:
+        """Whether the start is as declared, to the last digit."""
+        declared = self._declared
+        moved = np.iscomplexobj(declared.Z) or declared.constraints.is_complex
+        return not (moved or self._moves)
 
     @cached_property
     def _soft(self) -> bool:
@@ -235,7 +247,7 @@ class Assembly:
     def _velocities(self) -> _Unknowns:
         y = self._start(self._soft)
         declared, x, q = self._declared, self._positions[0], self.q
-        if not self._moves and q.dtype.kind != "c":
+        if self._stands:
             return y
         for _ in range(3 if q.dtype.kind == "c" else 1):
             F = self._velocity_equations(declared, q, self._moving(declared, x, q, y[0]), y)

@@ -65,7 +65,7 @@ def element_block(
     if not beams:
         return _no_elements(element, parameters)
     kinds, kind = _kinds(beams)
-    Y_unit = _unit_vectors(beams, element)
+    Y_unit = np.concatenate([unit_vectors(beam) for beam in beams])
     owners = np.concatenate([np.repeat(f"beam {x.name!r}", x.element_count) for x in beams])
     numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
     key = np.concatenate(numbers, axis=1)
@@ -134,23 +134,18 @@ def _kinds(beams: Sequence[BeamBody]) -> tuple[list[ElementType], Array]:
     return list(kinds.values()), np.concatenate(places)
 
 
-def _unit_vectors(beams: Sequence[BeamBody], element: BeamElement) -> Array:
-    """Return reference relative node vectors of all elements, the chord per unit length.
+def unit_vectors(beam: BeamBody) -> Array:
+    """Return reference relative node vectors of a beam's elements, the chord per unit length.
 
     The material is isotropic, so a straight element of any orientation has the invariants of
     one along the x axis; using those makes equal elements equal bit by bit.
     """
+    element, shape, n = beam.element, beam.reference(), beam.element_count
+    slopes = slice(0, element.n_s - 1)
+    if not shape.straight:
+        frames = shape.slopes[:, slopes]
+        return np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
     canonical = np.zeros((element.n_y, element.d))
     canonical[0, 0] = 1.0
-    slopes = slice(0, element.n_s - 1)
     canonical[1 : element.n_s] = canonical[element.n_s :] = np.eye(element.d)[slopes]
-    vectors = []
-    for beam in beams:
-        shape, n = beam.reference(), beam.element_count
-        if shape.straight:
-            Y = np.repeat(canonical[None], n, axis=0)
-        else:
-            frames = shape.slopes[:, slopes]
-            Y = np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
-        vectors.append(Y)
-    return np.concatenate(vectors)
+    return np.repeat(canonical[None], n, axis=0)

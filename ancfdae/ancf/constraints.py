@@ -332,6 +332,11 @@ class JointConstraints:
         changes = {i for slot in self._slots for i in slot.item.active if slot.changes(i)}
         return sorted(moves | changes)
 
+    @property
+    def is_complex(self) -> bool:
+        """Whether coefficients carry a complex perturbation."""
+        return np.iscomplexobj(self._parts.a)
+
     def moved(self, i: int) -> JointConstraints:
         """Return the constraints moved in design variable i by an imaginary step."""
         if i not in self.active:
@@ -476,6 +481,19 @@ class JointConstraints:
             return np.asarray(np.sum(terms))
 
         return self._partial(work, ())
+
+    # -- what drives do, many instants ---------------------------------------------------------
+
+    def works(self, q: Array, lam: Array, t: Array) -> Array:
+        """Lam . Phi_t, shape (k,)."""
+        rates: Array = self._phi(self._over(t, 1), self._vectors.of(q))
+        return np.asarray(np.sum(lam * rates, axis=1))
+
+    def works_partials(self, q: Array, lam: Array, t: Array) -> tuple[Array, Array, Array]:
+        """Return partials of `works` in q, lam and b; shape (k, n) each."""
+        c, U = self._over(t, 1), self._vectors.of(q)
+        on_q = self._to_force.rows(self._raw(c, U) * lam[:, self._raw_row])
+        return on_q, self._phi(c, U), self._partial(lambda x: x.works(q, lam, t), (len(q),))
 
     # -- start: rates and their total derivatives, one instant -----------------------------------
 

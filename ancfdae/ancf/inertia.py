@@ -36,6 +36,8 @@ class Inertia:
         M on the pattern.
     weights : array, shape (n_q,)
         Real diagonal of M.
+    places : array, shape (n_q / d,)
+        One for vectors that are positions, zero for slopes.
     """
 
     def __init__(
@@ -58,8 +60,9 @@ class Inertia:
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
         (field, field_b), shape = gravity, (n_q // d, d)
         positions = np.concatenate([body.positions for body in numbering.bodies])
-        self._field = np.zeros(shape, dtype=field.dtype)
-        self._field[positions] = field
+        self.places = np.zeros(shape[0])
+        self.places[positions] = 1.0
+        self._field = np.outer(self.places, field)
         # Rows of the variables that gravity depends on, to save memory.
         self._field_active = np.flatnonzero(np.any(field_b != 0, axis=0))
         self._field_b = np.zeros((len(self._field_active), *shape))

@@ -4,27 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import final
 
 import numpy as np
 
 from ancfdae.ancf.assembly import Assembly, Declared
+from ancfdae.ancf.beam_elements import BeamElements
 from ancfdae.ancf.block import element_block
 from ancfdae.ancf.constraints import JointConstraints, JointInput
 from ancfdae.ancf.elastic_forces import ElasticForces
 from ancfdae.ancf.held_angles import HeldAngles
 from ancfdae.ancf.inertia import Inertia
+from ancfdae.ancf.joint_work import JointWork, at_unit_rate
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
+from ancfdae.ancf.load_work import LoadWork
 from ancfdae.ancf.mass_blocks import element_masses, other_masses
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
 from ancfdae.ancf.reference import Reference
 from ancfdae.ancf.rigidity import Rigidity
+from ancfdae.ancf.section_force import SectionForces
+from ancfdae.ancf.stress_points import StressPoints
 from ancfdae.ancf.vectors import Vectors
+from ancfdae.bodies import Point
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.joints import DrivenJoint
+from ancfdae.loads import Load
 from ancfdae.naming import Layout, Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
@@ -33,6 +41,10 @@ from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSys
 from ancfdae.scene import Scene
 from ancfdae.statics import RestingStart
 from ancfdae.text import listed
+
+# Places along every element where the largest stress is looked for: bending moments are linear in
+# them, or nearly.
+_STRESS_PLACES = np.array([0.0, 0.5, 1.0])
 
 
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
@@ -109,6 +121,11 @@ class AncfSystem(MechanicalSystem):
         blocks = (element_masses(self._numbering, soft, block), *others)
         self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, self._gravity())
         self._describe()
+        # What observables have asked for, prepared once.
+        self._section_forces: dict[Point, SectionForces] = {}
+        self._stresses: dict[Point | str, StressPoints] = {}
+        self._load_works: dict[str, LoadWork] = {}
+        self._joint_works: dict[tuple[str, bool], JointWork] = {}
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""
@@ -132,14 +149,15 @@ class AncfSystem(MechanicalSystem):
         return JointConstraints(inputs, vectors, self.n_b, d)
 
     def _load_forces(self) -> LoadForces:
-        inputs = []
-        for load in self._scene.loads:
-            own, p, p_b = self._part_input(load)
-            vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
-            reference, reference_b = self._in_reference(vectors)
-            used = reference_b if load.refers else {}
-            inputs.append(LoadInput(load, vectors, p, p_b, reference, used))
+        inputs = [self._load_input(load) for load in self._scene.loads]
         return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
+
+    def _load_input(self, load: Load) -> LoadInput:
+        own, p, p_b = self._part_input(load)
+        vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
+        reference, reference_b = self._in_reference(vectors)
+        used = reference_b if load.refers else {}
+        return LoadInput(load, vectors, p, p_b, reference, used)
 
     def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
         """Return vectors in the reference configuration, and their partials that are not zero."""
@@ -540,6 +558,95 @@ class AncfSystem(MechanicalSystem):
             total = total - self._loads.pull_back_rate((q, v, later), np.array([t]), mu)
         return total
 
+    # -- driven joints and loads ---------------------------------------------------------------
+
+    def joint_work(self, name: str, unit_rate: bool) -> JointWork:
+        """Return what gives the power of a driven joint, or at a unit rate its torque or force.
+
+        Raises
+        ------
+        InvalidInput
+            If the joint is not driven: it does no work.
+        """
+        key = name, unit_rate
+        if key not in self._joint_works:
+            place = self.naming.layout.joint(name)
+            found = [joint for joint in self._scene.joints if joint.name == name]
+            if not found or not isinstance(found[0], DrivenJoint):
+                rule, repair = "must be driven: others do no work", "Name a Drive or a Guide."
+                raise InvalidInput(f"work of joint {name!r}", rule, "one that is not", repair)
+            moving = at_unit_rate(found[0]) if unit_rate else found[0]
+            own, p, p_b = self._part_input(moving)
+            vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
+            item = JointInput(moving, p, p_b, *self._in_reference(vectors))
+            common = (place.first_row, self.n_b, self.element.d)
+            self._joint_works[key] = JointWork(item, vectors, *common)
+        return self._joint_works[key]
+
+    def load_work(self, name: str) -> LoadWork:
+        """Return what gives the power of a load, or raise UnknownName."""
+        if name not in self._load_works:
+            loads = {load.name: load for load in self._scene.loads}
+            if name not in loads:
+                raise UnknownName("load", name, loads)
+            self._load_works[name] = LoadWork(self._load_input(loads[name]), self.n_b)
+        return self._load_works[name]
+
+    # -- mass ----------------------------------------------------------------------------------
+
+    @property
+    def places(self) -> Array:
+        """One for vectors that are positions, zero for slopes; shape (n_q / d,)."""
+        return self._inertia.places
+
+    # -- sections of beams ---------------------------------------------------------------------
+
+    def section_forces(self, point: Point) -> SectionForces:
+        """Return what gives the forces in the section at a point of a beam."""
+        if point not in self._section_forces:
+            self._section_forces[point] = SectionForces(*self._beam_element(point))
+        return self._section_forces[point]
+
+    def half_extents(self, point: Point) -> tuple[float, float]:
+        """Return half of the height and of the width of the section at a point of a beam."""
+        own, _ = self._beam_element(point)
+        section, sizes = own.kind.section, own.kind.sizes(own.parameters)[0].real.tolist()
+        names = section.size_names()
+        return section.with_sizes(dict(zip(names, sizes, strict=True))).half_extents
+
+    def stress_at(self, point: Point) -> StressPoints:
+        """Return what gives the stress at a point of a beam."""
+        if point not in self._stresses:
+            own, xi = self._beam_element(point)
+            y, z = np.full((1, 1), point.y), np.full((1, 1), point.z)
+            places = partial(_held, (y, z))
+            self._stresses[point] = StressPoints(own, np.array([xi]), places)
+        return self._stresses[point]
+
+    def stress_over(self, beam: str) -> StressPoints:
+        """Return what gives stresses at the outer points of all sections of a beam."""
+        if beam not in self._stresses:
+            own = self._beam_elements(beam, slice(None))
+            self._stresses[beam] = StressPoints(own, _STRESS_PLACES, own.outline)
+        return self._stresses[beam]
+
+    def _beam_element(self, point: Point) -> tuple[BeamElements, float]:
+        """Return the element that a point lies in, and where."""
+        element, xi = self.naming.layout.beam(point.beam).locate(point.fraction)
+        return self._beam_elements(point.beam, slice(element, element + 1)), xi
+
+    def _beam_elements(self, beam: str, elements: slice) -> BeamElements:
+        place, values = self.naming.layout.beam(beam), self._mapping.values(self.b)
+        body, mapping = self._scene.beam(beam), self._mapping
+        if body.rigid:
+            raise InvalidInput(
+                f"beam {beam!r}",
+                "must deform to have section forces and stresses",
+                "a rigid one, which has no strain",
+                "Leave out rigid=True, or ask for the reactions of its joints.",
+            )
+        return BeamElements(body, place, self._numbering, mapping, values, elements)
+
     # -- energies, instants as rows ------------------------------------------------------------
 
     def strain_energy(self, q: Array) -> Array:
@@ -599,3 +706,8 @@ class AncfSystem(MechanicalSystem):
     def _forces_b(self, q: Array, v: Array, t: Array) -> Array:
         Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
         return Q_b + self._loads.force_b(q, v, t) if self._scene.loads else Q_b
+
+
+def _held(places: tuple[Array, Array], parameters: Array) -> tuple[Array, Array]:
+    """Places in a section that no parameter moves."""
+    return places

@@ -23,6 +23,7 @@ from ancfdae.elements.element import (
     InvariantPartial,
     Invariants,
     Quantity,
+    SectionLaw,
 )
 from ancfdae.elements.hermite import (
     curvature_weights,
@@ -32,6 +33,7 @@ from ancfdae.elements.hermite import (
     slope_weights_xi,
 )
 from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
+from ancfdae.elements.stresses import scaled, smoothing
 from ancfdae.elements.volume import change, shifted, step_of
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
@@ -115,6 +117,59 @@ class Cable2D(BeamElement):
             partials[which] = InvariantPartial(A_b, g_ob, c, m_b)
         return Invariants(A, packed_gram(Y_o), m, p_o, partials)
 
+    def section_law(
+        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
+    ) -> SectionLaw:
+        """Return forces of the beam law."""
+        return _CableSectionLaw(kind, parameters, xi)
+
+    def stress_map(
+        self,
+        kind: ElementType,
+        parameters: Array,
+        Y_unit: Array,
+        xi: Array,
+        places: tuple[Array, Array],
+    ) -> Array:
+        """Refuse: the law knows forces of a section, no stresses in it."""
+        raise InvalidInput(
+            "stress",
+            "needs an element with a section, whose strains vary over it",
+            self.name,
+            "Divide axial_force and bending_moment by area and section modulus.",
+        )
+
+
+@final
+class _CableSectionLaw(SectionLaw):
+    """E A eps r_x - E I r_xxx and r_x x E I r_xx along tangent and normal.
+
+    The variation of U in r leaves these; eps with tau eps', linear as `smoothing` has it.
+    """
+
+    def __init__(self, kind: ElementType, parameters: Array, xi: float) -> None:
+        self._E_A, self._E_I, _ = _moduli(kind, parameters)
+        self._l = parameters[:, ElementParameter.LENGTH]
+        self._tau, self._xi = parameters[:, ElementParameter.DAMPING_TIME], np.array(xi)
+
+    def forces(self, Y: Array, V: Array) -> Array:
+        """N, V_y and M_z."""
+        l, E_I, xi = self._l[:, None], self._E_I, self._xi
+        Y, V = scaled(Y, self._l), scaled(V, self._l)
+        places, weights = smoothing(float(xi))
+        along, along_v = (np.einsum("pa,...nad->...pnd", _tangent(places), x) for x in (Y, V))
+        strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0)
+        strains = strains + self._tau * np.sum(along * along_v, axis=-1)
+        r_x, r_xx = _tangent(xi) @ Y, np.stack(curvature_weights(xi)) @ Y / l
+        r_xxx = np.array([-12.0, 6.0, 6.0]) @ Y / l**2
+        n = (self._E_A * (weights @ strains))[..., None] * r_x - E_I[:, None] * r_xxx
+        speed = np.sqrt(np.sum(r_x * r_x, axis=-1))
+        forces = np.zeros((*n.shape[:-1], 6), dtype=n.dtype)
+        forces[..., 0] = np.sum(n * r_x, axis=-1) / speed
+        forces[..., 1] = (r_x[..., 0] * n[..., 1] - r_x[..., 1] * n[..., 0]) / speed
+        forces[..., 5] = E_I * (r_x[..., 0] * r_xx[..., 1] - r_x[..., 1] * r_xx[..., 0])
+        return forces
+
 
 def _moduli(kind: ElementType, parameters: Array) -> tuple[Array, Array, Array]:
     """E A, E I and rho A, shape (n,) each."""
@@ -138,7 +193,7 @@ def _shape(xi: Array) -> Array:
 
 
 def _tangent(xi: Array) -> Array:
-    """N_y at unit length, shape (n_p, 3)."""
+    """N_y at unit length, shape (..., 3)."""
     return np.stack([end_weight_xi(xi), *slope_weights_xi(xi)], axis=-1)
 
 

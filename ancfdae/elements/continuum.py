@@ -17,7 +17,7 @@ d(J_o^-1) = -J_o^-1 dJ_o J_o^-1, d(det J_o) = det J_o tr(J_o^-1 dJ_o).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -29,21 +29,29 @@ from ancfdae.elements.element import (
     InvariantPartial,
     Invariants,
     Quantity,
+    SectionLaw,
 )
 from ancfdae.elements.energy import EnhancedContinuum, StrainEnergy
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
 from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
 from ancfdae.elements.strain_fields import turn_stiffness
-from ancfdae.elements.volume import Region, change, fibres, fibres_partial, shifted, step_of
+from ancfdae.elements.stresses import ContinuumSectionLaw, StressMap
+from ancfdae.elements.volume import (
+    AXIS_POINTS,
+    Region,
+    change,
+    fibres,
+    fibres_partial,
+    gauss_rule,
+    shifted,
+    step_of,
+)
 from ancfdae.numerics.arrays import Array
 
 # Straight reference: the integrand of A has degree 8 in xi, that of m degree 6; 5 Gauss points are
 # exact. Curved reference: it is rational; 12 points leave 3e-15 when the element turns by 0.5 rad,
 # 4e-13 at 1 rad and 3e-9 at a right angle.
 _STRAIGHT_POINTS, _CURVED_POINTS = 5, 12
-# Poisson's effect on the axis couples stretch, quadratic in xi, with thickness strains, linear in
-# xi: two points ask it where both can follow.
-_AXIS_POINTS = 2
 
 
 @final
@@ -130,6 +138,26 @@ class ContinuumBeam(BeamElement):
             partials[which] = InvariantPartial(A=A_b, g_o=g_ob, c=c_b, m=m_b)
         return Invariants(A=A, g_o=packed_gram(Y_o), m=m, p_o=None, partials=partials)
 
+    def section_law(
+        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
+    ) -> SectionLaw:
+        """Integrals of stresses over the section."""
+        return ContinuumSectionLaw(self.d, kind, parameters, Y_unit, xi)
+
+    def stress_map(
+        self,
+        kind: ElementType,
+        parameters: Array,
+        Y_unit: Array,
+        xi: Array,
+        places: tuple[Array, Array],
+    ) -> Array:
+        """C times strains."""
+        l, own = parameters[:, ElementParameter.LENGTH, None, None], fibres(kind, parameters)
+        offsets = np.stack(places, axis=-1) / l
+        at = replace(own, offsets=offsets, volume=np.ones(offsets.shape[:2]))
+        return StressMap(self.d, kind, parameters, Y_unit, xi, at).D
+
 
 @final
 class _Integrals:
@@ -141,10 +169,10 @@ class _Integrals:
         self._d, self._kind, self._parameters = d, kind, parameters
         self._fibres, self._C = fibres(kind, parameters), self._stiffness(parameters)
         along = _STRAIGHT_POINTS if kind.straight else _CURVED_POINTS
-        self._regions = [Region(d, kind, self._fibres, Y_unit, along, owners)]
+        self._regions = [Region(d, kind, self._fibres, Y_unit, gauss_rule(along), owners)]
         if len(self._C) > 1:
             axis = self._fibres.axis()
-            self._regions.append(Region(d, kind, axis, Y_unit, _AXIS_POINTS, owners))
+            self._regions.append(Region(d, kind, axis, Y_unit, gauss_rule(AXIS_POINTS), owners))
         self._rho = parameters[:, ElementParameter.DENSITY]
         self._s = self._regions[0].shape(self._fibres.offsets, 1.0)
         self.A: Array = np.sum(

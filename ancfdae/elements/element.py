@@ -124,6 +124,23 @@ class Invariants:
     partials: dict[ElementParameter, InvariantPartial]
 
 
+class SectionLaw(abc.ABC):
+    """Forces in sections of n elements, prepared for many states."""
+
+    @abc.abstractmethod
+    def forces(self, Y: Array, V: Array) -> Array:
+        """Return N, V_y, V_z, T, M_y and M_z, shape (..., n, 6).
+
+        What the part beyond the section does to the part before it, in the axes of the section;
+        real or complex. In the plane V_z, T and M_y are zero.
+
+        Parameters
+        ----------
+        Y, V : array, shape (..., n, n_y, d)
+            Relative node vectors and their velocities.
+        """
+
+
 class BeamElement(abc.ABC):
     """Facts about a two-node ANCF beam element.
 
@@ -221,3 +238,44 @@ class BeamElement(abc.ABC):
         owners: Array,
     ) -> Invariants:
         """Integrate the invariants of some elements; arguments as in `invariants.prepare`."""
+
+    @abc.abstractmethod
+    def section_law(
+        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
+    ) -> SectionLaw:
+        """Return what gives the forces in the sections at xi of some elements.
+
+        Parameters
+        ----------
+        kind, parameters, Y_unit
+            As in `invariants.prepare`.
+        xi : float
+        """
+
+    @abc.abstractmethod
+    def stress_map(
+        self,
+        kind: ElementType,
+        parameters: Array,
+        Y_unit: Array,
+        xi: Array,
+        places: tuple[Array, Array],
+    ) -> Array:
+        """Return stresses as maps of the strains of the law, shape (n, n_f, n_xi, n_v, n_g).
+
+        Of strains of relative node vectors with the chord divided by the length; normal stresses
+        first, then shears.
+
+        Parameters
+        ----------
+        kind, parameters, Y_unit
+            As in `invariants.prepare`.
+        xi : array, shape (n_xi,)
+        places : (array, array), shape (n, n_f) each
+            y and z in the section; m.
+
+        Raises
+        ------
+        InvalidInput
+            If the element has no stresses that vary over a section.
+        """

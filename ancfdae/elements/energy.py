@@ -45,6 +45,10 @@ class StrainEnergy(abc.ABC):
         """Whether shear factors and torsion constants of the section count."""
         return False
 
+    def stress_across(self, d: int, nu: Array) -> Array:
+        """Return the stress across the plane over S_xx + S_yy, shape (n,); none in plane stress."""
+        return 0 * nu
+
     @abc.abstractmethod
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
         """Return C in the volume, and C on the axis where there is such a part.
@@ -66,6 +70,10 @@ class SaintVenantKirchhoff(StrainEnergy):
     assumed_strains : bool
         As in `StrainEnergy`.
     """
+
+    def stress_across(self, d: int, nu: Array) -> Array:
+        """Return that of plane strain."""
+        return nu if d == 2 else 0 * nu
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
         """Lame's law."""

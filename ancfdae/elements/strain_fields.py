@@ -120,6 +120,27 @@ def axial_functions(d: int, xi: tuple[float, ...], assumed: bool, straight: bool
     return beta
 
 
+@lru_cache(maxsize=64)
+def frame_products(d: int, xi: float, assumed: bool, straight: bool) -> Array:
+    """Return the scalar products of r_x, r_y(, r_z) with these and b_2(, b_3) in g.
+
+    As the strains have them; shape (d, 2 d - 1, n_g).
+    """
+    beta = axial_functions(d, (xi,), assumed, straight)[:, 0]
+    index = {pair: v for v, pair in enumerate(components(d))}
+    products = np.zeros((d, 2 * d - 1, beta.shape[-1]))
+    ends, slopes = (_SHEAR_Y, _SHEAR_Z), ((_Y, _TWIST_Z), (_TWIST_Y, _Z))
+    products[0, 0] = beta[_ONE, index[0, 0]]
+    for i in range(1, d):
+        products[0, i] = products[i, 0] = beta[ends[i - 1], index[0, i]]
+        products[0, d - 1 + i] = 0.5 * beta[(_Y, _Z)[i - 1], index[0, 0]]
+        for j in range(1, d):
+            products[i, j] = beta[_ONE, index[min(i, j), max(i, j)]]
+            products[i, d - 1 + j] = beta[slopes[i - 1][j - 1], index[0, i]]
+    products.setflags(write=False)
+    return products
+
+
 def turn_count(d: int) -> int:
     """Return how many rows of turns follow the components of strain."""
     return 1 if d == 2 else 3

@@ -24,6 +24,10 @@ from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.quadrature import box_rule
 from ancfdae.sections.section import central_moments
 
+# Poisson's effect on the axis couples stretch, quadratic in xi, with thickness strains, linear in
+# xi: two points ask it where both can follow.
+AXIS_POINTS = 2
+
 
 @final
 @dataclass(frozen=True)
@@ -93,6 +97,12 @@ def fibres_partial(kind: ElementType, parameters: Array, which: ElementParameter
     )
 
 
+def gauss_rule(count: int) -> tuple[Array, Array]:
+    """Gauss points along an element and their weights."""
+    corner, rule = box_rule((count,))
+    return corner[:, 0], rule
+
+
 def shifted(parameters: Array, which: ElementParameter) -> Array:
     """Return parameters with one of them moved by an imaginary `step_of`."""
     moved = parameters.astype(complex)
@@ -125,8 +135,8 @@ class Region:
     fibres : Fibres
     Y_unit : array, shape (n, n_y, d)
         Relative node vectors of the reference configuration, the chord divided by l.
-    along : int
-        Points along the axis.
+    along : (array, array), shape (n_xi,) each
+        Places xi along the axis and their weights, such as those of `gauss_rule`.
     owners : array of str, shape (n,)
         What each element belongs to, for the error.
 
@@ -134,6 +144,8 @@ class Region:
     ----------
     P : array, shape (n, n_p, n_v, n_g)
         Strains in the Gram matrix of the scaled node vectors.
+    T : array, shape (n, n_p, n_v, n_v), or (n_v, n_v) for a straight reference
+        Strains in the components of the metric.
     dV : array, shape (n, n_p)
 
     Raises
@@ -148,11 +160,11 @@ class Region:
         kind: ElementType,
         fibres: Fibres,
         Y_unit: Array,
-        along: int,
+        along: tuple[Array, Array],
         owners: Array,
     ) -> None:
-        corner, self._rule = box_rule((along,))
-        self._d, self._xi, self._fibres = d, corner[:, 0], fibres
+        self._xi, self._rule = along
+        self._d, self._fibres = d, fibres
         assert kind.energy is not None
         assumed = kind.energy.assumed_strains
         self._beta = axial_functions(d, tuple(self._xi.tolist()), assumed, kind.straight)
@@ -166,7 +178,8 @@ class Region:
             self._Y, self._axes = Y_unit, _section_axes(J)
             self._J_inv = np.linalg.inv(self._axes @ J)
             self.dV = self.dV * det_J
-        self.P = self._transform(self._J_inv, self._J_inv, 1.0) @ self._B
+        self.T = self._transform(self._J_inv, self._J_inv, 1.0)
+        self.P = self.T @ self._B
 
     def partial(self, fibres_b: Fibres) -> tuple[Array, Array]:
         """Return the derivatives of P and dV."""
@@ -175,7 +188,7 @@ class Region:
             (own.offsets, own.factors, own.radii),
             (fibres_b.offsets, fibres_b.factors, fibres_b.radii),
         )
-        P_b = self._transform(self._J_inv, self._J_inv, 1.0) @ self._metric(phi_b)
+        P_b = self.T @ self._metric(phi_b)
         dV_b = self._measure(fibres_b.volume)
         if self._J_inv is None:
             return P_b, dV_b

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point
-from ancfdae.errors import require_direction
+from ancfdae.errors import InvalidInput, require_direction
 from ancfdae.joints.frames import carrier_of, place_shapes, sections, square, unit
 from ancfdae.joints.joint import (
     SECTION,
@@ -19,6 +19,9 @@ from ancfdae.joints.joint import (
     place_coincidence,
 )
 from ancfdae.numerics.arrays import Array
+
+# One minus the cosine of an angle of 1e-6 that is taken for none.
+_PARALLEL = 1e-12
 
 
 @final
@@ -53,6 +56,18 @@ class Universal(Joint):
     design_fields = (("axis", require_direction), ("cross", require_direction))
     spatial = True
     holds_position = True
+
+    def __post_init__(self) -> None:
+        """Refuse axes that are parallel: they would hold their angle to first order alone."""
+        super().__post_init__()
+        axis, cross = (np.asarray(direction, float) for direction in (self.axis, self.cross))
+        if len(axis) == len(cross) and abs(unit(axis) @ unit(cross)) > 1 - _PARALLEL:
+            raise InvalidInput(
+                f"joint {self.name!r}, cross",
+                "must not be parallel to the axis",
+                self.cross,
+                "Give the direction of the other axis of the cross.",
+            )
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and F axis . F' cross as in the reference."""

@@ -4,13 +4,13 @@ Arrays and jets have axes (..., n_vectors, d). A section is known by its slopes 
 plane). What it carries is combined of n, r_y and r_z, n its unit normal (in the plane of r_y and
 r_y turned by a right angle), so that directions of the reference turn with the section.
 
-The angle theta of a section about an axis a is that of the best turn about it: with d_k the slopes
-r_k of the reference, carried by the other section or standing still,
+The angle theta of a section about an axis a is that of the best turn about it: with r_k = n, r_y,
+r_z and d_k what they are in the reference, carried by the other section or standing still,
 
     theta = atan2(S, C),  S = a . sum d_k x r_k,  C = sum d_k . r_k - (a . d_k) (a . r_k).
 
-A rigid turn about a by any angle from -pi to pi is found exactly; where the section tilts until
-nothing of it turns about a, S and C vanish and there is no angle. The gradients are those of this
+A rigid turn about a by any angle from -pi to pi is found exactly, and there dtheta = a . dphi of
+every further turn dphi, because the three directions favour none. The gradients are those of this
 function: a torque T does the work T dtheta, its forces are T theta_U.
 """
 
@@ -64,15 +64,7 @@ class Carrier:
 
     def pull_back(self, rows: Array, G: Any) -> Any:
         """Return the gradient in U of something with the gradient G in the directions."""
-        on_basis = np.swapaxes(self._weights(rows), -1, -2) @ G
-        if self.U_o.shape[1] == 2:
-            return on_basis[..., 1:, :] - on_basis[..., :1, :] @ QUARTER_TURN
-        r_y, r_z = self.U[..., :1, :], self.U[..., 1:, :]
-        s, n = direction(cross(r_y, r_z))
-        on_n = on_basis[..., :1, :]
-        on_normal = (on_n - dot(on_n, n) * n) / s
-        turning = concatenate([cross(r_z, on_normal), cross(on_normal, r_y)])
-        return on_basis[..., 1:, :] + turning
+        return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
 
     def _weights(self, rows: Array) -> Array:
         weights: Array = rows @ np.linalg.inv(_basis(self.U_o))
@@ -86,6 +78,16 @@ def _basis(U: Any) -> Any:
     return concatenate([direction(cross(U[..., :1, :], U[..., 1:, :]))[1], U])
 
 
+def _on_slopes(U: Any, G: Any) -> Any:
+    """Return the gradient in the slopes of something with the gradient G in their basis."""
+    if U.shape[-1] == 2:
+        return G[..., 1:, :] - G[..., :1, :] @ QUARTER_TURN
+    r_y, r_z = U[..., :1, :], U[..., 1:, :]
+    s, n = direction(cross(r_y, r_z))
+    on_normal = (G[..., :1, :] - dot(G[..., :1, :], n) * n) / s
+    return G[..., 1:, :] + concatenate([cross(r_z, on_normal), cross(on_normal, r_y)])
+
+
 def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
     """Return angles about axes, (..., m, 1, 1), and gradients, (..., m, n_vectors, d).
 
@@ -97,22 +99,22 @@ def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
     U = U[..., None, :, :]
     if d == 2:
         return _planar_turn(U, U_o)
-    r, carrier = U[..., :2, :], Carrier(U[..., 2:, :], U_o[2:])
-    rows = axes[:, None, :]
+    own, carrier = U[..., :2, :], Carrier(U[..., 2:, :], U_o[2:])
+    rows, start = axes[:, None, :], _basis(U_o[:2])
     size, a = direction(carrier.of(rows))
-    slopes = carrier.of(U_o[:2])
-    ar, ad, dr = dot(a, r), dot(a, slopes), cross(slopes, r).sum(axis=-2, keepdims=True)
-    S, C = dot(a, dr), (dot(slopes, r) - ad * ar).sum(axis=-2, keepdims=True)
+    r, d_k = _basis(own), carrier.of(start)
+    ar, ad, dr = dot(a, r), dot(a, d_k), cross(d_k, r).sum(axis=-2, keepdims=True)
+    S, C = dot(a, dr), (dot(d_k, r) - ad * ar).sum(axis=-2, keepdims=True)
     on_S, on_C = C / (S * S + C * C), -S / (S * S + C * C)
-    on_r = on_S * cross(a, slopes) + on_C * (slopes - ad * a)
+    on_own = _on_slopes(own, on_S * cross(a, d_k) + on_C * (d_k - ad * a))
     theta = angle(S, C)
     if carrier.ground:
-        return theta, on_r
-    on_slopes = on_S * cross(r, a) + on_C * (r - ar * a)
-    on_a = on_S * dr - on_C * (ar * slopes + ad * r).sum(axis=-2, keepdims=True)
+        return theta, on_own
+    on_d = on_S * cross(r, a) + on_C * (r - ar * a)
+    on_a = on_S * dr - on_C * (ar * d_k + ad * r).sum(axis=-2, keepdims=True)
     on_axis = (on_a - dot(on_a, a) * a) / size
-    other = carrier.pull_back(U_o[:2], on_slopes) + carrier.pull_back(rows, on_axis)
-    return theta, concatenate([on_r, other])
+    other = carrier.pull_back(start, on_d) + carrier.pull_back(rows, on_axis)
+    return theta, concatenate([on_own, other])
 
 
 def _planar_turn(U: Any, U_o: Array) -> tuple[Any, Any]:

@@ -1,5 +1,13 @@
 """Observables: what can be seen of a motion, with exact partial derivatives."""
 
+from ancfdae.observables.drives import drive_torque, guide_force, joint_power, load_power
+from ancfdae.observables.mass import (
+    angular_momentum,
+    centre_of_mass,
+    inertia,
+    linear_momentum,
+    mass,
+)
 from ancfdae.observables.observable import Leaf, Observable, ObservablePartials, observe
 from ancfdae.observables.quantities import (
     design_value,
@@ -9,7 +17,9 @@ from ancfdae.observables.quantities import (
     strain_energy,
     time,
 )
+from ancfdae.observables.section_forces import axial_force, bending_moment, shear_force, torque
 from ancfdae.observables.states import States, states_of
+from ancfdae.observables.stress import maximum_stress, von_mises
 from ancfdae.observables.user_functions import apply, custom
 from ancfdae.observables.vectors import (
     axial_strain,

@@ -7,11 +7,17 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf import AncfSystem
 from ancfdae.errors import InvalidInput, UnknownName
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
-from ancfdae.observables.states import Named, States, known_naming, known_system, require_index
+from ancfdae.observables.states import (
+    Named,
+    States,
+    known_naming,
+    known_scene,
+    known_system,
+    require_index,
+)
 from ancfdae.protocol import MechanicalSystem
 
 
@@ -97,20 +103,20 @@ class Energy(Leaf):
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a beam that does not exist, or a solution without its system."""
-        layout = known_naming(_ancf(system)).layout
+        layout = known_naming(known_scene(system)).layout
         if self.beam is not None:
             layout.owner(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """T (eq. 9) or U of every instant."""
-        scene = _ancf(system)
+        scene = known_scene(system)
         if self.kinetic:
             return scene.kinetic_energies(states.v, beam=self.beam)
         return scene.strain_energies(states.q, beam=self.beam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """T_v and T_b, or U_q and U_b."""
-        scene, q, v = _ancf(system), states.q, states.v
+        scene, q, v = known_scene(system), states.q, states.v
         if self.kinetic:
             rows = Rows(slice(None), scene.kinetic_energies_v(v, beam=self.beam))
             return LeafGradient(v=rows, b=scene.kinetic_energies_b(v, beam=self.beam))
@@ -158,10 +164,3 @@ class Design(Leaf):
         b = np.zeros((len(states.t), system.n_b))
         b[:, system.design_names.index(self.name)] = 1.0
         return LeafGradient(b=b)
-
-
-def _ancf(system: Named) -> AncfSystem:
-    if not isinstance(system, AncfSystem):
-        rule, repair = "needs the assembled scene", "Pass assemble(scene, design)."
-        raise InvalidInput("energy", rule, type(system).__name__, repair)
-    return system

@@ -7,6 +7,7 @@ from typing import Protocol, final
 
 import numpy as np
 
+from ancfdae.ancf import AncfSystem
 from ancfdae.errors import InvalidInput
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
@@ -91,4 +92,12 @@ def known_system(name: str, system: Named) -> MechanicalSystem:
             type(system).__name__,
             "Pass the system, for a scene assemble(scene, design).",
         )
+    return system
+
+
+def known_scene(system: Named) -> AncfSystem:
+    """Return the assembled scene; refuse what is none."""
+    if not isinstance(system, AncfSystem):
+        rule, repair = "needs the assembled scene", "Pass assemble(scene, design)."
+        raise InvalidInput("observable of beams", rule, type(system).__name__, repair)
     return system

@@ -10,6 +10,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_array
 from ancfdae.numerics.arrays import Array
+from ancfdae.sections.rectangle import corners
 from ancfdae.sections.section import Section, SectionPoints, central_moments
 
 
@@ -57,6 +58,12 @@ class MomentSection(Section):
         y, z = (np.sqrt(I / area) for I in (I_y, I_z))
         sign = np.array([-1.0, 1.0])
         return y * np.repeat(sign, 2), z * np.tile(sign, 2), area * np.full(4, 0.25)
+
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Corners of the rectangle of these moments."""
+        area, I_y, I_z, _ = sizes.T
+        h, w = (np.sqrt(12 * I / area) for I in (I_y, I_z))
+        return corners(h, w)
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """None known: 1."""
@@ -121,6 +128,11 @@ class PointSection(Section):
         """Stretch the points."""
         (y, z), f = np.transpose(self.places), sizes[:, :, None]
         return f[:, 0] * y, f[:, 1] * z, f[:, 0] * f[:, 1] * np.asarray(self.areas)
+
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """All points: the rule knows no contour."""
+        y, z, _ = self.points(sizes, False)
+        return y, z
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """None known: 1."""

@@ -49,6 +49,10 @@ class Rectangle(Section):
         h, w = sizes.T
         return rectangles_points([(h, w, 0.0 * h, 0.0 * h)], fine)
 
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Corners."""
+        return corners(*sizes.T)
+
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """Cowper (1966)."""
         factor = 10 * (1 + nu) / (12 + 11 * nu)
@@ -57,6 +61,12 @@ class Rectangle(Section):
     def torsion(self, sizes: Array) -> Array:
         """Saint-Venant's series."""
         return rectangle_torsion(*sizes.T)
+
+
+def corners(h: Array, w: Array) -> tuple[Array, Array]:
+    """Corners of rectangles of these heights and widths about the axis."""
+    y, z = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, 0.5, -0.5])
+    return h[:, None] * y, w[:, None] * z
 
 
 def rectangles_points(

@@ -89,6 +89,10 @@ class Section(abc.ABC):
         """
 
     @abc.abstractmethod
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Return y and z of the points of the contour where stresses are largest, (n, n_o) each."""
+
+    @abc.abstractmethod
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """Shear factors along y and z for Poisson's ratio nu, shape (n,) each."""
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.numerics.arrays import Array
-from ancfdae.sections.rectangle import rectangle_torsion, rectangles_points
+from ancfdae.sections.rectangle import corners, rectangle_torsion, rectangles_points
 from ancfdae.sections.section import Section, SectionPoints, require_smaller
 
 
@@ -38,6 +38,11 @@ class _Walled(Section):
     def half_extents(self) -> tuple[float, float]:
         """Half of height and width."""
         return self.height / 2, self.width / 2
+
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Corners of the flanges."""
+        h, w, _, _ = sizes.T
+        return corners(h, w)
 
 
 @final

@@ -1,0 +1,52 @@
+"""Power of a load: F . V, the forces on its vectors times their rates."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.load_forces import LoadInput
+from ancfdae.numerics.arrays import STEP, Array
+
+
+@final
+class LoadWork:
+    """Power of one load with its partials, complex steps of a few vectors.
+
+    Parameters
+    ----------
+    item : LoadInput
+    n_b : int
+        Number of design variables.
+    """
+
+    def __init__(self, item: LoadInput, n_b: int) -> None:
+        self._item, self._n_b = item, n_b
+
+    def value(self, t: Array, q: Array, v: Array) -> Array:
+        """Return the power, shape (k,)."""
+        return self._power(self._item, t, q, v)
+
+    def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return partials in q, v and b; shape (k, n) each."""
+        item, b = self._item, np.zeros((len(t), self._n_b))
+        U, V = item.vectors.of(q), item.vectors.of(v)
+        shape = U.shape[1:]
+        # All directions at once, in a leading axis.
+        step = 1j * STEP * np.eye(U[0].size).reshape(-1, 1, *shape)
+        on_U, on_V = (
+            np.moveaxis(_product(item, *moved, t).imag / STEP, 0, -1).reshape(len(t), *shape)
+            for moved in ((U + step, V + 0 * step), (U + 0 * step, V + step))
+        )
+        for i in item.active:
+            b[:, i] = self._power(item.moved(i), t, q, v).imag / STEP
+        return item.vectors.lift(on_U), item.vectors.lift(on_V), b
+
+    def _power(self, item: LoadInput, t: Array, q: Array, v: Array) -> Array:
+        return _product(item, item.vectors.of(q), item.vectors.of(v), t)
+
+
+def _product(item: LoadInput, U: Array, V: Array, t: Array) -> Array:
+    """F . V over the leading axes."""
+    return np.asarray(np.sum(item.force(U, V, np.broadcast_to(t, U.shape[:-2])) * V, axis=(-2, -1)))

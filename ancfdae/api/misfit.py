@@ -1,0 +1,256 @@
+"""Misfit of a run to measured data: residuals and their Jacobian, for least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from ancfdae.api.calls import differentiable
+from ancfdae.design import DesignVariable
+from ancfdae.errors import (
+    InvalidInput,
+    require_array,
+    require_finite,
+    require_kind,
+    require_positive,
+    require_sequence,
+)
+from ancfdae.integrators import Integrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.objectives import NonFiniteObjective
+from ancfdae.observables import Observable, States, states_of
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.scene import Scene
+from ancfdae.sensitivity.method import Run, finished
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """Measured values of observables at given instants.
+
+    Parameters
+    ----------
+    observables : sequence of Observable
+        What was measured, n of them.
+    times : sequence of float
+        Instants of the measurements, m of them, none negative; s. Between the steps of a run values
+        are interpolated with the order of the integrator, linearly for HHT.
+    data : array, shape (n, m)
+        Measured values; NaN where there is none.
+    weights : float or array, optional
+        What residuals are multiplied by, of a shape that spreads to (n, m): one over the standard
+        deviation of the noise. One by default.
+
+    Raises
+    ------
+    InvalidInput
+        If shapes disagree, numbers are missing, or nothing was measured.
+    """
+
+    observables: Sequence[Observable]
+    times: Sequence[float]
+    data: Array
+    weights: Array | float = 1.0
+
+    def __post_init__(self) -> None:
+        """Validate and freeze."""
+        observables = require_sequence("Misfit.observables", self.observables)
+        for observable in observables:
+            require_kind("Misfit.observables", observable, (Observable,), "Use position(...), say.")
+        times = require_sequence("Misfit.times", self.times)
+        for time in times:
+            require_finite("Misfit.times", float(time))
+        if not times or min(times) < 0:
+            raise InvalidInput(
+                "Misfit.times", "must be one or more times from 0 on", times, "Give such times."
+            )
+        shape = (len(observables), len(times))
+        data = np.asarray(self.data, dtype=float)
+        if data.shape != shape or np.all(np.isnan(data)) or np.any(np.isinf(data)):
+            raise InvalidInput(
+                "Misfit.data",
+                f"must have the shape {shape}, observables by times, and some finite values",
+                f"shape {data.shape}",
+                "Give one row per observable, NaN where nothing was measured.",
+            )
+        weights = require_array("Misfit.weights", self.weights)
+        try:
+            weights = np.broadcast_to(weights, shape)
+        except ValueError:
+            rule, repair = f"must spread to the shape {shape}", "Give one each, or one for all."
+            raise InvalidInput("Misfit.weights", rule, weights.shape, repair) from None
+        object.__setattr__(self, "observables", observables)
+        object.__setattr__(self, "times", tuple(map(float, times)))
+        object.__setattr__(self, "data", data)
+        object.__setattr__(self, "weights", weights)
+
+    def fit(
+        self,
+        model: Scene | MechanicalSystem,
+        t_end: float,
+        integrator: Integrator,
+        *,
+        design: Sequence[str | DesignVariable] | None = None,
+    ) -> Fit:
+        """Return residuals and Jacobian as functions of the design values.
+
+        Parameters
+        ----------
+        model : Scene or MechanicalSystem
+        t_end : float
+            End time, not before the last measurement; s.
+        integrator : Integrator
+        design : sequence of str or DesignVariable
+            What is to be found, as in `differentiate`; bounds of variables are those of the fit.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+            If the model does not have what was measured, or the run ends before.
+        """
+        require_positive("t_end", t_end)
+        if max(self.times) > t_end * (1 + 1e-12):
+            rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
+            raise InvalidInput("Misfit.times", rule, max(self.times), repair)
+        require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
+        system = differentiable(model, design)
+        for observable in self.observables:
+            observable.check(system)
+        variables = [x for x in design or () if isinstance(x, DesignVariable)]
+        bounds = {variable.name: variable.bounds for variable in variables}
+        limits = tuple(bounds.get(name) for name in system.design_names)
+        return Fit(self, Run(system, float(t_end), integrator), limits)
+
+
+@final
+@dataclass(eq=False)
+class Fit:
+    """Residuals of a model and their Jacobian, for ``scipy.optimize.least_squares``.
+
+    ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac")``
+    finds the design values. Both functions come from one run with direct differentiation per
+    design, which is kept for the other.
+
+    Attributes
+    ----------
+    misfit : Misfit
+    run : Run
+        The system, the end time and the integrator.
+    """
+
+    misfit: Misfit
+    run: Run
+    _bounds: tuple[tuple[float, float] | None, ...]
+    _last: _Evaluation | None = field(default=None, init=False, repr=False)
+
+    @property
+    def start(self) -> Array:
+        """Design values of the model, shape (n_b,)."""
+        return np.asarray(self.run.system.b, dtype=float)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the design values; infinite where there are none."""
+        pairs = [(-np.inf, np.inf) if pair is None else pair for pair in self._bounds]
+        lower, upper = np.array(pairs, dtype=float).T
+        return lower, upper
+
+    def residuals(self, b: Array) -> Array:
+        """Return weight times (observable - data) of every measurement, row by row of the data.
+
+        Raises
+        ------
+        UnfinishedRun
+            If the run ends early; the error carries what was computed.
+        NonFiniteObjective
+            If an observable is not finite.
+        """
+        return self._at(b).residuals.copy()
+
+    def jacobian(self, b: Array) -> Array:
+        """Return the derivative of the residuals, shape (n_measurements, n_b); see `residuals`."""
+        return self._at(b).jacobian.copy()
+
+    def solution(self, b: Array) -> Solution:
+        """Return the run at these design values."""
+        return self._at(b).solution
+
+    def covariance(self, b: Array) -> Array:
+        """Return the covariance of the design values, shape (n_b, n_b), inverse of J^T J.
+
+        In first order, if the weights are one over the standard deviations of independent errors
+        of the data and b is the best fit. Infinite where the data do not tell the variables apart.
+        """
+        J = self.jacobian(b)
+        # Scaled to columns of length one, so that units do not matter.
+        lengths = np.sqrt(np.sum(J * J, axis=0))
+        if np.any(lengths == 0):
+            return np.full((len(lengths), len(lengths)), np.inf)
+        _, values, V = np.linalg.svd(J / lengths, full_matrices=False)
+        if len(J) < len(lengths) or values[-1] <= np.finfo(float).eps * len(J) * values[0]:
+            return np.full((len(lengths), len(lengths)), np.inf)
+        half = V.T / values / lengths[:, None]
+        return np.asarray(half @ half.T)
+
+    def _at(self, b: Array) -> _Evaluation:
+        b = require_array("design values", b, (self.run.system.n_b,))
+        if self._last is None or not np.array_equal(self._last.b, b):
+            self._last = self._evaluated(b)
+        return self._last
+
+    def _evaluated(self, b: Array) -> _Evaluation:
+        run, misfit = self.run.at(b), self.misfit
+        solution = finished(run.solution(sensitivities=True))
+        values, slopes = [], []
+        for observable in misfit.observables:
+            x, x_b = _along(observable, run.system, solution)
+            values.append(x)
+            slopes.append(x_b)
+        W = _interpolation(states_of(solution), misfit.times)
+        measured = ~np.isnan(misfit.data)
+        weights = np.asarray(misfit.weights)[measured]
+        residuals = weights * ((np.array(values) @ W.T) - misfit.data)[measured]
+        jacobian = weights[:, None] * np.einsum("mk,nkb->nmb", W, np.array(slopes))[measured]
+        return _Evaluation(b, residuals, jacobian, solution)
+
+
+@final
+@dataclass(frozen=True)
+class _Evaluation:
+    """What one run gave."""
+
+    b: Array
+    residuals: Array
+    jacobian: Array
+    solution: Solution
+
+
+def _along(
+    observable: Observable, system: MechanicalSystem, solution: Solution
+) -> tuple[Array, Array]:
+    """Values of an observable and their total derivatives, shape (k,) and (k, n_b)."""
+    states, s = states_of(solution), solution.sensitivities
+    assert s is not None  # asked for
+    p = observable.partials(system, states)
+    total = p.b
+    for rows, x_b in ((p.q, s.q_b), (p.v, s.v_b), (p.lam, s.lam_b)):
+        if rows is not None:
+            total = total + np.einsum("kn,knb->kb", rows, x_b)
+    bad = ~np.isfinite(p.value) | ~np.isfinite(total).all(axis=1)
+    if np.any(bad):
+        raise NonFiniteObjective("Misfit", "an observable", float(states.t[np.argmax(bad)]))
+    return p.value, total
+
+
+def _interpolation(states: States, times: Sequence[float]) -> Array:
+    """Weights of the instants in the values at some times, shape (m, k)."""
+    W = np.zeros((len(times), len(states.t)))
+    for row, time in zip(W, times, strict=True):
+        around, share = states.grid.interpolation(time)
+        row[around] = share
+    return W

@@ -1,0 +1,126 @@
+"""Observables of the sections of beams: axial and shear forces, bending moments, torque.
+
+They are integrals over the section of the stresses of the beam's law, second Piola-Kirchhoff ones
+with the part of internal damping, in the axes of the deformed section: its normal, its height, and
+what is across both. They are what the beam beyond the section does to the beam before it, moments
+about the axis of the beam (docs/theory.md, section 2).
+
+All converge with the mesh, the error of second order in the element length or better at any point:
+at the ends of an element that turns by phi, phi^2/6 of the bending moment. Best places, where the
+error is smaller by an order or two: the middle of an element for axial force and torque, and for
+bending moments the points 1/2 -+ 1/(2 sqrt 3) of it, or its middle where it is very slender; shear
+forces are as good anywhere with assumed strains, and best in the middle without, and in cables.
+
+A node belongs to the element that begins there, the end of a beam to the last one: forces jump at
+nodes that carry a load.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import final
+
+import numpy as np
+
+from ancfdae.bodies import Point, require_point
+from ancfdae.errors import InvalidInput
+from ancfdae.numerics.arrays import Array
+from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.observables.states import Named, States, known_scene, require_index
+from ancfdae.protocol import MechanicalSystem
+
+
+class Component(IntEnum):
+    """Which force or moment of a section; the value is its place among them."""
+
+    AXIAL_FORCE = 0
+    SHEAR_FORCE_Y = 1
+    SHEAR_FORCE_Z = 2
+    TORQUE = 3
+    BENDING_MOMENT_Y = 4
+    BENDING_MOMENT_Z = 5
+
+
+def axial_force(point: Point) -> Observable:
+    """Return the axial force in a beam at a point of its axis, positive in tension; N."""
+    return Section(point, Component.AXIAL_FORCE)
+
+
+def shear_force(point: Point, along: int = 1) -> Observable:
+    """Return a shear force in a beam at a point of its axis; N.
+
+    `along` is 1 for the height of the section and 2 for its width.
+    """
+    components = (Component.SHEAR_FORCE_Y, Component.SHEAR_FORCE_Z)
+    return Section(point, components[_across("shear_force, along", along)])
+
+
+def bending_moment(point: Point, about: int = 2) -> Observable:
+    """Return a bending moment in a beam at a point of its axis; N m.
+
+    `about` is 2 for the width of the section, the z axis of a planar scene, and 1 for its height.
+    A positive moment about z bends the beam towards its height axis.
+    """
+    components = (Component.BENDING_MOMENT_Y, Component.BENDING_MOMENT_Z)
+    return Section(point, components[_across("bending_moment, about", about)])
+
+
+def torque(point: Point) -> Observable:
+    """Return the torque in a spatial beam at a point of its axis; N m."""
+    return Section(point, Component.TORQUE)
+
+
+def _across(where: str, axis: int) -> int:
+    """Place of an axis of the section, 1 or 2, among them."""
+    require_index(where, axis)
+    if axis == 0:
+        raise InvalidInput(
+            where, "must be an axis of the section", axis, "Use 1 (height) or 2 (width)."
+        )
+    return int(axis) - 1
+
+
+@final
+@dataclass(frozen=True)
+class Section(Leaf):
+    """A force or moment in a beam, in the axes of its section."""
+
+    point: Point
+    component: Component
+
+    def __post_init__(self) -> None:
+        require_point("section force, point", self.point)
+        if self.point.y != 0 or self.point.z != 0:
+            raise InvalidInput(
+                "section force, point",
+                "must lie on the axis of the beam: forces belong to the whole section",
+                f"y = {self.point.y}, z = {self.point.z}",
+                "Leave them out.",
+            )
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a point that does not exist, and what a plane lacks."""
+        layout = known_scene(system).naming.layout
+        layout.beam(self.point.beam)
+        planar = (Component.AXIAL_FORCE, Component.SHEAR_FORCE_Y, Component.BENDING_MOMENT_Z)
+        if layout.d == 2 and self.component not in planar:
+            raise InvalidInput(
+                "section force",
+                "a planar beam has an axial force, a shear force along 1 and a moment about 2",
+                self.component.name,
+                "Use one of these, or a spatial scene.",
+            )
+        known_scene(system).section_forces(self.point)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Integral over the section."""
+        own = known_scene(system).section_forces(self.point)
+        return own.value(self.component, states.q, states.v)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Complex steps of the element's coordinates and parameters."""
+        own = known_scene(system).section_forces(self.point)
+        p = own.partials(self.component, states.q, states.v, system.n_b)
+        v = Rows(p.columns, p.v) if np.any(p.v) else None
+        return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)

@@ -1,0 +1,120 @@
+"""Observables of stress: von Mises' at a point of a beam, and its smooth maximum over a beam.
+
+The stress is the second Piola-Kirchhoff one of the beam's law, with the part of internal damping;
+it differs from the true one by the order of the strain. It is what the law carries: shear stresses
+are the mean ones, uniform over the section, and those of torsion grow linearly from the centroid,
+as they do in circles and tubes. A strain of 1e-9 is added in squares, E times 1e-9, so that the
+stress has a derivative where there is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf import StressPoints
+from ancfdae.bodies import Point, require_point
+from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.numerics.arrays import Array
+from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.observables.states import Named, States, known_scene
+from ancfdae.protocol import MechanicalSystem
+
+
+def von_mises(point: Point) -> Observable:
+    """Return von Mises' stress at a point of a beam, ``rod.at(0.3, y=0.01)`` say; Pa."""
+    return VonMises(point)
+
+
+def maximum_stress(beam: str, sharpness: float) -> Observable:
+    """Return the smooth maximum of von Mises' stress over a beam at every instant; Pa.
+
+    The aggregate of Kreisselmeier and Steinhauser over n points, the corners or outer fibres of the
+    section at both ends and in the middle of every element, log(sum exp(k s))/k: it exceeds the
+    largest stress s by at most log(n)/k.
+
+    For the largest over time too, take ``SmoothMaximum(maximum_stress("rod", k), k)``.
+
+    Parameters
+    ----------
+    beam : str
+        Name of the beam.
+    sharpness : float
+        k, in the inverse unit of a stress; positive. 50 over the stress allowed, say.
+    """
+    return MaximumStress(beam, sharpness)
+
+
+@final
+@dataclass(frozen=True)
+class VonMises(Leaf):
+    """Von Mises' stress at a material point."""
+
+    point: Point
+
+    def __post_init__(self) -> None:
+        require_point("von_mises, point", self.point)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a point that does not exist or lies outside the section."""
+        scene = known_scene(system)
+        half = [extent * (1 + 1e-12) for extent in scene.half_extents(self.point)]
+        if abs(self.point.y) > half[0] or abs(self.point.z) > half[1]:
+            raise InvalidInput(
+                "von_mises, point",
+                f"must lie in the section (|y| <= {half[0]:.6g}, |z| <= {half[1]:.6g})",
+                f"y = {self.point.y}, z = {self.point.z}",
+                "Move the point into the beam.",
+            )
+        scene.stress_at(self.point)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """One stress per instant."""
+        return known_scene(system).stress_at(self.point).value(states.q, states.v)[:, 0, 0]
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Pull back one stress."""
+        points = known_scene(system).stress_at(self.point)
+        return _gradient(points, system, states, np.ones((len(states.t), 1, 1)))
+
+
+@final
+@dataclass(frozen=True)
+class MaximumStress(Leaf):
+    """Kreisselmeier-Steinhauser aggregate of von Mises' stress over a beam."""
+
+    beam: str
+    sharpness: float
+
+    def __post_init__(self) -> None:
+        require_positive("maximum_stress, sharpness", self.sharpness)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a beam that does not exist or has no stresses."""
+        known_scene(system).stress_over(self.beam)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Logarithm of the sum; the largest is split off, so that nothing overflows."""
+        stress = known_scene(system).stress_over(self.beam).value(states.q, states.v)
+        largest = np.max(stress.real, axis=(1, 2), keepdims=True)
+        total = np.sum(np.exp(self.sharpness * (stress - largest)), axis=(1, 2))
+        return np.asarray(largest[:, 0, 0] + np.log(total) / self.sharpness)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Pull back the mean with the weights exp(k s)."""
+        points = known_scene(system).stress_over(self.beam)
+        stress = points.value(states.q, states.v)
+        largest = np.max(stress, axis=(1, 2), keepdims=True)
+        weights = np.exp(self.sharpness * (stress - largest))
+        weights = weights / np.sum(weights, axis=(1, 2), keepdims=True)
+        return _gradient(points, system, states, weights)
+
+
+def _gradient(
+    points: StressPoints, system: MechanicalSystem, states: States, weights: Array
+) -> LeafGradient:
+    p = points.partials(states.q, states.v, weights, system.n_b)
+    v = Rows(p.columns, p.v) if np.any(p.v) else None
+    return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)
