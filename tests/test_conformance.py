@@ -9,10 +9,13 @@ from ancfdae import (
     Beam,
     Clamp,
     Conformance,
+    Drive,
     FollowerForce,
+    Harmonic,
     InvalidInput,
     Material,
     Moment,
+    Pin,
     Rectangle,
     RigidMotion,
     Scene,
@@ -128,6 +131,16 @@ def pushed():
     return Scene([rod], [Clamp(rod.at_start)], loads=loads)
 
 
+def elbow():
+    """Two links with a motor between them: coefficients of products that depend on time."""
+    section, soft = Rectangle(0.1, 0.1), Material(1000.0, 1e6, 0.3)
+    upper = Beam("upper", (0.0, 0.0), (1.0, 0.0), 1, section, soft)
+    fore = Beam("fore", (1.0, 0.0), (1.6, 0.5), 1, section, soft)
+    motor = Drive(fore.at_start, Harmonic(0.5, 3.0), other=upper.at_end, name="motor")
+    joints = [Clamp(upper.at_start), Pin(fore.at_start, upper.at_end), motor]
+    return Scene([upper, fore], joints, project_start=True)
+
+
 @pytest.mark.parametrize(
     "system",
     [
@@ -138,6 +151,7 @@ def pushed():
         assemble(pendulum(start=(RigidMotion("pendulum", 2.0, (0.0, 0.0)),)), ["pendulum.height"]),
         assemble(crank_slider(), ["rod.density"]),
         assemble(pushed(), ["rod.height"]),
+        assemble(elbow(), ["motor.amplitude"]),
     ],
     ids=lambda system: type(system).__name__,
 )
