@@ -36,15 +36,22 @@ class Designable:
         name of the field; a vector, by the first word of the name and the axis (``force_vector``
         gives ``force_x``, ``force_y``); or another `Designable`, by its targets. It may hold None
         where that is its default.
+    indexed_fields : mapping of str to str
+        Those of them that hold numbers told apart by an index, each with the word that targets
+        have: ``{"values": "value"}`` gives ``value[0]``, ``value[1]`` ...
+    vector_words : mapping of str to str
+        The words for vectors whose first word would be that of another.
     """
 
     design_fields: ClassVar[tuple[tuple[str, Callable[[str, Any], None]], ...]] = ()
+    indexed_fields: ClassVar[Mapping[str, str]] = {}
+    vector_words: ClassVar[Mapping[str, str]] = {}
 
     def parameters(self) -> dict[str, float]:
         """Return the numbers that can be design targets, by name; the order is fixed."""
         found: dict[str, float] = {}
-        for name, value in self._design_values():
-            found |= _numbers(name, value)
+        for name, _ in self.design_fields:
+            found |= self.numbers_of(name)
         return found
 
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
@@ -59,7 +66,7 @@ class Designable:
             raise UnknownName("design target", unknown[0], self.parameters())
         new: dict[str, object] = {}
         for name, value in self._design_values():
-            own = _numbers(name, value)
+            own = self.numbers_of(name)
             changed = {key: changes.get(key, number) for key, number in own.items()}
             if changed == own:
                 continue
@@ -67,7 +74,7 @@ class Designable:
                 new[name] = value.with_parameters(changed)
             else:
                 new[name] = changed[name] if np.ndim(value) == 0 else tuple(changed.values())
-        return replace(self, **new) if new else self  # type: ignore[type-var]
+        return replace(self, **new)  # type: ignore[type-var]
 
     def split(self, p: Array) -> list[Any]:
         """Return the values of the design fields out of those of all `parameters`.
@@ -84,7 +91,7 @@ class Designable:
         """
         parts: list[Any] = []
         for name, value in self._design_values():
-            count = len(_numbers(name, value))
+            count = len(self.numbers_of(name))
             single = not isinstance(value, Designable) and np.ndim(value) == 0
             parts.append(None if value is None else p[0] if single else p[:count])
             p = p[count:]
@@ -103,25 +110,38 @@ class Designable:
             if value is not None or name not in optional:
                 rule(f"{where}, {name}", value)
 
+    def numbers_of(self, name: str) -> dict[str, float]:
+        """Return the numbers of one design field by target name."""
+        value = getattr(self, name)
+        if value is None:
+            return {}
+        if isinstance(value, Designable):
+            return value.parameters()
+        if name in self.indexed_fields:
+            return {f"{self.indexed_fields[name]}[{k}]": x for k, x in enumerate(value)}
+        if np.ndim(value) == 0:
+            return {name: value}
+        prefix = self.vector_words.get(name, name.partition("_")[0])
+        axes = _TENSOR if len(value) == len(_TENSOR) else "xyz"
+        return {f"{prefix}_{axis}": x for axis, x in zip(axes, value, strict=False)}
+
     def _design_values(self) -> list[tuple[str, Any]]:
         return [(name, getattr(self, name)) for name, _ in self.design_fields]
+
+
+def require_numbers(where: str, value: object) -> None:
+    """Raise InvalidInput for anything but one finite number or more in a sequence."""
+    rule, repair = "must be a sequence of numbers", "Give one number or more in a list."
+    given = require_sequence(where, value, rule, repair)
+    if isinstance(value, str) or not given:
+        raise InvalidInput(where, rule, repr(value), repair)
+    for number in given:
+        require_finite(where, number)
 
 
 def numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
     """Return design fields that hold any finite number."""
     return tuple((name, require_finite) for name in names)
-
-
-def _numbers(name: str, value: Any) -> dict[str, float]:
-    """Return the numbers of a design field by target name."""
-    if value is None:
-        return {}
-    if isinstance(value, Designable):
-        return value.parameters()
-    if np.ndim(value) == 0:
-        return {name: value}
-    prefix, axes = name.partition("_")[0], _TENSOR if len(value) == len(_TENSOR) else "xyz"
-    return {f"{prefix}_{axis}": x for axis, x in zip(axes, value, strict=False)}
 
 
 @final
@@ -136,17 +156,22 @@ class Target:
     parameter : str
         Name of its parameter, such as ``height``.
     element : int or None
-        Element index, or None for the whole beam.
+        Index of an element of a beam, or of a control value of a law; None for the whole beam, or
+        a parameter without index.
     """
 
     owner: str
     parameter: str
     element: int | None
 
+    @property
+    def indexed(self) -> str:
+        """The parameter with its index, as among the `parameters` of a joint or load."""
+        return self.parameter if self.element is None else f"{self.parameter}[{self.element}]"
+
     def __str__(self) -> str:
         """Return the target as the user writes it."""
-        index = "" if self.element is None else f"[{self.element}]"
-        return f"{self.owner}.{self.parameter}{index}"
+        return f"{self.owner}.{self.indexed}"
 
 
 @final
@@ -256,14 +281,16 @@ def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, .
 
 
 def distribution(target: str, count: int) -> tuple[DesignVariable, ...]:
-    """One design variable per element of a beam, e.g. a height distribution.
+    """One design variable per element of a beam, or per control value of a law.
+
+    For example a height distribution, or the torque of a motor over time.
 
     Parameters
     ----------
     target : str
-        ``"beam.parameter"``.
+        ``"beam.parameter"`` or ``"motor.value"``.
     count : int
-        Number of elements of the beam.
+        Number of elements of the beam, or of control values.
     """
     parse_target(target)
     names = [f"{target}[{k}]" for k in range(count)]

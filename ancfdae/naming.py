@@ -198,25 +198,32 @@ class Naming:
     ) -> PointVector:
         """Return how a vector of a material point is made of vectors of its body.
 
-        `place` has the numbers of the point, (n,), and their design derivatives, (n, n_b), where
-        the design may move it.
+        `place` has the `Point.numbers`, (3,), and their design derivatives, (3, n_b), where the
+        design may move the point.
 
         Raises UnknownName for its body, InvalidInput if its points have no such vector.
         """
-        if place is None:
-            numbers = np.array(list(point.numbers().values()))
-            place = numbers, np.zeros((len(numbers), self.lengths_b.shape[1]))
         body, beam = self.layout.body(point.beam), self._beam(point.beam)
-        if (point.fraction is None) != (beam is None):
-            raise InvalidInput(
-                f"point of {point.beam!r}",
-                "a beam has fractions, a rigid body places x, y, z",
-                point,
-                "Write beam.at(fraction) or body.at(x, y).",
-            )
+        numbers, numbers_b = self._place(point) if place is None else place
         if beam is None:
-            return self._of_body(body, quantity, *place)
-        return self._of_beam(beam, point, quantity, *place)
+            return self._of_body(point, quantity, body, numbers, numbers_b)
+        fraction, y, z = numbers
+        local, at = beam.locate(None if point.fraction is None else float(fraction.real))
+        span = beam.fractions[local + 1] - beam.fractions[local]
+        xi = at + 1j * fraction.imag / span if np.iscomplexobj(numbers) else at
+        element = beam.first_element + local
+        kind = self.layout.element
+        kind.require(f"point of {point.beam!r}", quantity, point.y, point.z)
+        w, p = kind.vector_weights(quantity, xi, y, z)
+        l = self.lengths[element]
+        s, s_l = w * l**p, w * p * l ** (p - 1)
+        s_b = s_l[:, None] * self.lengths_b[element]
+        if np.any(numbers_b):
+            for k, steps in enumerate(STEP * np.diag([1 / span, 1.0, 1.0])):
+                moved = (x.real + 1j * step for x, step in zip((xi, y, z), steps, strict=True))
+                w_k = kind.vector_weights(quantity, *moved)[0].imag / STEP
+                s_b = s_b + np.outer(w_k * l**p, numbers_b[k])
+        return self._of_nodes(beam, local, s, s_b)
 
     def nodes(self, states: Array, name: str) -> Array:
         """Return the node vectors of a beam or a rigid body in states of shape (k, n_q).
@@ -255,36 +262,31 @@ class Naming:
     def _beam(self, name: str) -> BeamLayout | None:
         return next((beam for beam in self.layout.beams if beam.name == name), None)
 
-    def _of_beam(
-        self, beam: BeamLayout, point: Point, quantity: Quantity, numbers: Array, numbers_b: Array
-    ) -> PointVector:
-        fraction, y, z = numbers
-        local, at = beam.locate(float(fraction.real))
-        span = beam.fractions[local + 1] - beam.fractions[local]
-        xi = at + 1j * fraction.imag / span if np.iscomplexobj(numbers) else at
-        element, kind = beam.first_element + local, self.layout.element
-        kind.require(f"point of {beam.name!r}", quantity, point.y, point.z)
-        w, p = kind.vector_weights(quantity, xi, y, z)
-        l = self.lengths[element]
-        s, s_l = w * l**p, w * p * l ** (p - 1)
-        s_b = s_l[:, None] * self.lengths_b[element]
-        if np.any(numbers_b):
-            for k, steps in enumerate(STEP * np.diag([1 / span, 1.0, 1.0])):
-                moved = (x.real + 1j * step for x, step in zip((xi, y, z), steps, strict=True))
-                w_k = kind.vector_weights(quantity, *moved)[0].imag / STEP
-                s_b = s_b + np.outer(w_k * l**p, numbers_b[k])
-        return self._of_nodes(beam, local, s, s_b)
+    def _place(self, point: Point) -> tuple[Array, Array]:
+        numbers = np.array(list(point.numbers().values()))
+        return numbers, np.zeros((len(numbers), self.lengths_b.shape[1]))
 
-    @staticmethod
     def _of_body(
-        body: BodyLayout, quantity: Quantity, numbers: Array, numbers_b: Array
+        self,
+        point: Point,
+        quantity: Quantity,
+        body: BodyLayout,
+        numbers: Array,
+        numbers_b: Array,
     ) -> PointVector:
         """Return r + x d_1 + y d_2 + z d_3, or one of these directions."""
+        if point.fraction is not None:
+            raise InvalidInput(
+                f"point of {point.beam!r}",
+                "a rigid body has no fractions",
+                point.fraction,
+                "Write body.at(x, y).",
+            )
         weights = np.zeros(body.count, dtype=numbers.dtype)
-        weights_b = np.zeros((body.count, numbers_b.shape[1]))
+        weights_b = np.zeros((body.count, self.lengths_b.shape[1]))
         if quantity is Quantity.POSITION:
-            weights[0] = 1.0
-            weights[1:], weights_b[1:] = numbers[: body.count - 1], numbers_b[: body.count - 1]
+            weights[0], weights[1:] = 1.0, numbers[: body.count - 1]
+            weights_b[1:] = numbers_b[: body.count - 1]
         else:
             weights[quantity] = 1.0
         return PointVector(body.vectors, weights, weights_b)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self, TypeAlias, final
@@ -26,6 +27,10 @@ class CentreLine:
     """
 
     beam: str
+
+
+# Names by default hold numbers: pin(rod@0.5).
+_NO_NAME = re.compile(r"\.(?!\d)|\[")
 
 
 @final
@@ -71,6 +76,8 @@ class Part(Designable, abc.ABC):
     kind: ClassVar[str]
     needs_other_end: ClassVar[bool] = False
     spatial: ClassVar[bool] = False
+    #: What it says to a second point in the place of its name.
+    no_second_point: ClassVar[str] = "It joins no second point here."
 
     name: str
 
@@ -82,7 +89,14 @@ class Part(Designable, abc.ABC):
                 f"{self.role} {self.kind!r}, name",
                 "must be a string",
                 repr(name),
-                "It joins no second point here." if isinstance(name, Point) else "Give a name.",
+                self.no_second_point if isinstance(name, Point) else "Give a name.",
+            )
+        if _NO_NAME.search(name):
+            raise InvalidInput(
+                f"{self.role} {self.kind!r}, name",
+                "must hold no '[' and no dot, except in a number: design targets have them",
+                repr(name),
+                "Write '_' or '-' instead.",
             )
         given = self._given()
         where = f"{self.role} {name!r}" if name else self.kind
@@ -108,17 +122,15 @@ class Part(Designable, abc.ABC):
         }
 
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
-        """Return the same part with some of its `parameters` or `point_numbers` changed."""
-        moved = {name: x for name, x in changes.items() if name in self.point_numbers()}
-        part = super().with_parameters({k: x for k, x in changes.items() if k not in moved})
-        points = {}
-        for field, point in self.point_fields().items():
-            own: dict[str, Any] = {
-                name: moved.get(f"{field}_{name}", number)
-                for name, number in point.numbers().items()
-            }
-            points[field] = replace(point, **own)
-        return replace(part, **points)  # type: ignore[type-var]
+        """Return the same part with some of its `parameters` and `point_numbers` changed."""
+        own = {name: number for name, number in changes.items() if name in self.point_numbers()}
+        points = self.point_fields()
+        for name, number in own.items():
+            field, _, coordinate = name.rpartition("_")
+            points[field] = replace(points[field], **{coordinate: number})  # type: ignore[arg-type]
+        part = replace(self, **points)  # type: ignore[type-var]
+        rest = {name: number for name, number in changes.items() if name not in own}
+        return super(Part, part).with_parameters(rest)
 
     def point_fields(self) -> dict[str, Point]:
         """Return the fields that hold a point."""
@@ -157,7 +169,7 @@ class Part(Designable, abc.ABC):
                 element.require(where, vector[1], vector[0].y, vector[0].z)
         for name, _ in self.design_fields:
             value = getattr(self, name)
-            if np.ndim(value) == 1:
+            if np.ndim(value) == 1 and name not in self.indexed_fields:
                 require_vector(f"{where}, {name}", value, (d,))
 
     def _given(self) -> dict[str, Any]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias, final
+from typing import ClassVar, TypeAlias, final
 
 from ancfdae.bodies import BeamBody, RigidBody
 from ancfdae.design import Designable
@@ -27,8 +27,8 @@ class RigidMotion(Designable):
     """Initial velocity of a beam or a rigid body: a rigid-body motion.
 
     v = velocity + angular_velocity x (r - about); slopes turn with it. Design targets, under the
-    name of the beam: ``angular_velocity`` (in space ``angular_x`` ...), ``about_x`` ..., and
-    ``velocity_x`` ... where it is given.
+    name of the body: ``angular_velocity`` (in space ``angular_velocity_x`` ...), ``about_x`` ...,
+    and ``velocity_x`` ... where it is given.
 
     Parameters
     ----------
@@ -52,6 +52,7 @@ class RigidMotion(Designable):
         ("about", require_vector),
         ("velocity", require_vector),
     )
+    vector_words: ClassVar[Mapping[str, str]] = {"angular_velocity": "angular_velocity"}
 
     def __post_init__(self) -> None:
         """Validate."""

@@ -6,14 +6,33 @@ A new class is found by its line of export and runs through every test over its 
 import inspect
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
+from functools import reduce
+from itertools import product
+from operator import or_
 from types import UnionType
 from typing import Union, get_args, get_origin, get_type_hints
 
-from ancfdae import Harmonic, InvalidInput, Point, RigidBody, Scene, assemble
-from ancfdae.joints import Law
+import numpy as np
+
+from ancfdae import Harmonic, InvalidInput, Law, Point, RigidBody, Scene, assemble, laws
+from ancfdae.joints import DrivenJoint, Equations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)
+
+
+def coefficients_of(joint, p, reference, t, order=0):
+    """Coefficients of a joint at an instant, or their time derivatives: its parts, put together."""
+    still = joint.coefficients(p, reference)
+    moving, factors = (), ()
+    if isinstance(joint, DrivenJoint):
+        moving, factors = joint.moving(p, reference), joint.factors(p, np.array([t]), order)[:, 0]
+    parts = [(float(order == 0), still), *zip(factors, moving, strict=True)]
+    arrays = (
+        sum(factor * getattr(part, name) for factor, part in parts)
+        for name in ("linear", "bilinear", "offset")
+    )
+    return Equations(*arrays, still.shapes)
 
 
 def public_classes(module, base):
@@ -44,28 +63,40 @@ def scene_of(members, part):
     return Scene(beams, bodies=bodies, **{f"{part.role}s": [part]})
 
 
-def examples(kind, beams, points):
+def examples(kind, beams, points, bodies=()):
     """Admissible examples of a class on two points, by what they are given beside the rest.
 
-    All fields that must be given take every combination of values of their types; each field that
-    need not be given is left out or given. What a scene of the beams refuses is none.
+    All fields that must be given take every combination of values of their types. Of those that
+    need not be given none, one, all but one, or all are. What a scene of the beams refuses is none.
     """
-    d, hints = beams[0].dimension, get_type_hints(kind)
-    choices = [{}]
+    d, hints = (*beams, *bodies)[0].dimension, get_type_hints(kind)
+    needed, optional, count = [{}], {}, 0
     for field in fields(kind):
         if field.name == "name":
             continue
         values = values_of(hints[field.name], field.name, points, d)
+        # Numbers of their own, and numbers that need not be given are: their default could hide.
+        values = [x + 0.1 * count if isinstance(x, float) else x for x in values]
+        count += any(isinstance(x, float) for x in values)
         options = [{field.name: value} for value in values]
-        if field.default is not MISSING:
-            # Numbers that need not be given are: their default could hide them.
-            options = options if hints[field.name] is float else [{}, *options]
-        choices = [a | b for a in choices for b in options]
+        if field.default is MISSING or hints[field.name] is float:
+            needed = [a | b for a in needed for b in options]
+        else:
+            optional[field.name] = options
+    # None of what need not be given, each alone, all but one, and all.
+    sets = {(), tuple(optional), *((name,) for name in optional)}
+    sets |= {tuple(name for name in optional if name != left) for left in optional}
+    choices = [
+        reduce(or_, given, first)
+        for first in needed
+        for names in sorted(sets, key=lambda names: (len(names), names))
+        for given in product(*(optional[name] for name in names))
+    ]
     found = {}
     for arguments in choices:
         try:
             part = kind(**arguments)
-            assemble(scene_of(beams, part))
+            assemble(scene_of((*beams, *bodies), part))
         except InvalidInput:
             continue
         extras = [f.name for f in fields(kind) if f.default is not MISSING and f.name in arguments]
@@ -73,9 +104,41 @@ def examples(kind, beams, points):
     return found
 
 
-def all_examples(module, base, beams, points):
+def all_examples(module, base, beams, points, bodies=()):
     """Examples of all public classes of a kind."""
     found = {}
     for kind in public_classes(module, base).values():
-        found |= examples(kind, beams, points)
+        found |= examples(kind, beams, points, bodies)
+    return found
+
+
+#: All functions that a user's law may have, and its numbers in other places than those of laws.
+def _wave(t, a, b, c, d, e):
+    y = a * np.sin(b * t) + np.exp(-c * t) / (1.0 + np.square(t)) - np.tanh(d * t - e) * t**3
+    y = y + np.sqrt(1.0 + t * t) * np.cos(t) - np.log(2.0 + t) + np.arctan(t) + np.cosh(0.1 * t)
+    return y + np.reciprocal(3.0 + t) + np.sinh(0.2 * t) - np.tan(0.1 * t) + 2.0**t + (1 + t) ** a
+
+
+#: What the fields of laws hold besides numbers.
+_LAW_FIELDS = {
+    "times": (0.2, 1.1, 1.8, 2.9, 3.7),
+    "values": (0.3, -0.5, 0.8, 0.6, 0.1),
+    "period": 4.5,
+    "function": _wave,
+}
+#: An instant at which all examples of laws vary, more than 0.3 s from the times of a spline.
+LAW_TIME = 2.3
+
+
+def law_examples():
+    """Examples of all public laws, each optional field that is no number given or not."""
+    found = {}
+    for kind in public_classes(laws, Law).values():
+        own = fields(kind)
+        given = {f.name: _LAW_FIELDS.get(f.name, 0.7 + 0.3 * k) for k, f in enumerate(own)}
+        found[kind.__name__] = kind(**given)
+        for field in own:
+            if field.default is None:
+                rest = {name: value for name, value in given.items() if name != field.name}
+                found[f"{kind.__name__} without {field.name}"] = kind(**rest)
     return found

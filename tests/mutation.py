@@ -30,14 +30,16 @@ PASSES = ["tests/test_adjoint.py", "-k", "dot_product or complex_step_of_the_run
 TESTS = {
     "elements/": [
         ["tests/test_assumed_strains.py"],
+        ["tests/test_invariants.py", "-k", "complex_step_of_force"],
         ["tests/test_cable.py"],
         ["tests/test_strain_energies.py"],
-        ["tests/test_invariants.py"],
+        ["tests/test_invariants.py", "-k", "not papers"],
         ["tests/test_assembler.py"],
     ],
     "joints/": [["tests/test_joints.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "loads/": [["tests/test_loads.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "integrators/hht/": [
+        ["tests/test_step_error.py"],
         ["tests/test_newton.py"],
         ["tests/test_controlled_sensitivities.py", "-k", "frozen_steps or counted"],
         ["tests/test_error_bars.py", "-k", "weighted_estimate_is and end"],
@@ -53,7 +55,8 @@ TESTS = {
         ["tests/test_adjoint.py", "-k", "is_complex_step and (pinned or damped-6)"],
     ],
     "sensitivity/continuous": [
-        ["tests/test_adjoint_end.py"],
+        ["tests/test_adjoint_end.py", "-k", "satisfies"],
+        ["tests/test_adjoint_end.py", "-k", "gradient"],
         ["tests/test_own_systems.py", "-k", "discrete_adjoint"],
         ["tests/test_adjoint.py", "-k", "continuous or passes or time_of or factorisations"],
     ],
@@ -134,18 +137,18 @@ def baseline():
 
 
 def passes(path):
-    """Whether the tests of a module pass, one selection after the other, within four minutes."""
+    """Whether the tests of a module pass, one selection after the other, within two minutes."""
     child = os.fork()
     if child == 0:
         # Processor time, so that a mutant on a busy machine has as much as on an idle one.
-        resource.setrlimit(resource.RLIMIT_CPU, (240, 240))
+        resource.setrlimit(resource.RLIMIT_CPU, (120, 120))
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.dup2(nowhere, 2)
         options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
-        failed = True
+        failed, selections = True, [*TESTS[package(path)], ["tests/test_frozen.py"]]
         try:
-            failed = any(pytest.main([*options, *x]) for x in TESTS[package(path)])
+            failed = any(pytest.main([*options, *x]) for x in selections)
         finally:
             os._exit(failed)
     return os.waitpid(child, 0)[1] == 0

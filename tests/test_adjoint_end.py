@@ -60,7 +60,7 @@ class FourBar(ComplexStepSystem):
 class TurningGuide(ComplexStepSystem):
     """Mass 1 on a line that is turned about the origin by w t + t^2; mass 2 hangs on it by a rod.
 
-    Phi_q depends on t itself.
+    Phi_q depends on t itself, in direction and size; at t = -1 it would be singular.
     """
 
     n_q, n_lam = 4, 2
@@ -86,7 +86,7 @@ class TurningGuide(ComplexStepSystem):
     def constraint(self, q, t):
         angle, rod = self.b[0] * t + t**2, q[2:] - q[:2]
         guide = q[1] * np.cos(angle) - q[0] * np.sin(angle)
-        return np.array([guide, (rod @ rod - self.b[1] ** 2) / 2])
+        return np.array([(1 + t) * guide, (rod @ rod - self.b[1] ** 2) / 2])
 
 
 def density(t, q, v, lam, b):

@@ -300,7 +300,7 @@ def test_joint_on_the_surface_is_accepted_and_beyond_the_width_refused():
         (lambda: Clamp("rod"), "", "'rod'"),
         (lambda: Pin("rod", name="p"), "joint 'p'", "'rod'"),
         (lambda: Pin(ROD.at_start, "rod"), "joint 'pin(rod@0)'", "'rod'"),
-        (lambda: Clamp(ROD.at_start, ROD.at_end), "joint 'clamp', name", "must be a string"),
+        (lambda: Clamp(ROD.at_start, ROD.at_end), "joint 'clamp', name", "use Weld"),
         (lambda: Distance(ROD.at_start, 1.0), "joint 'link(rod@0)'", "neither"),
         (lambda: Drive(ROD.at_start, Uniform(1.0), (0, 0, 1)), "'drive(rod@0)', axis", "2 comp"),
         (lambda: Drive(ROD.at_start, 2.0), "joint 'drive(rod@0)', angle", "Law"),
@@ -737,3 +737,9 @@ def test_every_error_of_this_package_is_also_a_value_error():
     # So that callers who know nothing of the package catch bad input the usual way.
     with pytest.raises(ValueError, match=r"Rectangle\.height: must be positive; got -1"):
         Rectangle(-1, 1)
+
+
+@pytest.mark.parametrize("name", ["a.b", "motor.", "m[0]", 3, None])
+def test_names_of_joints_and_loads_that_a_target_could_not_have_are_refused(name):
+    refused(lambda: Pin(ROD.at_start, name=name), "joint 'pin', name", "must")
+    assert Pin(ROD.at(0.5), name="motor 1.5-2").name == "motor 1.5-2"

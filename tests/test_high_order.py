@@ -216,6 +216,26 @@ def test_max_steps_is_a_limit_of_the_whole_run(kind):
     assert len(run.t) > 2
 
 
+def test_times_beyond_a_run_that_ended_early_are_refused_with_its_outcome():
+    run = simulate(CartesianPendulum(0.5, 2.0), 20.0, Explicit(1e-9, max_steps=30))
+    assert len(run.at([0.5 * run.t[-1]]).t) == 1
+    with pytest.raises(InvalidInput, match=r"ended early: the limit of steps \(max_steps\) was"):
+        run.at([0.5 * run.t[-1], 20.0])
+    whole = simulate(CartesianPendulum(), 0.5, Explicit(1e-6))
+    with pytest.raises(InvalidInput, match=r"lie in \[0, 0.5\]; got"):
+        whole.at([1.0])
+
+
+@pytest.mark.parametrize(
+    ("integrator", "needed"),
+    # The crank-slider of the paper over 2 s by Explicit; its pendulum over 1 s, IDA(1e-10) with
+    # three variables: 100,000 steps reach 0.964 s.
+    [(Explicit(), 29_410), (IDA(), 103_800), (IDAS(), 103_800)],
+)
+def test_runs_of_the_paper_do_not_meet_the_default_limit_of_steps(integrator, needed):
+    assert integrator.max_steps > 5 * needed
+
+
 @pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
 def test_trouble_prints_nothing_but_what_the_user_prints(kind, capfd):
     rng = np.random.default_rng(0)

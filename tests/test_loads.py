@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import all_examples, public_classes
+from examples import LAW_TIME, all_examples, law_examples, public_classes
 from test_assembler import (
     DERIVATIVE,
     FLAT,
@@ -28,17 +28,23 @@ from ancfdae import (
     CABLE_2D,
     HHT,
     Beam,
+    Bushing,
     Clamp,
     DistributedForce,
     FollowerForce,
+    JointFriction,
     Material,
     Moment,
     Point,
     PointForce,
     RigidMotion,
     Scene,
+    SlideFriction,
     SpringDamper,
+    Torque,
+    TorsionSpring,
     assemble,
+    check_system,
     loads,
     simulate,
 )
@@ -119,11 +125,14 @@ class LoadSetting(Setting):
         design = [*self.own, *(f"{name}.length" for name in touched)]
         super().__init__(Scene(chosen, loads=[self.load]), design)
         self.bare = assemble(Scene(chosen), design[len(self.own) :])
+        self.start = self.system.start()[0]
+        self.factor = 1.0 if self.load.law is None else self.load.law.at(self.t)
 
-    def added(self, q=None, v=None):
+    def added(self, q=None, v=None, t=None):
         """Generalised force of the load."""
         q, v = self.q if q is None else q, self.v if v is None else v
-        return self.system.force(q, v, self.t) - self.bare.force(q, v, self.t)
+        t = self.t if t is None else t
+        return self.system.force(q, v, t) - self.bare.force(q, v, t)
 
 
 @pytest.fixture(scope="module", params=VARIANTS)
@@ -153,7 +162,7 @@ def force_by_hand(s, q, v):
         )
         parts = zip(load.force_components, slopes, strict=True)
         return [load.point], [sum(f * r / np.linalg.norm(r) for f, r in parts)]
-    if isinstance(load, Moment):
+    if isinstance(load, Moment | Torque | TorsionSpring | JointFriction):
         return [], []
     if not isinstance(load, SpringDamper):
         pytest.skip(f"what a {type(load).__name__} means is not written here")
@@ -186,6 +195,8 @@ def power_by_hand(s, virtual):
         return total
     if isinstance(s.load, Moment):
         return moment_power(s, virtual)
+    if isinstance(s.load, Torque | TorsionSpring | JointFriction | SlideFriction | Bushing):
+        return coordinate_power(s, virtual)
     points, forces = force_by_hand(s, s.q, s.v)
     pairs = zip(points, forces, strict=True)
     return sum(F @ vector_by_hand(s.system, virtual, point, 0) for point, F in pairs)
@@ -215,6 +226,99 @@ def moment_power(s, virtual):
     return np.array(load.moment) @ axes @ omega
 
 
+def directions_by_hand(s, q, rows):
+    """Directions of the reference as the other section carries them: with its normal and slopes."""
+    load, d = s.load, s.scene.dimension
+    if load.other is None:
+        return np.array(rows)
+    slopes = [1] if s.system.element is CABLE_2D else range(2, d + 1)
+
+    def basis(x):
+        own = [vector_by_hand(s.system, x, load.other, k) for k in slopes]
+        if d == 2:
+            return np.array([[own[0][1], -own[0][0]], own[0]])
+        n = np.cross(*own)
+        return np.array([n / np.sqrt(n @ n), *own])
+
+    # Coefficients by Cramer's rule in effect: solve(basis^T, row).
+    return np.linalg.solve(basis(s.start).T, np.array(rows).T).T @ basis(q)
+
+
+def angle_by_hand(s, q, axis):
+    """Angle about an axis by the sums of sines and cosines, as (sum of sines, of cosines)."""
+    load, d = s.load, s.scene.dimension
+    slopes = [1] if s.system.element is CABLE_2D else range(2, d + 1)
+    now, then = (
+        np.array([vector_by_hand(s.system, x, load.point, k) for k in slopes]) for x in (q, s.start)
+    )
+    then = directions_by_hand(s, q, then)
+    if d == 2:
+        (x, y), (u, w) = then[0], now[0]
+        return x * w - y * u, x * u + y * w
+    a = directions_by_hand(s, q, [axis])[0]
+    a = a / np.sqrt(a @ a)
+    # What is across the axis turns.
+    now, then = now - np.outer(now @ a, a), then - np.outer(then @ a, a)
+    return sum(a @ np.cross(x, y) for x, y in zip(then, now, strict=True)), np.sum(now * then)
+
+
+def coordinates_by_hand(s, q):
+    """Values of the coordinates that a load works on, each with how it shows its rate."""
+    load, d = s.load, s.scene.dimension
+    found = []
+    if isinstance(load, SlideFriction | Bushing):
+        e, e_o = (vector_by_hand(s.system, x, load.point, 0) for x in (q, s.start))
+        if load.other is not None:
+            e = e - vector_by_hand(s.system, q, load.other, 0)
+            e_o = e_o - vector_by_hand(s.system, s.start, load.other, 0)
+        elif isinstance(load, Bushing):
+            e, e_o = e - e_o, 0 * e_o
+        if isinstance(load, SlideFriction):
+            a = directions_by_hand(s, q, [load.direction])[0]
+            return [a @ e / np.sqrt(a @ a)]
+        found += list(directions_by_hand(s, q, np.eye(d)) @ e - e_o)
+        axes = np.eye(3) if d == 3 else [None]
+    else:
+        axis = (0.0, 0.0, 1.0) if load.axis is None else load.axis
+        axes = [np.array(axis) / np.linalg.norm(axis)]
+    for axis in axes:
+        S, C = angle_by_hand(s, q, axis)
+        turned = (np.real(C) * np.imag(S) - np.real(S) * np.imag(C)) / np.real(S * S + C * C)
+        found.append(np.arctan2(np.real(S), np.real(C)) + 1j * turned)
+    return found
+
+
+def coordinate_power(s, virtual):
+    """What the load does on each coordinate times its rate in a virtual velocity."""
+    load, d = s.load, s.scene.dimension
+    values = [np.real(x) for x in coordinates_by_hand(s, s.q)]
+    rates, moved = (
+        [np.imag(x) / STEP for x in coordinates_by_hand(s, s.q + 1j * STEP * y)]
+        for y in (s.v, virtual)
+    )
+    if isinstance(load, Torque):
+        resisting = [-load.torque]
+    elif isinstance(load, TorsionSpring):
+        stretched = values[0] - load.free_angle
+        resisting = [load.stiffness * stretched + load.damping * rates[0]]
+    elif isinstance(load, Bushing):
+        turning = np.zeros(1 if d == 2 else 3)
+        k = np.append(
+            load.stiffness, turning if load.turn_stiffness is None else load.turn_stiffness
+        )
+        c = np.append(
+            np.zeros(d) if load.damping is None else load.damping,
+            turning if load.turn_damping is None else load.turn_damping,
+        )
+        resisting = k * values + c * rates
+    else:
+        w, level = rates[0], load.coulomb
+        if load.breakaway is not None:
+            level += (load.breakaway - level) * np.exp(-((w / load.stribeck_speed) ** 2))
+        resisting = [level * np.tanh(w / load.smooth_speed) + load.viscous * w]
+    return -np.dot(resisting, moved)
+
+
 MOMENTS = [name for name, load in VARIANTS.items() if isinstance(load, Moment)]
 
 
@@ -232,7 +336,7 @@ def test_power_of_a_moment_in_a_rigid_motion_of_any_state_is_moment_times_spin(n
         R = [vector_by_hand(s.system, s.q, s.load.point, k) for k in (2, 3)]
         M = M @ [v / np.linalg.norm(v) for v in (np.cross(*R), *R)]
     # Turned by a quarter about z, as any other way round, the sign would show.
-    power = s.added() @ V.ravel()
+    power = s.added() @ V.ravel() / s.factor
     assert power == pytest.approx(M @ omega, abs=VALUE * np.sum(np.abs(s.added() * V.ravel())))
     assert abs(M @ omega) > 1e-3
 
@@ -267,7 +371,7 @@ def test_virtual_work_is_that_of_the_forces_on_their_points(one, seed):
     Q = one.added()
     # Forces of 10 N in 40 terms of size one; relative to the sum of their magnitudes.
     size = np.sum(np.abs(Q * virtual))
-    assert abs(Q @ virtual - power_by_hand(one, virtual)) <= VALUE * size
+    assert abs(Q @ virtual - one.factor * power_by_hand(one, virtual)) <= VALUE * size
     assert size > 1e-3
 
 
@@ -275,10 +379,13 @@ def test_resultant_of_a_load_is_its_force(one):
     d = one.scene.dimension
     translation = np.zeros((one.system.n_q // d, d, d))
     translation[:: one.system.element.n_s] = np.eye(d)
-    resultant = one.added() @ translation.reshape(-1, d)
+    resultant = one.added() @ translation.reshape(-1, d) / one.factor
     if isinstance(one.load, DistributedForce):
         length = one.scene.beam(one.load.beam).length
         expected = length * np.array(one.load.force_per_length)
+    elif isinstance(one.load, SlideFriction | Bushing):
+        # Of a translation of everything: nothing between two beams.
+        expected = [power_by_hand(one, field) for field in translation.reshape(-1, d).T]
     else:
         expected = np.sum(force_by_hand(one, one.q, one.v)[1], axis=0)
     # Between two beams the forces balance; they are measured by their size.
@@ -302,7 +409,12 @@ def test_line_load_of_rho_h_w_g_is_gravity(d):
     assert_close(loaded.force(q, v, 0.0), heavy.force(q, v, 0.0), 1e-10)
 
 
-@pytest.mark.parametrize("name", [name for name in VARIANTS if "follower, " in name])
+FOLLOWERS = [
+    f"{space} follower, {at}" for space in ("planar", "spatial") for at in ("node", "inside")
+]
+
+
+@pytest.mark.parametrize("name", FOLLOWERS)
 @pytest.mark.parametrize("seed", range(3))
 def test_follower_force_turns_with_the_section_and_keeps_its_size(name, seed):
     s = LoadSetting(name)
@@ -324,12 +436,36 @@ def test_constant_loads_are_constant_and_the_others_are_not(one):
     moved = one.q + 0.1 * rng.uniform(-1, 1, one.system.n_q)
     change = np.max(np.abs(one.added(moved) - one.added()))
     still = change <= VALUE * np.max(np.abs(one.added()))
-    assert still == one.load.constant
+    # Friction on a line of the ground depends on velocities alone.
+    alone = isinstance(one.load, SlideFriction) and one.load.other is None
+    assert still == (one.load.constant or alone)
     change = np.max(np.abs(one.added(v=2 * one.v) - one.added()))
     damped = one.load.uses_velocity(())
     assert (change > 1e-3) == damped
-    assert one.load.uses_velocity(one.load.parameters()) == bool(one.load.damping_fields)
+    own = [one.load.numbers_of(name) for name in one.load.damping_fields]
+    assert one.load.uses_velocity(one.load.parameters()) == any(own)
     assert one.system.velocity_forces or not damped
+
+
+BETWEEN = [name for name, load in VARIANTS.items() if len(load.points) == 2]
+
+
+@pytest.mark.parametrize("name", BETWEEN)
+@pytest.mark.parametrize("seed", range(2))
+def test_action_and_reaction_do_no_work_in_a_rigid_motion(name, seed):
+    s, rng = LoadSetting(name), np.random.default_rng(seed)
+    d = s.scene.dimension
+    spin = rng.uniform(-1, 1, (d, d))
+    V = (s.q.reshape(-1, d) @ (spin - spin.T)).reshape(-1, s.system.element.n_s, d)
+    V[:, 0] += rng.uniform(-1, 1, d)
+    work = s.added() * V.ravel()
+    assert abs(np.sum(work)) <= VALUE * np.sum(np.abs(work))
+    # And a motion of both together neither loads nor relieves it.
+    R, shift = ancf.random_rotation(d, rng), rng.uniform(-1, 1, d)
+    q, v = (((x.reshape(-1, d)) @ R.T).reshape(-1, s.system.element.n_s, d) for x in (s.q, s.v))
+    q[:, 0] += shift
+    turned = (s.added().reshape(-1, d) @ R.T).ravel()
+    assert_close(s.added(q.ravel(), v.ravel()), turned, 10 * VALUE)
 
 
 # ---------------------------------------------------------------- springs and dampers
@@ -403,7 +539,7 @@ def test_force_q_is_the_complex_step_of_force(one):
         s.bare.force_q(s.q, s.v, s.t)
     )
     expected = s.by_coordinate(lambda q: s.added(q))
-    if s.load.constant:
+    if s.load.constant or not np.any(expected):
         assert not np.any(tangent)
         return
     assert_close(tangent, expected, DERIVATIVE)
@@ -418,9 +554,10 @@ def test_force_v_is_the_complex_step_of_force(one):
         assert not np.any(expected)
         return
     assert_close(Q_v, expected, DERIVATIVE)
-    # A damper is symmetric and takes energy out.
+    # A damper is symmetric, and takes energy out where its numbers are positive.
     assert_close(Q_v, Q_v.T, VALUE)
-    assert s.v @ Q_v @ s.v < 0
+    if not isinstance(s.load, Bushing):
+        assert s.v @ Q_v @ s.v < 0
 
 
 def test_force_b_is_the_complex_step_of_force(one):
@@ -431,10 +568,11 @@ def test_force_b_is_the_complex_step_of_force(one):
 
 def test_force_rate_is_the_complex_step_of_force_along_the_motion(one):
     s = one
-    moved = s.added(s.q + 1j * STEP * s.v, s.v + 1j * STEP * s.a).imag / STEP
+    e = 1j * STEP
+    moved = s.added(s.q + e * s.v, s.v + e * s.a, s.t + e).imag / STEP
     arguments = (s.q, s.v, s.a, s.t)
     rate = s.system.force_rate(*arguments) - s.bare.force_rate(*arguments)
-    if s.load.constant:
+    if s.load.constant and s.load.law is None:
         assert not np.any(rate)
         return
     assert_close(rate, moved, DERIVATIVE)
@@ -465,10 +603,68 @@ def test_loads_of_a_scene_add_up():
     bare, whole = assemble(Scene([rod, bow])), assemble(Scene([rod, bow], loads=many))
     rng = np.random.default_rng(6)
     q, v = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q), rng.uniform(-1, 1, bare.n_q)
-    expected = bare.force(q, v, 0.0)
-    parts = [assemble(Scene([rod, bow], loads=[load])).force(q, v, 0.0) for load in many]
+    expected = bare.force(q, v, 0.3)
+    parts = [assemble(Scene([rod, bow], loads=[load])).force(q, v, 0.3) for load in many]
     expected = expected + sum(part - expected for part in parts)
-    assert_close(whole.force(q, v, 0.0), expected, VALUE)
+    assert_close(whole.force(q, v, 0.3), expected, VALUE)
+
+
+# ---------------------------------------------------------------- laws of time
+
+
+@pytest.mark.parametrize("law", law_examples().values(), ids=law_examples())
+@pytest.mark.parametrize("name", ["planar point, node", "planar spring, beams"])
+def test_a_law_multiplies_a_load_at_every_instant(law, name):
+    load = VARIANTS[name]
+    scene = Scene(ELEMENT_BEAMS["planar"], loads=[replace(load, law=law)])
+    design = [f"{load.name}.{parameter}" for parameter in law.parameters()]
+    system, still = assemble(scene, design), assemble(replace(scene, loads=[load]))
+    bare, rng = assemble(replace(scene, loads=[])), np.random.default_rng(4)
+    q = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q)
+    v, a = rng.uniform(-1, 1, (2, bare.n_q))
+    lam = np.zeros(0)
+    times = LAW_TIME + np.array([0.0, 0.1])
+    for t in times:
+        added = system.force(q, v, t) - bare.force(q, v, t)
+        one = still.force(q, v, t) - bare.force(q, v, t)
+        assert_close(added, law.at(t) * one, VALUE)
+        rate = system.force_rate(q, v, a, t) - bare.force_rate(q, v, a, t)
+        moving = still.force_rate(q, v, a, t) - bare.force_rate(q, v, a, t)
+        expected = law.at(t) * moving + law.at(t, 1) * one
+        assert np.max(np.abs(rate - expected)) <= DERIVATIVE * (1 + np.max(np.abs(expected)))
+        # Q_q x holds the law still.
+        held = system.force_q_times(q, v, t) - bare.force_q_times(q, v, t)
+        now = still.force_q_times(q, v, t) - bare.force_q_times(q, v, t)
+        assert np.max(np.abs(held - law.at(t) * now)) <= DERIVATIVE * (1 + np.max(np.abs(now)))
+    # Many instants at once are the instants one by one.
+    rows = [np.array([x, x]) for x in (q, v, a, lam)]
+    both = system.linearise(times, *rows)
+    each = [system.linearise(times[[k]], *(x[[k]] for x in rows)) for k in (0, 1)]
+    for member in ("f_q", "f_v"):
+        whole, parts = getattr(both, member), [getattr(one, member) for one in each]
+        assert (whole is None) == (parts[0] is None)
+        if whole is not None:
+            assert_close(whole, np.concatenate(parts), VALUE)
+    mu = rng.uniform(-1, 1, (2, bare.n_q))
+    pulled = system.pull_back(times, tuple(rows), (mu, np.zeros((2, 0))))
+    expected = sum(-system.force_b(q, v, t).T @ y for t, y in zip(times, mu, strict=True))
+    assert_close(pulled, expected, DERIVATIVE)
+    assert np.all(expected != 0)
+
+
+def test_loads_that_depend_on_time_pass_every_check_of_a_system():
+    law = law_examples()["Harmonic"]
+    rod, bow = beams(2)
+    scene = Scene(
+        [rod, bow],
+        loads=[
+            PointForce(bow.at(0.4), (3.0, -5.0), law=law, name="pull"),
+            FollowerForce(rod.at(0.5), (4.0, 1.0), law=law, name="jet"),
+            SpringDamper(rod.at(0.3), 30.0, 5.0, 0.4, bow.at_end, law=law, name="spring"),
+        ],
+    )
+    targets = ["pull.frequency", "pull.force_x", "jet.phase", "spring.offset", "spring.damping"]
+    assert check_system(assemble(scene, targets)).passed
 
 
 # ---------------------------------------------------------------- statics

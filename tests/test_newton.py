@@ -3,8 +3,30 @@
 import numpy as np
 import pytest
 
-from ancfdae import HHT, simulate
-from validation.scenes import pendulum
+from ancfdae import (
+    HHT,
+    Adjoint,
+    Beam,
+    Clamp,
+    ComplexStep,
+    Direct,
+    EnhancedContinuum,
+    Guide,
+    Harmonic,
+    Material,
+    Point,
+    PointForce,
+    Rectangle,
+    Scene,
+    Terminal,
+    Uniform,
+    differentiate,
+    gradient,
+    position,
+    simulate,
+)
+from ancfdae.integrators.hht import continuation, newton, step
+from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum, chain
 
@@ -53,3 +75,106 @@ def test_a_step_takes_three_iterations_and_one_factorisation():
     done = simulate(pendulum(), 0.25, HHT(2.0**-9)).statistics
     assert 2.8 < done.iterations / done.steps < 3.2
     assert 0.95 < done.factorisations / done.steps < 1.05
+
+
+def loaded(force, elements=4):
+    """A soft cantilever with a force across its end, all at once."""
+    rod = Beam("rod", (0, 0), (1, 0), elements, Rectangle(0.02, 0.02), Material(2700.0, 1e8, 0.3))
+    load = PointForce(rod.at_end, (0, force), name="load")
+    return Scene([rod], [Clamp(rod.at_start)], loads=[load])
+
+
+def shocked(elements=2, assumed_strains=True):
+    """A rod whose end is thrown at 0.5 m/s: the start is projected onto a moving joint."""
+    energy = EnhancedContinuum(assumed_strains=assumed_strains)
+    section, material = Rectangle(0.05, 0.05), Material(4000.0, 1e7, 0.3)
+    rod = Beam("rod", (0, 0), (1, 0), elements, section, material, energy=energy)
+    up = Guide(rod.at_start, (0, 1), Harmonic(0.1, 5.0), name="up")
+    side = Guide(rod.at_start, (1, 0), Uniform(0.0))
+    return Scene([rod], [up, side], (0, -9.81), project_start=True)
+
+
+# Full steps of Newton's method alone do not finish any of them, with 60 iterations either.
+STALLING = {
+    "sudden load": (lambda: loaded(10.0, 8), 0.01, 20),
+    "shock at exact strains": (lambda: shocked(2, False), 2.0**-6, 2),
+    "shock, elements as short as high": (lambda: shocked(20), 2.0**-10, 8),
+    "large step": (lambda: loaded(10.0), 0.05, 10),
+}
+
+
+@pytest.mark.parametrize("scene", [pendulum, crank_slider])
+def test_nothing_changes_where_full_steps_converge(scene, monkeypatch):
+    def refuse(*_):
+        raise AssertionError("not needed")
+
+    monkeypatch.setattr(step, "continued", refuse)
+    assert simulate(scene(), 0.25, HHT(2.0**-7)).statistics.continued == 0
+
+
+@pytest.mark.parametrize("name", STALLING)
+def test_a_stalled_step_finds_the_solution_that_belongs_to_short_ones(name, monkeypatch):
+    make, h, steps = STALLING[name]
+    run = simulate(make(), h * steps, HHT(h))
+    assert run.outcome.success, str(run.outcome)
+    assert run.statistics.continued > 0
+    # Fine strides along the branch, with whatever they take, end at the same solutions.
+    monkeypatch.setattr(newton, "_CLOSE", 0.05)
+    monkeypatch.setattr(continuation, "_AIM", 0.02)
+    monkeypatch.setattr(continuation, "_LONGEST", 1.1)
+    monkeypatch.setattr(continuation, "_MOST", 1000)
+    fine = simulate(make(), h * steps, HHT(h))
+    assert fine.statistics.factorisations > run.statistics.factorisations
+    # Newton's method leaves 1e-14 of the forces, whatever it started from; stiff modes of the
+    # chain of steps amplify it (measured: 1e-12).
+    np.testing.assert_allclose(fine.q, run.q, atol=1e-9 * np.max(np.abs(run.q)), rtol=0)
+
+
+def test_statistics_count_what_shorter_steps_cost():
+    run = simulate(loaded(10.0), 0.5, HHT(0.05)).statistics
+    assert 0 < run.continued <= run.steps
+    # Fifteen iterations in vain, and the way from short steps.
+    assert run.iterations == run.residuals > 20 * run.continued
+    assert run.rejected == 0
+
+
+def test_controlled_steps_shrink_instead():
+    # Where steps are controlled a smaller one is the cure.
+    run = simulate(loaded(10.0), 0.25, HHT(rtol=1e-3)).statistics
+    assert run.continued == 0
+
+
+def test_a_run_that_needed_shorter_steps_is_differentiated_exactly():
+    scene, design = shocked(), ["up.amplitude", "up.frequency", "rod.height"]
+    runs = [
+        differentiate(scene, 0.0625, HHT(2.0**-6), design=design, method=method)
+        for method in (Direct(), ComplexStep())
+    ]
+    assert runs[0].statistics.continued >= 3
+    for name in ("q_b", "lam_b"):
+        direct, exact = (getattr(run.sensitivities, name) for run in runs)
+        scale = np.max(np.abs(exact), axis=(0, 1))
+        # Both linearise at the same states, that Newton's method leaves at 1e-14 (measured: 4e-13).
+        assert np.max(np.abs(direct - exact) / scale) < 1e-10
+    tip = Terminal(position(Point("rod", 1.0), 1))
+    back, direct = (
+        gradient(scene, tip, 0.0625, HHT(2.0**-6), design=design, method=method).gradient
+        for method in (Adjoint(), Direct())
+    )
+    np.testing.assert_allclose(back, direct, rtol=1e-9)
+
+
+def test_derivatives_of_a_run_that_needed_shorter_steps_are_those_of_the_call():
+    scene, h, base = loaded(10.0), 0.05, 10.0
+    tip = Terminal(position(Point("rod", 1.0), 1))
+    exact = gradient(scene, tip, 0.25, HHT(h), design=["load.force_y"], method=Direct())
+    assert exact.solution.statistics.continued > 0
+
+    def value(force):
+        run = simulate(scene.with_values({"load.force_y": force}), 0.25, HHT(h))
+        return run.position(Point("rod", 1.0))[-1, 1]
+
+    d = 1e-5 * base
+    found = (value(base + d) - value(base - d)) / (2 * d)
+    # Truncation d^2 and round-off 1e-14/1e-5.
+    assert exact.gradient[0] == pytest.approx(found, rel=1e-6)

@@ -430,6 +430,16 @@ def test_custom_functions_are_tried_again_where_the_motion_goes(system):
         hidden.partials(system, states_around_start(system))
 
 
+def test_custom_functions_are_tried_near_the_start():
+    def near(t, q, v, lam, b):
+        return np.where(q[:, 0].real < -0.9, q[:, 0].real, q[:, 0])
+
+    system = CartesianPendulum()
+    assert system.start()[0][0] == -1.0
+    with pytest.raises(InvalidInput, match="complex step"):
+        custom(near, "near").check(system)
+
+
 def test_custom_functions_are_tried_where_they_vanish_too():
     def late(t, q, v, lam, b):
         return np.where(t > 0.3, q[:, 0].real, q[:, 0])

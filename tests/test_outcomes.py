@@ -1,5 +1,7 @@
 """Trouble on the way is an outcome in words, and what was computed stays usable."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,12 +9,14 @@ from ancfdae import (
     HHT,
     Adjoint,
     Beam,
+    Clamp,
     ComplexStep,
     Distance,
     Integral,
     InvalidInput,
     Material,
     Pin,
+    PointForce,
     PointOnLine,
     Rectangle,
     RigidMotion,
@@ -71,6 +75,27 @@ def test_too_few_iterations_are_told_with_time_and_size():
     assert not run.outcome.success
     assert run.outcome.residual > 0
     assert "did not converge at t = " in str(run.outcome)
+
+
+def test_where_no_solution_is_near_the_outcome_names_a_step_that_would_do():
+    rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.02, 0.02), Material(2700.0, 1e8, 0.3))
+    scene = Scene([rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at_end, (0, 1000.0))])
+    run = simulate(scene, 0.1, HHT(0.05))
+    assert run.outcome.verdict is Verdict.NO_CONVERGENCE
+    longest, named = (
+        float(re.search(words + r" ([0-9.e-]+[0-9])", run.outcome.advice).group(1))
+        for words in ("for steps up to", "try a step of")
+    )
+    assert longest / 2 < named <= longest < 0.05
+    assert 0.05 / named == round(0.05 / named)
+    # The named one passes where the run ended, and so it does from the very start.
+    assert simulate(scene, 0.1, HHT(named)).outcome.success
+    assert "periods" in run.outcome.advice
+
+
+def test_no_step_is_named_where_forces_are_not_finite():
+    run = simulate(Failing(lambda: np.full(2, np.nan), 0.5), 1.0, HHT(2.0**-5))
+    assert "try a step" not in str(run.outcome)
 
 
 def test_a_step_beyond_all_reason_ends_cleanly():

@@ -381,3 +381,105 @@ def test_a_kink_is_refused_and_not_differentiated():
     system = Kinked(-1.0, 2.0)
     with pytest.raises(InvalidInput, match="analytic"):
         system.acceleration_side(np.array([0.5, -0.5]), np.array([1.0, 0.0]), 0.0)
+
+
+# ---- many states in one call
+
+
+class TwoBars(ComplexStepSystem):
+    """Two bars in the plane, x, y and angle each, on a pin and joined by another."""
+
+    n_q, n_lam = 6, 4
+    design_names = ("a", "b", "m")
+    calls = 0
+
+    def __init__(self, b=(1.0, 0.8, 1.3)):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return type(self)(b)
+
+    def start(self):
+        a, b, _ = self.b
+        at = [a + b / 2 * np.cos(0.3), b / 2 * np.sin(0.3), 0.3]
+        return np.array([a / 2, 0.0, 0.0, *at]), np.zeros(6)
+
+    def mass_matrix(self, q):
+        a, b, m = self.b
+        return np.diag(np.array([1.0, 1.0, a**2 / 12, m, m, m * b**2 / 12]))
+
+    def force(self, q, v, t):
+        return np.array([0.0, -9.81, 0.0, 0.0, -9.81 * self.b[2], 0.0]) - 0.1 * v
+
+    def constraint(self, q, t):
+        TwoBars.calls += 1
+        a, b, _ = self.b
+        x, y = a / 2 * np.cos(q[2]), a / 2 * np.sin(q[2])
+        u, w = b / 2 * np.cos(q[5]), b / 2 * np.sin(q[5])
+        return np.array([q[0] - x, q[1] - y, q[0] + x - q[3] + u, q[1] + y - q[4] + w])
+
+
+class OneByOne(TwoBars):
+    """The same where a function takes single states only."""
+
+    def constraint(self, q, t):
+        return super().constraint(np.array([1.0 * x for x in q]).reshape(6), t)
+
+
+class Mixing(TwoBars):
+    """Constraints in a sum over all of q, which an array of states would mix."""
+
+    def constraint(self, q, t):
+        return super().constraint(q, t) + 0.1 * np.sin(np.sum(q)) * q[0]
+
+
+class MixedApart(Mixing):
+    """The same with a sum that takes single states and arrays of them."""
+
+    def constraint(self, q, t):
+        return TwoBars.constraint(self, q, t) + 0.1 * np.sin(sum(q)) * q[0]
+
+
+@pytest.mark.parametrize(("plain", "other"), [(TwoBars, OneByOne), (MixedApart, Mixing)])
+def test_functions_of_single_states_give_the_same_partials(plain, other):
+    rng = np.random.default_rng(2)
+    q, lam = plain().start()[0] + 0.1 * rng.uniform(-1, 1, 6), rng.uniform(-1, 1, 4)
+    for name, arguments in (("constraint_q", (q, 0.0)), ("constraint_force_q", (q, lam, 0.0))):
+        ours, theirs = (getattr(kind(), name)(*arguments) for kind in (plain, other))
+        # Complex steps are exact to round-off, second derivatives on circles to 1e-13.
+        np.testing.assert_allclose(theirs, ours, rtol=1e-12, atol=1e-12)
+
+
+def test_second_derivatives_of_constraints_along_sums_of_coordinates_are_exact():
+    system = MixedApart()
+    q, lam = system.start()[0] + 0.1, np.array([0.3, -0.7, 1.1, 0.2])
+    exact = [
+        np.imag(system.constraint_force(q + 1e-40j * unit, lam, 0.0)) / 1e-40 for unit in np.eye(6)
+    ]
+    found = system.constraint_force_q(q, lam, 0.0).reshape(6, 6)
+    # Differences of second derivatives along sums: a few times the 1e-13 of each.
+    np.testing.assert_allclose(found, np.transpose(exact), rtol=1e-11, atol=1e-12)
+
+
+def test_constraint_forces_that_vanish_have_derivatives():
+    # At the start the bars pull nothing along x: two multipliers are round-off.
+    system = TwoBars()
+    q, _ = system.start()
+    assert np.all(system.constraint_force_q(q, np.zeros(4), 0.0) == 0)
+    found = differentiate(system, 2.0**-4, HHT(2.0**-6)).sensitivities.q_b[-1]
+    exact = differentiate(system, 2.0**-4, HHT(2.0**-6), method=ComplexStep())
+    np.testing.assert_allclose(found, exact.sensitivities.q_b[-1], rtol=1e-10, atol=1e-12)
+
+
+def test_a_step_takes_few_evaluations():
+    system, method = TwoBars(), HHT(2.0**-6)
+
+    def calls(call, t_end):
+        TwoBars.calls = 0
+        call(system, t_end, method)
+        return TwoBars.calls
+
+    for call, most in ((simulate, 120), (differentiate, 500)):
+        per_step = (calls(call, 0.5) - calls(call, 0.25)) / 16
+        # State by state a linearisation alone took 504 evaluations, and derivatives 1,500.
+        assert 10 < per_step < most, per_step

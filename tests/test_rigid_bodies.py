@@ -361,7 +361,7 @@ def test_rigid_beam_is_the_beam_on_its_rigid_motions(rod):
 def test_solution_of_a_rigid_beam_has_its_nodes(rod, tmp_path):
     rigid = replace(rod, rigid=True)
     spin = 1.5 if rod.dimension == 2 else (0.5, -1.0, 1.5)
-    start = [RigidMotion("rod", spin, rod.reference().start)]
+    start = [RigidMotion("rod", spin, (0.1,) * rod.dimension)]
     run = simulate(Scene([rigid], start=start), 0.1, HHT(step=0.01))
     again = Solution.load(run.save(tmp_path / "run.npz"))
     assert again.naming.layout == run.naming.layout
@@ -530,23 +530,20 @@ def planar_machine():
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, BAR, METAL)
     link = Beam("link", (1.0, 0.0), (1.4, 0.3), 2, BAR, METAL, rigid=True)
     disc = RigidBody("disc", (1.4, 0.3), shape=RigidCylinder(0.1, 0.05), density=2000.0)
-    bodies = [
-        disc,
-        PointMass(rod.at(0.3), 0.2, "bead"),
-        PointMass(link.at(0.4, 0.005), 0.1, "knot"),
-    ]
-    joints = [
+    bead, knot = PointMass(rod.at(0.3), 0.2, "bead"), PointMass(link.at(0.4, 0.005), 0.1, "knot")
+    hooks = [
         Pin(rod.at_start, ground=(0.0, 0.0), name="base"),
         Pin(rod.at_end, link.at_start),
         Pin(link.at_end, disc.at(0.0, 0.0), name="hook"),
     ]
-    loads = [DistributedForce("link", (1.0, 2.0)), PointForce(disc.at(0.1), (0.1, 0.2))]
+    loads_ = [DistributedForce("link", (1.0, 2.0)), PointForce(disc.at(0.1), (0.1, 0.2))]
     design = [
         *("rod.height", "rod.length", "link.height", "link.length", "link.density", "link.turn"),
         *("disc.radius", "bead.mass", "bead.point_fraction", "knot.mass", "hook.other_x"),
         *("base.ground_y", "scene.gravity_x"),
     ]
-    return Scene([rod, link], joints, (1.0, -G), loads=loads, bodies=bodies), design
+    bodies = [disc, bead, knot]
+    return Scene([rod, link], hooks, (1.0, -G), loads=loads_, bodies=bodies), design
 
 
 def spatial_machine():
@@ -565,7 +562,7 @@ def spatial_machine():
         DistributedForce("bow", (1.0, 2.0, 3.0)),
         loads.SpringDamper(body.at(0.1, 0.1, 0.1), 20.0, 0.3, 0.2, rod.at(0.3)),
     ]
-    start = [RigidMotion("body", (0.3, -0.2, 0.5), tuple(end))]
+    start = [RigidMotion("body", (0.0, 0.7, 0.7), tuple(end))]  # about the hinge
     design = [
         *("rod.width", "bow.height", "bow.length", "bow.density", "body.mass", "body.inertia_xy"),
         *("body.inertia_zz", "body.centre_y", "bead.mass", "hinge.axis_z", "body.turn_x"),
@@ -679,7 +676,7 @@ def test_pendulum_hangs_and_swings_as_a_physical_one():
     assert np.max(np.abs(rest.solution.position(body.centre_of_mass)[0] - pin - (0, -l))) <= 1e-12
     omega = np.sqrt(2.0 * G * l / (0.05 + 2.0 * l**2))
     found = modes(scene, 1, at=rest)
-    assert found.omega[0] == pytest.approx(omega, rel=1e-10)
+    assert found.frequencies[0] == pytest.approx(omega, rel=1e-10)
     run = simulate(replace(scene, start=[AtRest()]), 0.1, HHT(step=0.01))
     assert np.max(np.abs(run.q - run.q[0])) <= 1e-12
 
@@ -773,8 +770,8 @@ REFUSED = {
     ),
     "element": (
         lambda: assemble(Scene(bodies=[BODY]), ["body.mass[0]"]),
-        "body.mass[0]",
-        "elements",
+        "design target",
+        "known",
     ),
     "value": (
         lambda: Scene(bodies=[BODY]).with_values({"body.mass": -1.0}),

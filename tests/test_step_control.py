@@ -8,7 +8,7 @@ from ancfdae.errors import Verdict
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start
-from ancfdae.integrators.step_control.contracts import OneStepMethod
+from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod
 from ancfdae.integrators.step_control.march import march
 from ancfdae.protocol.saddle_points import saddle_point
 
@@ -57,7 +57,7 @@ class ImplicitEuler(OneStepMethod):
         return None
 
     def failure(self):
-        return Verdict.NO_CONVERGENCE, self.correction
+        return Failure(Verdict.NO_CONVERGENCE, self.correction)
 
     def recorded(self, state):
         return *state, ()

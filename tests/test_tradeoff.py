@@ -261,3 +261,17 @@ def test_adjoint_where_it_exists_else_a_row():
     )
     assert table.rows[0].finished
     assert "InvalidInput" in table.rows[1].outcome
+
+
+@pytest.mark.parametrize("reference", [Explicit(1e-8, max_steps=3), FAILING])
+def test_a_reference_that_meets_its_limit_of_steps_is_told_so(reference):
+    with pytest.raises(InvalidInput, match="Raise its max_steps"):
+        tradeoff(CartesianPendulum(), X2, 1.0, [HHT(2.0**-4)], reference=reference)
+
+
+def test_a_reference_that_fails_otherwise_is_to_be_loosened():
+    # Newton's method does not converge in one iteration.
+    reference = HHT(0.25, max_iterations=1)
+    with pytest.raises(InvalidInput, match="Loosen it") as caught:
+        tradeoff(CartesianPendulum(), X2, 1.0, [HHT(2.0**-4)], reference=reference)
+    assert "max_steps" not in str(caught.value)

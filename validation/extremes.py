@@ -89,8 +89,9 @@ h = w = L/24, rho = 4000 kg/m³, E = 1e7 Pa, nu = 0.3, four planar elements, hor
 2 rad/s under 9.81 m/s²) and a planar crank-slider (crank 0.9 m, rod 1.8 m, E = 1e8 Pa), with one
 thing changed at a time. Columns:
 
-- *outcome*: survived, with how many steps Newton's method ended at round-off above its tolerance;
-  or *stopped*, with the sentence of the outcome; or *refused*, with the message of the error.
+- *outcome*: survived, with how many steps Newton's method ended at round-off above its tolerance,
+  and how many it solved by way of shorter ones only (docs/theory.md, section 5); or *stopped*,
+  with the sentence of the outcome; or *refused*, with the message of the error.
   CRASH, WARNING and WRONG would stand here for anything else.
 - *error*: against the reference that the text above each table names.
 - *estimated*: `estimated_errors.motion`, what the run says about the errors of its steps, relative
@@ -108,8 +109,9 @@ thing changed at a time. Columns:
 _LIMITS = """
 - *Survived* says that the discrete equations are solved, not that the step is small enough: the
   columns *error* of the step and of the crank turning at 10 rad/s show what truncation does.
-- Beyond some size of a step the discrete equations have several solutions, and round-off decides
-  which one Newton's method finds; the same mechanism turned by 1 rad may then stop where it went on
-  before. A smaller step cures it.
+- Beyond some size of a step the discrete equations have several solutions. Where Newton's method
+  stalls, the one that belongs to the motion is found from shorter steps, or there is none and the
+  outcome says so; but where it converges slowly by full steps, round-off may still decide which
+  one it finds. A smaller step cures it.
 - One integrator, HHT-I3; the others are compared in the reports `integrators` and `external-dae`.
 """

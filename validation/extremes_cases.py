@@ -12,6 +12,8 @@ from ancfdae import (
     Beam,
     Clamp,
     Distance,
+    Guide,
+    Harmonic,
     Material,
     Pin,
     Point,
@@ -21,6 +23,7 @@ from ancfdae import (
     Revolute,
     Scene,
     Solution,
+    Uniform,
     simulate,
 )
 from validation.extremes_rows import Case
@@ -125,19 +128,21 @@ def _damped_crank(time: float) -> Scene:
     return scene.with_values({f"{beam.name}.damping_time": time for beam in scene.beams})
 
 
+def _against_sixteenth(label: str, scene: Scene, beam: str, step: float, steps: int) -> Case:
+    """Case whose error is that of the tip, relative to its travel, to sixteen times the steps."""
+
+    def error(run: Solution) -> float:
+        fine = simulate(scene, step * steps, HHT(step / 16))
+        if not fine.outcome.success:
+            return np.inf
+        tip, exact = (x.position(Point(beam, 1.0)) for x in (run, fine))
+        return float(np.max(np.abs(tip - exact[::16])) / np.max(np.abs(exact - exact[0])))
+
+    return Case(label, lambda: scene, step, steps, error=error)
+
+
 def _damped_starts(quick: bool) -> list[Case]:
     """Start damped mechanisms at steps that are long against the decay of their fast modes."""
-
-    def case(label: str, scene: Scene, beam: str, step: float, steps: int) -> Case:
-        def error(run: Solution) -> float:
-            fine = simulate(scene, step * steps, HHT(step / 16))
-            if not fine.outcome.success:
-                return np.inf
-            tip, exact = (x.position(Point(beam, 1.0)) for x in (run, fine))
-            return float(np.max(np.abs(tip - exact[::16])) / np.max(np.abs(exact - exact[0])))
-
-        return Case(label, lambda: scene, step, steps, error=error)
-
     times = (1e-5, 1.0) if quick else (1e-5, 1e-4, 1e-3, 1e-2, 1.0)
     cases = []
     for elements in (2,) if quick else (2, 8):
@@ -145,14 +150,56 @@ def _damped_starts(quick: bool) -> list[Case]:
             for step in (1e-3,) if quick else (1e-2, 1e-3, 1e-4, 1e-5):
                 label = f"{elements} elements, {time:g} s, step {step:g} s"
                 scene = _damped_cantilever(elements, time, False)
-                cases.append(case(f"tip force, {label}", scene, "rod", step, 50))
+                cases.append(_against_sixteenth(f"tip force, {label}", scene, "rod", step, 50))
                 if step == 1e-3:
                     scene = _damped_cantilever(elements, time, True)
-                    cases.append(case(f"gravity, {label}", scene, "rod", step, 50))
+                    cases.append(_against_sixteenth(f"gravity, {label}", scene, "rod", step, 50))
     for time in times[:-1]:
         label = f"slider-crank, {time:g} s, step 2^-7 s"
-        cases.append(case(label, _damped_crank(time), "rod", 2.0**-7, 8 if quick else 32))
+        cases.append(
+            _against_sixteenth(label, _damped_crank(time), "rod", 2.0**-7, 8 if quick else 32)
+        )
     return cases
+
+
+def _shocked(elements: int) -> Scene:
+    """Return a rod whose end is thrown at 0.5 m/s: the start is projected onto a moving joint."""
+    rod = Beam("rod", (0, 0), (1, 0), elements, Rectangle(0.05, 0.05), Material(4000, 1e7, 0.3))
+    up = Guide(rod.at_start, (0, 1), Harmonic(0.1, 5.0), name="up")
+    side = Guide(rod.at_start, (1, 0), Uniform(0.0))
+    return Scene([rod], [up, side], (0, -9.81), project_start=True)
+
+
+def _loaded(force: float) -> Scene:
+    """Return a soft cantilever with a force across its end, all at once."""
+    rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.02, 0.02), Material(2700, 1e8, 0.3))
+    return Scene([rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at_end, (0, force))])
+
+
+def _stalls(quick: bool) -> list[Case]:
+    """Take steps at which Newton's method stalls from the predicted motion."""
+    chosen = [
+        (f"shock, {n} elements, step 2^-{k} s", _shocked(n), 2.0**-k, 2 ** (k - 3))
+        for n, k in ((2, 6), (2, 7), (2, 8), (20, 9), (20, 10), (20, 11))
+    ]
+    chosen += [
+        (f"tip force of {F:g} N, step {h:g} s", _loaded(F), h, 20)
+        for F in (1.0, 10.0, 100.0)
+        for h in (0.05, 0.01, 0.002)
+    ]
+    chosen += [
+        (f"whip, E = {E:.0e} Pa, {spin:g} rad/s, step 2^-{k} s", rod.scene(), 2.0**-k, 2**k)
+        for E, spin in ((1e6, 20.0), (1e7, 30.0))
+        for rod in [Rod(modulus=E, spin=spin)]
+        for k in (5, 6, 7, 8)
+    ]
+    chosen += [
+        (f"pendulum, step {h:g} s", Rod().scene(), h, round(2 / h)) for h in (0.1, 0.05, 0.02)
+    ]
+    return [
+        _against_sixteenth(label, scene, scene.beams[0].name, step, steps)
+        for label, scene, step, steps in (chosen[1::8] if quick else chosen)
+    ]
 
 
 def _first_steps(quick: bool) -> list[Case]:
@@ -374,8 +421,7 @@ GROUPS: tuple[Group, ...] = (
         "slenderness",
         "Slenderness h/L",
         f"The same at two moduli. {_NATURAL} A thin stiff rod buckles and whips: a "
-        "large step meets configurations in which Newton's "
-        "method finds no solution near; a smaller step does.",
+        "large step may meet configurations that have no solution near; a smaller step does not.",
         _slenderness,
     ),
     Group(
@@ -402,6 +448,18 @@ GROUPS: tuple[Group, ...] = (
         "103 rad/s: steps of 1 ms and below resolve it, those of 10 ms do not unless damping "
         "slows it down.",
         _damped_starts,
+    ),
+    Group(
+        "stall",
+        "Shocks, sudden loads, whips and large steps",
+        "Steps at which Newton's method stalls from the predicted motion. Shock: one end of a rod "
+        "of 1 m (5 cm square, E = 1e7 Pa) is thrown at 0.5 m/s; twenty elements are as long as "
+        "high. Force: across the end of a cantilever of 1 m (2 cm square, E = 1e8 Pa), at once. "
+        "Whip: the pendulum turns fast. Error: of the tip to sixteen times the steps, relative to "
+        "its travel: that the equations are solved does not make a step small enough. Where they "
+        "are not, the outcome names the step up to which they have a solution that belongs to the "
+        "motion.",
+        _stalls,
     ),
     Group("alpha", "Both ends of hht_alpha", f"128 steps of 2⁻⁷ s. {_NATURAL}", _alphas),
     Group(

@@ -164,6 +164,8 @@ def _run(case: Case) -> Row:
         message = f"survived {statistics.steps} steps"
         if statistics.round_off_steps:
             message += f", {statistics.round_off_steps} to round-off"
+        if statistics.continued:
+            message += f", {statistics.continued} by way of shorter ones"
     else:
         message = f"stopped: {outcome}"
     error = None if case.error is None or not outcome.success else case.error(run)

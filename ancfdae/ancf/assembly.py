@@ -130,8 +130,7 @@ class Assembly:
     def left(self, q: Array, moved: Declared | None = None) -> Array:
         """Return Phi in units of the size of the mechanism."""
         declared = self._declared if moved is None else moved
-        left: Array = self._weights * declared.constraints.constraint(q, 0.0)
-        return left
+        return self._weights * declared.constraints.constraint(q, 0.0)
 
     # -- positions -----------------------------------------------------------------------------
 
@@ -204,7 +203,7 @@ class Assembly:
         """(J^T s)_x with s held: curvature of the joints, and of the turns."""
         lam = self._weights * multipliers
         constraints, matrix = self._declared.constraints, self._motions.matrix(T)
-        values = only(constraints.constraint_force_q(lam[None])).real
+        values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
         bend = (matrix.T @ (self._pattern.csr(values) @ matrix)).toarray()
         force = constraints.constraint_force(q, lam, 0.0).real
         own = self._motions.curvature(Z, motion, force)
@@ -244,11 +243,8 @@ class Assembly:
         return y
 
     def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: _Unknowns) -> Array:
-        T = self._rigid(q)
-        constraints = declared.constraints
-        values = constraints.constraint_q(q, 0.0)
-        defect = constraints.pattern.dot(values, v) - constraints.side(0.0, q)
-        return self._equations(declared, q, T, y, self._weights * defect)
+        rate = self._weights * declared.constraints.rate(0.0, q, (v,))
+        return self._equations(declared, q, self._rigid(q), y, rate)
 
     @cached_property
     def _velocity_inverse(self) -> Array:
@@ -375,12 +371,11 @@ class Assembly:
         held = np.max(np.abs(self.left(declared, moved).imag), initial=0.0) / STEP
         left = np.abs(self.left(self.q.real + 1j * STEP * q_b, moved).imag) / STEP
         # Round-off is that of terms that cancel, and of moving coordinates.
-        pattern, values = (
-            moved.constraints.pattern,
-            moved.constraints.constraint_q(self.q.real, 0.0),
-        )
-        terms = self._weights * pattern.dot(np.abs(values.imag), np.abs(self.q.real)) / STEP
-        size = held + np.max(terms, initial=0.0)
+        # Coefficients that change, seen along a direction of no special kind.
+        q = self.q.real
+        along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
+        terms = self._weights * moved.constraints.rate(0.0, q, (along,)).imag / STEP
+        size = held + np.max(np.abs(terms), initial=0.0)
         size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self._size
         if np.max(left, initial=0.0) > _FREE * size:
             raise InconsistentStart(

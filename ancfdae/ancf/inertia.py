@@ -57,12 +57,13 @@ class Inertia:
         self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
         self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
         (field, field_b), shape = gravity, (n_q // d, d)
+        positions = np.concatenate([body.positions for body in numbering.bodies])
         self._field = np.zeros(shape, dtype=field.dtype)
-        self._field[numbering.positions] = field
+        self._field[positions] = field
         # Rows of the variables that gravity depends on, to save memory.
         self._field_active = np.flatnonzero(np.any(field_b != 0, axis=0))
         self._field_b = np.zeros((len(self._field_active), *shape))
-        self._field_b[:, numbering.positions] = field_b[:, self._field_active].T[:, None]
+        self._field_b[:, positions] = field_b[:, self._field_active].T[:, None]
 
     @cached_property
     def _M(self) -> LinearMap:

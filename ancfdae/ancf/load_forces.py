@@ -1,4 +1,4 @@
-"""Forces of all loads of a scene: Q = L^T F(U, V, p), with tangents and design partials.
+"""Forces of all loads of a scene: Q = x(t) L^T F(U, V, p), with tangents and design partials.
 
 F comes from the loads, each a closed form of a few numbers. Its Jacobians are
 taken by complex step, all directions in one evaluation: exact to round-off,
@@ -7,8 +7,10 @@ and a new load needs no derivative of its own.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -23,12 +25,19 @@ from ancfdae.numerics.patterns import Pattern
 @final
 @dataclass(frozen=True)
 class LoadInput:
-    """One load with its vectors and parameters, (n_p,)."""
+    """One load with its vectors, parameters, (n_p,), and vectors of the reference, (n_v, d).
+
+    Instants t have the leading axes of the vectors. A load that is `held` is one whose law stands
+    still.
+    """
 
     load: Load
     vectors: Vectors
     p: Array
     p_b: Array
+    reference: Array
+    reference_b: dict[int, Array]
+    held: bool = False
 
     @property
     def uses_velocity(self) -> bool:
@@ -37,24 +46,51 @@ class LoadInput:
         driven = [name for name, row in zip(names, self.p_b, strict=True) if np.any(row)]
         return self.load.uses_velocity(driven)
 
-    def force(self, U: Array, V: Array) -> Array:
-        """Return the forces on the vectors at the real parameters."""
-        return self.load.force(U, V, self.p.real)
+    @cached_property
+    def real(self) -> LoadInput:
+        """The load at the real parameters."""
+        return replace(self, p=self.p.real, reference=self.reference.real)
+
+    def factor(self, t: Array, order: int) -> Array:
+        """Return the law of time or its derivative, shape (..., 1, 1)."""
+        if self.held and order:
+            return np.zeros((1, 1))
+        return self.load.factor(self.p, t, order)[..., None, None]
+
+    def force(self, U: Array, V: Array, t: Array) -> Array:
+        """Return the forces on the vectors."""
+        F: Array = self.load.force(U, V, self.p, self.reference)
+        return F if self.load.law is None else self.factor(t, 0) * F
+
+    def force_rate(self, U: Array, V: Array, Z: Array, t: Array) -> Array:
+        """Return their rate along the motion."""
+        rate = self.load.force_rate(U, V, Z, self.p, self.reference)
+        if self.load.law is None:
+            return rate
+        F = self.load.force(U, V, self.p, self.reference)
+        return np.asarray(self.factor(t, 0) * rate + self.factor(t, 1) * F)
 
     @property
     def active(self) -> list[int]:
         """Design variables that the force depends on with q and v held."""
-        return [int(i) for i in np.flatnonzero(np.any(self.p_b, axis=0) | self.vectors.moves)]
+        own = np.flatnonzero(np.any(self.p_b, axis=0) | self.vectors.moves)
+        return sorted({*own.tolist(), *self.reference_b})
 
     def moved(self, i: int) -> LoadInput:
         """Return the load moved in design variable i by an imaginary step."""
-        p = self.p + 1j * STEP * self.p_b[:, i]
-        return replace(self, vectors=self.vectors.moved(i), p=p)
+        p, reference = self.p + 1j * STEP * self.p_b[:, i], self.reference
+        if i in self.reference_b:
+            reference = reference + 1j * STEP * self.reference_b[i]
+        return replace(self, vectors=self.vectors.moved(i), p=p, reference=reference)
 
 
 @final
 class LoadForces:
-    """Sum of all loads; states have instants as leading axis, (k, n_q)."""
+    """Sum of all loads; states have instants as leading axis, (k, n_q), and t is (k,).
+
+    Of loads that depend on neither positions nor velocities those without a law are one vector,
+    `_steady`, and those with one a row each that the law multiplies.
+    """
 
     def __init__(self, inputs: Sequence[LoadInput], n_q: int, n_b: int, d: int) -> None:
         self._inputs, self._n_q, self._n_b, self._d = inputs, n_q, n_b, d
@@ -62,11 +98,28 @@ class LoadForces:
         self._moving = [item for item in inputs if not item.load.constant]
         self._active = sorted({i for item in inputs for i in item.active})
         self._steady = np.zeros(n_q)
+        self._timed: list[tuple[LoadInput, Array]] = []
         zero = np.zeros((1, n_q))
         for item in inputs:
-            if item.load.constant:
-                U = item.vectors.of(zero)
-                self._steady = self._steady + item.vectors.lift(item.load.force(U, U, item.p))[0]
+            if not item.load.constant:
+                continue
+            U = item.vectors.of(zero)
+            row = item.vectors.lift(item.load.force(U, U, item.p, item.reference))[0]
+            if item.load.law is None:
+                self._steady = self._steady + row
+            else:
+                self._timed.append((item, row))
+
+    @cached_property
+    def held(self) -> LoadForces:
+        """The loads with their laws standing still."""
+        if all(item.load.law is None for item in self._inputs):
+            return self
+        held = copy.copy(self)
+        held._inputs = [replace(item, held=True) for item in self._inputs]
+        held._moving = [item for item in held._inputs if not item.load.constant]
+        held._timed = [(replace(item, held=True), row) for item, row in self._timed]
+        return held
 
     def couplings(self) -> tuple[Array, Array]:
         """Rows and columns of all entries that tangents may have."""
@@ -92,88 +145,94 @@ class LoadForces:
             shape = (pattern.size, size * size)
             self._maps.append(LinearMap.of(index, raw, weights[entry, raw], shape))
 
-    def force(self, q: Array, v: Array) -> Array:
+    def force(self, q: Array, v: Array, t: Array) -> Array:
         """Q, shape (k, n_q)."""
         Q = np.broadcast_to(self._steady, (len(q), self._n_q))
+        for item, row in self._timed:
+            Q = Q + item.factor(t, 0)[..., 0] * row
         for item in self._moving:
-            F = item.load.force(item.vectors.of(q), item.vectors.of(v), item.p)
-            Q = Q + item.vectors.lift(F)
+            Q = Q + item.vectors.lift(item.force(item.vectors.of(q), item.vectors.of(v), t))
         return Q
 
-    def following(self, q: Array) -> Array:
+    def following(self, q: Array, t: Array) -> Array:
         """Return the loads that turn with the motion, at rest, of one instant, shape (n_q,)."""
         Q = np.zeros(self._n_q, dtype=q.dtype)
         for item in self._moving:
             if not item.load.elastic:
                 U = item.vectors.of(q[None])
-                Q = Q + item.vectors.lift(item.load.force(U, 0 * U, item.p))[0]
+                Q = Q + item.vectors.lift(item.force(U, 0 * U, t))[0]
         return Q
 
-    def add_following_tangents(self, q: Array, values: Array) -> None:
+    def add_following_tangents(self, q: Array, t: Array, values: Array) -> None:
         """Add the partial of `following` to values on the pattern, shape (1, nnz)."""
         for item, to_values in zip(self._moving, self._maps, strict=True):
             if not item.load.elastic:
                 U = item.vectors.of(q[None]).real
-                values += to_values.rows(_flat(_jacobian(item.force, U, 0 * U, True)))
+                values += to_values.rows(_flat(_jacobian(_at(item, t), U, 0 * U, True)))
 
-    def force_rate(self, q: Array, v: Array, a: Array) -> Array:
+    def force_rate(self, q: Array, v: Array, a: Array, t: Array) -> Array:
         """dQ/dt along the motion, shape (k, n_q)."""
         rate = np.zeros((len(q), self._n_q), dtype=q.dtype)
+        for item, row in self._timed:
+            rate = rate + item.factor(t, 1)[..., 0] * row
         for item in self._moving:
             U, V, Z = (item.vectors.of(x) for x in (q, v, a))
-            rate = rate + item.vectors.lift(item.load.force_rate(U, V, Z, item.p))
+            rate = rate + item.vectors.lift(item.force_rate(U, V, Z, t))
         return rate
 
-    def add_tangents(self, q: Array, v: Array, Q_q: Array, Q_v: Array | None) -> None:
+    def add_tangents(self, q: Array, v: Array, t: Array, Q_q: Array, Q_v: Array | None) -> None:
         """Add Q_q, and Q_v where asked for, to values on the pattern, shape (k, nnz)."""
         for item, to_values in zip(self._moving, self._maps, strict=True):
             U, V = item.vectors.of(q).real, item.vectors.of(v).real
-            Q_q += to_values.rows(_flat(_jacobian(item.force, U, V, True)))
+            Q_q += to_values.rows(_flat(_jacobian(_at(item, t), U, V, True)))
             if Q_v is not None and item.uses_velocity:
-                Q_v += to_values.rows(_flat(_jacobian(item.force, U, V, False)))
+                Q_v += to_values.rows(_flat(_jacobian(_at(item, t), U, V, False)))
 
     def add_tangent_rates(
-        self, states: tuple[Array, Array, Array], Q_q: Array, Q_v: Array | None
+        self, states: tuple[Array, Array, Array], t: Array, Q_q: Array, Q_v: Array | None
     ) -> None:
         """Add the time derivatives of Q_q and Q_v along (q, v, a) of one instant, shape (1, nnz).
 
-        With F' = F_U V + F_V Z of a load, F'_U = (F_U)' and F'_V = F_U + (F_V)'.
+        With F' = F_U V + F_V Z + F_t of a load, F'_U = (F_U)' and F'_V = F_U + (F_V)'.
         """
         for item, to_values in zip(self._moving, self._maps, strict=True):
             U, V, Z = (item.vectors.of(x[None]).real for x in states)
+            real = item.real
 
-            def rate(U: Array, V: Array, Z: Array = Z, item: LoadInput = item) -> Array:
-                return item.load.force_rate(U, V, Z[:, None] + 0 * V, item.p.real)
+            def rate(U: Array, V: Array, Z: Array = Z, real: LoadInput = real) -> Array:
+                return real.force_rate(U, V, Z[:, None] + 0 * V, t[:, None])
 
             Q_q += to_values.rows(_flat(_jacobian(rate, U, V, True)))
             if Q_v is not None and item.uses_velocity:
-                own = _jacobian(item.force, U, V, True)
+                own = _jacobian(_at(item, t), U, V, True)
                 Q_v += to_values.rows(_flat(_jacobian(rate, U, V, False) - own))
 
-    def pull_back_rate(self, states: tuple[Array, Array, Array], mu: Array) -> Array:
+    def pull_back_rate(self, states: tuple[Array, Array, Array], t: Array, mu: Array) -> Array:
         """Design partial of mu . dQ/dt with the states held, shape (n_b,)."""
-        rows = [x[None] for x in states]
-        return self._partial(lambda moved: np.sum(moved.force_rate(*rows) * mu), ())
+        q, v, a = (x[None] for x in states)
+        return self._partial(lambda moved: np.sum(moved.force_rate(q, v, a, t) * mu), ())
 
-    def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
+    def force_total(self, q: Array, v: Array, t: Array, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q for one instant, shape (n_q, n_b)."""
-        along = self.force(q + 1j * STEP * q_b.T, v + 1j * STEP * v_b.T)
-        return along.imag.T / STEP + only(self.force_b(q[None], v[None]))
+        along = self.force(q + 1j * STEP * q_b.T, v + 1j * STEP * v_b.T, t)
+        return along.imag.T / STEP + only(self.force_b(q[None], v[None], t))
 
-    def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
+    def force_rate_total(
+        self, states: Sequence[Array], t: Array, states_b: Sequence[Array]
+    ) -> Array:
         """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
-        along = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
-        held = [x[None] for x in states]
-        partial = self._partial(lambda moved: only(moved.force_rate(*held)), (self._n_q,))
-        return self.force_rate(*along).imag.T / STEP + partial
+        q, v, a = (x[None] for x in states)
+        own = self._partial(lambda moved: only(moved.force_rate(q, v, a, t)), (self._n_q,))
+        q, v, a = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
+        return self.force_rate(q, v, a, t).imag.T / STEP + own
 
-    def force_b(self, q: Array, v: Array) -> Array:
+    def force_b(self, q: Array, v: Array, t: Array) -> Array:
         """Q_b, shape (k, n_q, n_b)."""
-        return self._partial(lambda moved: moved.force(q.real, v.real), (len(q), self._n_q))
+        return self._partial(lambda moved: moved.force(q.real, v.real, t), (len(q), self._n_q))
 
-    def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
+    def pull_back(self, q: Array, v: Array, t: Array, mu: Array) -> Array:
         """Sum over instants of Q_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
-        return self._partial(lambda moved: np.sum(moved.force(q, v) * mu), ())
+        return self._partial(lambda moved: np.sum(moved.force(q, v, t) * mu), ())
 
     def _partial(self, of: Callable[[LoadForces], Array], shape: tuple[int, ...]) -> Array:
         """Design partial of something of this shape that the loads give, (*shape, n_b)."""
@@ -188,6 +247,12 @@ class LoadForces:
             return self
         inputs = [item.moved(i) for item in self._inputs]
         return LoadForces(inputs, self._n_q, self._n_b, self._d)
+
+
+def _at(item: LoadInput, t: Array) -> Callable[[Array, Array], Array]:
+    """Return the force of a load at its real parameters, of perturbed vectors."""
+    real = item.real
+    return lambda U, V: real.force(U, V, t[:, None])
 
 
 def _flat(matrices: Array) -> Array:

@@ -11,7 +11,7 @@ the mass matrix is the sum of m (x) I_d over all blocks (docs/theory.md, section
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -20,9 +20,9 @@ import numpy as np
 from ancfdae.ancf.block import ElementBlock, element_block
 from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
-from ancfdae.bodies import BeamBody, RigidBody
+from ancfdae.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.elements import ElementParameter
-from ancfdae.naming import BeamLayout, Naming, PointVector
+from ancfdae.naming import BeamLayout, Naming
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.scene import Scene
 
@@ -69,16 +69,9 @@ def element_masses(numbering: Numbering, mapping: ParameterMap, block: ElementBl
 
 
 def other_masses(
-    scene: Scene,
-    naming: Naming,
-    mapping: ParameterMap,
-    b: Array,
-    points: Mapping[str, tuple[Sequence[PointVector], Array, Array]],
+    scene: Scene, naming: Naming, mapping: ParameterMap, b: Array
 ) -> tuple[MassBlocks, ...]:
-    """Return the masses of all that is rigid, and of points.
-
-    `points` has the position of every point mass, by its name, its mass and the partials.
-    """
+    """Return the masses of all that is rigid, and of points."""
     layout, single = naming.layout, list[_Single]()
     for owner, member in enumerate(scene.members):
         vectors = layout.bodies[owner].vectors
@@ -88,7 +81,8 @@ def other_masses(
             own = _of_rigid_beam(member, layout.beam(member.name), mapping, b)
             single.append(_Single(vectors, owner, *own))
     for owner, mass in enumerate(scene.point_masses, start=len(scene.members)):
-        (at,), p, p_b = points[mass.name]
+        p, p_b = mapping.numbers(mass.name, b)
+        at = naming.vector(mass.point, Quantity.POSITION, (p[1:], p_b[1:]))
         w, w_b = at.weights, at.weights_b.T
         # The product rule for p w w^T.
         once = p[0] * w_b[:, :, None] * w
@@ -124,8 +118,7 @@ def _together(blocks: Sequence[_Single]) -> MassBlocks:
 
 def _of_body(body: RigidBody, mapping: ParameterMap, b: Array) -> tuple[Array, Array]:
     """Return m and m_b, a closed form of a few numbers that is differentiated by complex steps."""
-    count = len(body.parameters())
-    p, p_b = (x[-count:] for x in mapping.numbers(body.name, b))
+    p, p_b = mapping.numbers(body.name, b)
     m = body.moments(p)
     m_b = np.zeros((len(b), *m.shape))
     for i in np.flatnonzero(np.any(p_b, axis=0)):

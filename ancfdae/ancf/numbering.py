@@ -48,6 +48,14 @@ class Numbering:
     vectors: Array
     n_q: int
 
+    def rigid_motions(self) -> RigidMotions:
+        """Return the rigid motions of all bodies."""
+        owner = np.repeat(np.arange(len(self.bodies)), [body.count for body in self.bodies])
+        is_position = np.zeros(len(owner), dtype=bool)
+        for body in self.bodies:
+            is_position[body.positions] = True
+        return RigidMotions(owner, is_position, self.element.d)
+
     @property
     def owners(self) -> Array:
         """Place among the bodies of the beam of each element that deforms, shape (n,)."""
@@ -59,18 +67,6 @@ class Numbering:
         """Numbers of the vectors of everything rigid, shape (n_rigid, d + 1)."""
         rigid = [body.vectors for body, own in zip(self.bodies, self.rigid, strict=True) if own]
         return np.array(rigid, dtype=np.int64).reshape(len(rigid), self.element.d + 1)
-
-    @property
-    def positions(self) -> Array:
-        """Whether each vector is a position, shape (n_vectors,)."""
-        positions = np.zeros(self.n_q // self.element.d, dtype=bool)
-        positions[np.concatenate([body.positions for body in self.bodies])] = True
-        return positions
-
-    def rigid_motions(self) -> RigidMotions:
-        """Return the rigid motions of all beams and bodies."""
-        owner = np.repeat(np.arange(len(self.bodies)), [body.count for body in self.bodies])
-        return RigidMotions(owner, self.positions, self.element.d)
 
     def coordinates(self, vectors: Array) -> Array:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
@@ -128,15 +124,15 @@ def number(scene: Scene) -> Numbering:
 
 
 def _body_layout(member: BeamBody | RigidBody, first: int, element: BeamElement) -> BodyLayout:
-    count = stride = element.d + 1
     if isinstance(member, RigidBody):
         moments = member.moments(np.array(list(member.parameters().values())))
         size = float(np.sqrt(np.trace(moments[1:, 1:]) / moments[0, 0]))
     else:
         size = float(np.sum(member.reference().lengths))
         if not member.rigid:
-            count, stride = (member.element_count + 1) * element.n_s, element.n_s
-    return BodyLayout(member.name, first, count, stride, size)
+            count = (member.element_count + 1) * element.n_s
+            return BodyLayout(member.name, first, count, element.n_s, size)
+    return BodyLayout(member.name, first, element.d + 1, element.d + 1, size)
 
 
 def _beam_layout(beam: BeamBody, first: int) -> BeamLayout:

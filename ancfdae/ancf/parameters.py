@@ -50,7 +50,7 @@ class ParameterMap:
     nominal: Array
 
     def numbers(self, owner: str, b: Array) -> tuple[Array, Array]:
-        """Return the numbers p of an owner, which may have none, at design values b, and p_b."""
+        """Return the numbers p of an owner at design values b, and p_b."""
         p = np.array(self.declared.get(owner, ())).astype(np.result_type(float, b))
         p_b = np.zeros((len(p), len(b)))
         for place, variable, weight, offset in self.slots.get(owner, ()):
@@ -120,7 +120,7 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
             target = scene.resolve(text)
             factor, offset = variable.factor(text), scene.offset(variable, text)
             if not scene.is_of_elements(target):
-                place = list(scene.numbers(target.owner)).index(target.parameter)
+                place = list(scene.numbers(target.owner)).index(target.indexed)
                 slots.setdefault(target.owner, []).append((place, index, factor, offset))
                 continue
             rows = scene.target_elements(target)

@@ -20,11 +20,11 @@ from ancfdae.starts import NodeState, RigidMotion
 
 @final
 class Reference:
-    """Reference configuration of all beams and bodies, and the start that is declared on it.
+    """Reference configuration of all bodies, and the start that is declared on it.
 
     Node k of a beam stands at start + R (sum_{e<k} l_e chord_e), and its slopes at R times those of
     the shape, with R the rotation by the beam's turn. Its start is a place, or a point of another
-    member. What is rigid has one node, with its axes for slopes.
+    body. What is rigid has one node: its place and R times its directions.
 
     Parameters
     ----------
@@ -44,23 +44,24 @@ class Reference:
     def __init__(self, scene: Scene, mapping: ParameterMap, b: Array, naming: Naming) -> None:
         self._scene, self._mapping, self._b = scene, mapping, b
         self._lengths, self._naming = naming.lengths, naming
+        self._firsts = scene.first_elements()
         moving = np.any(naming.lengths_b != 0, axis=0)
-        for member in scene.members:
-            own = mapping.numbers(member.name, b)[1][: -_own(member) or None]
-            moving |= np.any(own != 0, axis=0)
+        for body in scene.members:
+            _, numbers_b = mapping.numbers(body.name, b)
+            moving |= np.any(numbers_b[self._skipped(body) :] != 0, axis=0)
         self.active: list[int] = np.flatnonzero(moving).tolist()
 
     @cached_property
     def q(self) -> Array:
         """Reference configuration, shape (n_q,)."""
-        return np.concatenate([self._nodes(member).ravel() for member in self._scene.members])
+        return np.concatenate([self._nodes(body).ravel() for body in self._scene.members])
 
     @cached_property
     def Z(self) -> Array:
         """Vectors of the start as declared, before any assembly, shape (n_vectors, d)."""
         parts = []
-        for member in self._scene.members:
-            X, start = self._nodes(member), self._scene.start_of(member.name)
+        for body in self._scene.members:
+            X, start = self._nodes(body), self._scene.start_of(body.name)
             parts.append(start.coordinates if isinstance(start, NodeState) else X)
         d = self._scene.dimension
         return np.concatenate([part.reshape(-1, d) for part in parts])
@@ -68,16 +69,16 @@ class Reference:
     def velocities(self, q: Array, motion: Array) -> Array:
         """Return the declared velocities at coordinates that a rigid motion brought there.
 
-        Velocities of nodes turn with their beam, by `motion` of shape (n_bodies, n_x).
+        Velocities of nodes turn with their body, by `motion` of shape (n_bodies, n_x).
         """
         d, first, parts = self._scene.dimension, 0, []
-        for member, x in zip(self._scene.members, motion, strict=True):
-            X = self._nodes(member)
+        for body, x in zip(self._scene.members, motion, strict=True):
+            X = self._nodes(body)
             own, first = q[first : first + X.size].reshape(X.shape), first + X.size
-            start = self._scene.start_of(member.name)
+            start = self._scene.start_of(body.name)
             V = np.zeros_like(own)
             if isinstance(start, RigidMotion):
-                V = self._rigid_velocity(member, start, own)
+                V = self._rigid_velocity(body, start, own)
             elif isinstance(start, NodeState) and start.velocities is not None:
                 V = start.velocities @ cayley(x[None, d:], d)[0].T
             parts.append(V.ravel())
@@ -88,49 +89,58 @@ class Reference:
         if i not in self.active:
             return self
         other = copy.copy(self)
-        for name in ("q", "Z", "_starts"):
+        for name in ("q", "Z"):
             other.__dict__.pop(name, None)
         other._b = self._b + 1j * STEP * np.eye(len(self._b))[i]
         other._lengths = self._lengths + 1j * STEP * self._naming.lengths_b[:, i]
         other._naming = replace(self._naming, lengths=other._lengths)
         return other
 
-    def _nodes(self, member: BeamBody | RigidBody) -> Array:
-        """Node vectors (n_nodes, n_s, d) of a beam or body in the reference configuration."""
-        numbers, _ = self._mapping.numbers(member.name, self._b)
-        place, turn = member.split_placement(numbers)
-        X = self._shape(member) @ rotation(turn, member.dimension).T
-        X = X.astype(np.result_type(X, numbers))
-        X[:, 0] += self._attached(member) if place is None else place
+    def _nodes(self, body: BeamBody | RigidBody) -> Array:
+        """Node vectors (n_nodes, n_s, d) in the reference configuration, one node if rigid."""
+        numbers = self._placed(body)
+        place, turn = body.split_placement(numbers)
+        X = self._unturned(body)
+        X = X.astype(np.result_type(X, numbers, self._lengths)) @ rotation(turn, body.dimension).T
+        X[:, 0] += self._attached(body) if place is None else place
         return X
 
-    def _shape(self, member: BeamBody | RigidBody) -> Array:
-        """Node vectors before the turn, from the origin on."""
-        d = member.dimension
-        if isinstance(member, RigidBody) or member.rigid:
-            return np.concatenate([np.zeros((1, d)), member.directions()])[None]
-        shape, n_s = member.reference(), member.element.n_s
-        lengths = self._lengths[self._naming.layout.beam(member.name).elements]
-        X = np.zeros((len(lengths) + 1, n_s, d), dtype=lengths.dtype)
+    def _unturned(self, body: BeamBody | RigidBody) -> Array:
+        """Return node vectors of a body that stands at the origin."""
+        if isinstance(body, RigidBody) or body.rigid:
+            return np.concatenate([np.zeros((1, body.dimension)), body.directions()])[None]
+        shape, first, n_s = body.reference(), self._firsts[body.name], body.element.n_s
+        lengths = self._lengths[first : first + body.element_count]
+        X = np.zeros((len(lengths) + 1, n_s, body.dimension), dtype=lengths.dtype)
         X[1:, 0] = np.cumsum(lengths[:, None] * shape.chords, axis=0)
         X[:, 1:] = shape.slopes[:, : n_s - 1]
         return X
 
-    def _attached(self, member: BeamBody | RigidBody) -> Array:
-        """Return the place of the point of another member where one starts."""
-        point = member.attached
+    def _attached(self, body: BeamBody | RigidBody) -> Array:
+        """Return the place of the point of another body where a beam starts."""
+        point = body.attached
         assert point is not None
         vector = self._naming.vector(point, Quantity.POSITION)
-        X = self._nodes(self._scene.member(point.beam)).reshape(-1, member.dimension)
+        other = self._nodes(self._scene.member(point.beam)).reshape(-1, body.dimension)
         first = self._naming.layout.body(point.beam).first_vector
-        start: Array = vector.weights @ X[vector.vectors - first]
-        return start
+        place: Array = vector.weights @ other[vector.vectors - first]
+        return place
 
-    def _rigid_velocity(self, member: BeamBody | RigidBody, start: RigidMotion, X: Array) -> Array:
+    @staticmethod
+    def _skipped(body: BeamBody | RigidBody) -> int:
+        """Numbers of a body that come before those of its placement."""
+        return len(body.parameters()) if isinstance(body, RigidBody) else 0
+
+    def _placed(self, body: BeamBody | RigidBody) -> Array:
+        """Return the numbers of a body from those of its placement on."""
+        numbers, _ = self._mapping.numbers(body.name, self._b)
+        return numbers[self._skipped(body) :]
+
+    def _rigid_velocity(self, body: BeamBody | RigidBody, start: RigidMotion, X: Array) -> Array:
         """Velocity v + omega x (r - about) of positions and omega x slope of slopes."""
         d = X.shape[-1]
-        numbers, _ = self._mapping.numbers(member.name, self._b)
-        spin, about, velocity = start.split(numbers[len(member.placement()) :])
+        numbers = self._placed(body)[len(body.placement()) :]
+        spin, about, velocity = start.split(numbers)
         omega = np.tensordot(np.atleast_1d(spin), generators(d), 1)
         arms = X.astype(np.result_type(X, numbers))
         arms[:, 0] -= about
@@ -138,8 +148,3 @@ class Reference:
         if velocity is not None:
             V[:, 0] += velocity
         return V
-
-
-def _own(member: BeamBody | RigidBody) -> int:
-    """How many of its last numbers are parameters, which do not move it."""
-    return len(member.parameters()) if isinstance(member, RigidBody) else 0

@@ -31,7 +31,7 @@ class Rigidity(Joint):
         """Return the directions."""
         return tuple(Direction(self.beam, k + 1) for k in range(element.d))
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Entries i <= j of d_i . d_j."""
         i, j = np.triu_indices(reference.shape[1])
         rows = np.arange(len(i))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import final
@@ -14,6 +13,7 @@ from ancfdae.ancf.assembly import Assembly, Declared
 from ancfdae.ancf.block import element_block
 from ancfdae.ancf.constraints import JointConstraints, JointInput
 from ancfdae.ancf.elastic_forces import ElasticForces
+from ancfdae.ancf.held_angles import HeldAngles
 from ancfdae.ancf.inertia import Inertia
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
 from ancfdae.ancf.mass_blocks import element_masses, other_masses
@@ -22,7 +22,6 @@ from ancfdae.ancf.parameters import ParameterMap, parameter_map
 from ancfdae.ancf.reference import Reference
 from ancfdae.ancf.rigidity import Rigidity
 from ancfdae.ancf.vectors import Vectors
-from ancfdae.bodies import Point, Quantity
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput
@@ -51,8 +50,9 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
         If a design variable does not fit the scene.
     """
     variables = as_design(design)
-    mapping = parameter_map(scene, variables)
-    return AncfSystem(scene, variables, mapping, mapping.nominal)
+    mapping = parameter_map(scene, variables)  # refuses unknown targets before values are read
+    values = np.array([scene.value(variable) for variable in variables], dtype=float)
+    return AncfSystem(scene, variables, mapping, values)
 
 
 @final
@@ -105,8 +105,7 @@ class AncfSystem(MechanicalSystem):
         beams = [beam for beam in scene.beams if not beam.rigid]
         block = element_block(self.element, beams, soft, soft.values(self.b))
         self._elastic = ElasticForces(block, self._numbering, soft, self.n_b, self.pattern)
-        points = {mass.name: self._part_input(mass) for mass in scene.point_masses}
-        others = other_masses(scene, self.naming, mapping, self.b, points)
+        others = other_masses(scene, self.naming, mapping, self.b)
         blocks = (element_masses(self._numbering, soft, block), *others)
         self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, self._gravity())
         self._describe()
@@ -121,19 +120,13 @@ class AncfSystem(MechanicalSystem):
 
     def _joint_constraints(self) -> JointConstraints:
         d, inputs, points = self.element.d, [], []
-        q_o, active = self._reference.q, self._reference.active
-        q_ob = [self._reference.moved(i).q.imag / STEP for i in active]
         bodies = zip(self._numbering.bodies, self._numbering.rigid, strict=True)
         rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
+        held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
         for joint in (*self._scene.joints, *rigidities):
             own, p, p_b = self._part_input(joint)
-            vectors = Vectors(own, d, self.n_q, self.n_b)
-            reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
-            if active:
-                along[..., active] += np.moveaxis(vectors.of(np.array(q_ob)), 0, -1).real
-            moving = np.flatnonzero(np.any(along, axis=(0, 1)))
-            reference_b = {int(i): along[..., i] for i in moving}
-            inputs.append(JointInput(joint, p, p_b, reference, reference_b))
+            reference = self._in_reference(Vectors(own, d, self.n_q, self.n_b))
+            inputs.append(JointInput(joint, p, p_b, *reference).shaped(held))
             points += own
         vectors = Vectors(points, d, self.n_q, self.n_b)
         return JointConstraints(inputs, vectors, self.n_b, d)
@@ -143,11 +136,23 @@ class AncfSystem(MechanicalSystem):
         for load in self._scene.loads:
             own, p, p_b = self._part_input(load)
             vectors = Vectors(own, self.element.d, self.n_q, self.n_b)
-            inputs.append(LoadInput(load, vectors, p, p_b))
+            reference, reference_b = self._in_reference(vectors)
+            used = reference_b if load.refers else {}
+            inputs.append(LoadInput(load, vectors, p, p_b, reference, used))
         return LoadForces(inputs, self.n_q, self.n_b, self.element.d)
 
+    def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
+        """Return vectors in the reference configuration, and their partials that are not zero."""
+        q_o, active = self._reference.q, self._reference.active
+        reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
+        if active:
+            q_ob = np.array([self._reference.moved(i).q.imag / STEP for i in active])
+            along[..., active] += np.moveaxis(vectors.of(q_ob), 0, -1).real
+        moving = np.flatnonzero(np.any(along, axis=(0, 1)))
+        return reference, {int(i): along[..., i] for i in moving}
+
     def _part_input(self, part: Part) -> tuple[list[PointVector], Array, Array]:
-        """Return vectors of a part, and values and partials of its design fields."""
+        """Return vectors of a joint or load, and values and partials of its design fields."""
         p, p_b = self._mapping.numbers(part.name, self.b)
         count = len(part.parameters())
         places, first = {}, count
@@ -155,20 +160,16 @@ class AncfSystem(MechanicalSystem):
             last = first + len(point.numbers())
             places[point] = (p[first:last], p_b[first:last])
             first = last
-        vectors = part.vectors(self.element)
-        own = [self._point_vector(vector, places) for vector in vectors]
+        own = []
+        for vector in part.vectors(self.element):
+            if isinstance(vector, CentreLine):
+                own.append(self.naming.centre_line(vector.beam))
+            elif isinstance(vector, Direction):
+                own.append(self.naming.direction(vector.body, vector.number))
+            else:
+                point, quantity = vector
+                own.append(self.naming.vector(point, quantity, places[point]))
         return own, p[:count], p_b[:count]
-
-    def _point_vector(
-        self,
-        vector: tuple[Point, Quantity] | CentreLine | Direction,
-        places: Mapping[Point, tuple[Array, Array]],
-    ) -> PointVector:
-        if isinstance(vector, CentreLine):
-            return self.naming.centre_line(vector.beam)
-        if isinstance(vector, Direction):
-            return self.naming.direction(vector.body, vector.number)
-        return self.naming.vector(*vector, places[vector[0]])
 
     def _gravity(self) -> tuple[Array, Array]:
         g, g_b = self._mapping.numbers("scene", self.b)
@@ -264,12 +265,14 @@ class AncfSystem(MechanicalSystem):
         """The start: bodies follow the joints where asked to, and where the design has moved."""
         motions, scene = self._numbering.rigid_motions(), self._scene
         free = np.ones(motions.none.shape, dtype=bool)
+        names = [member.name for member in scene.members]
         for name in scene.lead:
-            free[[body.name for body in scene.members].index(name), self.element.d :] = False
-        extent = np.ptp(self._reference.Z.real[self._numbering.positions], axis=0)
-        own = max(body.size for body in self._numbering.bodies)
+            free[names.index(name), self.element.d :] = False
+        bodies = self._numbering.bodies
+        places = self._reference.Z.real[np.concatenate([body.positions for body in bodies])]
+        extent = np.linalg.norm(np.ptp(places, axis=0)) + max(body.size for body in bodies)
         # A power of two, so that a small change of the design leaves it as it is.
-        size = 2.0 ** round(math.log2(max(own, float(np.linalg.norm(extent)))))
+        size = 2.0 ** np.round(np.log2(extent))
         follows = scene.assemble or scene.project_start
         moves = follows or np.any(self.b.real != self._mapping.nominal)
         declared = self._declared(None)
@@ -278,8 +281,9 @@ class AncfSystem(MechanicalSystem):
 
     def _declared(self, i: int | None) -> Declared:
         """Return what is declared, moved in design variable i by an imaginary step."""
-        reference = self._reference if i is None else self._reference.moved(i)
-        joints = self._constraints if i is None else self._constraints.moved(i)
+        joints, reference = self._constraints, self._reference
+        if i is not None:
+            joints, reference = joints.moved(i), reference.moved(i)
         return Declared(joints, reference.Z, reference.velocities)
 
     @cached_property
@@ -311,42 +315,44 @@ class AncfSystem(MechanicalSystem):
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
         Q = self._inertia.gravity + self._elastic.force(q, v)
         if self._scene.loads:
-            Q = Q + self._loads.force(q[None], v[None])[0]
+            Q = Q + self._loads.force(q[None], v[None], np.array([t]))[0]
         return Q
 
     def force_q(self, q: Array, v: Array, t: float) -> Array:
         """Q_q (eq. 19)."""
-        return only(self._tangents(q[None], v[None])[0])
+        return only(self._tangents(q[None], v[None], np.array([t]))[0])
 
     def force_v(self, q: Array, v: Array, t: float) -> Array:
         """Q_v."""
-        Q_v = self._tangents(q[None], v[None])[1]
+        Q_v = self._tangents(q[None], v[None], np.array([t]))[1]
         return np.zeros(self.pattern.size) if Q_v is None else Q_v[0]
 
     def force_b(self, q: Array, v: Array, t: float) -> Array:
         """Q_b (eqs. 24, 25)."""
-        return only(self._forces_b(q[None], v[None]))
+        return only(self._forces_b(q[None], v[None], np.array([t])))
 
     def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q."""
         total = self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
-        return total + self._loads.force_total(q, v, q_b, v_b) if self._scene.loads else total
+        if self._scene.loads:
+            total = total + self._loads.force_total(q, v, np.array([t]), q_b, v_b)
+        return total
 
     def following_load(self, q: Array, t: float) -> Array:
         """Follower forces and moments."""
-        return self._loads.following(q)
+        return self._loads.following(q, np.array([t]))
 
     def following_load_q(self, q: Array, t: float) -> Array:
         """Their tangents."""
         values = np.zeros((1, self.pattern.size), dtype=np.result_type(q, self.b, float))
-        self._loads.add_following_tangents(q, values)
+        self._loads.add_following_tangents(q, np.array([t]), values)
         return only(values)
 
     def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Q_q v + Q_v a."""
+        """Q_q v + Q_v a + Q_t."""
         rate = self._elastic.force_rate(q, v, a)
         if self._scene.loads:
-            rate = rate + self._loads.force_rate(q[None], v[None], a[None])[0]
+            rate = rate + self._loads.force_rate(q[None], v[None], a[None], np.array([t]))[0]
         return rate
 
     def force_rate_total(
@@ -354,20 +360,33 @@ class AncfSystem(MechanicalSystem):
     ) -> Array:
         """Total design derivative of `force_rate`."""
         states, states_b = (q, v, a), (q_b, v_b, a_b)
+        return self._force_rate_total(self._loads, states, t, states_b)
+
+    def _force_rate_total(
+        self, loads: LoadForces, states: Sequence[Array], t: float, states_b: Sequence[Array]
+    ) -> Array:
         total = self._elastic.force_rate_total(states, states_b)
-        return total + self._loads.force_rate_total(states, states_b)
+        return total + loads.force_rate_total(states, np.array([t]), states_b)
+
+    def force_q_times(self, q: Array, x: Array, t: float) -> Array:
+        """Q_q x at rest: the rate along a tiny velocity while laws of time stand still."""
+        still, tiny = np.zeros_like(x), STEP * x
+        rate = self._elastic.force_rate(q, tiny, still)
+        held = self._loads.held.force_rate(q[None], tiny[None], still[None], np.array([t]))[0]
+        return np.asarray((rate + held) / STEP)
 
     def force_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Total design derivative of Q_q x at rest: of the rate along a tiny velocity."""
+        """Total design derivative of Q_q x at rest."""
         still, none = np.zeros_like(x), np.zeros_like(q_b)
-        return self.force_rate_total(q, STEP * x, still, t, q_b, none, none) / STEP
+        states, states_b = (q, STEP * x, still), (q_b, none, none)
+        return self._force_rate_total(self._loads.held, states, t, states_b) / STEP
 
     def force_q_times_q(self, q: Array, x: Array, t: float) -> Array:
         """(Q_q x)_q at rest: the rate of Q_q."""
         still, tiny = np.zeros_like(x), STEP * x
         Q_q, _ = self._elastic.tangent_rates(q, tiny, (tiny, still))
         if self._scene.loads:
-            self._loads.add_tangent_rates((q, tiny, still), Q_q, None)
+            self._loads.held.add_tangent_rates((q, tiny, still), np.array([t]), Q_q, None)
         return only(Q_q) / STEP
 
     def pull_back_force_q_times(self, q: Array, x: Array, t: float, mu: Array) -> Array:
@@ -375,7 +394,7 @@ class AncfSystem(MechanicalSystem):
         still, tiny = np.zeros_like(x), STEP * x
         total = self._elastic.pull_back_rate(q, tiny, (tiny, still), mu)
         if self._scene.loads:
-            total = total + self._loads.pull_back_rate((q, tiny, still), mu)
+            total = total + self._loads.held.pull_back_rate((q, tiny, still), np.array([t]), mu)
         return total / STEP
 
     def constraint(self, q: Array, t: float) -> Array:
@@ -396,7 +415,7 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
         """(Phi_q^T lam)_q."""
-        return only(self._constraints.constraint_force_q(lam[None]))
+        return only(self._constraints.constraint_force_q(lam[None], np.array([t])))
 
     def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
         """(Phi_q^T lam)_b."""
@@ -408,11 +427,11 @@ class AncfSystem(MechanicalSystem):
 
     def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
         """dPhi_q/dt."""
-        return self._constraints.constraint_q_rate(v, t, 1)
+        return self._constraints.constraint_q_rate(t, q, v)
 
     def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
         """d^2 Phi_q/dt^2."""
-        return self._constraints.constraint_q_rate(a, t, 2)
+        return self._constraints.constraint_q_rate(t, q, v, a)
 
     def velocity_side(self, q: Array, t: float) -> Array:
         """-Phi_t."""
@@ -456,17 +475,17 @@ class AncfSystem(MechanicalSystem):
 
     def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
         """M, f_q, f_v and Phi_q."""
-        Q_q, Q_v = self._tangents(q, v)
+        Q_q, Q_v = self._tangents(q, v, t)
         f_q = -Q_q
         if not self.linear_constraints:
-            f_q = f_q + self._constraints.constraint_force_q(lam)
+            f_q = f_q + self._constraints.constraint_force_q(lam, t)
         f_v = None if Q_v is None else -Q_v
         M = self._inertia.values[None]
         return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
 
     def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
         """Design partials of f and Phi."""
-        f_b = self._inertia.times_b(a) - self._forces_b(q, v)
+        f_b = self._inertia.times_b(a) - self._forces_b(q, v, t)
         f_b += self._constraints.constraint_forces_b(q, lam, t)
         return DesignPartials(f_b, self._constraints.constraints_b(q, t))
 
@@ -479,14 +498,14 @@ class AncfSystem(MechanicalSystem):
         """Contraction over pairs and active variables, without arrays of the size n_q n_b."""
         (q, v, a, lam), (mu, zeta) = states, covectors
         total = self._inertia.pull_back(a, mu) - self._elastic.pull_back(q, v, mu)
-        total = total - self._loads.pull_back(q, v, mu)
+        total = total - self._loads.pull_back(q, v, t, mu)
         return np.asarray(total + self._constraints.pull_back(q, lam, t, mu, zeta))
 
     # -- rates for the transpose of the start --------------------------------------------------
 
     def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
         """d^3 Phi_q/dt^3."""
-        return self._constraints.constraint_q_rate(jerk, t, 3)
+        return self._constraints.constraint_q_rate(t, q, v, a, jerk)
 
     def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
         """Return partials of constraint rates, of the variables that constraints depend on."""
@@ -495,15 +514,16 @@ class AncfSystem(MechanicalSystem):
     def force_rate_partials(
         self, t: float, states: tuple[Array, ...], later: Array
     ) -> tuple[Array, Array, Array]:
-        """f'_q = -(Q_q)', f'_v = f_q - (Q_v)': M is constant, and so is (Phi_q^T lam)_q in q."""
+        """f'_q = ((Phi_q^T)' lam)_q - (Q_q)', f'_v = f_q - (Q_v)'; M is constant."""
         q, v, a, lam = states
         Q_q, Q_v = self._elastic.tangent_rates(q, v, (v, later))
         if Q_v is None:
             Q_v = np.zeros_like(Q_q)
         if self._scene.loads:
-            self._loads.add_tangent_rates((q, v, later), Q_q, Q_v)
+            self._loads.add_tangent_rates((q, v, later), np.array([t]), Q_q, Q_v)
         f_q = self.linearise(np.array([t]), q[None], v[None], a[None], lam[None]).f_q
-        return -Q_q[0], only(f_q - Q_v), np.zeros(self.pattern.size)
+        turned = self._constraints.constraint_force_rate_q(lam, t)
+        return turned - Q_q[0], only(f_q - Q_v), np.zeros(self.pattern.size)
 
     def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
         """Contract masses pair by pair, joints for the variables they depend on."""
@@ -514,10 +534,10 @@ class AncfSystem(MechanicalSystem):
     def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
         """Contract forces pair by pair, the rest for the variables it depends on."""
         q, v, _, lam = states
-        total = self._constraints.constraint_force_rate_pull_back(v, lam, t, mu)
+        total = self._constraints.constraint_force_rate_pull_back(q, v, lam, t, mu)
         total = total - self._elastic.pull_back_rate(q, v, (v, later), mu)
         if self._scene.loads:
-            total = total - self._loads.pull_back_rate((q, v, later), mu)
+            total = total - self._loads.pull_back_rate((q, v, later), np.array([t]), mu)
         return total
 
     # -- energies, instants as rows ------------------------------------------------------------
@@ -566,16 +586,16 @@ class AncfSystem(MechanicalSystem):
             return np.ones(len(owners))
         return np.asarray(owners == self.naming.layout.owner(beam), dtype=float)
 
-    def _tangents(self, q: Array, v: Array) -> tuple[Array, Array | None]:
+    def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
         Q_q, Q_v = self._elastic.force_q(q, v), None
         if self._elastic.damped:
             Q_v = self._elastic.force_v(q)
         elif self.velocity_forces:
             Q_v = np.zeros_like(Q_q)
         if self._scene.loads:
-            self._loads.add_tangents(q, v, Q_q, Q_v)
+            self._loads.add_tangents(q, v, t, Q_q, Q_v)
         return Q_q, Q_v
 
-    def _forces_b(self, q: Array, v: Array) -> Array:
+    def _forces_b(self, q: Array, v: Array, t: Array) -> Array:
         Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
-        return Q_b + self._loads.force_b(q, v) if self._scene.loads else Q_b
+        return Q_b + self._loads.force_b(q, v, t) if self._scene.loads else Q_b

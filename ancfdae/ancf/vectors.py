@@ -50,6 +50,12 @@ class Vectors:
         self.matrix = sparse.csr_array((value, (self._row, self._column)), shape=self._shape)
         self._L = LinearMap(self.matrix)
 
+    def moved_by(self, i: int) -> Array:
+        """Tell which vectors depend on design variable i, shape (n_v,)."""
+        touched = np.zeros(self._count, dtype=bool)
+        touched[self._row[self._at[self._variable == i]] // self._d] = True
+        return touched
+
     def moved(self, i: int) -> Vectors:
         """Return the vectors moved in design variable i by an imaginary step."""
         if not self.moves[i]:

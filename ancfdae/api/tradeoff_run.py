@@ -61,11 +61,15 @@ class Results:
 @final
 @dataclass(frozen=True)
 class Measurement:
-    """Least processor time of the repeats, the outcome as a sentence, and results if there are."""
+    """Least processor time of the repeats, the outcome as a sentence, and results if there are.
+
+    `verdict` tells how a run ended that did not reach its end time.
+    """
 
     seconds: float
     outcome: str
     results: Results | None = None
+    verdict: Verdict | None = None
 
 
 def common_times(t_end: float) -> Array:
@@ -81,9 +85,10 @@ def measure(task: Task) -> Measurement:
         try:
             answer = _gradient(task)
         except UnfinishedRun as error:
-            if error.solution.outcome.verdict is Verdict.INTERRUPTED:
+            outcome, spent = error.solution.outcome, time.process_time() - clock
+            if outcome.verdict is Verdict.INTERRUPTED:
                 raise KeyboardInterrupt from error
-            return Measurement(time.process_time() - clock, str(error.solution.outcome))
+            return Measurement(spent, str(outcome), verdict=outcome.verdict)
         except (AncfdaeError, ArithmeticError, ValueError, RuntimeError, MemoryError) as error:
             return Measurement(time.process_time() - clock, f"{type(error).__name__}: {error}")
         seconds = min(seconds, time.process_time() - clock)

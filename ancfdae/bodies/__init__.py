@@ -3,7 +3,6 @@
 from ancfdae.bodies.beam import Beam
 from ancfdae.bodies.body import BeamBody, ReferenceShape
 from ancfdae.bodies.curved_beam import CurvedBeam
-from ancfdae.bodies.member import Member
 from ancfdae.bodies.point import Point, require_point
 from ancfdae.bodies.rigid_body import RigidBody
 from ancfdae.bodies.shapes import BodyShape, RigidBox, RigidCylinder, RigidSphere
@@ -14,7 +13,6 @@ __all__ = [
     "BeamBody",
     "BodyShape",
     "CurvedBeam",
-    "Member",
     "Point",
     "Quantity",
     "ReferenceShape",

@@ -9,7 +9,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies.member import Member
+from ancfdae.bodies.placed import Placed
 from ancfdae.bodies.point import Point
 from ancfdae.elements import (
     ALL_ELEMENTS,
@@ -19,13 +19,7 @@ from ancfdae.elements import (
     Quantity,
     StrainEnergy,
 )
-from ancfdae.errors import (
-    InvalidInput,
-    UnknownName,
-    require_finite,
-    require_kind,
-    require_name,
-)
+from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind, require_name
 from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.frames import orthonormal
@@ -66,8 +60,8 @@ class ReferenceShape:
     straight: bool
 
 
-class BeamBody(Member):
-    """What the rest of the package needs to know about a beam.
+class BeamBody(Placed):
+    """What the rest of the package needs to know about a beam; name and turn as in `Placed`.
 
     Attributes
     ----------
@@ -83,8 +77,6 @@ class BeamBody(Member):
         Whether it has the coordinates of a rigid body instead of those of its elements.
     """
 
-    placed_by = "start"
-
     element: BeamElement
     energy: StrainEnergy | None
     section: Section | Sequence[Section]
@@ -95,6 +87,11 @@ class BeamBody(Member):
     @abc.abstractmethod
     def element_count(self) -> int:
         """Number of elements."""
+
+    @property
+    @abc.abstractmethod
+    def dimension(self) -> int:
+        """Dimension of space, 2 or 3."""
 
     @abc.abstractmethod
     def reference(self) -> ReferenceShape:

@@ -61,17 +61,17 @@ class Point:
                 "0 is the start of the beam and 1 its end.",
             )
 
+    def numbers(self) -> dict[str, float]:
+        """Return the place on the beam or in the body, by name."""
+        first = {"x": self.x} if self.fraction is None else {"fraction": self.fraction}
+        return first | {"y": self.y, "z": self.z}
+
     def __str__(self) -> str:
         """Return a short name, such as rod@0.5 or box(0.1, 0)."""
         if self.fraction is not None:
             return f"{self.beam}@{self.fraction:g}"
         place = (self.x, self.y, self.z) if self.z else (self.x, self.y)
         return f"{self.beam}({', '.join(f'{x:g}' for x in place)})" if any(place) else self.beam
-
-    def numbers(self) -> dict[str, float]:
-        """Return the place on the beam or in the body, by name."""
-        first = {"x": self.x} if self.fraction is None else {"fraction": self.fraction}
-        return {**first, "y": self.y, "z": self.z}
 
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies.member import Member
+from ancfdae.bodies.placed import Placed
 from ancfdae.bodies.point import Point
 from ancfdae.bodies.shapes import BodyShape, require_shape
 from ancfdae.design import Designable
@@ -36,14 +36,13 @@ def _require_inertia(where: str, value: object) -> None:
 
 @final
 @dataclass(frozen=True)
-class RigidBody(Designable, Member):
+class RigidBody(Placed, Designable):
     """A body that does not deform, with axes of its own through a reference point.
 
     Its coordinates are the reference point r and its directions d_1, d_2(, d_3); a place x, y, z
     of it is at r + x d_1 + y d_2 + z d_3. Give either its mass and inertia or a shape with its
     density. Design targets: ``mass``, ``centre_x`` ..., ``inertia`` in the plane, ``inertia_x``
-    ... or ``inertia_xx`` ... in space; ``density`` and the sizes of the shape; ``position_x`` ...,
-    and ``turn``, in space ``turn_x`` ...
+    ... or ``inertia_xx`` ... in space; ``density`` and the sizes of the shape.
 
     Parameters
     ----------
@@ -67,7 +66,8 @@ class RigidBody(Designable, Member):
     frame : sequence of sequence of float, optional
         Directions of the axes in the reference configuration as rows; by default those of space.
     turn : float or sequence of float, optional
-        Turn of the body about its reference point, frame and all, as of a `Beam`.
+        Turn of the body about its reference point, in space a vector along the axis; rad. Design
+        targets: ``turn``, in space ``turn_x`` ..., and ``position_x`` ...
 
     Raises
     ------
@@ -86,7 +86,7 @@ class RigidBody(Designable, Member):
     frame: Sequence[Sequence[float]] | None = None
     turn: float | Sequence[float] = 0.0
 
-    placed_by = "position"
+    place_word = "position"
     design_fields = (
         ("mass", require_positive),
         ("inertia", _require_inertia),
@@ -115,11 +115,11 @@ class RigidBody(Designable, Member):
 
     @property
     def place(self) -> Sequence[float]:
-        """Where the reference point is."""
+        """Place of the reference point."""
         return self.position
 
     def with_place(self, place: Sequence[float]) -> RigidBody:
-        """Return the same body at another place."""
+        """Return the same body, moved to another place."""
         return replace(self, position=tuple(place))
 
     @property
@@ -137,7 +137,7 @@ class RigidBody(Designable, Member):
         return Point(self.name, x=x, y=y, z=z)
 
     def directions(self) -> Array:
-        """Return the directions of the axes before the turn as rows."""
+        """Return the directions of the axes in the reference configuration as rows."""
         if self.frame is None:
             return np.eye(self.dimension)
         return orthonormal(np.asarray(self.frame, dtype=float))

@@ -54,8 +54,6 @@ class Explicit(HighOrder):
     takes 1,000 in a second. Parameters: see `HighOrder`.
     """
 
-    max_steps: int = 20_000
-
     def __post_init__(self) -> None:
         self.require_settings(_LEAST_RTOL)
 

@@ -121,7 +121,8 @@ class HighOrder(QuadratureIntegrator):
         Equal intervals of the run; each has nine Gauss-Lobatto instants, ends included. They
         say where the trajectory is reported, nothing else.
     max_steps : int
-        Steps of the whole run before it ends with an outcome.
+        Steps of the whole run before it ends with an outcome. The default, a million, is no
+        budget: it ends runs that nobody waits for. Runs that lead nowhere end by themselves.
 
     Raises
     ------
@@ -134,7 +135,7 @@ class HighOrder(QuadratureIntegrator):
 
     rtol: float = 1e-8
     intervals: int = 64
-    max_steps: int = 100_000
+    max_steps: int = 1_000_000
 
     @final
     def require_settings(self, least_rtol: float) -> None:

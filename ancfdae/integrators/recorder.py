@@ -51,7 +51,7 @@ class Recorder:
         self._rows = 0
         self.accepted: int | None = None
         self.iterations = self.factorisations = self.residuals = 0
-        self.round_off_steps = self.rejected = 0
+        self.round_off_steps = self.rejected = self.continued = 0
         self._started = time.perf_counter()
 
     @property
@@ -105,6 +105,7 @@ class Recorder:
                 residuals=self.residuals,
                 round_off_steps=self.round_off_steps,
                 rejected=self.rejected,
+                continued=self.continued,
                 wall_seconds=time.perf_counter() - self._started,
             ),
             outcome=self._advised(outcome),
@@ -114,8 +115,9 @@ class Recorder:
         )
 
     def _advised(self, outcome: Outcome) -> Outcome:
-        """Tell the periods of small motions where a run ended that another step may cure."""
+        """Add the periods of small motions where a run ended that another step may cure."""
         _, q, _, _, lam = (array[max(self._rows - 1, 0)] for array in self._arrays[:5])
         if outcome.verdict not in _CURED_BY_STEP or not self._rows or np.iscomplexobj(q):
             return outcome
-        return replace(outcome, advice=advice(self._system, self.time, q, lam))
+        periods = advice(self._system, self.time, q, lam)
+        return replace(outcome, advice=" ".join(filter(None, (outcome.advice, periods))))

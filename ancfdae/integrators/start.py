@@ -32,6 +32,8 @@ from ancfdae.protocol.total_derivatives import (
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
 _CONSISTENT = 1e-8
 _PROJECTION_ITERATIONS = 50
+# Numbers of stages that close a gap, one after the other until one does.
+_STAGES = (1, 8, 64)
 
 
 class InitialState(NamedTuple):
@@ -266,9 +268,40 @@ def _project_position(
 ) -> tuple[Array, Array]:
     """Newton's method for step 1; returns q and sigma_q.
 
+    Where it does not converge, the gap is closed in stages.
+    """
+    gap = system.constraint(q_start, t)
+    for stages in _STAGES:
+        found = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
+        for stage in range(1, stages + 1):
+            left = gap * (1 - stage / stages)
+            moved = _close_gap(system, matrices, q_start, t, found, left)
+            if moved is None:
+                break
+            found = moved
+        else:
+            return found
+    raise InconsistentStart(
+        "start",
+        "must be close enough to the constraints to be projected",
+        f"no convergence in {_PROJECTION_ITERATIONS} iterations",
+        "Declare positions nearer to an assembled configuration.",
+    )
+
+
+def _close_gap(
+    system: MechanicalSystem,
+    matrices: SaddlePoint,
+    q_start: Array,
+    t: float,
+    guess: tuple[Array, Array],
+    left: Array,
+) -> tuple[Array, Array] | None:
+    """Newton's method for step 1 with Phi = left; None if it does not converge.
+
     The last correction is applied, so the error left is the square of the tolerance.
     """
-    q, sigma_q = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
+    q, sigma_q = guess
     scale, settled = real_norm(q_start, system.weights), 0
     for _ in range(_PROJECTION_ITERATIONS):
         force = system.mass_times(q_start, q_start - q) - system.constraint_force(q, sigma_q, t)
@@ -277,7 +310,7 @@ def _project_position(
         except SingularMatrix:
             refuse_redundant(system, system.constraint_q(q, t))
             break
-        dq, change = solve(factors, force, -system.constraint(q, t))
+        dq, change = solve(factors, force, left - system.constraint(q, t))
         q, sigma_q = q + dq, sigma_q + change
         if not is_finite(q):
             break
@@ -286,12 +319,7 @@ def _project_position(
             settled += 1
             if q.dtype.kind != "c" or settled == 3:
                 return q, sigma_q
-    raise InconsistentStart(
-        "start",
-        "must be close enough to the constraints to be projected",
-        f"no convergence in {_PROJECTION_ITERATIONS} iterations",
-        "Declare positions nearer to an assembled configuration.",
-    )
+    return None
 
 
 def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float) -> None:

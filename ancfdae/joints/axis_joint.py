@@ -4,24 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from ancfdae.bodies import Point
 from ancfdae.errors import require_direction, require_vector
-from ancfdae.joints.frames import across, slope_weights, unit
-from ancfdae.joints.joint import SECTION, Equations, Joint
+from ancfdae.joints.frames import (
+    Carrier,
+    Section,
+    axis_shapes,
+    carrier_of,
+    hold_axis,
+    is_fixed_in,
+    place_shapes,
+    sections,
+    unit,
+)
+from ancfdae.joints.joint import SECTION, Equations, Joint, RightAngle, empty_coefficients
 from ancfdae.numerics.arrays import Array
+
+#: The axis, what carries it at `other`, and the place on the ground.
+Around: TypeAlias = tuple[Array, Carrier, Array | None]
 
 
 @dataclass(frozen=True)
 class AxisJoint(Joint):
     """A joint of a section of a spatial beam about an axis.
 
-    With e_1, e_2 across the axis in the reference configuration, the section's combinations of
-    slopes b_j that equal e_j there stay perpendicular to the axis a: b_1 . a = 0, b_2 . a = 0. On
-    another beam a is the combination of *its* slopes that equals the axis, and these equations
-    are bilinear. Design targets: ``axis_x``, ``axis_y``, ``axis_z``, and ``ground_x`` ... where
+    The axis, as the section carries it along, stays where the ground or the section of `other` has
+    it. What a section holds of it is a matter of the section, not of the centre line, which may
+    shear against it; in the section no shear is left. Where the axis lies neither in the section of
+    the point nor in that of `other`, the section of `other` keeps at right angles to the centre
+    line, too. Design targets: ``axis_x``, ``axis_y``, ``axis_z``, and ``ground_x`` ... where
     `ground` is given.
 
     Parameters
@@ -49,19 +64,32 @@ class AxisJoint(Joint):
     design_fields = (("axis", require_direction), ("ground", require_vector))
     spatial = True
 
+    def around(self, p: Array, reference: Array) -> Around:
+        """Return the axis and what carries it."""
+        axis, ground = self.split(p)
+        _, *other = sections(self.points, reference)
+        return unit(axis), carrier_of(other), ground
 
-def place_alignment(c: Equations, count: int, reference: Array, axis: Array) -> None:
-    """Enter the last two equations, b_j . a = 0."""
-    own, other, axis = slice(count, count + 3), slice(count + 3, count + 6), unit(axis)
-    for row, direction in zip((-2, -1), across(axis), strict=True):
-        beta = slope_weights(reference[own], direction)
-        if count == 1:
-            c.linear[row, own] = beta[:, None] * axis
+    def level(self, e: Array, ground: Array | None, reference: Array) -> Array | float:
+        """Return what e . (r - r') is: zero at another point, the place of the ground."""
+        place = reference[0] if ground is None else ground
+        return 0.0 if self.other is not None else np.sum(e * place)
+
+    def aligned(
+        self, rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
+    ) -> Equations:
+        """Return coefficients with the last two of these equations entered, and all shapes."""
+        axis, carrier, _ = self.around(p, reference)
+        both = sections(self.points, reference)
+        own = both[0]
+        if isinstance(carrier, Section) and own.holds(axis) and not carrier.holds(axis):
+            own, carrier = carrier, own
+        every = tuple(dict.fromkeys((*axis_shapes(own, carrier, axis), *shapes)))
+        c = empty_coefficients(rows, p, reference, every)
+        hold_axis(c, slice(rows - 2, rows), own, carrier, axis)
+        if is_fixed_in(own, carrier, axis):
+            # F axis is fixed: what is square to it in the section is across the axis.
+            carrier.meet(c, rows, own.carried(unit(np.cross(own.normal, axis))), axis)
         else:
-            place_product(c, row, own, other, np.outer(beta, slope_weights(reference[other], axis)))
-
-
-def place_product(c: Equations, row: int, i: slice, j: slice, weights: Array) -> None:
-    """Enter sum_ij weights_ij U_i . U_j, i and j different vectors, into an equation."""
-    c.bilinear[row, i, j] = weights
-    c.bilinear[row, j, i] = weights.T
+            place_shapes(c, both)
+        return c

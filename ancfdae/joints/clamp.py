@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-import numpy as np
-
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement, Quantity
-from ancfdae.joints.frames import unit
+from ancfdae.joints.frames import fix_turn, flat_angle
 from ancfdae.joints.joint import Equations, Joint, empty_coefficients, place_coincidence, spanning
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
@@ -41,26 +39,17 @@ class Clamp(Joint):
 
     kind = "clamp"
     holds_position = True
+    no_second_point = "It holds to ground; use Weld to hold two sections together."
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Return the position and the slopes that span the section."""
         return tuple((self.point, q) for q in (Quantity.POSITION, *spanning(element)))
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and one equation for every turn."""
         d, slopes = reference.shape[1], reference[1:]
-        c = empty_coefficients(3 if d == 2 else 7, p, reference)
+        shapes = flat_angle(self.point) if d == 3 else ()
+        c = empty_coefficients(3 if d == 2 else 6, p, reference, shapes)
         place_coincidence(c, 1, reference, None)
-        if d == 2:
-            across = np.array([-slopes[0, 1], slopes[0, 0]])
-            c.linear[2, 1] = unit(across)
-            return c
-        normal = unit(np.cross(*slopes))
-        y = unit(slopes[0])
-        z = np.cross(normal, y)
-        c.linear[3, 1] = c.linear[4, 2] = normal
-        # Row k: the combination of slopes that equals y or z in the reference.
-        b_y, b_z = np.linalg.inv(slopes @ np.stack([y, z], axis=1))
-        c.linear[5, 1:] = b_y[:, None] * z
-        c.linear[6, 1:] = b_z[:, None] * y
+        fix_turn(c, d, slopes, 1)
         return c

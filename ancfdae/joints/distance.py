@@ -44,7 +44,7 @@ class Distance(Joint):
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """(|U_0 - U_1|^2 / L - L) / 2."""
         n, c = len(reference), empty_coefficients(1, p, reference)
         L, ground = self.split(p)

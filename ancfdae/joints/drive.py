@@ -1,8 +1,8 @@
-"""Prescribed motions: the turning of a section, or the place of a point along a line."""
+"""Prescribed turning of a section, against ground or another section."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -11,25 +11,33 @@ import numpy as np
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement
 from ancfdae.errors import InvalidInput, require_direction
-from ancfdae.joints.frames import unit
-from ancfdae.joints.joint import Equations, Joint, empty_coefficients, spanning
-from ancfdae.joints.laws import Law, require_law
+from ancfdae.joints.frames import (
+    OUT_OF_PLANE,
+    across,
+    axis_torque,
+    flat_angle,
+    place_shapes,
+    sections,
+    spanned,
+    unit,
+)
+from ancfdae.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients, spanning
+from ancfdae.laws import Law
+from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
 
 @final
 @dataclass(frozen=True)
-class Drive(Joint):
-    """Turn the section of a beam at a point by a law of time (a driven crank).
+class Drive(DrivenJoint):
+    """Turn the section of a beam at a point by a law of time: a driven crank, a motor in an elbow.
 
-    With n the normal of the section in the reference configuration, b the combination of the
-    section's slopes that equals a x n over its length there, a the axis (in the plane b = r_y): b
-    stays perpendicular to d(theta), which is a x b of the reference turned about the axis by theta,
-    in rad from the reference configuration. A beam that shears transmits a moment through its
-    sections, not through the direction of its centre line at a point. An element without a section
-    turns its tangent instead. Design targets: the parameters of the law, and ``axis_x`` ... where
-    the axis is given.
+    The angle is that from the reference configuration, in rad, about an axis that stays, or against
+    the section of `other`, which carries the axis along. Sections turn, not centre lines: a beam
+    that shears transmits a moment through its sections. An element without a section turns its
+    tangent instead, against ground only. In space another joint must keep the axis (`Revolute`).
+    Design targets: the parameters of the law, and ``axis_x`` ... where the axis is given.
 
     Parameters
     ----------
@@ -37,6 +45,8 @@ class Drive(Joint):
     angle : Law
     axis : sequence of float, optional
         Axis of the turning in space, not zero; z by default. Not in the plane.
+    other : Point, optional
+        Point of another beam, whose section the angle counts from; without it from ground.
     name : str, optional
         By default ``drive(beam@fraction)``.
     """
@@ -44,94 +54,104 @@ class Drive(Joint):
     point: Point
     angle: Law
     axis: Sequence[float] | None = None
+    other: Point | None = None
     name: str = ""
 
     kind = "drive"
+    takes_part = SECTION
     design_fields = (("angle", require_law), ("axis", require_direction))
-    driven = True
 
     def vectors(self, element: BeamElement) -> Vectors:
-        """Return the slopes that span the section."""
+        """Return the slopes: those that span the section, all where there is another."""
+        if self.other is not None:
+            return super().vectors(element)[2:]
         return tuple((self.point, q) for q in spanning(element))
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
-        """d(theta) and its derivatives, times the weights of the slopes in b."""
-        c = empty_coefficients(1, p, reference)
-        law, axis = self.split(p)
-        weights, b, d = self._material_direction(reference, axis)
-        theta, theta_1, theta_2, theta_3 = self.angle.derivatives(law, t)
-        # a x d = -b.
-        turned = np.cos(theta) * d - np.sin(theta) * b
-        normal = -np.sin(theta) * d - np.cos(theta) * b
-        # turned' = theta' normal, normal' = -theta' turned.
-        direction = (
-            turned,
-            theta_1 * normal,
-            theta_2 * normal - theta_1**2 * turned,
-            (theta_3 - theta_1**3) * normal - 3 * theta_1 * theta_2 * turned,
-        )[order]
-        c.linear[0] = weights[:, None] * direction
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return what does not turn: along the axis, shear, and right angles."""
+        a, d = self._axis(p, reference), reference.shape[1]
+        if self.other is None:
+            return self._against_ground(p, reference, lambda m: (a @ m) * a, still=True)
+        own, other = sections(self.points, reference)
+        shapes = () if d == 2 else axis_torque(own, a) + axis_torque(other, a)
+        c = empty_coefficients(1, p, reference, shapes)
+        own.take_out_shear(c, 0, a, 1.0)
+        other.take_out_shear(c, 0, a, -1.0)
+        place_shapes(c, (own, other))
         return c
 
-    def _material_direction(self, slopes: Array, axis: Array | None) -> tuple[Array, Array, Array]:
-        """Return weights of the slopes in b, b of the reference, and a x b."""
-        if slopes.shape[1] == 2:
-            if axis is not None:
-                raise InvalidInput(
-                    f"joint {self.name!r}, axis",
-                    "is a choice of spatial scenes only",
-                    self.axis,
-                    "Leave it out: in the plane it is z.",
-                )
-            b = unit(slopes[0])
-            return np.array([1.0]), b, np.array([-b[1], b[0]])
-        axis = np.array([0.0, 0.0, 1.0]) if axis is None else unit(axis)
-        across = np.cross(axis, unit(np.cross(*slopes)))
-        # Below the square root of round-off what is left across the axis is noise.
-        if np.sum(across.real**2) <= 1e-16:
-            raise InvalidInput(
-                f"joint {self.name!r}, axis",
-                "must not run along the beam",
-                tuple(axis.real),
-                "Give an axis in the section, or across it at most in part.",
-            )
-        b = unit(across)
-        return np.linalg.solve(slopes @ slopes.T, slopes @ b), b, np.cross(axis, b)
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return what goes with the cosine and the sine of the angle."""
+        a = self._axis(p, reference)
+        if self.other is None:
+            cosine = self._against_ground(p, reference, lambda m: m - (a @ m) * a)
+            return cosine, self._against_ground(p, reference, lambda m: np.cross(a, m))
+        e_1, e_2 = np.eye(2) if reference.shape[1] == 2 else across(a)
+        cosine = self._against_section(p, reference, ((e_1, e_2), (e_2, -e_1)))
+        return cosine, self._against_section(p, reference, ((e_1, -e_1), (e_2, -e_2)))
 
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Cosine and sine of the angle."""
+        law = self.split(p)[0]
+        return cosine_and_sine([self.angle.derivative(law, t, k) for k in range(order + 1)])
 
-@final
-@dataclass(frozen=True)
-class Guide(Joint):
-    """Move a point along a direction by a law of time.
+    def _against_ground(
+        self,
+        p: Array,
+        slopes: Array,
+        part: Callable[[Array], Array],
+        still: bool = False,
+    ) -> Equations:
+        """Part of the sum over the axes w of the section of F w . R m_w, with R the turn.
 
-    direction . (r(point) - r_o(point)) = x(t), with r_o the reference configuration. Design
-    targets: ``direction_x`` ... and the parameters of the law.
-
-    Parameters
-    ----------
-    point : Point
-    direction : sequence of float
-        Not zero.
-    travel : Law
-    name : str, optional
-        By default ``guide(beam@fraction)``.
-    """
-
-    point: Point
-    direction: Sequence[float]
-    travel: Law
-    name: str = ""
-
-    kind = "guide"
-    design_fields = (("direction", require_direction), ("travel", require_law))
-    driven = True
-
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
-        """Direction . (r - r_o) - x(t)."""
-        c = empty_coefficients(1, p, reference)
-        direction, law = self.split(p)
-        c.offset[0] = self.travel.derivatives(law, t)[order]
-        if order == 0:
-            c.linear[0, 0] = unit(direction)
-            c.offset[0] += c.linear[0, 0] @ reference[0]
+        m_w = (a - 1/2 (a . n) n) x w: in the reference a turn phi of the section changes F w . m_w
+        by a . phi in all (theory.md).
+        """
+        d, a = slopes.shape[1], self._axis(p, slopes)
+        n, axes, weights = spanned(slopes)
+        twisting = d == 3 and abs((a @ n).real) > OUT_OF_PLANE
+        c = empty_coefficients(1, p, slopes, flat_angle(self.point) if twisting else ())
+        for w, own in zip(axes, weights, strict=True):
+            m = np.cross(a - (a @ n) / 2 * n, w)
+            c.linear[0] += np.outer(own, part(m)[:d])
+        if twisting and still:
+            product = np.outer(*weights)
+            c.bilinear[1] = product + product.T
         return c
+
+    def _against_section(
+        self, p: Array, reference: Array, pairs: Sequence[tuple[Array, Array]]
+    ) -> Equations:
+        """Part of 1/2 (F e_1 . F' R e_2 - F e_2 . F' R e_1), with R the turn."""
+        own, other = sections(self.points, reference)
+        c = empty_coefficients(len(self.coefficients(p, reference).offset), p, reference)
+        for e, e_other in pairs:
+            other.meet(c, 0, own.carried(e), e_other, 0.5)
+        return c
+
+    def _axis(self, p: Array, reference: Array) -> Array:
+        axis = self.split(p)[1]
+        if axis is None:
+            return np.array([0.0, 0.0, 1.0])
+        if reference.shape[1] == 3:
+            return unit(axis)
+        raise InvalidInput(
+            f"joint {self.name!r}, axis",
+            "is a choice of spatial scenes only",
+            self.axis,
+            "Leave it out: in the plane it is z.",
+        )
+
+
+def cosine_and_sine(theta: Sequence[Array]) -> Array:
+    """Return the time derivative of cos and sin of an angle, of the order of its last one given."""
+    angle, order = theta[0], len(theta) - 1
+    e, e_n = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    if order == 0:
+        return e
+    # e' = w e_n, e_n' = -w e.
+    w, last = theta[1], theta[order]
+    by_e = (0 * w, -(w**2), -3 * w * theta[min(order, 2)])[order - 1]
+    by_e_n = last - w**3 if order == 3 else last
+    rate: Array = by_e_n * e_n + by_e * e
+    return rate

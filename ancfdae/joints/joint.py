@@ -13,6 +13,7 @@ jerk equations, and all design derivatives.
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, final
 
@@ -22,8 +23,21 @@ from ancfdae.elements import BeamElement, Quantity
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Part, Vectors
 
-#: Position and all slopes that the element has take part.
-SECTION: tuple[Quantity, ...] = ()
+#: Position and all slopes take part, as many as space has dimensions.
+SECTION = tuple(Quantity)
+
+
+@final
+@dataclass(frozen=True)
+class RightAngle:
+    """Two of the directions x, y and z of the section at a point, which a joint keeps square.
+
+    It says nothing of a section that is rigid, and nothing new where another joint has said it.
+    """
+
+    beam: str
+    fraction: float | None
+    slopes: frozenset[Quantity]
 
 
 @final
@@ -37,11 +51,22 @@ class Equations:
     bilinear : array, shape (n_rows, n_vectors, n_vectors)
         Symmetric in the vectors.
     offset : array, shape (n_rows,)
+    shapes : tuple of RightAngle
+        What the last rows hold, one each: the shape of sections only. The assembler leaves out
+        those that are held without them.
     """
 
     linear: Array
     bilinear: Array
     offset: Array
+    shapes: tuple[RightAngle, ...] = ()
+
+    def without(self, dropped: Sequence[int]) -> Equations:
+        """Return the equations without some of them."""
+        if not dropped:
+            return self
+        kept = np.delete(np.arange(len(self.offset)), dropped)
+        return Equations(self.linear[kept], self.bilinear[kept], self.offset[kept])
 
 
 class Joint(Part):
@@ -50,26 +75,38 @@ class Joint(Part):
     role = "joint"
     #: What takes part of every point; its position, or `SECTION`, say.
     takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
-    #: Whether the coefficients depend on time. Bilinear ones never do.
-    driven: ClassVar[bool] = False
     #: Whether the first d equations equate positions: their multipliers are then minus the reaction
     #: force on the first point.
     holds_position: ClassVar[bool] = False
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Return the vectors that take part: positions first, then slopes point by point."""
-        chosen = self.takes_part or element.quantities
+        chosen = [quantity for quantity in self.takes_part if quantity <= element.d]
         positions = [(point, q) for q in chosen if q is Quantity.POSITION for point in self.points]
         slopes = [(point, q) for point in self.points for q in chosen if q is not Quantity.POSITION]
         return (*positions, *slopes)
 
     @abc.abstractmethod
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
-        """Return the time derivative of this order, 0 to 3, of the coefficients.
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return the coefficients, of a driven joint those that do not depend on time.
 
         `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
-        the reference configuration, (n_vectors, d); complex ones must go through. Orders above 0
-        are only asked of driven joints.
+        the reference configuration, (n_vectors, d); complex ones must go through.
+        """
+
+
+class DrivenJoint(Joint):
+    """A joint whose coefficients depend on time: `coefficients` + sum_k factor_k(t) moving_k."""
+
+    @abc.abstractmethod
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return what goes with each of the `factors`; arguments as in `coefficients`."""
+
+    @abc.abstractmethod
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Return the time derivative of this order, 0 to 3, of the factors.
+
+        The instants t have the shape (k,), the result (n_factors, k).
         """
 
 
@@ -79,11 +116,13 @@ def spanning(element: BeamElement) -> tuple[Quantity, ...]:
     return section or (Quantity.SLOPE_X,)
 
 
-def empty_coefficients(rows: int, p: Array, reference: Array) -> Equations:
-    """Return coefficients of zeros for this number of equations, to be filled by a joint."""
-    (n, d), dtype = reference.shape, np.result_type(p, reference)
+def empty_coefficients(
+    rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
+) -> Equations:
+    """Return coefficients of zeros for some equations and those of shapes, to be filled."""
+    (n, d), dtype, rows = reference.shape, np.result_type(p, reference), rows + len(shapes)
     linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
-    return Equations(linear, bilinear, np.zeros(rows, dtype))
+    return Equations(linear, bilinear, np.zeros(rows, dtype), tuple(shapes))
 
 
 def place_coincidence(c: Equations, count: int, reference: Array, ground: Array | None) -> None:

@@ -40,7 +40,7 @@ class Pin(Joint):
     design_fields = (("ground", require_vector),)
     holds_position = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """r(point) - r(other), or r(point) - ground."""
         n, d = reference.shape
         c = empty_coefficients(d, p, reference)

@@ -40,7 +40,7 @@ class PointOnLine(Joint):
     kind = "line"
     design_fields = (("direction", require_direction), ("through", require_vector))
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """n_j . (r - through)."""
         c = empty_coefficients(reference.shape[1] - 1, p, reference)
         direction, through = self.split(p)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.joints.axis_joint import AxisJoint, place_alignment
-from ancfdae.joints.joint import Equations, empty_coefficients, place_coincidence
+from ancfdae.joints.axis_joint import AxisJoint
+from ancfdae.joints.joint import Equations, place_coincidence
 from ancfdae.numerics.arrays import Array
 
 
@@ -22,10 +22,8 @@ class Revolute(AxisJoint):
     kind = "revolute"
     holds_position = True
 
-    def coefficients(self, p: Array, reference: Array, t: float, order: int) -> Equations:
+    def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence and two perpendicularities."""
-        count, (axis, ground) = len(self.points), self.split(p)
-        c = empty_coefficients(5, p, reference)
-        place_coincidence(c, count, reference, ground)
-        place_alignment(c, count, reference, axis)
+        c = self.aligned(5, p, reference)
+        place_coincidence(c, len(self.points), reference, self.around(p, reference)[2])
         return c

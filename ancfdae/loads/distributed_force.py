@@ -1,4 +1,4 @@
-"""Constant force per length along the centre line of a beam."""
+"""Force per length along the centre line of a beam."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import final
 
 from ancfdae.elements import BeamElement
 from ancfdae.errors import require_vector
-from ancfdae.loads.load import ConstantLoad
+from ancfdae.laws import Law
+from ancfdae.loads.load import LAW, ConstantLoad
 from ancfdae.parts import CentreLine, Vectors
 
 
 @final
 @dataclass(frozen=True)
 class DistributedForce(ConstantLoad):
-    """A force of constant size and direction per unit of reference length.
+    """A force fixed in direction per unit of reference length.
 
     Design targets: ``force_x``, ``force_y``(, ``force_z``).
 
@@ -27,14 +28,17 @@ class DistributedForce(ConstantLoad):
         N/m.
     name : str, optional
         By default ``line-load(beam)``.
+    law : Law, optional
+        What multiplies the force over time; its parameters are design targets, too.
     """
 
     beam: str
     force_per_length: Sequence[float]
     name: str = ""
+    law: Law | None = None
 
     kind = "line-load"
-    design_fields = (("force_per_length", require_vector),)
+    design_fields = (("force_per_length", require_vector), LAW)
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Return the integral of the position over the centre line."""

@@ -1,84 +1,90 @@
 """What a load states: forces on vectors of points as functions of these vectors.
 
 A load names vectors U_i of material points and gives the generalised force F_i
-that works on each, delta W = sum_i F_i . delta U_i, and its rate along the
-motion. The assembler lifts it to Q = L^T F and forms tangents and design
-derivatives from the complex-safe `force` (docs/theory.md, section 3).
+that works on each, delta W = sum_i F_i . delta U_i, in operations that carry
+time derivatives along (`numerics.jets`), so that its rate follows. A law of time
+multiplies it. The assembler lifts it to Q = L^T F and forms tangents and design
+derivatives by complex steps.
 """
 
 from __future__ import annotations
 
 import abc
 from collections.abc import Collection
-from typing import ClassVar
+from typing import Any, ClassVar, final
 
 import numpy as np
 
+from ancfdae.laws import Law
+from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import Jet
 from ancfdae.parts import Part
+
+#: The last design field of every load.
+LAW = ("law", require_law)
 
 
 class Load(Part):
     """A load on points of beams; fields and names as in `Part`.
 
-    Arrays have any leading axes (instants, perturbations) before (n_vectors, d); complex
-    numbers must go through.
+    Attributes
+    ----------
+    law : Law or None
+        What multiplies the force over time; its parameters are targets of the load.
+    constant : bool
+        Whether the force depends neither on positions nor on velocities.
+    elastic : bool
+        Whether it is a stiffness rather than a load: a search for an equilibrium, which brings up
+        the loads, leaves it as it is.
+    damping_fields : tuple of str
+        Design fields without which the force does not depend on velocities.
+    refers : bool
+        Whether the force depends on the reference configuration.
     """
 
     role = "load"
-    #: Whether the force depends neither on positions nor on velocities.
     constant: ClassVar[bool] = False
-    #: Whether it is a stiffness rather than a load: a search for an equilibrium, which brings up
-    #: the loads, leaves it as it is.
     elastic: ClassVar[bool] = False
-    #: Numbers among the design fields without which the force does not depend on velocities.
     damping_fields: ClassVar[tuple[str, ...]] = ()
+    refers: ClassVar[bool] = False
+
+    law: Law | None
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
         """Whether the force depends on velocities, given the parameters that are design targets."""
-        return any(name in driven or getattr(self, name) != 0 for name in self.damping_fields)
+        own = [self.numbers_of(name) for name in self.damping_fields]
+        return any(name in driven or x != 0 for numbers in own for name, x in numbers.items())
 
     @abc.abstractmethod
-    def force(self, U: Array, V: Array, p: Array) -> Array:
-        """Return the generalised forces on the vectors, shape (..., n_vectors, d).
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """Return the generalised forces on the vectors without the law, (..., n_vectors, d).
 
-        U and V, of the same shape, are the vectors and their time derivatives; p has the values of
-        `parameters`, as `split` takes them.
+        U and V, of the same shape, are the vectors and their time derivatives: complex arrays
+        with any leading axes (instants, perturbations), or jets of them, whose jet is returned. p
+        has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d), the vectors
+        in the reference configuration.
         """
 
-    @abc.abstractmethod
-    def force_rate(self, U: Array, V: Array, Z: Array, p: Array) -> Array:
+    @final
+    def force_rate(self, U: Array, V: Array, Z: Array, p: Array, U_o: Array) -> Array:
         """Return d(force)/dt along a motion with second derivatives Z; shape as `force`."""
+        F = self.force(Jet(U, V), Jet(V, Z), p, U_o)
+        return F.derivatives[1] if isinstance(F, Jet) else np.zeros_like(U)
+
+    @final
+    def factor(self, p: Array, t: Array, order: int) -> Array:
+        """Return the law, or its time derivative, at instants; shape as t."""
+        if self.law is None:
+            return np.full(t.shape, float(order == 0))
+        return self.law.derivative(p[len(p) - len(self.law.parameters()) :], t, order)
 
 
 class ConstantLoad(Load):
-    """A load of constant force on one vector, its only design field."""
+    """A load of constant force on one vector, its first design field."""
 
     constant = True
 
-    def force(self, U: Array, V: Array, p: Array) -> Array:
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """F = p."""
-        return np.broadcast_to(p, np.broadcast_shapes(U.shape, p.shape))
-
-    def force_rate(self, U: Array, V: Array, Z: Array, p: Array) -> Array:
-        """Zero."""
-        return np.zeros_like(U)
-
-
-def dot(a: Array, b: Array) -> Array:
-    """Return a . b over the last axis, which is kept."""
-    product: Array = np.sum(a * b, axis=-1, keepdims=True)
-    return product
-
-
-def direction(e: Array) -> tuple[Array, Array]:
-    """Return the length l of vectors, shape (..., 1), and n = e / l."""
-    l = np.sqrt(dot(e, e))
-    return l, e / l
-
-
-def direction_rate(e: Array, w: Array) -> tuple[Array, Array]:
-    """Return l' = n . w and n' = (w - n l') / l for e' = w."""
-    l, n = direction(e)
-    l_1 = dot(n, w)
-    return l_1, (w - n * l_1) / l
+        return self.split(p)[0] + np.zeros(np.shape(U))

@@ -1,4 +1,4 @@
-"""Constant force on a point."""
+"""Force on a point."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from typing import final
 from ancfdae.bodies import Point, Quantity
 from ancfdae.elements import BeamElement
 from ancfdae.errors import require_vector
-from ancfdae.loads.load import ConstantLoad
+from ancfdae.laws import Law
+from ancfdae.loads.load import LAW, ConstantLoad
 from ancfdae.parts import Vectors
 
 
 @final
 @dataclass(frozen=True)
 class PointForce(ConstantLoad):
-    """A force of constant size and direction on a point (eq. 11).
+    """A force on a point, fixed in direction (eq. 11).
 
     Design targets: ``force_x``, ``force_y``(, ``force_z``).
 
@@ -27,14 +28,17 @@ class PointForce(ConstantLoad):
         N.
     name : str, optional
         By default ``force(beam@fraction)``.
+    law : Law, optional
+        What multiplies the force over time; its parameters are design targets, too.
     """
 
     point: Point
     force_vector: Sequence[float]
     name: str = ""
+    law: Law | None = None
 
     kind = "force"
-    design_fields = (("force_vector", require_vector),)
+    design_fields = (("force_vector", require_vector), LAW)
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Position of the point."""

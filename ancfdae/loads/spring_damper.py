@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
-
-import numpy as np
+from typing import Any, final
 
 from ancfdae.bodies import Point, Quantity
 from ancfdae.design import numbers
 from ancfdae.elements import BeamElement
 from ancfdae.errors import require_vector
-from ancfdae.loads.load import Load, direction, direction_rate, dot
+from ancfdae.laws import Law
+from ancfdae.loads.load import LAW, Load
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import concatenate, direction, dot
 from ancfdae.parts import Vectors
 
 
@@ -40,6 +40,8 @@ class SpringDamper(Load):
         Just one of `other` and `ground` must be given.
     name : str, optional
         By default ``spring(beam@fraction)``.
+    law : Law, optional
+        What multiplies the force over time; its parameters are design targets, too.
     """
 
     point: Point
@@ -49,10 +51,15 @@ class SpringDamper(Load):
     other: Point | None = None
     ground: Sequence[float] | None = None
     name: str = ""
+    law: Law | None = None
 
     kind = "spring"
     elastic = True
-    design_fields = (*numbers("stiffness", "damping", "free_length"), ("ground", require_vector))
+    design_fields = (
+        *numbers("stiffness", "damping", "free_length"),
+        ("ground", require_vector),
+        LAW,
+    )
     damping_fields = ("damping",)
     needs_other_end = True
 
@@ -60,26 +67,11 @@ class SpringDamper(Load):
         """Positions of the points."""
         return tuple((point, Quantity.POSITION) for point in self.points)
 
-    def force(self, U: Array, V: Array, p: Array) -> Array:
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-(k (l - l_0) + c l') n on the first point, the opposite on the second."""
-        k, damping, free_length, ground = self.split(p)
-        l, n = direction(_between(U, ground))
-        return self._on_points(-(k * (l - free_length) + damping * dot(n, _between(V, None))) * n)
-
-    def force_rate(self, U: Array, V: Array, Z: Array, p: Array) -> Array:
-        """-(f' n + f n') with l'' = n' . w + n . w'."""
-        k, damping, free_length, ground = self.split(p)
-        e, w, z = _between(U, ground), _between(V, None), _between(Z, None)
-        (l, n), (l_1, n_1) = direction(e), direction_rate(e, w)
-        f = k * (l - free_length) + damping * l_1
-        l_2 = dot(n_1, w) + dot(n, z)
-        return self._on_points(-(k * l_1 + damping * l_2) * n - f * n_1)
-
-    def _on_points(self, F: Array) -> Array:
-        return np.stack([F, -F][: len(self.points)], axis=-2)
-
-
-def _between(U: Array, ground: Array | None) -> Array:
-    """Return the first vector less the second one, if any, or a place on the ground."""
-    e = U[..., 0, :] - (U[..., 1, :] if U.shape[-2] == 2 else 0.0)
-    return e if ground is None else e - ground
+        k, damping, free_length, ground, _ = self.split(p)
+        e, w = U[..., :1, :], V[..., :1, :]
+        e, w = (e - ground, w) if self.other is None else (e - U[..., 1:, :], w - V[..., 1:, :])
+        l, n = direction(e)
+        F = -(k * (l - free_length) + damping * dot(n, w)) * n
+        return F if self.other is None else concatenate([F, -F])

@@ -10,6 +10,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.differentiable import require_derivative
 from ancfdae.observables.expression import (
     Expression,
     Operation,
@@ -18,7 +19,7 @@ from ancfdae.observables.expression import (
     leaves,
     operands_of,
 )
-from ancfdae.observables.functions import Function, require_derivative
+from ancfdae.observables.functions import Function
 from ancfdae.observables.states import Named, States, states_of
 from ancfdae.protocol import MechanicalSystem, Solution
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
-from ancfdae.observables.functions import STEP, Function, require_derivative, require_vectorised
+from ancfdae.numerics.differentiable import require_derivative
+from ancfdae.observables.functions import STEP, Function, require_vectorised
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_system
 from ancfdae.protocol import MechanicalSystem

@@ -160,9 +160,10 @@ class Solution:
         asked = np.array(times, dtype=float, ndmin=1)
         good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))
         if not good or not (self.t[0] <= asked[0] and asked[-1] <= self.t[-1]):
+            early = "" if self.outcome.success else f", where the run ended early: {self.outcome}"
             raise InvalidInput(
                 "times",
-                f"must increase and lie in [0, {self.t[-1]:.6g}]",
+                f"must increase and lie in [0, {self.t[-1]:.6g}]{early.rstrip('.')}",
                 repr(times),
                 "For example np.linspace(0, solution.t[-1], 101).",
             )

@@ -28,6 +28,9 @@ class Statistics:
     round_off_steps : int
         Steps of `HHT` whose Newton corrections stopped shrinking, at round-off, above the
         tolerance, or that round-off of the elastic forces leaves less than seven digits.
+    continued : int
+        Steps of `HHT` that Newton's method solved by way of shorter ones only, which the counts
+        above contain.
     wall_seconds : float
     """
 
@@ -38,6 +41,7 @@ class Statistics:
     round_off_steps: int
     wall_seconds: float
     rejected: int = 0
+    continued: int = 0
 
 
 @final

@@ -186,6 +186,8 @@ class ComplexStepSystem(MechanicalSystem):
         shape, or if a weight is not positive.
     """
 
+    _last: tuple[tuple[bytes, float], Array] | None = None
+
     def __init__(self, b: Array | tuple[complex, ...]) -> None:
         self.b = np.asarray(b) * 1.0
         where = type(self).__name__
@@ -248,8 +250,12 @@ class ComplexStepSystem(MechanicalSystem):
     # -- constraints ---------------------------------------------------------------------------
 
     def constraint_q(self, q: Array, t: float) -> Array:
-        """Differentiate Phi in q."""
-        return self._d.gradient(_constraint_moved, self._d.motion(q, t=t)).ravel()
+        """Differentiate Phi in q; constraints and their forces ask at the same state."""
+        key = q.tobytes(), t
+        if self._last is None or self._last[0] != key:
+            Phi_q = self._d.gradient(_constraint_moved, self._d.motion(q, t=t)).ravel()
+            self._last = key, Phi_q
+        return self._last[1]
 
     def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
         """Differentiate lam . Phi twice: along every coordinate and every sum of two."""

@@ -2,8 +2,8 @@
 
 A function of q, shape (n,), that is written in elementary operations on q[0], q[1], ... takes an
 array (n, k) just as well and returns k values beside each other. Whether it does shows in every
-call: one of the states is evaluated alone, and the imaginary parts, which derivatives are made of,
-must agree. A function that fails is evaluated state by state from then on.
+call: one of the states in turn is evaluated alone, and the imaginary parts, which derivatives are
+made of, must agree. A function that fails is evaluated state by state from then on.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Rows:
 
     def __init__(self, sizes: set[int]) -> None:
         # With as many states as coordinates an array of constants would pass for one of states.
-        self._sizes, self._alone = sizes, set[str]()
+        self._sizes, self._alone, self._calls = sizes, set[str](), 0
 
     def of(self, function: Callable[..., Array], x: Array, *shared: Array | complex) -> Array:
         """Return function(row, *shared) for every row of x, shape (k, *shape of the value)."""
@@ -43,17 +43,20 @@ class Rows:
     def _together(
         self, function: Callable[..., Array], x: Array, shared: tuple[Array | complex, ...]
     ) -> Array | None:
-        rows = x
+        rows, k = x, len(x)
         while len(rows) in self._sizes:
             rows = np.concatenate([rows, x[:1]])
+        self._calls += 1
+        row = self._calls % k
+        alone = np.asarray(function(x[row], *shared))
         try:
-            values = np.moveaxis(np.asarray(function(rows.T, *shared)), -1, 0)[: len(x)]
+            values = np.asarray(function(rows.T, *shared))
         except _FAILURES:
             return None
-        imaginary = np.abs(values.imag).reshape(len(values), -1)
-        row = int(np.argmax(np.max(imaginary, axis=1, initial=0.0)))
-        alone = np.asarray(function(x[row], *shared))
-        if len(values) != len(x) or values.shape[1:] != alone.shape:
+        if values.shape != (*alone.shape, len(rows)):
             return None
-        gap = np.max(np.abs(alone.imag - values[row].imag), initial=0.0)
-        return values if gap <= _ROUND_OFF * np.max(imaginary, initial=0.0) else None
+        imaginary = values.imag
+        gap = np.abs(imaginary[..., row] - alone.imag).max(initial=0.0)
+        if not gap <= _ROUND_OFF * np.abs(imaginary).max(initial=0.0):
+            return None
+        return np.moveaxis(values, -1, 0)[:k]

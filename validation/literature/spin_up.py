@@ -10,6 +10,8 @@ from ancfdae import (
     Adjoint,
     Beam,
     Direct,
+    Drive,
+    Law,
     Material,
     Pin,
     Point,
@@ -21,7 +23,6 @@ from ancfdae import (
     position,
     simulate,
 )
-from ancfdae.joints import Drive, Law
 from ancfdae.plotting import Panel, Series
 from validation.external.runs import Requirement
 from validation.literature.moving_rod import Array, HubRod
@@ -48,14 +49,15 @@ class SpinUp(Law):
 
     design_fields = (("speed", lambda *_: None), ("duration", lambda *_: None))
 
-    def derivatives(self, p: Array, t: float) -> tuple[Any, Any, Any, Any]:
+    def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Angle and its first three time derivatives."""
         W, T = p
-        if t >= T:
-            return W * (t - T / 2), W, 0 * W, 0 * W
         a, w = W / T, 2 * np.pi / T
         c, s = np.cos(w * t), np.sin(w * t)
-        return a * (t * t / 2 + (c - 1) / w**2), a * (t - s / w), a * (1 - c), a * w * s
+        before = (a * (t * t / 2 + (c - 1) / w**2), a * (t - s / w), a * (1 - c), a * w * s)
+        after = (W * (t - T / 2), W, 0 * W, 0 * W)
+        x: Array = np.where(np.real(t) < np.real(T), before[order], after[order])
+        return x
 
 
 def spin_up(report: Report, quick: bool) -> list[Requirement]:
@@ -85,7 +87,8 @@ def spin_up(report: Report, quick: bool) -> list[Requirement]:
 
 
 def _turning(t: float) -> tuple[float, float, float]:
-    return SpinUp(_SPEED, _DURATION).derivatives(np.array([_SPEED, _DURATION]), t)[:3]
+    law = SpinUp(_SPEED, _DURATION)
+    return float(law.at(t)), float(law.at(t, 1)), float(law.at(t, 2))
 
 
 def _scene(n: int) -> Scene:

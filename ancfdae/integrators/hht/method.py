@@ -63,7 +63,8 @@ class HHT(AdjointIntegrator):
         Estimated error of a and lam after the last iteration, relative to the forces of the
         motion; free of units. By default 1e-14, with error control rtol/1000 but at most 1e-9.
     max_iterations : int
-        Newton iterations per step before the run ends with an outcome.
+        Newton iterations of a step before it is tried by way of shorter ones (at fixed and given
+        steps, in ten times as many), or given up.
     step : float, optional
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
@@ -80,14 +81,14 @@ class HHT(AdjointIntegrator):
     steps: StepControl
     newton_tolerance: float
     hht_alpha: float = -0.3
-    max_iterations: int = 60
+    max_iterations: int = 15
 
     def __init__(
         self,
         steps: StepControl | float | None = None,
         hht_alpha: float = -0.3,
         newton_tolerance: float | None = None,
-        max_iterations: int = 60,
+        max_iterations: int = 15,
         *,
         step: float | None = None,
         rtol: float | None = None,
@@ -105,7 +106,7 @@ class HHT(AdjointIntegrator):
             asked = _SHARE * control.rtol if isinstance(control, ControlledSteps) else _EXACT
             newton_tolerance = max(_EXACT, min(asked, _LOOSEST))
         require_positive("HHT.newton_tolerance", newton_tolerance)
-        require_count("HHT.max_iterations", max_iterations, "60 is plenty.")
+        require_count("HHT.max_iterations", max_iterations, "15 is plenty.")
         # A NumPy number of single precision would spread its precision.
         object.__setattr__(self, "steps", control)
         object.__setattr__(self, "hht_alpha", float(hht_alpha))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -33,6 +33,28 @@ _ROUND_OFF = 1e-6
 _JUMP = 100.0
 
 
+# Corrections from a guess close to the solution shrink by this factor at least.
+_CLOSE = 0.5
+
+
+# Coefficients, the state before the step, and the instant at its end.
+_Step: TypeAlias = tuple[Coefficients, Node, float]
+
+
+class Found(NamedTuple):
+    """A solution, and what its next step and its count need.
+
+    The matrix that served last, the size of the motion, whether round-off disturbs it, and the
+    slowest rate of the corrections.
+    """
+
+    node: Node
+    jacobian: Factorization | None
+    motion: float
+    round_off: bool
+    rate: float
+
+
 @final
 class StepSolver:
     """Newton's method for one step after another, with the matrix kept while it serves.
@@ -49,7 +71,7 @@ class StepSolver:
         recorder: Recorder,
     ) -> None:
         self._system, self._matrices, self._recorder = system, matrices, recorder
-        self._tolerance, self._max_iterations = tolerance, max_iterations
+        self._tolerance, self.max_iterations = tolerance, max_iterations
         self._h = 0.0
         self._jacobian: Factorization | None = None
         self._inverse_weights = 1 / system.weights
@@ -59,20 +81,58 @@ class StepSolver:
         self.verdict = Verdict.NO_CONVERGENCE
         self.correction = math.inf
 
+    @property
+    def iterations(self) -> int:
+        """Iterations so far, of all steps."""
+        return self._recorder.iterations
+
     def advance(self, c: Coefficients, before: Node, t: float) -> Node | None:
         """Solve eqs. (4) and (5) at t; None, with `verdict` set, if that fails."""
-        system, tolerance = self._system, self._tolerance
+        far = abs(c.h - self._h) > _NEAR * self._h
+        jacobian = None if far else self._jacobian
+        self._h = c.h
+        found = self._solve(
+            (c, before, t), (before.a, before.lam), jacobian, self._tolerance, math.inf
+        )
+        return found and self.accept(found)
+
+    def follow(self, step: _Step, guess: tuple[Array, Array], rough: float) -> Found | None:
+        """Solve them from a guess that is close to the solution; None if it is not.
+
+        Where corrections do not shrink quickly from the first one on, the solution that they lead
+        to may be another one. A tolerance that is larger than that of the run may be given.
+        """
+        return self._solve(step, guess, None, max(rough, self._tolerance), _CLOSE)
+
+    def accept(self, found: Found) -> Node:
+        """Go on from what was found."""
+        self._recorder.round_off_steps += found.round_off
+        self._jacobian, self._last_motion = found.jacobian, found.motion
+        return found.node
+
+    def _solve(
+        self,
+        step: _Step,
+        guess: tuple[Array, Array],
+        jacobian: Factorization | None,
+        tolerance: float,
+        allowed: float,
+    ) -> Found | None:
+        """Iterate from a guess; corrections above round-off shrink at the allowed rate at least."""
+        c, before, t = step
+        system = self._system
         dq_p, v_p = predict_increment(c, before.v, before.a)
         q_p = before.q + dq_p
-        a, lam = before.a, before.lam
+        a, lam = guess
         is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
-        far = abs(c.h - self._h) > _NEAR * self._h
-        jacobian = None if is_complex or far else self._jacobian
-        self._h = c.h
         last, settled, motion = math.inf, 0, _JUMP * self._motion_before(before)
         chi = share_of_defect(system, c, before.q, self._motion_before(before))
         defect = chi * system.constraint(before.q, before.t) if chi < 1 else None
-        for _ in range(self._max_iterations):
+        slowest, round_off, kept = 0.0, False, jacobian
+        # The imaginary part of a complex step lags the real part by one iteration, and one is
+        # for its round-off; as a guess it serves as it is. The real part goes its own way.
+        more = 2 if is_complex and tolerance == self._tolerance else 0
+        for _ in range(self.max_iterations + more):
             q, v = correct(c, q_p, v_p, a)
             A = acceleration(c, a, before.A)
             reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
@@ -100,6 +160,10 @@ class StepSolver:
             size = self._size(t, q, x) / motion
             rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
             self.correction = size
+            if last < math.inf and size > _ROUND_OFF:
+                slowest = max(slowest, rate)
+                if rate > allowed:
+                    break
             # Error left after the correction: quadratic convergence squares the rate once more.
             left = size * (min(1.0, rate * rate) if fresh else rate / max(1.0 - rate, 1e-3))
             stuck = fresh and rate > 0.5 and size <= _ROUND_OFF
@@ -107,19 +171,17 @@ class StepSolver:
             if stuck:
                 stuck = real_norm(R[: system.n_q], self._inverse_weights) <= _ROUND_OFF * now
             if left <= tolerance or size <= tolerance or stuck:
-                # The imaginary part of a complex step lags the real part by one iteration.
                 settled += 1
-                if settled == 1 and (stuck or self._blurred(t, q, a, lam)):
-                    self._recorder.round_off_steps += 1
-                if not is_complex or settled == 3:
-                    self._jacobian = None if is_complex else jacobian
-                    self._last_motion = now
+                if settled == 1:
+                    kept, round_off = jacobian, stuck or self._blurred(t, q, a, lam)
+                if settled > more:
                     q, v = correct(c, q_p, v_p, a)
-                    return Node(t, q, v, a, lam, acceleration(c, a, before.A))
+                    node = Node(t, q, v, a, lam, acceleration(c, a, before.A))
+                    return Found(node, kept, now, round_off, slowest)
             # The matrix kept from the step before serves one iteration; a fresh one at the
             # improved state then converges in two (measured: 3 iterations and 1 factorisation
             # per step, against 6 and 0.3 with the old matrix throughout, and 1.5 times slower).
-            if is_complex or rate > _SLOW:
+            if rate > _SLOW or settled:
                 jacobian = None
             last = size
         self.verdict = Verdict.NO_CONVERGENCE

@@ -18,6 +18,7 @@ import numpy as np
 
 from ancfdae.errors import Verdict
 from ancfdae.integrators.hht import linear_passes
+from ancfdae.integrators.hht.continuation import continued, remedy
 from ancfdae.integrators.hht.equations import (
     Coefficients,
     Node,
@@ -31,7 +32,7 @@ from ancfdae.integrators.hht.small_steps import ConstraintRow
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.step_control.contracts import OneStepMethod, Record
+from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 
@@ -59,7 +60,7 @@ class Stepper(OneStepMethod[State]):
     ) -> None:
         self._problem, self._alpha = problem, alpha
         self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
-        self._tolerance, self._recorder = tolerance, recorder
+        self._tolerance, self._recorder, self._remedy = tolerance, recorder, ""
 
     def consistent(self) -> Record:
         """Return what a solution keeps of the start, which is the consistent one."""
@@ -79,7 +80,12 @@ class Stepper(OneStepMethod[State]):
     def advance(self, h: float, before: State, t: float) -> State | None:
         """Solve the equations at t; None if Newton's method fails."""
         (last, node_b), c = before, Coefficients(h, self._alpha)
-        node = self._solver.advance(c, last, t)
+        self._remedy, node = "", self._solver.advance(c, last, t)
+        # Where steps are controlled a smaller one is the better cure.
+        if node is None and self._tolerance is None:
+            node, part = continued(self._solver, c, last, t)
+            self._remedy = remedy(h, part)
+            self._recorder.continued += node is not None
         if node is None:
             return None
         if node_b is not None:
@@ -89,9 +95,12 @@ class Stepper(OneStepMethod[State]):
             node_b = linear_passes.advance(system, matrices, c, node_b, node, row)
         return node, node_b
 
-    def failure(self) -> tuple[Verdict, float]:
-        """Return why Newton's method failed, and the size of its last correction."""
-        return self._solver.verdict, self._solver.correction
+    def failure(self) -> Failure:
+        """Return why Newton's method failed, the size of its last correction, and a remedy."""
+        verdict = self._solver.verdict
+        # No step helps where the forces themselves are not finite.
+        told = "" if verdict is Verdict.NOT_FINITE else self._remedy
+        return Failure(verdict, self._solver.correction, told)
 
     def recorded(self, state: State) -> Record:
         """Return what a solution keeps of a state."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 import sys
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from ancfdae.errors import InvalidInput, Verdict
 from ancfdae.integrators.step_control.tolerance import Tolerance
@@ -15,6 +15,14 @@ from ancfdae.numerics.arrays import Array
 State = TypeVar("State")
 # Time, q, v, a, lam and, where derivatives are integrated too, q_b, v_b, a_b, lam_b.
 Record = tuple[float, Array, Array, Array, Array, tuple[Array, ...]]
+
+
+class Failure(NamedTuple):
+    """Why a step was not solved: the size of the last correction, and what may help, in words."""
+
+    verdict: Verdict
+    correction: float
+    remedy: str = ""
 
 
 class OneStepMethod(abc.ABC, Generic[State]):
@@ -42,8 +50,8 @@ class OneStepMethod(abc.ABC, Generic[State]):
         """Return the state at t, after a step of size h; None if it was not solved."""
 
     @abc.abstractmethod
-    def failure(self) -> tuple[Verdict, float]:
-        """Return why the last step was not solved, and the size of its last correction."""
+    def failure(self) -> Failure:
+        """Return why the last step was not solved."""
 
     @abc.abstractmethod
     def recorded(self, state: State) -> Record:

@@ -29,8 +29,11 @@ def march(
             verdict = Verdict.SINGULAR
         except KeyboardInterrupt:
             verdict = Verdict.INTERRUPTED
-    size = 0.0 if verdict is Verdict.FINISHED else method.failure()[1]
-    return recorder.solution(Outcome(verdict, recorder.time, recorder.steps, size))
+    ended = recorder.time, recorder.steps
+    if verdict is Verdict.FINISHED:
+        return recorder.solution(Outcome(verdict, *ended, 0.0))
+    why = method.failure()
+    return recorder.solution(Outcome(verdict, *ended, why.correction, advice=why.remedy))
 
 
 def _to_end(
@@ -52,7 +55,7 @@ def _to_end(
             continue
         recorder.rejected += 1
         if isinstance(found, Verdict):
-            return method.failure()[0] if after is None else found
+            return method.failure().verdict if after is None else found
         if found == 0:
             n, t, last, now = 0, 0.0, 0.0, None
             recorder.restart()

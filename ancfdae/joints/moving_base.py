@@ -1,0 +1,68 @@
+"""Moving base: a section is held, and its place moves by a law of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.bodies import Point
+from ancfdae.elements import BeamElement
+from ancfdae.errors import require_direction
+from ancfdae.joints.clamp import Clamp
+from ancfdae.joints.frames import unit
+from ancfdae.joints.joint import DrivenJoint, Equations, empty_coefficients
+from ancfdae.laws import Law
+from ancfdae.laws.law import require_law
+from ancfdae.numerics.arrays import Array
+from ancfdae.parts import Vectors
+
+
+@final
+@dataclass(frozen=True)
+class MovingBase(DrivenJoint):
+    """Hold a section as a `Clamp` does, on a base that moves along a direction by a law of time.
+
+    r(point) = r_o(point) + direction x(t). A base that turns is a `Revolute`, in the plane a `Pin`,
+    with a `Drive`; one that moves in a plane and turns a `PlanarJoint` with two of `Guide` and a
+    `Drive`. Design targets: ``direction_x`` ... and the parameters of the law.
+
+    Parameters
+    ----------
+    point : Point
+    direction : sequence of float
+        Not zero.
+    travel : Law
+    name : str, optional
+        By default ``base(beam@fraction)``.
+    """
+
+    point: Point
+    direction: Sequence[float]
+    travel: Law
+    name: str = ""
+
+    kind = "base"
+    design_fields = (("direction", require_direction), ("travel", require_law))
+    holds_position = True
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return those of a clamp."""
+        return Clamp(self.point).vectors(element)
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return those of a clamp."""
+        return Clamp(self.point).coefficients(p[:0], reference)
+
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return the direction."""
+        still = self.coefficients(p, reference)
+        c = empty_coefficients(len(still.offset), p, reference)
+        c.offset[: reference.shape[1]] = unit(self.split(p)[0])
+        return (c,)
+
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Return the travel."""
+        return np.asarray(self.travel.derivative(self.split(p)[1], t, order))[None]

@@ -1,0 +1,89 @@
+"""Friction against turning in a pin or revolute joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+from ancfdae.bodies import Point
+from ancfdae.design import numbers
+from ancfdae.elements import BeamElement
+from ancfdae.errors import require_direction, require_positive
+from ancfdae.laws import Law
+from ancfdae.loads.friction import friction, require_stribeck
+from ancfdae.loads.load import LAW, Load
+from ancfdae.loads.sections import rate_of, require_axis, section_of, turn, unit_axes
+from ancfdae.numerics.arrays import Array
+from ancfdae.parts import Vectors
+
+
+@final
+@dataclass(frozen=True)
+class JointFriction(Load):
+    """Dry and viscous friction about an axis between two sections, or a section and the ground.
+
+    With w = theta' the relative angular velocity the torque on the section is
+    -((c + (b - c) exp(-(w/w_s)^2)) tanh(w/w_0) + d w). The level is constant: it does not follow
+    the force in the joint. It never holds quite still: below w_0 a torque makes it creep. Steps
+    must resolve the time in which w passes w_0. Design targets: ``coulomb``, ``smooth_speed``,
+    ``viscous``, ``breakaway``, ``stribeck_speed`` and ``axis_x`` ...
+
+    Parameters
+    ----------
+    point : Point
+    coulomb : float
+        c; N m.
+    smooth_speed : float
+        w_0, positive; rad/s.
+    viscous : float
+        d; N m s/rad.
+    breakaway, stribeck_speed : float, optional
+        b, in N m, and w_s, positive, in rad/s.
+    axis : sequence of float, optional
+        In space, in the reference configuration; it turns with the other section. z by default.
+    other : Point, optional
+        The other part of the joint; the ground by default.
+    name : str, optional
+        By default ``friction(beam@fraction)``.
+    law : Law, optional
+        What multiplies the torque over time; its parameters are design targets, too.
+    """
+
+    point: Point
+    coulomb: float
+    smooth_speed: float
+    viscous: float = 0.0
+    breakaway: float | None = None
+    stribeck_speed: float | None = None
+    axis: Sequence[float] | None = None
+    other: Point | None = None
+    name: str = ""
+    law: Law | None = None
+
+    kind = "friction"
+    elastic = True
+    design_fields = (
+        *numbers("coulomb"),
+        ("smooth_speed", require_positive),
+        *numbers("viscous", "breakaway"),
+        ("stribeck_speed", require_positive),
+        ("axis", require_direction),
+        LAW,
+    )
+    damping_fields = ("coulomb", "viscous", "breakaway")
+    refers = True
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Slopes of the sections."""
+        where = f"load {self.name!r}"
+        require_axis(where, self.axis, element)
+        require_stribeck(where, self.breakaway, self.stribeck_speed)
+        return section_of(self.points, element)
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """-R(theta') theta_U."""
+        *levels, axis, _ = self.split(p)
+        theta_U = turn(U, U_o, unit_axes(axis))[1]
+        speed = rate_of(theta_U, V[..., None, :, :])
+        return -(friction(speed, tuple(levels)) * theta_U)[..., 0, :, :]

@@ -1,0 +1,186 @@
+"""Values with their time derivatives, carried exactly through arithmetic and NumPy's functions.
+
+A jet is (x, x', x'', ...). Products follow Leibniz' rule, functions of one argument the chain rule
+
+    f(x)' = f' x',  f(x)'' = f'' x'^2 + f' x'',  f(x)''' = f''' x'^3 + 3 f'' x' x'' + f' x'''.
+
+Entries may be complex, so that a complex step in a parameter gives derivatives of derivatives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, final
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+from ancfdae.errors import InvalidInput
+from ancfdae.numerics.arrays import Array
+
+#: First three derivatives of functions, from the argument x and the value y.
+_DERIVATIVES: dict[np.ufunc, Callable[[Array, Array], tuple[Array, ...]]] = {
+    np.exp: lambda x, y: (y, y, y),
+    np.log: lambda x, y: (1 / x, -1 / x**2, 2 / x**3),
+    np.sqrt: lambda x, y: (0.5 / y, -0.25 / y**3, 0.375 / y**5),
+    np.sin: lambda x, y: (np.cos(x), -y, -np.cos(x)),
+    np.cos: lambda x, y: (-np.sin(x), -y, np.sin(x)),
+    np.tan: lambda x, y: (1 + y**2, 2 * y * (1 + y**2), (2 + 6 * y**2) * (1 + y**2)),
+    np.sinh: lambda x, y: (np.cosh(x), y, np.cosh(x)),
+    np.cosh: lambda x, y: (np.sinh(x), y, np.sinh(x)),
+    np.tanh: lambda x, y: (1 - y**2, -2 * y * (1 - y**2), (6 * y**2 - 2) * (1 - y**2)),
+    np.square: lambda x, y: (2 * x, 2 + 0 * x, 0 * x),
+    np.reciprocal: lambda x, y: (-(y**2), 2 * y**3, -6 * y**4),
+    np.arctan: lambda x, y: (
+        1 / (1 + x**2),
+        -2 * x / (1 + x**2) ** 2,
+        (6 * x**2 - 2) / (1 + x**2) ** 3,
+    ),
+}
+_LINEAR = (np.add, np.subtract, np.negative, np.positive)
+
+
+@final
+class Jet(NDArrayOperatorsMixin):
+    """A value and its first time derivatives, up to three.
+
+    Parameters
+    ----------
+    derivatives : arrays
+        x, x', ...; jets that meet have equally many.
+    """
+
+    def __init__(self, *derivatives: Array) -> None:
+        self.derivatives = derivatives
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the value."""
+        return np.shape(self.derivatives[0])
+
+    def map(self, linear: Callable[[Array], Array]) -> Jet:
+        """Return the jet of a linear function of the value."""
+        return Jet(*(linear(x) for x in self.derivatives))
+
+    def __getitem__(self, key: Any) -> Jet:
+        return self.map(lambda x: x[key])
+
+    def sum(self, axis: int, keepdims: bool = False) -> Jet:
+        """Return the sum over an axis."""
+        return self.map(lambda x: np.asarray(x.sum(axis=axis, keepdims=keepdims)))
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Jet:
+        """Apply a function of NumPy.
+
+        Raises
+        ------
+        InvalidInput
+            For a function without derivatives here.
+        """
+        plain = method == "__call__" and not kwargs
+        if plain and ufunc in _LINEAR:
+            return Jet(*map(ufunc, *(self._entries(x) for x in inputs)))
+        if plain and ufunc in (np.multiply, np.matmul):
+            return _product(ufunc, *inputs)
+        if plain and ufunc is np.divide:
+            return _product(np.multiply, inputs[0], np.reciprocal(inputs[1]))
+        if plain and ufunc is np.power:
+            return self._power(*inputs)
+        if plain and ufunc in _DERIVATIVES:
+            x = inputs[0].derivatives[0]
+            y = ufunc(x)
+            return self._chain(y, _DERIVATIVES[ufunc](x, y))
+        known = ", ".join(f.__name__ for f in _DERIVATIVES)
+        raise InvalidInput(
+            f"numpy.{ufunc.__name__}",
+            "must have derivatives in time",
+            "a function that has none here",
+            f"Use arithmetic and {known} of NumPy.",
+        )
+
+    def _entries(self, x: Any) -> tuple[Any, ...]:
+        """Return x as a jet's derivatives; a constant has zeros."""
+        if isinstance(x, Jet):
+            return x.derivatives
+        return (x, *(np.zeros(()) for _ in self.derivatives[1:]))
+
+    def _power(self, x: Any, n: Any) -> Jet:
+        if isinstance(n, Jet):
+            return np.exp(n * np.log(x))  # type: ignore[no-any-return]
+        a = x.derivatives[0]
+        factors = (n, n * (n - 1), n * (n - 1) * (n - 2))
+        # A factor of zero leaves nothing of a power that may be infinite.
+        terms = (c * a ** (n - k) if np.any(c) else 0 * a for k, c in enumerate(factors, start=1))
+        return x._chain(a**n, tuple(terms))  # type: ignore[no-any-return]
+
+    def _chain(self, y: Array, f: tuple[Array, ...]) -> Jet:
+        """Return the jet of a function with value y and derivatives f at this one."""
+        x = self.derivatives[1:]
+        whole = [y]
+        if len(x) > 0:
+            whole.append(f[0] * x[0])
+        if len(x) > 1:
+            whole.append(f[1] * x[0] ** 2 + f[0] * x[1])
+        if len(x) > 2:
+            whole.append(f[2] * x[0] ** 3 + 3 * f[1] * x[0] * x[1] + f[0] * x[2])
+        return Jet(*whole)
+
+
+def _product(product: np.ufunc, x: Any, y: Any) -> Jet:
+    """Return a product by Leibniz' rule; one factor may be constant."""
+    if not isinstance(x, Jet):
+        return y.map(lambda b: product(x, b))  # type: ignore[no-any-return]
+    if not isinstance(y, Jet):
+        return x.map(lambda a: product(a, y))
+    a, b = x.derivatives, y.derivatives
+    whole = [product(a[0], b_n) for b_n in b]
+    for n in range(1, len(a)):
+        for k in range(1, n + 1):
+            whole[n] = whole[n] + math.comb(n, k) * product(a[k], b[n - k])
+    return Jet(*whole)
+
+
+# -- vectors, (..., n_vectors, d), of arrays and of jets -------------------------------------------
+
+
+def dot(a: Any, b: Any) -> Any:
+    """Return a . b over the last axis, which is kept."""
+    return (a * b).sum(axis=-1, keepdims=True)
+
+
+def cross(a: Any, b: Any) -> Any:
+    """Return a x b of spatial vectors."""
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+
+
+def direction(e: Any) -> tuple[Any, Any]:
+    """Return the length l of vectors, shape (..., 1), and n = e / l."""
+    l = np.sqrt(dot(e, e))
+    return l, e / l
+
+
+def angle(y: Any, x: Any) -> Any:
+    """Return the angle of (x, y), of complex numbers too that are real but for a tiny step."""
+    if not isinstance(y, Jet):
+        size = x.real**2 + y.real**2
+        turned = (x.real * y.imag - y.real * x.imag) / size
+        found = np.arctan2(y.real, x.real)
+        return found + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else found
+    (x_0, *x_1), (y_0, *y_1) = x.derivatives, y.derivatives
+    if not x_1:
+        return Jet(angle(y_0, x_0))
+    low_x, low_y = Jet(*x.derivatives[:-1]), Jet(*y.derivatives[:-1])
+    rate = (low_x * Jet(*y_1) - low_y * Jet(*x_1)) / (low_x * low_x + low_y * low_y)
+    return Jet(angle(y_0, x_0), *rate.derivatives)
+
+
+def concatenate(parts: Sequence[Any]) -> Any:
+    """Return one list of vectors out of several; all are jets or none is."""
+    if isinstance(parts[0], Jet):
+        entries = zip(*(part.derivatives for part in parts), strict=True)
+        return Jet(*(np.concatenate(x, axis=-2) for x in entries))
+    return np.concatenate(parts, axis=-2)
+
+
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]

@@ -1,0 +1,335 @@
+"""What design variables drive in a scene: targets, their values, and scenes at other values."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Self, TypeAlias, TypeVar
+
+import numpy as np
+
+from ancfdae.bodies import BeamBody, Quantity, RigidBody
+from ancfdae.design import Designable, DesignVariable, Target, parse_target
+from ancfdae.elements import BeamElement, ElementParameter
+from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind
+from ancfdae.joints import Joint
+from ancfdae.loads import Load
+from ancfdae.numerics.arrays import Array
+from ancfdae.parts import CentreLine, Direction, Part
+from ancfdae.point_mass import PointMass
+from ancfdae.starts import AtRest, NodeState, RigidMotion, Start
+
+# Two targets hold the same value up to this relative difference: a length is summed from its n
+# elements, which moves it by n eps; this admits 4500 elements.
+_SAME = 1e-12
+#: Owner of the design targets of the scene itself, as in "scene.gravity_y".
+SCENE = "scene"
+
+
+class SceneDesign(Designable, abc.ABC):
+    """The side of a scene that design variables see."""
+
+    beams: Sequence[BeamBody]
+    bodies: Sequence[RigidBody | PointMass]
+    joints: Sequence[Joint]
+    loads: Sequence[Load]
+    start: Sequence[Start]
+
+    @property
+    @abc.abstractmethod
+    def element(self) -> BeamElement:
+        """The element of all beams."""
+
+    @property
+    @abc.abstractmethod
+    def rest(self) -> AtRest | None:
+        """How the scene starts from an equilibrium, None if it does not."""
+
+    @abc.abstractmethod
+    def beam(self, name: str) -> BeamBody:
+        """Return the beam of this name."""
+
+    @abc.abstractmethod
+    def member(self, name: str) -> BeamBody | RigidBody:
+        """Return the beam or rigid body of this name."""
+
+    @abc.abstractmethod
+    def parts(self) -> dict[str, Part | RigidBody]:
+        """Return bodies, joints and loads by name."""
+
+    @abc.abstractmethod
+    def start_of(self, beam: str) -> RigidMotion | NodeState | None:
+        """Return how a body starts, None if from rest in the reference configuration."""
+
+    def owners(self) -> tuple[str, ...]:
+        """Return the names of everything that has `numbers`."""
+        return (*(beam.name for beam in self.beams), *self.parts(), SCENE)
+
+    def numbers(self, owner: str) -> dict[str, float]:
+        """Return the numbers beside those of elements that can be design targets, by parameter.
+
+        Of a beam its placement and its initial velocity, of a rigid body its parameters and the
+        same, of joints, loads and point masses their parameters and the places of their points, of
+        the owner ``"scene"`` gravity.
+
+        Raises
+        ------
+        UnknownName
+        """
+        if owner == SCENE:
+            return self.parameters()
+        part = self.parts().get(owner)
+        if isinstance(part, Part):
+            return part.parameters() | part.point_numbers()
+        if part is None and owner not in (beam.name for beam in self.beams):
+            raise UnknownName("beam, body, joint or load", owner, self.owners())
+        start = self.start_of(owner)
+        motion = start.parameters() if isinstance(start, RigidMotion) else {}
+        own = {} if part is None else part.parameters()
+        return own | self.member(owner).placement() | motion
+
+    def resolve(self, text: str) -> Target:
+        """Read a target and refuse one that the scene does not have.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+        """
+        target = parse_target(text)
+        if self.is_of_elements(target):
+            self.beam(target.owner).check_target(target.parameter, target.element)
+            return target
+        numbers = self.numbers(target.owner)
+        if target.indexed not in numbers:
+            beams = (beam for beam in self.beams if beam.name == target.owner)
+            names = [name for beam in beams for name in beam.parameter_names()]
+            known = [f"{target.owner}.{name}" for name in (*names, *numbers)]
+            raise UnknownName("design target", str(target), known)
+        part = self.parts().get(target.owner)
+        if isinstance(part, Part):
+            self._check_point_target(part, target)
+        return target
+
+    def is_of_elements(self, target: Target) -> bool:
+        """Whether a target names a parameter of elements of a beam."""
+        beams = (beam for beam in self.beams if beam.name == target.owner)
+        return any(target.parameter in beam.parameter_names() for beam in beams)
+
+    def first_elements(self) -> dict[str, int]:
+        """Return the scene-wide number of the first element of each beam."""
+        counts = np.cumsum([0] + [beam.element_count for beam in self.beams])
+        return {beam.name: int(k) for beam, k in zip(self.beams, counts, strict=False)}
+
+    def with_values(self, values: Mapping[str | DesignVariable, float]) -> Self:
+        """Return the same scene with other parameter values.
+
+        Parameters
+        ----------
+        values : mapping
+            ``{"beam.parameter": value}`` or ``{"beam.parameter[element]": value}``; a
+            `DesignVariable` as a key moves all its targets.
+
+        Returns
+        -------
+        Scene
+            With `assemble`, so that bodies follow.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+        """
+        require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
+        return self._changed(
+            change for key, value in values.items() for change in self._changes(key, value)
+        )
+
+    def check_values(self, design: Sequence[DesignVariable], values: Sequence[float]) -> None:
+        """Refuse values that design variables cannot take, such as a negative height.
+
+        Each part is checked alone; whether all parts still fit together is not checked.
+
+        Raises
+        ------
+        InvalidInput
+            Naming the variable.
+        """
+        self._changed(
+            change
+            for variable, value in zip(design, values, strict=True)
+            for change in self._changes(variable, value)
+        )
+
+    def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
+        """Return (what errors name, target, value) of everything that a value changes."""
+        if isinstance(key, DesignVariable):
+            where = f"design variable {key.name!r}"
+            require_finite(where, value)
+            return [
+                (where, self.resolve(text), key.factor(text) * value + self.offset(key, text))
+                for text in key.targets
+            ]
+        target = self.resolve(key)
+        require_finite(key, value)
+        return [(key, target, value)]
+
+    def _changed(self, changes: Iterable[_Change]) -> Self:
+        """Return the scene with targets changed, all targets of a part at once."""
+        own: dict[str, list[_Change]] = {}
+        for change in changes:
+            own.setdefault(change[1].owner, []).append(change)
+        parts = {part.name: part for part in self._all_parts()}
+        starts = list(self.start)
+        for k, start in enumerate(starts):
+            if isinstance(start, RigidMotion) and start.beam in own:
+                known = start.parameters()
+                moving = [c for c in own[start.beam] if c[1].parameter in known]
+                starts[k] = _with_numbers(start, moving)
+                own[start.beam] = [c for c in own[start.beam] if c not in moving]
+        scene = _with_numbers(self, own.pop(SCENE, []))
+        parts |= {name: _with_values(parts[name], own[name]) for name in own if own[name]}
+        loads = [part for part in parts.values() if isinstance(part, Load)]
+        return replace(  # type: ignore[type-var]
+            scene,
+            beams=tuple(part for part in parts.values() if isinstance(part, BeamBody)),
+            bodies=tuple(p for p in parts.values() if isinstance(p, RigidBody | PointMass)),
+            joints=tuple(part for part in parts.values() if isinstance(part, Joint)),
+            loads=tuple(loads[: len(self.loads)]),
+            start=tuple(s.with_loads(loads) if isinstance(s, AtRest) else s for s in starts),
+            assemble=True,
+        )
+
+    def value(self, variable: DesignVariable) -> float:
+        """Return the current value of a design variable.
+
+        Raises
+        ------
+        InvalidInput
+            If its targets hold different values, so that it has no single one.
+        """
+        if variable.shares:
+            first = next(iter(variable.targets))
+            return self._single(first) / variable.factor(first)
+        values = [value for text in variable.targets for value in self._held(text)]
+        if max(values) - min(values) > _SAME * max(map(abs, values)):
+            raise InvalidInput(
+                f"design variable {variable.name!r}",
+                "all its targets must hold one and the same value",
+                sorted(set(values)),
+                "Set them equal with `with_values`, or use one variable per target.",
+            )
+        return values[0]
+
+    def offset(self, variable: DesignVariable, text: str) -> float:
+        """Return what a target holds beside its factor times the variable."""
+        if not variable.shares or text == next(iter(variable.targets)):
+            return 0.0
+        held, share = self._single(text), variable.factor(text) * self.value(variable)
+        return 0.0 if abs(held - share) <= _SAME * abs(held) else held - share
+
+    def _single(self, text: str) -> float:
+        held = self._held(text)
+        if max(held) - min(held) > _SAME * max(map(abs, held)):
+            rule, repair = "must hold one value to move by a factor", "Name its elements."
+            raise InvalidInput(f"design target {text}", rule, sorted(set(held)), repair)
+        return held[0]
+
+    def _held(self, text: str) -> list[float]:
+        """Return what a target holds; of a beam whose elements differ several values."""
+        target = self.resolve(text)
+        if not self.is_of_elements(target):
+            return [float(self.numbers(target.owner)[target.indexed])]
+        beam, rows = self.beam(target.owner), self.target_elements(target)
+        which = beam.parameter_names()[target.parameter]
+        if which is ElementParameter.LENGTH:
+            return [float(np.sum(beam.reference().lengths))]
+        held: list[float] = self.element_parameters()[rows, which].tolist()
+        return held
+
+    def target_elements(self, target: Target) -> Array:
+        """Return the scene-wide numbers of the elements that a target writes to.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+        """
+        beam = self.beam(target.owner)
+        beam.check_target(target.parameter, target.element)
+        elements = self.first_elements()[beam.name] + np.arange(beam.element_count)
+        return elements if target.element is None else elements[[target.element]]
+
+    def element_parameters(self) -> Array:
+        """Return the parameters of all elements, shape (n, 9), columns as `ElementParameter`."""
+        own = [beam.element_parameters() for beam in self.beams]
+        return np.concatenate([np.zeros((0, len(ElementParameter))), *own])
+
+    def _all_parts(self) -> tuple[_Part, ...]:
+        return (*self.beams, *self.bodies, *self.joints, *self.loads, *self._rest_loads())
+
+    def _rest_loads(self) -> tuple[Load, ...]:
+        """Return the loads of the start at rest that are not those of the motion."""
+        loads = () if self.rest is None else self.rest.loads or ()
+        return tuple(load for load in loads if not any(load is own for own in self.loads))
+
+    def _check_point_target(self, part: Part, target: Target) -> None:
+        """Refuse to move a point that cannot move both ways, or past a node that slopes kink at."""
+        field, _, coordinate = target.parameter.rpartition("_")
+        point = part.point_fields().get(field)
+        if point is None:
+            return
+        where, element = f"design target {target}", self.element
+        if point.fraction is None or coordinate != "fraction":
+            axes = "xyz"[: element.d] if point.fraction is None else "yz"[: element.n_s - 2]
+            if coordinate not in axes:
+                rule = f"{point.beam!r} has no such axis"
+                raise InvalidInput(where, rule, coordinate, "Leave it out.")
+            return
+        ends = np.cumsum(self.beam(point.beam).reference().lengths)
+        nodes = np.concatenate([[0.0], ends / ends[-1]])
+        at_node = bool(np.any(np.abs(nodes - point.fraction) < 1e-9))
+        slopes = any(
+            vector[1] is not Quantity.POSITION
+            for vector in part.vectors(element)
+            if not isinstance(vector, CentreLine | Direction) and vector[0] == point
+        )
+        if point.fraction in (0.0, 1.0) or (at_node and slopes):
+            raise InvalidInput(
+                where,
+                "the point must lie inside an element, to move both ways"
+                if point.fraction in (0.0, 1.0)
+                else "slopes have a kink at a node, so the point must lie inside an element",
+                point.fraction,
+                "Place it elsewhere, or let the length of the beam be the variable.",
+            )
+
+
+#: What errors name, target and value.
+_Change = tuple[str, Target, float]
+#: What design variables drive.
+_Part: TypeAlias = BeamBody | RigidBody | Part
+
+
+def _with_values(part: _Part, changes: list[_Change]) -> _Part:
+    """Return the part with numbers changed together; errors name what the user wrote."""
+    try:
+        if isinstance(part, BeamBody):
+            return part.with_values([(t.parameter, t.element, value) for _, t, value in changes])
+        if isinstance(part, RigidBody):
+            placement = part.placement()
+            part = part.with_placement(
+                {t.parameter: value for _, t, value in changes if t.parameter in placement}
+            )
+            changes = [change for change in changes if change[1].parameter not in placement]
+        return _with_numbers(part, changes)
+    except InvalidInput as error:
+        # The one that the error speaks of, or all that do not fit together.
+        named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
+        where = ", ".join(dict.fromkeys(change[0] for change in named))
+        raise InvalidInput(where, error.rule, error.got, error.repair) from error
+
+
+_Numbered = TypeVar("_Numbered", bound=Designable)
+
+
+def _with_numbers(owner: _Numbered, changes: list[_Change]) -> _Numbered:
+    return owner.with_parameters({target.indexed: value for _, target, value in changes})

@@ -1,0 +1,211 @@
+"""Laws of time: derivatives, complex parameters, smoothness, what each of them is, refusals.
+
+Derivatives are those of an interpolant of degree 16 at Chebyshev points of 0.5 s (`test_joints`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples import LAW_TIME, law_examples, public_classes
+from test_assembler import STEP, concrete_subclasses
+from test_joints import rates_of
+
+from ancfdae import (
+    Beam,
+    Constant,
+    Drive,
+    Harmonic,
+    InvalidInput,
+    Law,
+    Material,
+    Pin,
+    Ramp,
+    Rectangle,
+    Scene,
+    Spline,
+    Uniform,
+    UnknownName,
+    UserLaw,
+    assemble,
+    distribution,
+    laws,
+)
+
+LAWS = law_examples()
+# Round-off of an interpolant's third derivative, 16 * 16^3 eps/0.25^3 = 1e-9 of the values; laws of
+# examples are up to 30 (a cube times tanh), and 2 rad/s makes a third derivative of 8 times that.
+CURVE = 2e-8
+
+
+@pytest.fixture(params=LAWS)
+def law(request):
+    return LAWS[request.param]
+
+
+def numbers_of(law):
+    return np.array(list(law.parameters().values()))
+
+
+def test_every_public_law_has_an_example():
+    kinds = set(public_classes(laws, Law).values())
+    assert kinds == {type(law) for law in LAWS.values()}
+    assert kinds == {k for k in concrete_subclasses(Law) if k.__module__.startswith("ancfdae")}
+
+
+def test_derivatives_of_a_law_are_those_of_its_value(law):
+    rates = rates_of(law.at, LAW_TIME)
+    ours = np.array(law.derivatives(numbers_of(law), LAW_TIME))
+    assert np.max(np.abs(ours - rates) / (1 + np.abs(rates))) <= CURVE
+    assert isinstance(law, Constant) or ours[1] != 0
+
+
+def test_every_parameter_of_a_law_goes_through_as_a_complex_number(law):
+    p = numbers_of(law)
+    for k in range(len(p)):
+        moved = p.astype(complex)
+        moved[k] += 1j * STEP
+        by_step = np.array([np.imag(x) / STEP for x in law.derivatives(moved, LAW_TIME)])
+        # The derivative in p of a time derivative is the time derivative of that in p.
+        rates = rates_of(lambda t, m=moved: np.imag(law.derivative(m, t, 0)) / STEP, LAW_TIME)
+        assert np.max(np.abs(by_step - rates) / (1 + np.abs(rates))) <= CURVE
+        assert np.any(by_step)
+        # And it is that of the value, by a central difference: 1e-6 squared, and eps over 1e-6.
+        step = 1e-6 * np.eye(len(p))[k]
+        value = (
+            law.derivative(p + step, LAW_TIME, 0) - law.derivative(p - step, LAW_TIME, 0)
+        ) / 2e-6
+        assert by_step[0] == pytest.approx(value, rel=1e-7, abs=1e-7)
+
+
+def test_a_law_works_on_arrays_of_instants(law):
+    t = np.array([-0.4, 0.0, 0.3, 1.1, 2.3, 3.7, 9.1])
+    for order in range(4):
+        rows = np.array([law.derivative(numbers_of(law) + 0j, x, order) for x in t])
+        # Sums of a few terms, in another order.
+        assert law.derivative(numbers_of(law) + 0j, t, order) == pytest.approx(rows, rel=1e-13)
+        assert law.at(t, order).dtype == float
+
+
+def test_three_derivatives_of_a_law_are_continuous(law):
+    # Where pieces meet, and in general places; 1e-9 s change no derivative by more than its rate.
+    places = np.array([0.2, 0.7, 1.1, 1.3, 1.6, 1.8, 2.9, 3.7, 4.7, 9.2])
+    for order in range(4):
+        before, after = law.at(places - 1e-9, order), law.at(places + 1e-9, order)
+        steep = np.max(np.abs(law.at(np.linspace(0, 10, 2001), order)))
+        assert np.max(np.abs(after - before)) <= 1e-6 * (1 + steep)
+
+
+def test_every_parameter_is_its_own(law):
+    for name, value in law.parameters().items():
+        changed = law.with_parameters({name: value + 0.125})
+        assert changed.parameters() == law.parameters() | {name: value + 0.125}
+
+
+# ---------------------------------------------------------------- one by one
+
+
+def test_laws_are_what_their_formulas_say():
+    t = np.linspace(-0.5, 3.0, 9)
+    assert np.array_equal(Constant(0.4).at(t), np.full(9, 0.4))
+    assert Uniform(2.0, 0.3, 1.5).at(t) == pytest.approx(0.3 + 2 * t + 0.75 * t * t, rel=1e-14)
+    expected = 0.1 + 0.4 * np.sin(3 * t + 0.2)
+    assert Harmonic(0.4, 3.0, 0.2, 0.1).at(t) == pytest.approx(expected, abs=1e-15)
+    assert Ramp(2.0, 5.0, 2.0, 1.0).at([0.0, 1.0, 2.0, 3.0, 4.0]).tolist() == [2, 2, 3.5, 5, 5]
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_a_spline_passes_through_its_values_and_is_constant_outside(count):
+    rng = np.random.default_rng(count)
+    times = 0.3 + np.cumsum(rng.uniform(0.5, 1.5, count))
+    values = rng.uniform(-1, 1, count)
+    law = Spline(times.tolist(), values.tolist())
+    assert law.at(times) == pytest.approx(values, abs=1e-12)
+    outside = np.array([-3.0, times[0], times[-1], times[-1] + 5.0])
+    assert law.at(outside) == pytest.approx(values[[0, 0, -1, -1]], abs=1e-12)
+    for order in (1, 2, 3):
+        assert not np.any(law.at(outside[[0, -1]], order))
+
+
+def test_a_spline_through_two_values_is_a_ramp():
+    t = np.linspace(0, 4, 41)
+    spline, ramp = Spline((1.0, 3.0), (2.0, 5.0)), Ramp(2.0, 5.0, 2.0, 1.0)
+    for order in range(4):
+        assert spline.at(t, order) == pytest.approx(ramp.at(t, order), abs=1e-11)
+
+
+def test_a_periodic_spline_repeats():
+    law = replace(LAWS["Spline"], period=4.5)
+    t = np.linspace(0.2, 4.7, 31)
+    for order in range(4):
+        # Third derivatives are 1e2 here.
+        assert law.at(t + 9.0, order) == pytest.approx(law.at(t, order), abs=1e-10)
+    assert law.at(law.times) == pytest.approx(law.values, abs=1e-12)
+
+
+def test_a_spline_at_even_distances_exceeds_its_values_at_most_by_what_is_said():
+    for count in range(2, 24):
+        basis = [
+            Spline(range(count), row).at(np.linspace(0, count - 1, 999)) for row in np.eye(count)
+        ]
+        assert np.max(np.sum(np.abs(basis), axis=0)) < 2.5
+
+
+def test_a_law_of_a_users_own_is_its_function():
+    law = UserLaw(lambda t, a, w: a * np.sin(w * t) ** 2, (0.4, 3.0))
+    t = np.linspace(-1, 1, 7)
+    assert law.at(t) == pytest.approx(0.2 * (1 - np.cos(6 * t)), abs=1e-15)
+    assert law.at(t, 3) == pytest.approx(-0.2 * 216 * np.sin(6 * t), abs=1e-13)
+    assert list(law.parameters()) == ["value[0]", "value[1]"]
+    assert not np.any(UserLaw(lambda t, a: a, (3.0,)).at(t, 1))
+
+
+# ---------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (lambda: UserLaw(3.0), "callable"),
+        (lambda: UserLaw(lambda t: abs(t)), "numpy.absolute"),
+        (lambda: UserLaw(lambda t: np.where(t < 1, 0.0, 1.0)), "numpy.less"),
+        (lambda: UserLaw(lambda t: np.maximum(t, 0.0)), "numpy.maximum"),
+        (lambda: UserLaw(lambda t: float(t)), "derivatives in time"),
+        (lambda: UserLaw(lambda t, a: t, ()), "derivatives in time"),
+        (lambda: UserLaw(lambda t, a: abs(a) * t, (-2.0,)), "complex step"),
+        (lambda: UserLaw(lambda t, a: np.real(a) * t, (2.0,)), "complex step"),
+        (lambda: UserLaw(lambda t: t, 3.0), "sequence of numbers"),
+        (lambda: UserLaw(lambda t: (t, t)), "derivatives in time"),
+        (lambda: Spline((0.0, 1.0), (1.0,)), "1 values at 2 times"),
+        (lambda: Spline((0.0, 0.0), (1.0, 2.0)), "ascend"),
+        (lambda: Spline((0.0,), (1.0,)), "ascend"),
+        (lambda: Spline((0.0, 1.0), "ab"), "sequence of numbers"),
+        (lambda: Spline((0.0, float("nan")), (0.0, 1.0)), "finite"),
+        (lambda: Spline((0.0, 1.0), (0.0, 1.0), period=1.0), "must exceed"),
+        (lambda: Ramp(0.0, 1.0, 0.0), "positive"),
+        (lambda: Constant("fast"), "finite"),
+    ],
+)
+def test_what_is_no_law_is_refused(law, words):
+    with pytest.raises(InvalidInput, match=words):
+        law()
+
+
+# ---------------------------------------------------------------- control values as targets
+
+
+def test_control_values_are_design_targets_by_their_index():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.05, 0.04), Material(1e3, 1e7, 0.3))
+    motor = Drive(rod.at_start, Spline((0.0, 1.0, 2.0), (0.1, 0.2, 0.4)), name="motor")
+    scene = Scene([rod], [Pin(rod.at_start), motor])
+    system = assemble(scene, distribution("motor.value", 3))
+    assert system.design_names == ("motor.value[0]", "motor.value[1]", "motor.value[2]")
+    assert system.b.tolist() == [0.1, 0.2, 0.4]
+    changed = scene.with_values({"motor.value[1]": 0.3})
+    assert changed.joints[1].angle.values == (0.1, 0.3, 0.4)
+    for target in ("motor.value", "motor.value[3]", "motor.speed"):
+        with pytest.raises(UnknownName, match=r"motor\.value\[2\]"):
+            assemble(scene, [target])
+    # The curve at the middle of the first interval depends on all of them.
+    Phi_b = system.constraint_b(system.start()[0], 0.5)
+    assert np.all(np.max(np.abs(Phi_b), axis=0) > 1e-3)
