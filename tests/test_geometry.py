@@ -29,15 +29,22 @@ from ancfdae import (
     Pin,
     Point,
     PointForce,
+    PointMass,
     PointOnLine,
     Rectangle,
     Revolute,
+    RigidBody,
+    RigidBox,
     RigidMotion,
     Scene,
+    Spline,
     SpringDamper,
     Terminal,
+    Torque,
+    TorsionSpring,
     Uniform,
     UnknownName,
+    Weld,
     assemble,
     differentiate,
     gradient,
@@ -123,7 +130,35 @@ def tripod():
     return Scene([mast, boom], joints, (0.0, -9.81, 0.5), assemble=True)
 
 
-SCENES = {f.__name__: f for f in (pendulum, slider_crank, four_bar, arm, tripod)}
+def robot():
+    """A rigid base, a motor between two sections, welds, and loads with laws, in the plane."""
+    base = RigidBody("base", (0.1, 0.0), shape=RigidBox(0.2, 0.1, 0.1), density=500.0, turn=0.05)
+    at = np.array([0.1, 0.0]) + 0.05 * np.array([-np.sin(0.05), np.cos(0.05)])
+    upper = Beam("upper", tuple(at), tuple(np.add(at, (0.3, 0.4))), 1, STRIP, SOFT)
+    lower = Beam("lower", upper.at_end, (0.5, -0.1), 1, STRIP, SOFT)
+    hand = Beam("hand", lower.at_end, (0.05, 0.1), 1, STRIP, SOFT, rigid=True)
+    knots = [0.0, 0.05, 0.1, 0.2]
+    joints = [
+        Pin(base.at(0.0, 0.0), ground=(0.1, 0.0), name="floor"),
+        Weld(base.at(0.0, 0.05), upper.at_start, name="shoulder"),
+        Pin(upper.at_end, lower.at_start, name="elbow"),
+        Drive(
+            lower.at(0.1), Spline(knots, [0.0, 0.1, -0.1, 0.2]), other=upper.at(0.9), name="motor"
+        ),
+        Weld(lower.at_end, hand.at_start, name="wrist"),
+    ]
+    loads = [
+        Torque(base.at(0.0, 0.0), 2.0, law=Harmonic(1.0, 5.0, 0.3), name="torque"),
+        TorsionSpring(upper.at(0.2), 3.0, 0.1, 0.05, name="coil"),
+    ]
+    bodies = [base, PointMass(hand.at(0.8, y=0.01), 0.3, "payload")]
+    start = [RigidMotion("base", 0.4, (0.1, 0.0))]
+    return Scene(
+        [upper, lower, hand], joints, (0.2, -9.81), start, loads, bodies=bodies, assemble=True
+    )
+
+
+SCENES = {f.__name__: f for f in (pendulum, slider_crank, four_bar, arm, tripod, robot)}
 
 
 def all_targets(scene):

@@ -44,6 +44,8 @@ _FREE = 1e-6
 # Joints count as closed at this distance over the size of the mechanism: far above round-off of
 # Newton's method, far below what a declared start may violate.
 _CLOSED = 1e-11
+# Round-off of a derivative times the value of the variable, dimensionless.
+_NOISE = 1e-12
 # delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
 _SOFT = 1e-3
 
@@ -370,7 +372,7 @@ class Assembly:
                 "Correct the design, or set project_start=True to strain the bodies.",
             )
 
-    def require_following(self, moved: Declared, q_b: Array, variable: str) -> None:
+    def require_following(self, moved: Declared, q_b: Array, variable: str, value: float) -> None:
         """Refuse a variable that moves joints as no rigid motion does, to first order.
 
         `q_b` is the derivative of the start along the declaration `moved`.
@@ -389,7 +391,9 @@ class Assembly:
         terms = self._weights * moved.constraints.rate(0.0, q, (along,)).imag / STEP
         size = held + np.max(np.abs(terms), initial=0.0)
         size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self._size
-        if np.max(left, initial=0.0) > _FREE * size:
+        # A variable that moves nothing leaves round-off of its own share of the mechanism.
+        noise = _NOISE / abs(value) if value else 0.0
+        if np.max(left, initial=0.0) > _FREE * size + noise:
             raise InconsistentStart(
                 f"design variable {variable!r}",
                 "rigid motions of the bodies must follow it",

@@ -313,7 +313,8 @@ class AncfSystem(MechanicalSystem):
         """Differentiate the assembly in design variable i; refuse what no rigid motion follows."""
         along = self._assembly.along(self._declared(i))
         if not self.project_start:
-            self._assembly.require_following(self._declared(i), along[0], self.design_names[i])
+            told = self.design_names[i], float(self.b[i].real)
+            self._assembly.require_following(self._declared(i), along[0], *told)
         return along
 
     def mass(self, q: Array) -> Array:

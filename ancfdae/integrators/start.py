@@ -326,19 +326,24 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
     """Compare every constraint with the motion, both in the norm of the weights.
 
     |Phi_k| / |Phi_qk| is the distance to the constraint; it is measured against |q|, and
-    likewise |Phi_q v - nu| / |Phi_qk| against |v|. Both ratios are free of units.
+    likewise |Phi_q v - nu| / |Phi_qk| against |v|. Both ratios are free of units. A drive that
+    starts at rest gives speeds a size, too: sqrt(|q| |q''|) of the accelerations that it asks for.
     """
     pattern, values = system.constraint_pattern, system.constraint_q(q, t)
     squared = values.real**2 / system.weights[pattern.columns]
     rows = np.sqrt(np.bincount(pattern.rows, squared, minlength=system.n_lam))
     defect = pattern.dot(values, v) - system.velocity_side(q, t)
+    rows = np.where(rows > 0, rows, 1.0)
+    asked = np.max(np.abs(system.acceleration_side(q, v, t).real) / rows, initial=0.0)
+    place = real_norm(q, system.weights)
+    speed = max(real_norm(v, system.weights), float(np.sqrt(place * asked)))
     # The size of a body is as good a measure of its coordinates as their distance from the
     # origin; |q| in the norm of M contains both.
     for what, phi, size in (
-        ("positions", system.constraint(q, t), real_norm(q, system.weights)),
-        ("velocities", defect, real_norm(v, system.weights)),
+        ("positions", system.constraint(q, t), place),
+        ("velocities", defect, speed),
     ):
-        ratio = np.abs(phi.real) / np.where(rows > 0, rows, 1.0)
+        ratio = np.abs(phi.real) / rows
         if system.n_lam and np.any(ratio > _CONSISTENT * size):
             worst = int(np.argmax(ratio))
             raise InconsistentStart(
