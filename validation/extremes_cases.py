@@ -465,8 +465,8 @@ GROUPS: tuple[Group, ...] = (
         "elements are as long as high. Force: across the end of a cantilever of 1 m (2 cm square, "
         "E = 1e8 Pa), at once. "
         "Whip: the pendulum turns fast. Error: of the tip, of a shocked rod of its middle, to "
-        "sixteen times the steps, relative to its travel: that the equations are solved does not make a step small enough. Where they "
-        "are not, the outcome names the step up to which they have a solution that belongs to the "
+        "sixteen times the steps, relative to its travel: that the equations are solved does not "
+        "make a step small enough. Where they are not, the outcome names the step up to which they have a solution that belongs to the "
         "motion.",
         _stalls,
     ),
