@@ -466,8 +466,8 @@ GROUPS: tuple[Group, ...] = (
         "E = 1e8 Pa), at once. "
         "Whip: the pendulum turns fast. Error: of the tip, of a shocked rod of its middle, to "
         "sixteen times the steps, relative to its travel: that the equations are solved does not "
-        "make a step small enough. Where they are not, the outcome names the step up to which they have a solution that belongs to the "
-        "motion.",
+        "make a step small enough. Where they are not, the outcome names the step up to which "
+        "they have a solution that belongs to the motion.",
         _stalls,
     ),
     Group("alpha", "Both ends of hht_alpha", f"128 steps of 2⁻⁷ s. {_NATURAL}", _alphas),
