@@ -8,6 +8,7 @@ exception but an `Outcome`, so that what was computed stays usable.
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
@@ -18,7 +19,29 @@ import numpy.typing as npt
 
 
 class AncfdaeError(Exception):
-    """Base class of every error that this package raises on purpose."""
+    """Base class of every error that this package raises on purpose.
+
+    All of them pickle, so that they arrive from worker processes.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Restore message and attributes without `__init__`, whose arguments differ."""
+        kept = {name: _sendable(value) for name, value in self.__dict__.items()}
+        return _restored, (type(self), self.args), kept
+
+
+def _restored(kind: type[AncfdaeError], args: tuple[Any, ...]) -> AncfdaeError:
+    error: AncfdaeError = kind.__new__(kind, *args)
+    return error
+
+
+def _sendable(value: object) -> object:
+    """Return the value, or its text if it does not pickle, such as a function that was refused."""
+    try:
+        pickle.dumps(value)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return repr(value)
+    return value
 
 
 class InvalidInput(AncfdaeError, ValueError):

@@ -2,7 +2,9 @@
 
 import multiprocessing
 import pickle
+import signal
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -231,6 +233,42 @@ def test_a_lost_worker_is_a_row():
     assert "the worker died" in table.rows[1].outcome
 
 
+SLOW = HHT(2.0**-20)
+
+
+@pytest.mark.parametrize("threads", [False, True])
+def test_a_setting_that_meets_its_limit_of_time_is_a_row(threads):
+    settings, options = [HHT(0.1), SLOW, HHT(0.05)], {"reference": HHT(0.02), "time_limit": 1.0}
+    with ThreadPoolExecutor(1) if threads else nullcontext() as executor:
+        table = tradeoff(CartesianPendulum(), X2, 1.0, settings, executor=executor, **options)
+    assert [row.finished for row in table.rows] == [True, False, True]
+    assert table.rows[1].outcome == "the limit of time (time_limit = 1 s) was reached"
+    # It took a part of the second; the run would take minutes.
+    assert 0 < table.rows[1].seconds < 3
+
+
+class Pressing(CartesianPendulum):
+    """Presses Ctrl-C at t = 1/16, an instant of a step of 1/16 but not of 0.1 or 0.02."""
+
+    def with_values(self, b):
+        return Pressing(self.angle, self.spin, b)
+
+    def force(self, q, v, t):
+        if t == 2.0**-4:
+            signal.raise_signal(signal.SIGINT)
+        return super().force(q, v, t)
+
+
+def test_an_interrupt_keeps_the_rows():
+    table = tradeoff(Pressing(), X2, 1.0, [HHT(0.1), HHT(2.0**-4), HHT(0.05)], reference=HHT(0.02))
+    (whole,) = tradeoff(CartesianPendulum(), X2, 1.0, [HHT(0.1)], reference=HHT(0.02)).rows
+    assert table.rows[0].gradient == whole.gradient
+    assert [row.finished for row in table.rows] == [True, False, False]
+    assert table.rows[1].outcome == "not measured: the tradeoff was interrupted"
+    with pytest.raises(KeyboardInterrupt):
+        tradeoff(Pressing(), X2, 1.0, [HHT(0.1)], reference=HHT(2.0**-4))
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [
@@ -244,6 +282,7 @@ def test_a_lost_worker_is_a_row():
         ({"design": ()}, "design"),
         ({"t_end": -1.0}, "t_end"),
         ({"repeats": 0}, "repeats"),
+        ({"time_limit": 0.0}, "time_limit"),
         ({"method": "direct"}, "method"),
         ({"executor": 2}, "executor"),
     ],

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
+from concurrent.futures import Executor
+from contextlib import closing
 from typing import Any
 
 from tqdm import tqdm
 
 from ancfdae.api.calls import differentiable, require_objectives
+from ancfdae.api.jobs import answers, require_pickles
 from ancfdae.api.tradeoff_result import Tradeoff, compared
 from ancfdae.api.tradeoff_run import Measurement, Results, Task, measure
 from ancfdae.design import DesignVariable
-from ancfdae.errors import InvalidInput, Verdict, require_count, require_kind, require_sequence
+from ancfdae.errors import (
+    InvalidInput,
+    Verdict,
+    require_count,
+    require_kind,
+    require_positive,
+    require_sequence,
+)
 from ancfdae.integrators import Explicit, Integrator
 from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
@@ -35,6 +43,7 @@ def tradeoff(
     reference: Integrator | None = None,
     method: GradientMethod | None = None,
     repeats: int = 1,
+    time_limit: float | None = None,
     executor: Executor | None = None,
     progress: bool = False,
 ) -> Tradeoff:
@@ -52,6 +61,9 @@ def tradeoff(
     repeats : int
         Runs of each setting, of which the least processor time counts; runs of more than a
         second are not repeated.
+    time_limit : float, optional
+        Longest time for the runs of one setting, by the clock; s. What takes longer is a row that
+        says so. The reference is limited by its `max_steps` only.
     executor : concurrent.futures.Executor, optional
         Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
         client; by default in this process, one after the other. Model and objective must
@@ -60,12 +72,14 @@ def tradeoff(
     Returns
     -------
     Tradeoff
-        A setting that fails is a row with its message.
+        A setting that fails is a row with its message, and so is one that Ctrl-C left unmeasured.
 
     Raises
     ------
     InvalidInput
         If the input makes no sense, or the reference does not finish.
+    KeyboardInterrupt
+        If Ctrl-C comes before the reference is there.
     """
     settings = require_sequence("settings", settings)
     if not settings:
@@ -79,59 +93,45 @@ def tradeoff(
     if executor is not None:
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
     require_count("repeats", repeats, "1 is enough for ratios of long runs.")
+    if time_limit is not None:
+        require_positive("time_limit", time_limit)
     system = differentiable(model, design)
     require_objectives(system, [objective], t_end)
     # The reference runs once, because its time is not compared.
-    tasks = [Task(system, objective, t_end, reference, method, 1)]
-    tasks += [Task(system, objective, t_end, each, method, repeats) for each in settings]
+    tasks = [Task(system, objective, t_end, reference, method, 1, None)]
+    tasks += [
+        Task(system, objective, t_end, each, method, repeats, time_limit) for each in settings
+    ]
     with tqdm(total=len(tasks), disable=not progress, unit="run") as bar:
-        measured = _in_turn(tasks, bar) if executor is None else _by_workers(tasks, executor, bar)
+        measured = _measured(tasks, executor, bar)
     exact = _required(measured[0])
     rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, measured, strict=True)]
     return Tradeoff(tuple(rows[1:]), rows[0])
 
 
-def _in_turn(tasks: Sequence[Task], bar: Any) -> list[Measurement]:
-    measured = []
-    for task in tasks:
-        measured.append(measure(task))
-        _required(measured[0])
-        bar.update()
-    return measured
-
-
-def _by_workers(tasks: Sequence[Task], executor: Executor, bar: Any) -> list[Measurement]:
-    """Submit all tasks; an exception in a worker becomes a row with its message."""
-    submitted: list[Future[Measurement] | BrokenExecutor] = []
-    for task in tasks:
+def _measured(tasks: Sequence[Task], executor: Executor | None, bar: Any) -> list[Measurement]:
+    """Measure all tasks, the reference first; after an interrupt with rows that say so."""
+    found: dict[int, Measurement] = {}
+    arriving = answers(measure, dict(enumerate(tasks)), executor)
+    with closing(arriving):
         try:
-            submitted.append(executor.submit(measure, task))
-        except BrokenExecutor as error:
-            submitted.append(error)
-    futures = [x for x in submitted if isinstance(x, Future)]
-    try:
-        for _ in as_completed(futures):
-            bar.update()
-    except BaseException:
-        for future in futures:
-            future.cancel()
-        raise
-    measured = [_answer(x) for x in submitted]
-    if measured[0].results is None:
-        _require_pickles(tasks[0])
-    return measured
-
-
-def _answer(submitted: Future[Measurement] | BrokenExecutor) -> Measurement:
-    error: BaseException | None
-    try:
-        error = submitted if isinstance(submitted, BrokenExecutor) else submitted.exception()
-    except CancelledError as cancelled:
-        error = cancelled
-    if error is None:
-        assert isinstance(submitted, Future)
-        return submitted.result()
-    return Measurement(0.0, f"{type(error).__name__} in a worker: {error}")
+            for k, answer in arriving:
+                if isinstance(answer, Measurement):
+                    found[k] = answer
+                else:
+                    parts = {"model": tasks[k].system, "objective": tasks[k].objective}
+                    require_pickles(answer, parts)
+                    error = f"{type(answer).__name__} in a worker: {answer}"
+                    found[k] = Measurement(0.0, error)
+                if k == 0:
+                    _required(found[0])
+                bar.update()
+        except KeyboardInterrupt:
+            # Without the reference nothing could be said of the others.
+            if 0 not in found:
+                raise
+    left = Measurement(0.0, "not measured: the tradeoff was interrupted")
+    return [found.get(k, left) for k in range(len(tasks))]
 
 
 def _required(reference: Measurement) -> Results:
@@ -144,17 +144,3 @@ def _required(reference: Measurement) -> Results:
         )
         raise InvalidInput("reference", rule, reference.outcome, repair)
     return reference.results
-
-
-def _require_pickles(task: Task) -> None:
-    """Name the part that does not pickle, if that is why the reference failed."""
-    for name, part in (("model", task.system), ("objective", task.objective)):
-        try:
-            pickle.dumps(part)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise InvalidInput(
-                f"{name}, executor",
-                "must pickle to be sent to a worker",
-                str(error),
-                "Define functions at the top of a module, or leave the executor out.",
-            ) from error

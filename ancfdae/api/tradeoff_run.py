@@ -10,6 +10,7 @@ import numpy as np
 
 from ancfdae.ancf import AncfSystem
 from ancfdae.api.calls import gradient
+from ancfdae.api.jobs import TimeLimit, no_interrupt_lost
 from ancfdae.errors import AncfdaeError, Verdict
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
@@ -36,6 +37,7 @@ class Task:
     integrator: Integrator
     method: GradientMethod | None
     repeats: int
+    time_limit: float | None
 
 
 @final
@@ -79,6 +81,18 @@ def common_times(t_end: float) -> Array:
 
 def measure(task: Task) -> Measurement:
     """Run one setting; a failure is a measurement without results."""
+    clock, limit = time.process_time(), TimeLimit(task.time_limit)
+    try:
+        with no_interrupt_lost(), limit:
+            return _repeated(task)
+    except KeyboardInterrupt:
+        if not limit.expired:
+            raise
+    outcome = f"the limit of time (time_limit = {limit.seconds:g} s) was reached"
+    return Measurement(time.process_time() - clock, outcome)
+
+
+def _repeated(task: Task) -> Measurement:
     seconds, answer = np.inf, None
     for _ in range(task.repeats):
         clock = time.process_time()

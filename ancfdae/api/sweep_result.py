@@ -1,0 +1,73 @@
+"""Rows of a sweep: designs, results and errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+from ancfdae.text import columns, listed
+
+
+@final
+@dataclass(frozen=True)
+class SweepRow:
+    """One design of a sweep.
+
+    Attributes
+    ----------
+    values : mapping of str to float
+        Values by name of the design variable or target.
+    result : object
+        What was computed; None if it failed.
+    error : str
+        Why there is no result; empty if there is one.
+    """
+
+    values: Mapping[str, float]
+    result: Any = None
+    error: str = ""
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is a result."""
+        return not self.error
+
+
+@final
+@dataclass(frozen=True)
+class Sweep:
+    """What was computed at many designs, in the order of the designs.
+
+    Attributes
+    ----------
+    rows : tuple of SweepRow
+    interrupted : bool
+        Whether Ctrl-C ended the sweep early; the rows not computed say so.
+    """
+
+    rows: tuple[SweepRow, ...]
+    interrupted: bool = False
+
+    @property
+    def results(self) -> list[Any]:
+        """The results of all rows, None where there is none."""
+        return [row.result for row in self.rows]
+
+    @property
+    def failed(self) -> dict[int, str]:
+        """The errors, by number of the row."""
+        return {k: row.error for k, row in enumerate(self.rows) if not row.finished}
+
+    def __repr__(self) -> str:
+        """Return the first rows, and how many failed."""
+        cells = [
+            (
+                str(k),
+                listed(f"{name} = {x}" for name, x in row.values.items()),
+                row.error or listed(str(row.result).split("\n")),
+            )
+            for k, row in enumerate(self.rows)
+        ]
+        head = f"Sweep: {len(self.rows)} designs, {len(self.failed)} without result"
+        return "\n".join([head, columns([("row", "design", "result"), *cells])])

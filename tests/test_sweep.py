@@ -1,0 +1,320 @@
+"""`sweep`: rows in order, errors as rows, interrupts, files, processes and a Dask cluster."""
+
+import importlib.util
+import inspect
+import multiprocessing
+import pickle
+import signal
+import typing
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    AncfdaeError,
+    DesignVariable,
+    Evaluate,
+    InvalidInput,
+    Setting,
+    Solution,
+    Terminal,
+    UnfinishedRun,
+    Verdict,
+    equilibrium,
+    gradient,
+    kinetic_energy,
+    observe,
+    position,
+    simulate,
+    sweep,
+)
+from ancfdae.bodies import Point
+from ancfdae.statics import Equilibrium
+from validation.scenes import pendulum
+
+from mechanisms import CartesianPendulum
+
+SCENE = pendulum(elements=1, youngs_modulus=1e6)
+TIP = Point("pendulum", 1.0)
+T_END = 2.0**-4
+HEIGHT = "pendulum.height"
+VARIABLE = DesignVariable("h", [HEIGHT])
+DROP = Terminal(position(TIP, 1))
+VALUE = Evaluate(DROP, T_END, HHT(2.0**-7))
+HEIGHTS = [0.04, 0.05, -1.0, 0.06]
+DESIGNS = [{HEIGHT: h} for h in HEIGHTS]
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
+        yield executor
+
+
+# ---- errors come back from workers
+
+
+def kinds(kind=AncfdaeError):
+    return {kind}.union(*map(kinds, kind.__subclasses__()))
+
+
+def sample(hint):
+    """Return an argument for an annotation of an error's signature."""
+    if hint is Solution:
+        return simulate(SCENE, 2.0**-6, HHT(2.0**-7))
+    if hint is Equilibrium:
+        return equilibrium(SCENE)
+    if hint is Verdict:
+        return Verdict.SINGULAR
+    if typing.get_origin(hint) is typing.Union or "None" in str(hint):
+        return sample(next(x for x in typing.get_args(hint) if x is not type(None)))
+    if typing.get_origin(hint) is not None:
+        return ["one", "two"]
+    if hint is Setting:
+        return Setting(HHT(0.1), 1.0, "made", states=1.0)
+    return {str: "states", float: 0.25}.get(hint, "got")
+
+
+def made(kind):
+    if not inspect.isfunction(kind.__init__):
+        return kind("what went wrong")
+    hints = typing.get_type_hints(kind.__init__)
+    names = list(inspect.signature(kind).parameters)
+    return kind(*(sample(hints[name]) for name in names))
+
+
+def fail(kind):
+    raise made(kind)
+
+
+@pytest.mark.parametrize("kind", sorted(kinds(), key=lambda kind: kind.__name__))
+def test_every_error_arrives_from_a_worker_process(kind, pool):
+    error = pool.submit(fail, kind).exception()
+    here = made(kind)
+    assert type(error) is kind
+    assert str(error) == str(here)
+    assert error.args == here.args
+    assert error.__dict__.keys() == here.__dict__.keys()
+
+
+def test_an_error_about_a_function_arrives_too():
+    error = InvalidInput("where", "rule", lambda x: x, "Repair.")
+    again = pickle.loads(pickle.dumps(error))
+    assert str(again) == str(error)
+    assert "lambda" in again.got
+
+
+# ---- rows
+
+
+def test_rows_stand_in_order_and_a_bad_design_is_one_of_them():
+    done = sweep(SCENE, DESIGNS, VALUE)
+    for row, height in zip(done.rows, HEIGHTS, strict=True):
+        assert row.values == {HEIGHT: height}
+        if height > 0:
+            moved = simulate(SCENE.with_values({HEIGHT: height}), T_END, HHT(2.0**-7))
+            assert row.result["value"] == observe(position(TIP, 1), moved)[-1]
+    assert list(done.failed) == [2]
+    assert "InvalidInput" in done.failed[2]
+    assert done.results[2] is None
+    assert not done.interrupted
+    assert "4 designs, 1 without result" in repr(done)
+
+
+def test_gradients_and_observables_are_those_of_the_calls():
+    method = {"design": [HEIGHT]}
+    what = Evaluate(DROP, T_END, HHT(2.0**-7), gradient=True, **method)
+    (row,) = sweep(SCENE, DESIGNS[:1], what).rows
+    moved = SCENE.with_values(DESIGNS[0])
+    own = gradient(moved, DROP, T_END, HHT(2.0**-7), **method)
+    assert row.result["value"] == own.value
+    assert np.array_equal(row.result["gradient"], own.gradient)
+    (row,) = sweep(SCENE, DESIGNS[:1], Evaluate(kinetic_energy(), T_END, HHT(2.0**-7))).rows
+    assert row.result["value"].shape == row.result["t"].shape
+    assert row.result["value"][-1] > row.result["value"][0] == 0
+
+
+def length(system):
+    return float(system.b @ (1.0, 100.0))
+
+
+def test_rows_of_values_mappings_and_variables_mean_the_same():
+    system = CartesianPendulum()
+    L, g = system.b
+    rows = sweep(system, np.array([[L, g], [2.0, g]]), length)
+    named = sweep(system, [{}, {"L": 2.0}], length)
+    assert rows.results == named.results == [L + 100 * g, 2 + 100 * g]
+    assert "UnknownName" in sweep(system, [{"M": 1.0}], length).failed[0]
+    by_variable = sweep(SCENE, [[0.04]], VALUE, design=[VARIABLE])
+    assert by_variable.rows[0].values == {"h": 0.04}
+    assert by_variable.results == sweep(SCENE, DESIGNS[:1], VALUE).results
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"model": 3}, "model"),
+        ({"designs": 3}, "designs"),
+        ({"designs": [[0.1]]}, "design"),
+        ({"designs": [[0.1, 0.2]], "design": [HEIGHT]}, r"designs\[0\]: must have 1 values"),
+        ({"designs": [{HEIGHT: 1.0}, [0.1]], "design": [HEIGHT]}, r"designs\[0\]"),
+        ({"design": [HEIGHT]}, "mappings name their variables"),
+        ({"what": DROP}, "what"),
+        ({"executor": 2}, "executor"),
+    ],
+)
+def test_bad_input_is_refused_by_name(change, match):
+    with pytest.raises(InvalidInput, match=match):
+        sweep(**({"model": SCENE, "designs": DESIGNS, "what": VALUE} | change))
+
+
+def test_what_is_evaluated_is_checked_at_once():
+    with pytest.raises(InvalidInput, match=r"Evaluate\.of"):
+        Evaluate(kinetic_energy(), 1.0, HHT(0.1), gradient=True)
+    with pytest.raises(InvalidInput, match=r"Evaluate\.integrator"):
+        Evaluate(DROP, 1.0, 0.1)
+
+
+# ---- workers
+
+
+def test_worker_processes_give_the_same_rows(pool):
+    assert sweep(SCENE, DESIGNS, VALUE, executor=pool) == sweep(SCENE, DESIGNS, VALUE)
+    with pytest.raises(InvalidInput, match="what, executor: must pickle"):
+        sweep(SCENE, DESIGNS, lambda scene: 1, executor=pool)
+
+
+class Breaking(ThreadPoolExecutor):
+    """Loses the second job."""
+
+    count = 0
+
+    def submit(self, *args, **kwargs):
+        self.count += 1
+        if self.count != 2:
+            return super().submit(*args, **kwargs)
+        lost = Future()
+        lost.set_exception(OSError("the worker died"))
+        return lost
+
+
+def test_a_lost_worker_is_a_row_that_a_resumed_sweep_computes(tmp_path):
+    file = tmp_path / "rows.jsonl"
+    with Breaking(1) as executor:
+        done = sweep(SCENE, DESIGNS, VALUE, executor=executor, file=file)
+    assert list(done.failed) == [1, 2]
+    assert "the worker died" in done.failed[1]
+    assert list(sweep(SCENE, DESIGNS, VALUE, file=file).failed) == [2]
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None,
+    reason="needs a Dask cluster: python3 -m pip install 'ancfdae[dask]'",
+)
+def test_a_dask_cluster_gives_the_same_rows():
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        assert sweep(SCENE, DESIGNS, VALUE, executor=executor) == sweep(SCENE, DESIGNS, VALUE)
+
+
+# ---- interrupts and files
+
+
+def pressed(scene):
+    """Press Ctrl-C at one design, which its run makes an outcome."""
+    if scene.value(VARIABLE) == 0.05:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            return "a part of the motion"
+    return VALUE(scene)
+
+
+def test_an_interrupt_keeps_what_is_done():
+    done = sweep(SCENE, DESIGNS, pressed)
+    assert done.interrupted
+    assert done.rows[0] == sweep(SCENE, DESIGNS[:1], VALUE).rows[0]
+    assert list(done.failed) == [1, 2, 3]
+    assert set(done.failed.values()) == {"not computed: the sweep was interrupted"}
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupted_worker_ends_the_sweep(pool):
+    done = sweep(SCENE, DESIGNS, pressed, executor=pool)
+    assert done.interrupted
+    assert 1 in done.failed
+
+
+def test_an_interrupted_run_is_no_row():
+    """The gradient of a run that was interrupted is an error, which must not be written."""
+    run = gradient(SCENE, DROP, T_END, HHT(2.0**-7), design=[HEIGHT]).solution
+    outcome = replace(run.outcome, verdict=Verdict.INTERRUPTED)
+
+    def interrupted(scene):
+        raise UnfinishedRun(replace(run, outcome=outcome))
+
+    assert sweep(SCENE, DESIGNS, interrupted).interrupted
+
+
+CALLS = []
+
+
+def counted(scene):
+    CALLS.append(scene.value(VARIABLE))
+    return {"drop": VALUE(scene)["value"], "list": (1, np.float64(2)), "array": np.eye(2)}
+
+
+def counted_set(scene):
+    return {1, 2}
+
+
+def test_a_sweep_resumes_from_its_file(tmp_path):
+    file = tmp_path / "rows.jsonl"
+    CALLS.clear()
+    first = sweep(SCENE, DESIGNS[:3], counted, file=file)
+    assert CALLS == [0.04, 0.05]
+    lines = file.read_text().splitlines()
+    assert len(lines) == 4
+    # A crash while the last row was written.
+    file.write_text("\n".join([*lines[:-1], lines[-1][:20]]))
+    CALLS.clear()
+    again = sweep(SCENE, DESIGNS, counted, file=file)
+    assert CALLS == [0.06]
+    assert list(again.failed) == [2]
+    assert repr(again.rows[:3]) == repr(first.rows)
+    assert isinstance(again.results[0]["array"], np.ndarray)
+    assert again.results[0]["list"] == again.results[3]["list"] == [1, 2.0]
+    assert repr(sweep(SCENE, DESIGNS, counted, file=file)) == repr(again)
+
+
+def test_a_file_of_another_sweep_is_refused(tmp_path):
+    file, text = tmp_path / "rows.jsonl", tmp_path / "text"
+    sweep(SCENE, DESIGNS[:1], VALUE, file=file)
+    before = file.read_text()
+    for other, match in (
+        ((pendulum(elements=2), DESIGNS, VALUE), "rows of another model"),
+        ((SCENE, DESIGNS, Evaluate(DROP, 2 * T_END, HHT(2.0**-7))), "rows of another what"),
+        ((SCENE, DESIGNS, counted), "rows of another what"),
+        ((SCENE, DESIGNS[1:], VALUE), "rows of these designs; got row 0 at"),
+    ):
+        with pytest.raises(InvalidInput, match=match):
+            sweep(*other, file=file)
+    assert file.read_text() == before
+    for content in ("no sweep", "no sweep\n", "3\n"):
+        text.write_text(content)
+        with pytest.raises(InvalidInput, match="must be the file of a sweep"):
+            sweep(SCENE, DESIGNS, VALUE, file=text)
+        assert text.read_text() == content
+
+
+def test_what_a_file_cannot_hold_is_told_at_the_first_row(tmp_path):
+    with pytest.raises(InvalidInput, match="what, file: must return numbers"):
+        sweep(SCENE, DESIGNS, counted_set, file=tmp_path / "rows.jsonl")
