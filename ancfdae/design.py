@@ -12,6 +12,7 @@ import numpy as np
 from ancfdae.errors import (
     InvalidInput,
     UnknownName,
+    require_count,
     require_finite,
     require_sequence,
     require_vector,
@@ -297,5 +298,6 @@ def distribution(target: str, count: int) -> tuple[DesignVariable, ...]:
         Number of elements of the beam, or of control values.
     """
     parse_target(target)
+    require_count("distribution, count", count, "Give the number of elements or control values.")
     names = [f"{target}[{k}]" for k in range(count)]
     return tuple(DesignVariable(name, (name,)) for name in names)

@@ -170,6 +170,17 @@ def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str
         raise InvalidInput(where, f"must be of type {names}", repr(value), repair)
 
 
+def require_flag(where: str, value: object) -> None:
+    """Raise InvalidInput for what is neither True nor False."""
+    require_kind(where, value, (bool, np.bool_), "Give True or False.")
+
+
+def require_function(where: str, value: object) -> None:
+    """Raise InvalidInput for what cannot be called."""
+    if not callable(value):
+        raise InvalidInput(where, "must be a function", repr(value), "Give its name, uncalled.")
+
+
 def require_name(where: str, value: object) -> None:
     """Raise InvalidInput for what cannot stand before the parameter of a design target."""
     if not isinstance(value, str) or not value or "." in value or "[" in value:

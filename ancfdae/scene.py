@@ -13,6 +13,7 @@ from ancfdae.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.errors import (
     InvalidInput,
     UnknownName,
+    require_flag,
     require_kind,
     require_sequence,
     require_vector,
@@ -84,6 +85,8 @@ class Scene(SceneDesign):
         self._freeze("joints", (Joint,), "Add a Pin.")
         self._freeze("loads", (Load,), "Add a PointForce.")
         self._freeze("start", (RigidMotion, NodeState, AtRest), "Add a RigidMotion.")
+        for name in ("assemble", "project_start"):
+            require_flag(f"Scene.{name}", getattr(self, name))
         self._check_members()
         self._check_names()
         self._check_parts()

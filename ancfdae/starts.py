@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, TypeAlias, final
 
+import numpy as np
+
 from ancfdae.bodies import BeamBody, RigidBody
 from ancfdae.design import Designable
 from ancfdae.errors import (
@@ -145,7 +147,25 @@ def checked_start(
         raise InvalidInput(where, rule, "a NodeState", repair)
     shape = (beam.element_count + 1, beam.element.n_s, d)
     coordinates = require_array(f"{where}, coordinates", start.coordinates, shape)
+    _require_sections(f"{where}, coordinates", coordinates)
     velocities = None
     if start.velocities is not None:
         velocities = require_array(f"{where}, velocities", start.velocities, shape)
     return replace(start, coordinates=coordinates, velocities=velocities)
+
+
+def _require_sections(where: str, coordinates: Array) -> None:
+    """Refuse nodes without a centre line or a section, or with one that is turned inside out."""
+    slopes = coordinates[:, 1:]
+    sizes = np.linalg.norm(slopes, axis=-1)
+    flat = np.any(sizes == 0, axis=1)
+    if slopes.shape[1] == slopes.shape[2]:
+        # Round-off of a determinant is some 1e-16 of the product of the sizes.
+        flat |= np.linalg.det(slopes) <= 1e-12 * np.prod(sizes, axis=1)
+    if np.any(flat):
+        raise InvalidInput(
+            where,
+            "slopes must span the body with the turning sense of the axes",
+            f"{slopes[flat][0].tolist()} at node {int(np.argmax(flat))}",
+            "A node holds its position, then its slopes, as solution.nodes returns them.",
+        )

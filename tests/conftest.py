@@ -1,6 +1,7 @@
 """Settings that all tests share."""
 
 import importlib.util
+import signal
 
 import hypothesis
 import pytest
@@ -8,6 +9,14 @@ import pytest
 # Derandomised and without a database: the same examples on every machine and in every run.
 hypothesis.settings.register_profile("ancfdae", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("ancfdae")
+
+
+@pytest.fixture(autouse=True)
+def interruptible():
+    """Let Ctrl-C interrupt, as in a terminal: a shell's background jobs start deaf to it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def pytest_collection_modifyitems(items):

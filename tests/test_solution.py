@@ -612,7 +612,7 @@ def test_loading_a_plain_array_names_the_file(tmp_path):
 
 
 def test_loading_a_file_that_is_not_there_says_so(tmp_path):
-    with pytest.raises(FileNotFoundError, match="nowhere"):
+    with pytest.raises(InvalidInput, match=r"must exist; got .*nowhere"):
         Solution.load(tmp_path / "nowhere.npz")
 
 

@@ -8,7 +8,7 @@ from typing import cast, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.differentiable import require_derivative
 from ancfdae.observables.expression import (
@@ -170,9 +170,15 @@ def observe(
     Raises
     ------
     InvalidInput, UnknownName
-        If something that the observable names does not exist, the system is missing, or the
-        solution is complex and the system is not: it would hold the design variables fixed.
+        If an argument is of another kind, something that the observable names does not exist, the
+        system is missing, or the solution is complex and the system is not: it would hold the
+        design variables fixed.
     """
+    repair = "Of objectives observe what they are made of, before Integral or Terminal."
+    require_kind("observe, observable", observable, (Observable,), repair)
+    require_kind("observe, solution", solution, (Solution,), "Call simulate or differentiate.")
+    if system is not None:
+        require_kind("observe, system", system, (MechanicalSystem,), "For example assemble(scene).")
     held = system is not None and system.n_b > 0 and not np.iscomplexobj(system.b)
     if held and np.iscomplexobj(solution.q):
         raise InvalidInput(

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_function, require_kind
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.differentiable import require_derivative
 from ancfdae.observables.functions import STEP, Function, require_vectorised
@@ -35,6 +35,7 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
         with finite differences. It is tried on a few numbers now and on a few instants of every
         run that is differentiated.
     """
+    require_function("apply, function", function)
     name = getattr(function, "__name__", repr(function))
     if not observables or not all(isinstance(x, Observable) for x in observables):
         raise InvalidInput(
@@ -56,6 +57,8 @@ def custom(function: Callable[..., Array], name: str = "custom") -> Observable:
     instant by instant and with operations that accept complex numbers. Its partials take one
     evaluation per coordinate, velocity, multiplier and design variable. Messages use the name.
     """
+    require_function("custom, function", function)
+    require_kind("custom, name", name, (str,), "Messages name the function by it.")
     return Custom(function, name)
 
 

@@ -12,7 +12,15 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from ancfdae.bodies import Point, Quantity, require_point
-from ancfdae.errors import InvalidInput, Outcome, UnknownName, Verdict
+from ancfdae.errors import (
+    InvalidInput,
+    Outcome,
+    UnknownName,
+    Verdict,
+    require_array,
+    require_function,
+    require_kind,
+)
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
@@ -124,6 +132,7 @@ class Solution:
         InvalidInput
             If the solution has no sensitivities, or the function drops the imaginary part.
         """
+        require_function("derivative, function", function)
         s, naming = self._known_sensitivities(), self.naming
         if not s.names:
             return np.zeros((*np.shape(function(self)), 0))
@@ -157,7 +166,7 @@ class Solution:
         multipliers linearly. Between Gauss-Lobatto instants: the polynomial of a panel. Derivatives
         alike. Statistics, outcome and estimated errors stay those of the run.
         """
-        asked = np.array(times, dtype=float, ndmin=1)
+        asked = np.atleast_1d(require_array("times", times))
         good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))
         if not good or not (self.t[0] <= asked[0] and asked[-1] <= self.t[-1]):
             early = "" if self.outcome.success else f", where the run ended early: {self.outcome}"
@@ -244,12 +253,12 @@ class Solution:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the solution to one file (``.npz``), complete or not at all; return its path."""
-        return solution_file.write(Path(path), vars(self))
+        return solution_file.write(_path(path), vars(self))
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Solution:
         """Read a solution written by `save`; InvalidInput if the file is no such solution."""
-        return Solution(**solution_file.read(Path(path)))
+        return Solution(**solution_file.read(_path(path)))
 
     def __repr__(self) -> str:
         own, errors = self.sensitivities, self.estimated_errors
@@ -259,3 +268,8 @@ class Solution:
         lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
         lines += [] if errors is None else [repr(errors)]
         return "\n".join(lines)
+
+
+def _path(path: object) -> Path:
+    require_kind("path of a solution", path, (str, os.PathLike), "Give the name of a file.")
+    return Path(path)  # type: ignore[arg-type]  # as was just seen

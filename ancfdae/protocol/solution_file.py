@@ -32,6 +32,9 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
     # Settings may be numbers of NumPy, which JSON does not know.
     arrays["meta"] = np.array(json.dumps(meta, default=np.generic.item))
     # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
+    if not path.parent.is_dir():
+        rule, repair = "must lie in a folder that exists", "Create the folder, or correct the path."
+        raise InvalidInput("solution file", rule, repr(os.fspath(path)), repair)
     temporary = path.parent / f"{path.name}.{uuid.uuid4().hex}.part"
     try:
         with temporary.open("xb") as file:
@@ -54,7 +57,8 @@ def read(path: Path) -> dict[str, Any]:
             raise ValueError(f"the format {meta['format']!r}")
         return _unpacked(arrays, meta)
     except FileNotFoundError:
-        raise
+        where, repair = "solution file", "Check the path, and that Solution.save was called."
+        raise InvalidInput(where, "must exist", repr(os.fspath(path)), repair) from None
     except (OSError, KeyError, ValueError, TypeError, *_DAMAGED) as error:
         raise InvalidInput(
             f"solution file {os.fspath(path)!r}",

@@ -67,8 +67,7 @@ def slider_crank(elements: int) -> Scene:
 
 
 def optimise(elements: int, steps: int, start: Array, iterations: int = 60) -> Optimisation:
-    """Find radii of the elements, in mm, for the least mass over that of 6 mm, at a stress of at most 1.
-    """
+    """Find radii of the elements, in mm, for the least mass over that of 6 mm, at a stress of at most 1."""
     t_end = _TURNS * 2 * np.pi / _SPEED
     sharpness = 50 / _ALLOWED
     stress = SmoothMaximum(maximum_stress("rod", sharpness), sharpness) * (1 / _ALLOWED)
@@ -78,9 +77,7 @@ def optimise(elements: int, steps: int, start: Array, iterations: int = 60) -> O
     @Once
     def evaluate(x: Array) -> tuple[Array, Array]:
         moved = system.with_values(1e-3 * x)
-        found = gradients(
-            moved, [lightness, stress], t_end, HHT(t_end / steps), method=Adjoint()
-        )
+        found = gradients(moved, [lightness, stress], t_end, HHT(t_end / steps), method=Adjoint())
         return np.array([g.value for g in found]), 1e-3 * np.array([g.gradient for g in found])
 
     bounds, clock = [(1.5, 6.0)] * elements, stopwatch()

@@ -77,8 +77,8 @@ _LIMITS = """
   torsion out, because the published values do.
 - The measured points of the Princeton beam were not at hand; its comparison is with finite
   elements. Points of the arch are read from a figure, to its width of line.
-- In the spin-up HHT-I3 needs steps of at most 10 ms: at 25 ms, and with more damping at 20 ms, the
-  run ends because Newton's iteration no longer converges, although the motion is slow.
+- In the spin-up steps of 20 ms and more are solved by way of shorter ones: full steps of Newton's
+  method do not converge there, although the motion is slow.
 - Lateral buckling and flap frequencies are linear about a state that is not; imperfections are
   not followed.
 """
