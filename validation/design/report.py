@@ -39,7 +39,7 @@ def tell(report: Report, case: Case) -> list[Requirement]:
         f"Variables: {_names(case.variables)}. Method: {case.method}. The page to copy: "
         f"`validation/design/{case.key.replace('-', '_')}.py`."
     )
-    at_start, at_optimum = _responses(report, case)
+    at_optimum = _responses(report, case)
     checks = gradient_check(case, found.start), gradient_check(case, found.optimum)
     left, on_bounds = optimality(case), case.on_bounds()
     _work(report, case, checks, left)
@@ -47,7 +47,7 @@ def tell(report: Report, case: Case) -> list[Requirement]:
     _compare(report, case)
     report.text(_ended(case, on_bounds) + " " + case.findings.strip())
     over = [
-        value / response.limit - 1
+        (value - response.limit) / (abs(response.limit) or 1.0)
         for value, response in zip(at_optimum, case.responses, strict=True)
         if response.limit is not None
     ]
@@ -64,8 +64,8 @@ def tell(report: Report, case: Case) -> list[Requirement]:
     ]
 
 
-def _responses(report: Report, case: Case) -> tuple[list[float], list[float]]:
-    """Add the table of objective and constraints; return their values at start and optimum."""
+def _responses(report: Report, case: Case) -> list[float]:
+    """Add the table of objective and constraints; return their values at the optimum."""
     places = ("start", case.found.start), ("optimum", case.found.optimum)
     values = [[float(x) for x in case.found.evaluate(place)[0]] for _, place in places]
     rows = []
@@ -78,7 +78,7 @@ def _responses(report: Report, case: Case) -> tuple[list[float], list[float]]:
         name = f"{response.name} [{response.unit}]"
         rows.append([name, limit, f"{start:.6g}", f"{optimum:.6g}", active])
     report.table(["", "limit", "start", "optimum", ""], rows)
-    return values[0], values[1]
+    return values[1]
 
 
 def _work(report: Report, case: Case, checks: tuple[float, float], left: float) -> None:
