@@ -124,7 +124,7 @@ CATALOGUE: tuple[Definition, ...] = (
     Definition(
         name="design",
         title="Mechanisms designed by gradients",
-        question="Do optimisations of mechanisms, set up in a page of code each and solved by SciPy "
+        question="Do optimisations of mechanisms, a page of code each, solved by SciPy "
         "with adjoint gradients, end at optima that searches without gradients confirm, and at "
         "what cost?",
         run=design.run,

@@ -12,7 +12,8 @@ from validation.design.optimisation import Array, Optimisation
 
 __all__ = ["Case", "Comparison", "Response", "gradient_check", "optimality"]
 
-# Distances to a bound or a limit below which it counts as reached, relative.
+# Distances to a bound or a limit below which it counts as reached, relative; a limit of zero is
+# one on a logarithm.
 _ACTIVE: Final = 1e-3
 
 
@@ -33,7 +34,7 @@ class Response:
 
     def active(self, value: float) -> bool:
         """Whether the limit is reached."""
-        return self.limit is not None and value > self.limit - _ACTIVE * abs(self.limit)
+        return self.limit is not None and value > self.limit - _ACTIVE * (abs(self.limit) or 1.0)
 
 
 @final

@@ -39,23 +39,19 @@ def tell(report: Report, case: Case) -> list[Requirement]:
         f"Variables: {_names(case.variables)}. Method: {case.method}. The page to copy: "
         f"`validation/design/{case.key.replace('-', '_')}.py`."
     )
-    at_start, at_optimum = _responses(report, case)
+    at_optimum = _responses(report, case)
     checks = gradient_check(case, found.start), gradient_check(case, found.optimum)
     left, on_bounds = optimality(case), case.on_bounds()
     _work(report, case, checks, left)
     report.plot(case.key, case.panels, 2, case.title, case.caption)
-    _compare(report, case)
+    over = max([0.0, *_over(case, at_optimum)])
+    _compare(report, case, over <= _VIOLATION)
     report.text(_ended(case, on_bounds) + " " + case.findings.strip())
-    over = [
-        value / response.limit - 1
-        for value, response in zip(at_optimum, case.responses, strict=True)
-        if response.limit is not None
-    ]
     requirements = [
         Requirement(f"{case.key}: gradient at the start", _GRADIENT, checks[0]),
         Requirement(f"{case.key}: gradient at the optimum", _GRADIENT, checks[1]),
         Requirement(f"{case.key}: conditions of an optimum", _OPTIMALITY, left),
-        Requirement(f"{case.key}: constraints exceeded by", _VIOLATION, max([0.0, *over])),
+        Requirement(f"{case.key}: constraints exceeded by", _VIOLATION, over),
         Requirement(f"{case.key}: variables on bounds", len(case.variables) / 2, len(on_bounds)),
     ]
     return requirements + [
@@ -64,8 +60,8 @@ def tell(report: Report, case: Case) -> list[Requirement]:
     ]
 
 
-def _responses(report: Report, case: Case) -> tuple[list[float], list[float]]:
-    """Add the table of objective and constraints; return their values at start and optimum."""
+def _responses(report: Report, case: Case) -> list[float]:
+    """Add the table of objective and constraints; return their values at the optimum."""
     places = ("start", case.found.start), ("optimum", case.found.optimum)
     values = [[float(x) for x in case.found.evaluate(place)[0]] for _, place in places]
     rows = []
@@ -78,7 +74,7 @@ def _responses(report: Report, case: Case) -> tuple[list[float], list[float]]:
         name = f"{response.name} [{response.unit}]"
         rows.append([name, limit, f"{start:.6g}", f"{optimum:.6g}", active])
     report.table(["", "limit", "start", "optimum", ""], rows)
-    return values[0], values[1]
+    return values[1]
 
 
 def _work(report: Report, case: Case, checks: tuple[float, float], left: float) -> None:
@@ -115,7 +111,17 @@ def _work(report: Report, case: Case, checks: tuple[float, float], left: float) 
     )
 
 
-def _compare(report: Report, case: Case) -> None:
+def _over(case: Case, values: Sequence[float]) -> list[float]:
+    """Return by how much each limit is exceeded, relative; absolute for limits of zero."""
+    return [
+        (value - response.limit) / (abs(response.limit) or 1.0)
+        for value, response in zip(values, case.responses, strict=True)
+        if response.limit is not None
+    ]
+
+
+def _compare(report: Report, case: Case, feasible: bool) -> None:
+    """Add the table of comparisons; a design that exceeds its limits agrees with nothing."""
     rows: list[list[object]] = []
     for each in case.comparisons:
         word = _word(each.what)
@@ -126,7 +132,7 @@ def _compare(report: Report, case: Case) -> None:
             f"{case.title}: {each.what}",
             f"{each.other:.5g} ({each.source})",
             f"{each.found:.5g}",
-            Agreement.AGREES if each.apart <= each.tolerance else Agreement.DISAGREES,
+            Agreement.AGREES if feasible and each.apart <= each.tolerance else Agreement.DISAGREES,
         )
     report.table(["comparison", "here", "other", "the other is from"], rows)
 
