@@ -16,6 +16,7 @@ from validation import (
     pendulum,
     work_precision,
 )
+from validation.design import report as design
 from validation.literature import report as literature
 from validation.report import Report
 
@@ -119,5 +120,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "out right, how fast with the mesh, and are the derivatives those of the solution?",
         run=literature.run,
         source="literature",
+    ),
+    Definition(
+        name="design",
+        title="Mechanisms designed by gradients",
+        question="Do optimisations of mechanisms, a page of code each, solved by SciPy "
+        "with adjoint gradients, end at optima that searches without gradients confirm, and at "
+        "what cost?",
+        run=design.run,
+        source="other way",
     ),
 )

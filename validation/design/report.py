@@ -1,0 +1,185 @@
+"""Report on optimisations of mechanisms by adjoint gradients."""
+
+from collections.abc import Callable, Sequence
+
+from validation.design.case import Case, gradient_check, optimality
+from validation.design.crank_rod import crank_rod
+from validation.external.runs import Requirement
+from validation.report import Agreement, Report
+
+__all__ = ["run"]
+
+# Each takes `quick`: few elements, steps and iterations.
+_CASES: tuple[Callable[[bool], Case], ...] = (crank_rod,)
+
+# Central differences of step 1e-5 are right to 1e-10, or to the round-off of a run, 1e-12 and
+# less, over the step; responses of vibrating mechanisms curve more.
+_GRADIENT = 1e-5
+# SciPy ends where steps no longer change the objective by 1e-6 or so; slopes are then some 1e-3.
+_OPTIMALITY = 1e-2
+_VIOLATION = 1e-3
+
+
+def run(report: Report, quick: bool) -> None:
+    """Fill the report."""
+    report.heading("Method")
+    report.text(_METHOD)
+    requirements = [each for case in _CASES for each in tell(report, case(quick))]
+    _verdict(report, requirements, quick)
+    report.heading("Limits")
+    report.text(_LIMITS)
+
+
+def tell(report: Report, case: Case) -> list[Requirement]:
+    """Add the section of one optimisation; return what it had to reach."""
+    found = case.found
+    report.heading(case.title)
+    report.text(case.question)
+    report.text(
+        f"Variables: {_names(case.variables)}. Method: {case.method}. The page to copy: "
+        f"`validation/design/{case.key.replace('-', '_')}.py`."
+    )
+    at_optimum = _responses(report, case)
+    checks = gradient_check(case, found.start), gradient_check(case, found.optimum)
+    left, on_bounds = optimality(case), case.on_bounds()
+    _work(report, case, checks, left)
+    report.plot(case.key, case.panels, 2, case.title, case.caption)
+    _compare(report, case)
+    report.text(_ended(case, on_bounds) + " " + case.findings.strip())
+    over = [
+        (value - response.limit) / (abs(response.limit) or 1.0)
+        for value, response in zip(at_optimum, case.responses, strict=True)
+        if response.limit is not None
+    ]
+    requirements = [
+        Requirement(f"{case.key}: gradient at the start", _GRADIENT, checks[0]),
+        Requirement(f"{case.key}: gradient at the optimum", _GRADIENT, checks[1]),
+        Requirement(f"{case.key}: conditions of an optimum", _OPTIMALITY, left),
+        Requirement(f"{case.key}: constraints exceeded by", _VIOLATION, max([0.0, *over])),
+        Requirement(f"{case.key}: variables on bounds", len(case.variables) / 2, len(on_bounds)),
+    ]
+    return requirements + [
+        Requirement(f"{case.key}: {each.what}", each.tolerance, each.apart)
+        for each in case.comparisons
+    ]
+
+
+def _responses(report: Report, case: Case) -> list[float]:
+    """Add the table of objective and constraints; return their values at the optimum."""
+    places = ("start", case.found.start), ("optimum", case.found.optimum)
+    values = [[float(x) for x in case.found.evaluate(place)[0]] for _, place in places]
+    rows = []
+    for response, start, optimum in zip(case.responses, *values, strict=True):
+        word = _word(response.name)
+        report.figure(f"{case.key}.{word}.start", start)
+        report.figure(f"{case.key}.{word}.optimum", optimum)
+        limit = "objective" if response.limit is None else f"at most {response.limit:g}"
+        active = "active" if response.active(optimum) else ""
+        name = f"{response.name} [{response.unit}]"
+        rows.append([name, limit, f"{start:.6g}", f"{optimum:.6g}", active])
+    report.table(["", "limit", "start", "optimum", ""], rows)
+    return values[1]
+
+
+def _work(report: Report, case: Case, checks: tuple[float, float], left: float) -> None:
+    found = case.found
+    figures = {
+        "iterations": found.iterations,
+        "runs": found.runs,
+        "seconds": found.seconds,
+        "gradient.start": checks[0],
+        "gradient.optimum": checks[1],
+        "optimality": left,
+    }
+    for name, value in figures.items():
+        report.figure(f"{case.key}.{name}", value)
+    report.table(
+        [
+            "variables",
+            "iterations",
+            "runs",
+            "CPU [s]",
+            "gradient, start",
+            "gradient, optimum",
+            "optimality",
+        ],
+        [
+            [
+                len(case.variables),
+                found.iterations,
+                found.runs,
+                f"{found.seconds:.1f}",
+                *[f"{x:.1e}" for x in (*checks, left)],
+            ]
+        ],
+    )
+
+
+def _compare(report: Report, case: Case) -> None:
+    rows: list[list[object]] = []
+    for each in case.comparisons:
+        word = _word(each.what)
+        report.figure(f"{case.key}.{word}.found", each.found)
+        report.figure(f"{case.key}.{word}.other", each.other)
+        rows.append([each.what, f"{each.found:.6g}", f"{each.other:.6g}", each.source])
+        report.claim(
+            f"{case.title}: {each.what}",
+            f"{each.other:.5g} ({each.source})",
+            f"{each.found:.5g}",
+            Agreement.AGREES if each.apart <= each.tolerance else Agreement.DISAGREES,
+        )
+    report.table(["comparison", "here", "other", "the other is from"], rows)
+
+
+def _ended(case: Case, on_bounds: list[str]) -> str:
+    test = "SciPy's test of convergence is met" if case.found.success else "SciPy gave up early"
+    bounds = f"on bounds end {_names(on_bounds)}" if on_bounds else "no variable ends on a bound"
+    return f"{test}; {bounds}."
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(names)
+
+
+def _word(name: str) -> str:
+    return "-".join("".join(c if c.isascii() and c.isalnum() else " " for c in name).split())
+
+
+def _verdict(report: Report, requirements: list[Requirement], quick: bool) -> None:
+    report.heading("Verdict")
+    reached = [r for r in requirements if r.found is not None and r.found <= r.limit]
+    report.figure("verdict.required", len(requirements))
+    report.figure("verdict.reached", len(reached))
+    settings = " (coarse settings: not results)" if quick else ""
+    report.text(f"{len(reached)} of {len(requirements)} figures are reached{settings}.")
+    report.table(["figure", "limit", "found", "reached"], [r.row() for r in requirements])
+    report.text(_YES if len(reached) == len(requirements) else _NO)
+
+
+_METHOD = """
+One file each in `validation/design/`: a page that builds scene and variables and calls SciPy, to
+be copied (with `Once` of `validation/design/optimisation.py`, which answers objective,
+constraints and derivatives at one place from one run), and below it what is drawn and compared.
+Gradients are discrete adjoints unless stated. *Gradient* is the largest difference of an entry of
+the Jacobian from central differences of the very call, over the largest entry of its row, at the
+start and at the optimum. *Optimality* is what remains of the gradient of the objective when
+active constraints and bounds have taken their part with multipliers of the right sign, over that
+gradient at the start. A run is one simulation with all its gradients. CPU is processor time of
+the optimisation alone.
+"""
+
+_YES = """
+To the question: yes. Every optimisation ends where the conditions of an optimum hold, with
+gradients that are those of the very call, and is no worse than what it is compared with.
+"""
+
+_NO = """
+To the question: not everywhere; see the rows with NO.
+"""
+
+_LIMITS = """
+- Optima are local. Where vibrations matter the constraints have several valleys, and another start
+  may end in another.
+- Smooth maxima over time lie below the largest value, by some per cent at the sharpness used;
+  those over places lie above.
+"""
