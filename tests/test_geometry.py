@@ -389,6 +389,15 @@ def test_a_moved_base_is_the_pendulum_moved():
     )
 
 
+def test_a_base_may_move_far():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    scene = Scene([rod], [Pin(rod.at_start, ground=(0.0, 0.0), name="base")])
+    moved = assemble(scene.with_values({"base.ground_x": 100.0})).start()[0]
+    # Round-off of coordinates of 100 m.
+    expected = assemble(scene).start()[0] + [100.0, 0, 0, 0, 0, 0] * 3
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-12)
+
+
 def test_at_the_declared_design_a_start_off_its_joints_is_refused():
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
     scene = Scene([rod], [Pin(rod.at_start, ground=(0.1, 0.0), name="base")])

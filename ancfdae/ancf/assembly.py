@@ -185,8 +185,9 @@ class Assembly:
         for _ in range(_ITERATIONS):
             F = self._position_equations(self._declared, y)
             dy = -_inverse(self._position_matrix(y)) @ F
-            size = np.max(np.abs(dy[: len(y[0])].real), initial=0.0)
-            dy = dy * min(1.0, _LONGEST_TURN / max(size, _LONGEST_TURN))
+            dx = np.abs(dy[: len(y[0])].real)
+            size, turn = np.max(dx, initial=0.0), np.max(dx[~self._shift], initial=0.0)
+            dy = dy * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
             y = _plus(y, dy)
             # The error left is the square of the last step.
             settled += size <= 1e-8
