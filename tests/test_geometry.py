@@ -488,3 +488,28 @@ def test_scenes_that_do_not_use_geometry_start_as_declared_to_the_last_digit():
     system = assemble(Scene([rod], [Pin(rod.at_start)]), ["rod.height"])
     assert np.array_equal(system.start()[0], system._reference.q)
     assert not system._start_along
+
+
+def test_a_variable_that_strains_the_bodies_has_the_derivative_of_the_call():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, STRIP, SOFT)
+    joints = [
+        Pin(rod.at_start, ground=(0.0, 0.0), name="left"),
+        Pin(rod.at_end, ground=(1.0, 0.0), name="right"),
+    ]
+    scene = Scene([rod], joints, (0.0, -9.81), project_start=True)
+    design = ["right.ground_x", "right.ground_y"]
+    found = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=design)
+    for target, slope in zip(design, found.gradient, strict=True):
+        held = scene.numbers("right")[target.removeprefix("right.")]
+        expected = central(lambda x, t=target: objective(scene.with_values({t: x})), held, 1e-4)
+        # The upright move closes to first order only: its neighbours are off by delta = 1e-3.
+        assert slope == pytest.approx(expected, rel=2e-3), target
+
+
+def test_a_body_that_leads_may_turn_by_its_drive():
+    scene = rebuilt(0.4)
+    crank = scene.beams[0]
+    motor = Drive(crank.at_start, Uniform(20.0), name="motor")
+    driven = replace(scene, joints=(*scene.joints, motor), assemble=True)
+    run = simulate(driven, END, HHT(STEP))
+    assert run.velocity(crank.at_end)[0] @ run.velocity(crank.at_end)[0] == pytest.approx(64.0)

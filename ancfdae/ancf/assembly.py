@@ -20,6 +20,7 @@ angular velocities, so that Phi_q v = nu.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -100,11 +101,21 @@ class Assembly:
         strains: bool,
     ) -> None:
         self._motions, self._pattern, self._declared = motions, pattern, declared
-        self._free = np.flatnonzero(free)
-        d = declared.Z.shape[1]
-        is_shift = np.broadcast_to(np.arange(motions.n_x) < d, free.shape).ravel()[self._free]
-        self._shift, self._units = is_shift, np.where(is_shift, size, 1.0)
         self._moves, self._strains, self._size = moves, strains, size
+        self._release(free)
+
+    def _release(self, free: Array) -> None:
+        self._free, d = np.flatnonzero(free), self._declared.Z.shape[1]
+        is_shift = np.broadcast_to(np.arange(self._motions.n_x) < d, free.shape).ravel()
+        self._shift = is_shift[self._free]
+        self._units = np.where(self._shift, self._size, 1.0)
+
+    @cached_property
+    def _rates(self) -> Assembly:
+        """The same for velocities: a body that leads keeps its orientation, but may turn."""
+        other = copy.copy(self)
+        other._release(np.ones(self._motions.none.shape, dtype=bool))
+        return other
 
     # -- the start -----------------------------------------------------------------------------
 
@@ -120,7 +131,8 @@ class Assembly:
         """Velocities, shape (n_q,)."""
         if self._stands:
             return self._declared.velocities(self.q, self._motions.none)
-        return self._moving(self._declared, self._positions[0], self.q, self._velocities[0])
+        motion = self._motion(self._positions[0])
+        return self._moving(self._declared, motion, self.q, self._velocities[0])
 
     def along(self, moved: Declared) -> tuple[Array, Array]:
         """Return the derivatives of q and v along a declaration moved by an imaginary step."""
@@ -128,9 +140,10 @@ class Assembly:
         x = y[0] - self._position_inverse[: len(y[0])] @ self._position_equations(moved, y)
         q = self._placed(moved, x)
         rates = self._velocities
-        F = self._velocity_equations(moved, q, self._moving(moved, x, q, rates[0]), rates)
-        s = rates[0] - self._velocity_inverse[: len(x)] @ F
-        v = self._moving(moved, x, q, s)
+        motion = self._motion(x)
+        F = self._velocity_equations(moved, q, self._moving(moved, motion, q, rates[0]), rates)
+        s = rates[0] - self._velocity_inverse[: len(rates[0])] @ F
+        v = self._moving(moved, motion, q, s)
         return q.imag / STEP, v.imag / STEP
 
     def left(self, q: Array, moved: Declared | None = None) -> Array:
@@ -248,30 +261,30 @@ class Assembly:
 
     @cached_property
     def _velocities(self) -> _Unknowns:
-        y = self._start(self._soft)
-        declared, x, q = self._declared, self._positions[0], self.q
+        y = self._rates._start(self._soft)
+        declared, motion, q = self._declared, self._motion(self._positions[0]), self.q
         if self._stands:
             return y
         for _ in range(3 if q.dtype.kind == "c" else 1):
-            F = self._velocity_equations(declared, q, self._moving(declared, x, q, y[0]), y)
+            F = self._velocity_equations(declared, q, self._moving(declared, motion, q, y[0]), y)
             y = _plus(y, -self._velocity_inverse @ (F if self._moves else 1j * F.imag))
         return y
 
     def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: _Unknowns) -> Array:
         rate = self._weights * declared.constraints.rate(0.0, q, (v,))
-        return self._equations(declared, q, self._rigid(q), y, rate)
+        return self._rates._equations(declared, q, self._rigid(q), y, rate)
 
     @cached_property
     def _velocity_inverse(self) -> Array:
         q = self.q.real
-        n, count = len(self._free), 1 if self._soft else 3
-        bends = [np.zeros((n, n))] * count
-        return _inverse(self._matrix(self._jacobian(q, self._rigid(q)), bends))
+        rates, count = self._rates, 1 if self._soft else 3
+        J = rates._jacobian(q, self._rigid(q))
+        return _inverse(rates._matrix(J, [np.zeros((J.shape[1], J.shape[1]))] * count))
 
-    def _moving(self, declared: Declared, x: Array, q: Array, s: Array) -> Array:
+    def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
         """Velocities as declared, with rigid motions at rates s added."""
-        v = declared.velocities(q, self._motion(x))
-        added: Array = self._motions.matrix(self._rigid(q)) @ self._motion(s).ravel()
+        v = declared.velocities(q, motion)
+        added: Array = self._motions.matrix(self._rigid(q)) @ self._rates._motion(s).ravel()
         return v + added
 
     def _rigid(self, q: Array) -> Array:
@@ -370,23 +383,38 @@ class Assembly:
                 "assembly",
                 "rigid motions of the bodies must close all joints",
                 self._worst(x),
-                "Correct the design, or set project_start=True to strain the bodies.",
+                "Declare the bodies nearer to where they fit, correct the design, or set "
+                "project_start=True to strain them.",
             )
 
-    def require_following(self, moved: Declared, q_b: Array, variable: str, value: float) -> None:
-        """Refuse a variable that moves joints as no rigid motion does, to first order.
+    def strained_along(self, moved: Declared) -> tuple[Array, Array]:
+        """Return the same as `along` for a declaration that no rigid motion follows.
 
-        `q_b` is the derivative of the start along the declaration `moved`.
+        At values nearby bodies come as near to the joints as they can, and are strained.
+        """
+        none = np.zeros(0)
+        x = self._positions[0].real
+        inverse = _inverse(self._position_matrix((x, none, none)))
+        x = x - 1j * (inverse @ self._position_equations(moved, (x, none, none)).imag)
+        q, s = self._placed(moved, x), self._velocities[0].real
+        J = self._rates._jacobian(self.q.real, self._rigid(self.q.real))
+        inverse = _inverse(self._rates._matrix(J, [np.zeros((len(s), len(s)))]))
+        motion = self._motion(x)
+        v = self._moving(moved, motion, q, s)
+        s = s - 1j * (inverse @ self._velocity_equations(moved, q, v, (s, none, none)).imag)
+        return q.imag / STEP, self._moving(moved, motion, q, s).imag / STEP
 
-        Raises
-        ------
-        InconsistentStart
+    def follows(self, moved: Declared, q_b: Array, value: float) -> str | None:
+        """Return None, or a joint that a variable opens because no rigid motion follows it.
+
+        `q_b` is the derivative of the start along the declaration `moved`, `value` that of the
+        variable.
         """
         declared = self._placed(moved, self._positions[0])
         held = np.max(np.abs(self.left(declared, moved).imag), initial=0.0) / STEP
         left = np.abs(self.left(self.q.real + 1j * STEP * q_b, moved).imag) / STEP
-        # Round-off is that of terms that cancel, and of moving coordinates.
-        # Coefficients that change, seen along a direction of no special kind.
+        # Round-off is that of terms that cancel, and of moving coordinates. Coefficients that
+        # change are seen along a direction of no special kind.
         q = self.q.real
         along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
         terms = self._weights * moved.constraints.rate(0.0, q, (along,)).imag / STEP
@@ -394,13 +422,9 @@ class Assembly:
         size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self._size
         # A variable that moves nothing leaves round-off of its own share of the mechanism.
         noise = _NOISE / abs(value) if value else 0.0
-        if np.max(left, initial=0.0) > _FREE * size + noise:
-            raise InconsistentStart(
-                f"design variable {variable!r}",
-                "rigid motions of the bodies must follow it",
-                f"joint {self.names[int(np.argmax(left))]!r}, which they leave open",
-                "Set project_start=True to strain the bodies, or choose another variable.",
-            )
+        if np.max(left, initial=0.0) <= _FREE * size + noise:
+            return None
+        return self.names[int(np.argmax(left))]
 
 
 def _inverse(matrix: Array) -> Array:

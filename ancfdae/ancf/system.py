@@ -30,7 +30,7 @@ from ancfdae.ancf.vectors import Vectors
 from ancfdae.bodies import Point
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
-from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.errors import InconsistentStart, InvalidInput, UnknownName
 from ancfdae.joints import DrivenJoint
 from ancfdae.loads import Load
 from ancfdae.naming import Layout, Naming, PointVector
@@ -311,11 +311,19 @@ class AncfSystem(MechanicalSystem):
 
     def _follow(self, i: int) -> tuple[Array, Array]:
         """Differentiate the assembly in design variable i; refuse what no rigid motion follows."""
-        along = self._assembly.along(self._declared(i))
-        if not self.project_start:
-            told = self.design_names[i], float(self.b[i].real)
-            self._assembly.require_following(self._declared(i), along[0], *told)
-        return along
+        declared = self._declared(i)
+        along = self._assembly.along(declared)
+        joint = self._assembly.follows(declared, along[0], float(self.b[i].real))
+        if joint is None:
+            return along
+        if self.project_start:
+            return self._assembly.strained_along(declared)
+        raise InconsistentStart(
+            f"design variable {self.design_names[i]!r}",
+            "rigid motions of the bodies must follow it",
+            f"joint {joint!r}, which they leave open",
+            "Set project_start=True to strain the bodies, or choose another variable.",
+        )
 
     def mass(self, q: Array) -> Array:
         """M (eq. 10)."""
