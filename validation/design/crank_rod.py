@@ -71,7 +71,8 @@ def slider_crank(elements: int) -> Scene:
 def optimise(elements: int, steps: int, start: Array, iterations: int = 40) -> Optimisation:
     """Find x, the logarithms of the radii in mm, for the least mass under a stress limit.
 
-    Mass and stress are logarithms, too: both are nearly linear in x, which SLSQP likes.
+    One radius per element, or a single one if `start` has one. Mass and stress are logarithms,
+    too: both are nearly linear in x, which SLSQP likes.
     """
     t_end = 2 * np.pi / _SPEED
     integrator = HHT(t_end / steps)
@@ -80,10 +81,9 @@ def optimise(elements: int, steps: int, start: Array, iterations: int = 40) -> O
     # SLSQP takes the unit matrix for curvature at first: the factor keeps its steps within 5 %.
     lightness = 0.1 * np.log(Terminal(mass("rod")) / _JONKER)
     responses = [lightness, np.log(stress / _ALLOWED)]
-    design = distribution("rod.radius", elements)[: len(start)]
-    if len(start) == 1:
-        design = (DesignVariable("radius", ["rod.radius"]),)
-    system = assemble(slider_crank(elements), design)
+    uniform = len(start) == 1
+    one, each = DesignVariable("radius", ["rod.radius"]), distribution("rod.radius", elements)
+    system = assemble(slider_crank(elements), [one] if uniform else each)
 
     def run(x: Array) -> tuple[Array, Array]:
         radii = 1e-3 * np.exp(x)

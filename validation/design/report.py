@@ -44,18 +44,14 @@ def tell(report: Report, case: Case) -> list[Requirement]:
     left, on_bounds = optimality(case), case.on_bounds()
     _work(report, case, checks, left)
     report.plot(case.key, case.panels, 2, case.title, case.caption)
-    _compare(report, case)
+    over = max([0.0, *_over(case, at_optimum)])
+    _compare(report, case, over <= _VIOLATION)
     report.text(_ended(case, on_bounds) + " " + case.findings.strip())
-    over = [
-        (value - response.limit) / (abs(response.limit) or 1.0)
-        for value, response in zip(at_optimum, case.responses, strict=True)
-        if response.limit is not None
-    ]
     requirements = [
         Requirement(f"{case.key}: gradient at the start", _GRADIENT, checks[0]),
         Requirement(f"{case.key}: gradient at the optimum", _GRADIENT, checks[1]),
         Requirement(f"{case.key}: conditions of an optimum", _OPTIMALITY, left),
-        Requirement(f"{case.key}: constraints exceeded by", _VIOLATION, max([0.0, *over])),
+        Requirement(f"{case.key}: constraints exceeded by", _VIOLATION, over),
         Requirement(f"{case.key}: variables on bounds", len(case.variables) / 2, len(on_bounds)),
     ]
     return requirements + [
@@ -115,7 +111,17 @@ def _work(report: Report, case: Case, checks: tuple[float, float], left: float) 
     )
 
 
-def _compare(report: Report, case: Case) -> None:
+def _over(case: Case, values: Sequence[float]) -> list[float]:
+    """Return by how much each limit is exceeded, relative; absolute for limits of zero."""
+    return [
+        (value - response.limit) / (abs(response.limit) or 1.0)
+        for value, response in zip(values, case.responses, strict=True)
+        if response.limit is not None
+    ]
+
+
+def _compare(report: Report, case: Case, feasible: bool) -> None:
+    """Add the table of comparisons; a design that exceeds its limits agrees with nothing."""
     rows: list[list[object]] = []
     for each in case.comparisons:
         word = _word(each.what)
@@ -126,7 +132,7 @@ def _compare(report: Report, case: Case) -> None:
             f"{case.title}: {each.what}",
             f"{each.other:.5g} ({each.source})",
             f"{each.found:.5g}",
-            Agreement.AGREES if each.apart <= each.tolerance else Agreement.DISAGREES,
+            Agreement.AGREES if feasible and each.apart <= each.tolerance else Agreement.DISAGREES,
         )
     report.table(["comparison", "here", "other", "the other is from"], rows)
 
