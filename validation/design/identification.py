@@ -45,7 +45,7 @@ def record(noise: Array | float) -> Fit:
     """Return the fit to a simulated record of the tip with this noise."""
     scene, t_end = cantilever(), _STEP * _STEPS
     tip = scene.beams[0].at_end
-    times = _STEP * np.arange(1, _STEPS + 1)
+    times = (_STEP * np.arange(1, _STEPS + 1)).tolist()
     clean = simulate(scene, t_end, HHT(_STEP)).at(times).position(tip)[:, 1]
     misfit = Misfit([position(tip, 1)], times, (clean + noise)[None], 1 / _NOISE)
     return misfit.fit(scene, t_end, HHT(_STEP), design=_DESIGN)
@@ -160,7 +160,7 @@ def _panels(fit: Fit, found: Optimisation, estimates: Array) -> list[Panel]:
         solution = fit.solution(_TRUE * x)
         series.append(Series(name, solution.t, solution.position(tip)[:, 1]))
     cloud = [
-        Series("one of the records", *estimates.T, line=False, marker=True),
+        Series("one of the records", estimates[:, 0], estimates[:, 1], line=False, marker=True),
         Series("truth", [1.0], [1.0], line=False, marker=True),
     ]
     return [
