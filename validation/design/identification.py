@@ -51,18 +51,18 @@ def record(noise: Array | float) -> Fit:
     return misfit.fit(scene, t_end, HHT(_STEP), design=_DESIGN)
 
 
-def gauss_newton(fit: Fit, x: Array, iterations: int) -> tuple[Array, int]:
-    """Return values over the true ones where steps J^T J d = -J^T r end, and the runs."""
+def gauss_newton(fit: Fit, x: Array, iterations: int) -> tuple[Array, Array, int]:
+    """Return values over the true ones, where the last run was, and the number of runs."""
     runs = 0
     while runs < iterations:
         runs += 1
         r, J = fit.residuals(_TRUE * x), fit.jacobian(_TRUE * x) * _TRUE
         d = np.linalg.lstsq(J, -r, rcond=None)[0]
-        x = x + d
+        last, x = x, x + d
         # A step of a thousandth of a standard deviation, whose length here is |J d| = 1.
         if np.linalg.norm(J @ d) < 1e-3:
             break
-    return x, runs
+    return x, last, runs
 
 
 def coverage(records: int) -> tuple[Array, Array, int]:
@@ -76,8 +76,8 @@ def coverage(records: int) -> tuple[Array, Array, int]:
     estimates, holds, runs = [], [], 1
     for noise in noises:
         fit = record(noise)
-        x, count = gauss_newton(fit, 1 + first @ (noise / _NOISE), 3)
-        half = _QUANTILE * np.sqrt(np.diag(fit.covariance(_TRUE * x))) / _TRUE
+        x, last, count = gauss_newton(fit, 1 + first @ (noise / _NOISE), 2)
+        half = _QUANTILE * np.sqrt(np.diag(fit.covariance(_TRUE * last))) / _TRUE
         runs += count
         estimates.append(x)
         holds.append(np.abs(x - 1) <= half)
