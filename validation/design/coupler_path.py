@@ -42,7 +42,7 @@ _DESIGN: Final = (
 
 
 def hoeken(elements: int, rigid: bool = False) -> Scene:
-    """Return the linkage with its crank upright; a coupler of 1 kg/m carries 20 g at its point."""
+    """Return the linkage with its crank upright; a coupler of 48 g carries 20 g at its point."""
     u = _UNIT
     crank = Beam("crank", (0, 0), (0, u), 1, _STRIP, _PLASTIC, rigid=True)
     coupler = Beam("coupler", crank.at_end, (4 * u, 3 * u), elements, _STRIP, _PLASTIC, rigid=rigid)
