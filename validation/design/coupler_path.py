@@ -42,7 +42,7 @@ _DESIGN: Final = (
 
 
 def hoeken(elements: int, rigid: bool = False) -> Scene:
-    """Return the linkage with its crank upright; a coupler of 1 kg/m carries 20 g at its point."""
+    """Return the linkage with its crank upright; a coupler of 48 g carries 20 g at its point."""
     u = _UNIT
     crank = Beam("crank", (0, 0), (0, u), 1, _STRIP, _PLASTIC, rigid=True)
     coupler = Beam("coupler", crank.at_end, (4 * u, 3 * u), elements, _STRIP, _PLASTIC, rigid=rigid)
@@ -63,7 +63,7 @@ def path_fit(elements: int, steps: int) -> Fit:
     """Return residuals, in mm, to a straight line, passed as the rigid linkage passes it."""
     t_end = np.pi / _SPEED
     integrator = HHT(t_end / steps)
-    times = t_end / steps * np.arange(3, steps + 1, 3)
+    times = (t_end / steps * np.arange(3, steps + 1, 3)).tolist()
     rigid = simulate(hoeken(1, rigid=True), t_end, integrator).at(times).position(_TIP)
     wanted = np.array([rigid[:, 0], np.full(len(times), 4 * _UNIT)])
     misfit = Misfit([position(_TIP, 0), position(_TIP, 1)], times, wanted, 1e3)
@@ -149,7 +149,7 @@ def _rms(fit: Fit, x: Array) -> float:
 
 def _panels(fit: Fit, found: Optimisation) -> list[Panel]:
     wanted = np.array(fit.misfit.data)
-    bars, paths = [], [Series("wanted", *wanted, line=False, marker=True)]
+    bars, paths = [], [Series("wanted", wanted[0], wanted[1], line=False, marker=True)]
     for name, x in (("Hoeken's proportions", found.start), ("optimum", found.optimum)):
         solution = fit.solution(_UNIT * x)
         right = (2.0 * _UNIT, 0.0) if name != "optimum" else tuple(_UNIT * found.optimum[3:])

@@ -45,24 +45,24 @@ def record(noise: Array | float) -> Fit:
     """Return the fit to a simulated record of the tip with this noise."""
     scene, t_end = cantilever(), _STEP * _STEPS
     tip = scene.beams[0].at_end
-    times = _STEP * np.arange(1, _STEPS + 1)
+    times = (_STEP * np.arange(1, _STEPS + 1)).tolist()
     clean = simulate(scene, t_end, HHT(_STEP)).at(times).position(tip)[:, 1]
     misfit = Misfit([position(tip, 1)], times, (clean + noise)[None], 1 / _NOISE)
     return misfit.fit(scene, t_end, HHT(_STEP), design=_DESIGN)
 
 
-def gauss_newton(fit: Fit, x: Array, iterations: int) -> tuple[Array, int]:
-    """Return values over the true ones where steps J^T J d = -J^T r end, and the runs."""
+def gauss_newton(fit: Fit, x: Array, iterations: int) -> tuple[Array, Array, int]:
+    """Return values over the true ones, where the last run was, and the number of runs."""
     runs = 0
     while runs < iterations:
         runs += 1
         r, J = fit.residuals(_TRUE * x), fit.jacobian(_TRUE * x) * _TRUE
         d = np.linalg.lstsq(J, -r, rcond=None)[0]
-        x = x + d
+        last, x = x, x + d
         # A step of a thousandth of a standard deviation, whose length here is |J d| = 1.
         if np.linalg.norm(J @ d) < 1e-3:
             break
-    return x, runs
+    return x, last, runs
 
 
 def coverage(records: int) -> tuple[Array, Array, int]:
@@ -76,8 +76,8 @@ def coverage(records: int) -> tuple[Array, Array, int]:
     estimates, holds, runs = [], [], 1
     for noise in noises:
         fit = record(noise)
-        x, count = gauss_newton(fit, 1 + first @ (noise / _NOISE), 3)
-        half = _QUANTILE * np.sqrt(np.diag(fit.covariance(_TRUE * x))) / _TRUE
+        x, last, count = gauss_newton(fit, 1 + first @ (noise / _NOISE), 2)
+        half = _QUANTILE * np.sqrt(np.diag(fit.covariance(_TRUE * last))) / _TRUE
         runs += count
         estimates.append(x)
         holds.append(np.abs(x - 1) <= half)
@@ -160,7 +160,7 @@ def _panels(fit: Fit, found: Optimisation, estimates: Array) -> list[Panel]:
         solution = fit.solution(_TRUE * x)
         series.append(Series(name, solution.t, solution.position(tip)[:, 1]))
     cloud = [
-        Series("one of the records", *estimates.T, line=False, marker=True),
+        Series("one of the records", estimates[:, 0], estimates[:, 1], line=False, marker=True),
         Series("truth", [1.0], [1.0], line=False, marker=True),
     ]
     return [

@@ -3,14 +3,22 @@
 from collections.abc import Callable, Sequence
 
 from validation.design.case import Case, gradient_check, optimality
+from validation.design.coupler_path import coupler_path
 from validation.design.crank_rod import crank_rod
+from validation.design.identification import identification
+from validation.design.whirling_beam import whirling_beam
 from validation.external.runs import Requirement
 from validation.report import Agreement, Report
 
 __all__ = ["run"]
 
 # Each takes `quick`: few elements, steps and iterations.
-_CASES: tuple[Callable[[bool], Case], ...] = (crank_rod,)
+_CASES: tuple[Callable[[bool], Case], ...] = (
+    crank_rod,
+    whirling_beam,
+    coupler_path,
+    identification,
+)
 
 # Central differences of step 1e-5 are right to 1e-10, or to the round-off of a run, 1e-12 and
 # less, over the step; responses of vibrating mechanisms curve more.

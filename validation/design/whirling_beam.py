@@ -1,6 +1,6 @@
 """A whirling beam of given mass that bends least while it is spun up."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import minimize
@@ -35,7 +35,7 @@ _SPEED, _DURATION, _HEIGHT, _MASS = 6.0, 1.0, 0.02, 0.48
 _POLYMER: Final = Material(1200.0, 2e8, 0.35, damping_time=2e-3)
 
 
-def spin_up(t: float) -> float:
+def spin_up(t: Any) -> Any:
     """Angle of the hub: speed (t - sin(2 pi t) / (2 pi)) within one second."""
     return _SPEED * (t * t / 2 + (np.cos(2 * np.pi * t) - 1) / (2 * np.pi) ** 2)
 
