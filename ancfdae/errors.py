@@ -170,6 +170,11 @@ def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str
         raise InvalidInput(where, f"must be of type {names}", repr(value), repair)
 
 
+def require_text(where: str, value: object) -> None:
+    """Raise InvalidInput for what is no text, where a name is expected."""
+    require_kind(where, value, (str,), "Give the name, as in rod.name.")
+
+
 def require_flag(where: str, value: object) -> None:
     """Raise InvalidInput for what is neither True nor False."""
     require_kind(where, value, (bool, np.bool_), "Give True or False.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any, ClassVar, Self, TypeAlias, final
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.bodies import Point, require_point
 from ancfdae.design import Designable
 from ancfdae.elements import BeamElement, Quantity
-from ancfdae.errors import InvalidInput, require_vector
+from ancfdae.errors import InvalidInput, require_text, require_vector
 
 
 @final
@@ -104,6 +104,8 @@ class Part(Designable, abc.ABC):
         if "point" in given:
             require_point(where, given["point"])
             at = str(given["point"])
+        elif "beam" in given:
+            require_text(f"{where}, beam", at)
         if not name:
             object.__setattr__(self, "name", f"{self.kind}({at})")
         where = f"{self.role} {self.name!r}"
@@ -175,9 +177,13 @@ class Part(Designable, abc.ABC):
     def _given(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
+    def _needs(self, name: str) -> bool:
+        own = (field for field in fields(self) if field.name == name)  # type: ignore[arg-type]
+        return any(field.default is MISSING for field in own)
+
     def _check_ends(self, where: str, given: dict[str, Any]) -> None:
         other, ground = given.get("other"), given.get("ground")
-        if other is not None:
+        if other is not None or self._needs("other"):
             require_point(f"{where}, other", other)
         ends = (other is not None) + (ground is not None)
         if ends == 2 or (ends == 0 and self.needs_other_end):

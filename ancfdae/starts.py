@@ -17,6 +17,7 @@ from ancfdae.errors import (
     require_finite,
     require_kind,
     require_sequence,
+    require_text,
     require_vector,
 )
 from ancfdae.loads import Load
@@ -58,6 +59,7 @@ class RigidMotion(Designable):
 
     def __post_init__(self) -> None:
         """Validate."""
+        require_text("RigidMotion.beam", self.beam)
         self.check_fields(f"start of {self.beam!r}")
 
 

@@ -220,7 +220,8 @@ def test_a_driven_joint_that_moves_at_the_start_is_refused():
 
 def test_nonsense_is_refused_in_words():
     joints, spin = [Clamp(ROD.at_start)], RigidMotion("rod", 1.0, (0.0, 0.0))
-    moving = NodeState("rod", np.zeros((4, 3, 2)), np.zeros((4, 3, 2)))
+    nodes = assemble(Scene([ROD], joints)).start()[0].reshape(4, 3, 2)
+    moving = NodeState("rod", nodes, 0 * nodes)
     same = PointForce(ROD.at(0.5), (0.0, 3.0), name="bias")
     for action, words in (
         (lambda: Scene([ROD], joints, start=[AtRest(), AtRest()]), "AtRest stands alone"),

@@ -9,6 +9,7 @@ from ancfdae.errors import (
     InvalidInput,
     require_finite,
     require_kind,
+    require_text,
 )
 
 
@@ -44,6 +45,7 @@ class Point:
 
     def __post_init__(self) -> None:
         """Validate."""
+        require_text("point, beam", self.beam)
         where = f"point of {self.beam!r}"
         for value in (self.x, self.y, self.z):
             require_finite(where, value)

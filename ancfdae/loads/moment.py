@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement
-from ancfdae.errors import InvalidInput, require_finite, require_vector
+from ancfdae.errors import InvalidInput, require_finite, require_flag, require_vector
 from ancfdae.laws import Law
 from ancfdae.loads.load import LAW, Load
 from ancfdae.loads.sections import QUARTER_TURN, section_of
@@ -61,6 +61,10 @@ class Moment(Load):
 
     kind = "moment"
     design_fields = (("moment", require_moment), LAW)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_flag("moment, follower", self.follower)
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Slopes of the section."""

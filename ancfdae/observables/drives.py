@@ -7,6 +7,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
+from ancfdae.errors import require_text
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_scene
@@ -49,6 +50,9 @@ class LoadPower(Leaf):
 
     load: str
 
+    def __post_init__(self) -> None:
+        require_text("load_power, load", self.load)
+
     def check_leaf(self, system: Named) -> None:
         """Refuse a load that does not exist."""
         known_scene(system).load_work(self.load)
@@ -73,6 +77,9 @@ class Work(Leaf):
 
     joint: str
     unit_rate: bool
+
+    def __post_init__(self) -> None:
+        require_text("joint of an observable", self.joint)
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a joint that does not exist or is not driven."""

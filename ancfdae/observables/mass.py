@@ -16,7 +16,7 @@ import numpy as np
 
 from ancfdae.ancf import AncfSystem
 from ancfdae.bodies import Point
-from ancfdae.errors import InvalidInput, require_vector
+from ancfdae.errors import InvalidInput, require_text, require_vector
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_scene, require_index
@@ -111,6 +111,10 @@ class MassIntegral(Leaf):
     left: int | None = None
     right: int | None = None
     rate: bool = False
+
+    def __post_init__(self) -> None:
+        if self.beam is not None:
+            require_text("mass, beam", self.beam)
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a beam or an axis that does not exist."""

@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_text
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import (
@@ -65,6 +65,11 @@ class Multiplier(Leaf):
     row: int
     on_point: bool = False
 
+    def __post_init__(self) -> None:
+        require_text("joint of an observable", self.joint)
+        if not self.on_point:
+            require_kind("multiplier, row", self.row, (int, np.integer), "Counted from 0 on.")
+
     def check_leaf(self, system: Named) -> None:
         """Refuse a joint, an equation or an axis that does not exist."""
         layout = known_naming(system).layout
@@ -100,6 +105,10 @@ class Energy(Leaf):
 
     beam: str | None
     kinetic: bool
+
+    def __post_init__(self) -> None:
+        if self.beam is not None:
+            require_text("energy, beam", self.beam)
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a beam that does not exist, or a solution without its system."""
@@ -147,6 +156,9 @@ class Design(Leaf):
     """Value of a design variable."""
 
     name: str
+
+    def __post_init__(self) -> None:
+        require_text("design_value, name", self.name)
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a design variable that the system does not have."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from ancfdae.ancf import StressPoints
 from ancfdae.bodies import Point, require_point
-from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.errors import InvalidInput, require_positive, require_text
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_scene
@@ -89,6 +89,7 @@ class MaximumStress(Leaf):
     sharpness: float
 
     def __post_init__(self) -> None:
+        require_text("maximum_stress, beam", self.beam)
         require_positive("maximum_stress, sharpness", self.sharpness)
 
     def check_leaf(self, system: Named) -> None:

@@ -13,7 +13,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.errors import InvalidInput, require_flag, require_positive
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
@@ -105,6 +105,7 @@ class FiniteDifference(Perturbation):
 
     def __post_init__(self) -> None:
         require_positive("FiniteDifference.relative_step", self.relative_step)
+        require_flag("FiniteDifference.central", self.central)
         if self.relative_step >= 1:
             rule, repair = "must be below 1", "0.01 perturbs by one per cent."
             raise InvalidInput("FiniteDifference.relative_step", rule, self.relative_step, repair)

@@ -1,0 +1,55 @@
+"""Builds sdist and wheel and uses the wheel alone, in an environment of its own.
+
+Run as ``python tests/installed_wheel.py`` from the checkout. The wheel is built from the sdist,
+so that a file missing there is missed here.
+"""
+
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+from test_readme import README, ROOT, python_blocks
+
+# Imports every module, so that none needs the checkout or an extra.
+IMPORT_ALL = """
+import importlib, importlib.util, pathlib, pkgutil, sys
+import ancfdae
+assert pathlib.Path(ancfdae.__file__).is_relative_to(sys.prefix), ancfdae.__file__
+assert importlib.util.find_spec("validation") is None
+for module in pkgutil.walk_packages(ancfdae.__path__, "ancfdae."):
+    importlib.import_module(module.name)
+"""
+
+
+def run(*command: object, folder: Path) -> None:
+    subprocess.run([str(word) for word in command], cwd=folder, check=True)
+
+
+def check_names(wheel: Path) -> None:
+    """Refuse a wheel that installs more than the package, or lacks what goes with it."""
+    names = zipfile.ZipFile(wheel).namelist()
+    top = {name.split("/")[0] for name in names}
+    stray = {name for name in top if name != "ancfdae" and not name.endswith(".dist-info")}
+    assert not stray, f"the wheel installs {sorted(stray)}"
+    for needed in ("ancfdae/py.typed", "licenses/LICENSE"):
+        assert any(name.endswith(needed) for name in names), f"the wheel lacks {needed}"
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        run(sys.executable, "-m", "build", "--outdir", folder, ROOT, folder=folder)
+        (wheel,) = folder.glob("*.whl")
+        check_names(wheel)
+        run(sys.executable, "-m", "venv", "clean", folder=folder)
+        python = folder / "clean" / "bin" / "python"
+        run(python, "-m", "pip", "install", "--quiet", wheel, folder=folder)
+        for program in (IMPORT_ALL, python_blocks("README.md", README.read_text())[0].code):
+            # Isolated: neither the checkout nor PYTHONPATH is seen.
+            run(python, "-I", "-W", "error", "-c", program, folder=folder)
+
+
+if __name__ == "__main__":
+    main()
