@@ -123,7 +123,7 @@ class Pose:
         element = SpaceElement()
         self.kinds = self.joint.vectors(element)
         place = rng.uniform(-1, 1, 3)
-        relative = self.joint.other is not None if hasattr(self.joint, "other") else False
+        relative = getattr(self.joint, "other", None) is not None
         # The reference: both points at the same place.
         self.frames = {HERE: frame, THERE: other}
         self.reference = np.array(

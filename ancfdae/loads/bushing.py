@@ -10,10 +10,9 @@ import numpy as np
 
 from ancfdae.bodies import Point, Quantity
 from ancfdae.elements import BeamElement
-from ancfdae.errors import InvalidInput, require_vector
+from ancfdae.errors import InvalidInput, require_axial, require_vector
 from ancfdae.laws import Law
 from ancfdae.loads.load import LAW, Load
-from ancfdae.loads.moment import require_moment
 from ancfdae.loads.sections import Carrier, rate_of, section_of, turn
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, dot
@@ -63,8 +62,8 @@ class Bushing(Load):
     design_fields = (
         ("stiffness", require_vector),
         ("damping", require_vector),
-        ("turn_stiffness", require_moment),
-        ("turn_damping", require_moment),
+        ("turn_stiffness", require_axial),
+        ("turn_damping", require_axial),
         LAW,
     )
     vector_words: ClassVar[Mapping[str, str]] = {

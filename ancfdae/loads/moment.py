@@ -10,21 +10,13 @@ import numpy as np
 
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement
-from ancfdae.errors import InvalidInput, require_finite, require_flag, require_vector
+from ancfdae.errors import InvalidInput, require_axial, require_flag
 from ancfdae.laws import Law
 from ancfdae.loads.load import LAW, Load
 from ancfdae.loads.sections import QUARTER_TURN, section_of
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, cross, direction, dot
 from ancfdae.parts import Vectors
-
-
-def require_moment(where: str, value: object) -> None:
-    """Raise InvalidInput for what is neither a number nor three."""
-    if np.ndim(value) == 0:  # type: ignore[arg-type]
-        require_finite(where, value)
-    else:
-        require_vector(where, value, (3,))
 
 
 @final
@@ -60,7 +52,7 @@ class Moment(Load):
     law: Law | None = None
 
     kind = "moment"
-    design_fields = (("moment", require_moment), LAW)
+    design_fields = (("moment", require_axial), LAW)
 
     def __post_init__(self) -> None:
         super().__post_init__()
