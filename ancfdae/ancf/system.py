@@ -339,7 +339,7 @@ class AncfSystem(MechanicalSystem):
 
     def force(self, q: Array, v: Array, t: float) -> Array:
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
-        Q = self._inertia.gravity + self._elastic.force(q, v)
+        Q = self._inertia.gravity - self._elastic.internal(q, v)
         if self._scene.loads:
             Q = Q + self._loads.force(q[None], v[None], np.array([t]))[0]
         return Q
@@ -702,9 +702,9 @@ class AncfSystem(MechanicalSystem):
         return np.asarray(owners == self.naming.layout.owner(beam), dtype=float)
 
     def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
-        Q_q, Q_v = self._elastic.force_q(q, v), None
+        Q_q, Q_v = -self._elastic.internal_q(q, v), None
         if self._elastic.damped:
-            Q_v = self._elastic.force_v(q)
+            Q_v = -self._elastic.internal_v(q)
         elif self.velocity_forces:
             Q_v = np.zeros_like(Q_q)
         if self._scene.loads:

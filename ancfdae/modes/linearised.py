@@ -18,8 +18,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, SingularMatrix
+from ancfdae.kernels import norm
 from ancfdae.modes.configuration import Configuration
-from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point
@@ -199,8 +200,8 @@ class Linearised:
         Q = system.force(at.q, np.zeros(system.n_q), at.t)
         reaction = system.constraint_force(at.q, at.lam, at.t)
         inverse = 1 / system.weights
-        left = real_norm(Q - reaction, inverse)
+        left = norm(Q - reaction, inverse)
         # Newton's method leaves some multiples of the round-off of the forces.
         if left <= 1e3 * system.force_round_off:
             return 0.0
-        return left / (real_norm(Q, inverse) + real_norm(reaction, inverse))
+        return left / (norm(Q, inverse) + norm(reaction, inverse))

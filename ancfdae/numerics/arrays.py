@@ -17,12 +17,6 @@ Array: TypeAlias = npt.NDArray[Any]
 STEP = 2.0**-133
 
 
-def real_norm(x: Array, weights: Array) -> float:
-    """Weighted Euclidean norm of the real part, sqrt(sum(weights x^2)), for decisions only."""
-    x = x.real
-    return float(np.sqrt(np.dot(weights, x * x)))
-
-
 def is_finite(x: Array) -> bool:
     """Whether every entry is finite, at the price of one reduction."""
     return bool(np.isfinite(x.sum()))

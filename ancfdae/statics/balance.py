@@ -18,7 +18,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
-from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point, solve
@@ -208,7 +209,7 @@ class Balance:
 
     def length(self, dq: Array) -> float:
         """Return the size of a change of coordinates."""
-        return real_norm(dq, self.system.weights)
+        return norm(dq, self.system.weights)
 
     @cached_property
     def position(self) -> float:
@@ -222,7 +223,7 @@ class Balance:
 
     def strength(self, Q: Array) -> float:
         """Return the size of generalised forces."""
-        return real_norm(Q, 1 / self.system.weights)
+        return norm(Q, 1 / self.system.weights)
 
     @cached_property
     def load(self) -> float:

@@ -19,7 +19,8 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.hht.small_steps import constraint_increment, motion_size, share_of_defect
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import Array, is_finite
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 
@@ -173,7 +174,7 @@ class StepSolver:
             stuck = fresh and rate > 0.5 and size <= _ROUND_OFF
             # Of stiff bodies far from balance corrections are small too: forces must balance.
             if stuck:
-                stuck = real_norm(R[: system.n_q], self._inverse_weights) <= _ROUND_OFF * now
+                stuck = norm(R[: system.n_q], self._inverse_weights) <= _ROUND_OFF * now
             if left <= tolerance or size <= tolerance or stuck:
                 settled += 1
                 if settled == 1:
@@ -199,16 +200,14 @@ class StepSolver:
         """Size of a correction: of the accelerations and of the reactions, in units of force."""
         system = self._system
         reaction = system.constraint_force(q, x[system.n_q :], t)
-        return real_norm(x[: system.n_q], system.weights) + real_norm(
-            reaction, self._inverse_weights
-        )
+        return norm(x[: system.n_q], system.weights) + norm(reaction, self._inverse_weights)
 
     def _blurred(self, t: float, q: Array, a: Array, lam: Array) -> bool:
         """Whether round-off of the elastic forces leaves less than seven digits of the motion."""
-        if real_norm(a, self._system.weights) >= self._blur:
+        if norm(a, self._system.weights) >= self._blur:
             return False
         reaction = self._system.constraint_force(q, lam, t)
-        return real_norm(reaction, self._inverse_weights) < self._blur
+        return norm(reaction, self._inverse_weights) < self._blur
 
     def _motion_before(self, before: Node) -> float:
         """Motion at the last accepted step, or at the start."""

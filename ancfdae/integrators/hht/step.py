@@ -35,7 +35,8 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
-from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import Array
 
 # Where the branch of solutions could be followed over more than this part of a step, and then was
 # lost in round-off, as many iterations as this times the usual ones are spent on the full step.
@@ -109,7 +110,7 @@ class Stepper(OneStepMethod[State]):
             return None
         ahead, _ = predict_increment(c, last.v, last.a)
         weights = self._problem.system.weights
-        near = real_norm(node.q - last.q - ahead, weights) <= real_norm(ahead, weights)
+        near = norm(node.q - last.q - ahead, weights) <= norm(ahead, weights)
         return node if near else None
 
     def failure(self) -> Failure:
