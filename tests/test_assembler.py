@@ -730,7 +730,7 @@ def test_design_derivatives_of_the_constraints_are_not_all_zero():
 def test_force_is_minus_the_gradient_of_the_energies(conservative):
     s, system = conservative, conservative.system
     gradient = s.by_coordinate(
-        lambda q: np.sum(system.strain_energy(q)) + system.gravity_potential(q)
+        lambda q: system.energies.strain(q[None])[0] + system.energies.gravity(q)
     )
     assert_close(system.force(s.q, s.v, s.t), -gradient, DERIVATIVE)
 
@@ -967,7 +967,7 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
     M = s.system.pattern.dense(s.system.mass(s.q))
     assert_close(M, expected, VALUE)
     assert_close(s.system.mass_times(s.q, s.a), M @ s.a, VALUE)
-    assert_close(s.system.kinetic_energies(s.v[None]), np.array([0.5 * s.v @ M @ s.v]), VALUE)
+    assert_close(s.system.energies.kinetic(s.v[None]), np.array([0.5 * s.v @ M @ s.v]), VALUE)
     translation = np.zeros((s.system.n_q // d, d))
     translation[:: s.system.element.n_s, 0] = 1.0
     total = translation.ravel() @ s.system.mass_times(s.q, translation.ravel())

@@ -385,8 +385,8 @@ def _continuous(report: Report, extent: _Extent) -> None:
 def _balance(report: Report, solution: Solution) -> None:
     report.heading("Energy and constraints")
     system = assemble(crank_slider())
-    kinetic, strain = system.kinetic_energies(solution.v), system.strain_energies(solution.q)
-    gravity = np.array([float(system.gravity_potential(q)) for q in solution.q])
+    kinetic, strain = system.energies.kinetic(solution.v), system.energies.strain(solution.q)
+    gravity = system.energies.gravity(solution.q)
     total = kinetic + strain + gravity - gravity[0]
     drift = [
         np.max(np.abs(system.constraint(q, t))) for q, t in zip(solution.q, solution.t, strict=True)

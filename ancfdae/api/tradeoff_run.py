@@ -132,6 +132,5 @@ def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[
     """Return the energy of a scene, kinetic, strain and gravity's, and the largest kinetic one."""
     if not isinstance(system, AncfSystem):
         return np.zeros(0), 0.0
-    q, kinetic = solution.q[rows], system.kinetic_energies(solution.v[rows])
-    gravity = np.array([float(system.gravity_potential(x)) for x in q])
-    return kinetic + system.strain_energies(q) + gravity, float(np.max(kinetic))
+    q, v = solution.q[rows], solution.v[rows]
+    return system.energies.total(q, v), float(np.max(system.energies.kinetic(v)))
