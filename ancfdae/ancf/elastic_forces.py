@@ -55,10 +55,10 @@ class ElasticForces:
         vectors, d = numbering.vectors, numbering.element.d
         own = block.A, block.g_o, block.p_o, block.tau
         self._elements = Block(*own, vectors, d, numbering.n_q)
-        self._coordinates = numbering.coordinates(vectors).reshape(len(vectors), -1)
-        n, size = self._coordinates.shape
+        n, size = len(vectors), vectors.shape[1] * d
+        self._coordinates = numbering.coordinates(vectors).reshape(n, size)
         rows = np.broadcast_to(self._coordinates[:, :, None], (n, size, size))
-        index = pattern.index(rows.ravel(), rows.swapaxes(1, 2).ravel()).reshape(n, -1)
+        index = pattern.index(rows.ravel(), rows.swapaxes(1, 2).ravel()).reshape(n, size**2)
         self._index = index.astype(np.int32)
         pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
         self._stiff = len(block.stiffness_pairs)
@@ -78,7 +78,7 @@ class ElasticForces:
         by their magnitude, in the norm sqrt(sum Q^2 / weights).
         """
         own, (n, size) = self._coordinates, self._coordinates.shape
-        apart = np.arange(n * size**2, dtype=np.int32).reshape(n, -1)
+        apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
         block = self._elements
         p_o = None if block.p_o is None else block.p_o.real
         real = block._replace(A=block.A.real, g_o=block.g_o.real, p_o=p_o, tau=None)
@@ -182,7 +182,7 @@ class ElasticForces:
         """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
         q, v, a = states
         own = self._pair_rates(q, v, (v, a))
-        total = self._by_variable(own)[0]
+        total = only(self._by_variable(own))
         q, v, a = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
         along: Array = self._along((q, v), (v, a)).imag.T / STEP
         return -(total + along)
