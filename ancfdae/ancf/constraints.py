@@ -440,7 +440,8 @@ class JointConstraints:
     def constraints_q(self, q: Array, t: Array) -> Array:
         """Values of Phi_q, shape (k, nnz)."""
         if self._simple:
-            return np.broadcast_to(self._B_values, (len(q), len(self._B_values)))
+            same = self._B_values[None]
+            return same if len(q) == 1 else np.repeat(same, len(q), axis=0)
         return self._to_values.rows(self._raw(self._over(t), self._vectors.of(q)))
 
     def constraints(self, q: Array, t: Array) -> Array:

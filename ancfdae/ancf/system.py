@@ -218,12 +218,12 @@ class AncfSystem(MechanicalSystem):
 
     def force_q(self, q: Array, v: Array, t: float) -> Array:
         """Q_q (eq. 19)."""
-        return only(self._tangents(q[None], v[None], np.array([t]))[0])
+        return -only(self._tangents(q[None], v[None], np.array([t]))[0])
 
     def force_v(self, q: Array, v: Array, t: float) -> Array:
         """Q_v."""
-        Q_v = self._tangents(q[None], v[None], np.array([t]))[1]
-        return np.zeros(self.pattern.size) if Q_v is None else Q_v[0]
+        D = self._tangents(q[None], v[None], np.array([t]))[1]
+        return np.zeros(self.pattern.size) if D is None else -only(D)
 
     def force_b(self, q: Array, v: Array, t: float) -> Array:
         """Q_b (eqs. 24, 25)."""
@@ -373,11 +373,9 @@ class AncfSystem(MechanicalSystem):
 
     def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
         """M, f_q, f_v and Phi_q."""
-        Q_q, Q_v = self._tangents(q, v, t)
-        f_q = -Q_q
+        f_q, f_v = self._tangents(q, v, t)
         if not self.linear_constraints:
             f_q = f_q + self._constraints.constraint_force_q(lam, t)
-        f_v = None if Q_v is None else -Q_v
         M = self._inertia.values[None]
         return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
 
@@ -439,14 +437,15 @@ class AncfSystem(MechanicalSystem):
         return total
 
     def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
-        Q_q, Q_v = -self._elastic.internal_q(q, v), None
+        """Return -Q_q and -Q_v."""
+        K, D = self._elastic.internal_q(q, v), None
         if self._elastic.damped:
-            Q_v = -self._elastic.internal_v(q)
+            D = self._elastic.internal_v(q)
         elif self.velocity_forces:
-            Q_v = np.zeros_like(Q_q)
+            D = np.zeros_like(K)
         if self._scene.loads:
-            self._loads.add_tangents(q, v, t, Q_q, Q_v)
-        return Q_q, Q_v
+            self._loads.subtract_tangents(q, v, t, K, D)
+        return K, D
 
     def _forces_b(self, q: Array, v: Array, t: Array) -> Array:
         Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b

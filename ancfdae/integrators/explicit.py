@@ -29,7 +29,8 @@ from ancfdae.integrators.index_1 import State, project
 from ancfdae.integrators.integrand import Points, Rule
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite
+from ancfdae.numerics.arrays import Array
 
 # SciPy raises smaller ones to 100 eps with a warning.
 _LEAST_RTOL = 3e-14
@@ -202,7 +203,7 @@ class _ExplicitMarch(March):
         return Points(rule, h, s * self._t_end, q[..., 0], v[..., 0], *derivatives)
 
     def _projected(self, s: float, y: Array) -> State:
-        if not is_finite(y):
+        if not finite(y):
             raise NotFinite
         problem, t = self._problem, s * self._t_end
         return project(problem.system, problem.accelerations, t, self._point(y))
@@ -219,7 +220,7 @@ class _ExplicitMarch(March):
         return np.full_like(y, np.nan)
 
     def _finite_rate(self, s: float, y: Array) -> Array:
-        if not is_finite(y):
+        if not finite(y):
             raise NotFinite
         t, x, accelerations = s * self._t_end, self._point(y), self._problem.accelerations
         a, lam = accelerations.solve(t, x.q, x.v)
@@ -228,7 +229,7 @@ class _ExplicitMarch(March):
             a_b, lam_b = accelerations.solve_b(t, (x.q, x.v, a, lam), x.q_b, x.v_b)
             rate = State(x.v, a, x.v_b, a_b)
         vector = self._vector(rate) * self._t_end
-        if not is_finite(vector):
+        if not finite(vector):
             raise NotFinite
         self._stages.append(_Stage(s, y, lam, lam_b))
         return vector

@@ -21,8 +21,8 @@ from ancfdae.integrators.start import (
     consistent_start,
     start_sensitivity,
 )
-from ancfdae.kernels import norm
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point
@@ -119,6 +119,6 @@ class Problem:
             ("accelerations", accelerations),
             ("design derivatives", self.derivative or ()),
         ):
-            if not all(is_finite(x) for x in arrays):
+            if not all(finite(x) for x in arrays):
                 rule, got = "must be finite", "NaN or infinity"
                 raise InvalidInput(f"{what} at the start", rule, got, "Check forces and start.")

@@ -18,8 +18,8 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.errors import InconsistentStart, InvalidInput, SingularMatrix
-from ancfdae.kernels import norm
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import refuse_redundant, solve, solve_transposed
@@ -63,7 +63,7 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
     if the projection does not converge; InvalidInput if it or the forces at it are not finite.
     """
     q, v = system.start()
-    if not (is_finite(q) and is_finite(v)):
+    if not (finite(q) and finite(v)):
         raise InvalidInput("start", "must be finite", "NaN or infinity", "Check the start.")
     if not system.project_start:
         _refuse_inconsistent(system, q, v, t)
@@ -82,7 +82,7 @@ def _solve_start(
     zero = np.zeros(system.n_lam)
     v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
     Q = system.force(q, v, t)
-    if not is_finite(Q):
+    if not finite(Q):
         raise InvalidInput(
             "forces at the start", "must be finite", "NaN or infinity", "Check forces and start."
         )
@@ -313,7 +313,7 @@ def _close_gap(
             break
         dq, change = solve(factors, force, left - system.constraint(q, t))
         q, sigma_q = q + dq, sigma_q + change
-        if not is_finite(q):
+        if not finite(q):
             break
         if norm(dq, system.weights) <= 1e-12 * scale:
             # A complex perturbation lags the real part by one sweep.

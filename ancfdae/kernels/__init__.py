@@ -11,38 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
-from ancfdae.kernels._kernels import (
-    band_factor,
-    band_solve,
-    csr_rows,
-    csr_rows_transposed,
-    forces,
-    forces_along,
-    gram,
-    lifted,
-    norm,
-    relative,
-    strain,
-    stressed,
-    tangents,
-)
-
-__all__ = [
-    "Block",
-    "band_factor",
-    "band_solve",
-    "csr_rows",
-    "csr_rows_transposed",
-    "forces",
-    "forces_along",
-    "gram",
-    "lifted",
-    "norm",
-    "relative",
-    "strain",
-    "stressed",
-    "tangents",
-]
+from ancfdae.kernels import _kernels
 
 Array = npt.NDArray[Any]
 
@@ -60,3 +29,20 @@ class Block(NamedTuple):
     vectors: Array
     d: int
     n_q: int
+
+
+add_scaled = _kernels.add_scaled
+band_factor = _kernels.band_factor
+band_solve = _kernels.band_solve
+csr_rows = _kernels.csr_rows
+csr_rows_transposed = _kernels.csr_rows_transposed
+finite = _kernels.finite
+forces = _kernels.forces
+forces_along = _kernels.forces_along
+gram = _kernels.gram
+lifted = _kernels.lifted
+norm = _kernels.norm
+relative = _kernels.relative
+strain = _kernels.strain
+stressed = _kernels.stressed
+tangents = _kernels.tangents

@@ -4,6 +4,8 @@ States are rows, (..., n_q), leading axes are instants. Relative node vectors Y 
 shape (..., n, n_y, d), packed matrices (..., n, n_g).
 """
 
+from typing import Any
+
 from ancfdae.kernels import Array, Block
 
 def relative(block: Block, q: Array, /) -> Array:
@@ -81,3 +83,9 @@ def band_solve(
 
     P numbers the rows: row i of the band is row order[i] of x.
     """
+
+def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
+    """Return x + s y for arrays of one shape, or whatever NumPy makes of it."""
+
+def finite(x: Array, /) -> bool:
+    """Tell whether every entry is finite."""

@@ -393,6 +393,46 @@ static PyObject *py_norm(PyObject *self, PyObject *const *args, Py_ssize_t count
     return result;
 }
 
+/* add_scaled(x, s, y): x + s y; NumPy's own operators where these are not real arrays alike. */
+static PyObject *py_add_scaled(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    PyArrayObject *x = (PyArrayObject *)args[0], *y = (PyArrayObject *)args[2], *out;
+    if (!PyFloat_Check(args[1]) || !PyArray_Check(x) || !PyArray_Check(y) ||
+        PyArray_TYPE(x) != NPY_DOUBLE || PyArray_TYPE(y) != NPY_DOUBLE ||
+        !PyArray_ISCARRAY_RO(x) || !PyArray_ISCARRAY_RO(y) || !PyArray_SAMESHAPE(x, y)) {
+        PyObject *product = PyNumber_Multiply(args[1], args[2]), *sum;
+        if (!product)
+            return NULL;
+        sum = PyNumber_Add(args[0], product);
+        Py_DECREF(product);
+        return sum;
+    }
+    out = (PyArrayObject *)PyArray_SimpleNew(PyArray_NDIM(x), PyArray_DIMS(x), NPY_DOUBLE);
+    if (out) {
+        const double *from = data_of(x), *added = data_of(y), s = PyFloat_AS_DOUBLE(args[1]);
+        double *to = PyArray_DATA(out);
+        for (npy_intp i = 0; i < PyArray_SIZE(x); i++)
+            to[i] = from[i] + s * added[i];
+    }
+    return (PyObject *)out;
+}
+
+/* finite(x): whether every number is. */
+static PyObject *py_finite(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    int is_c = is_complex(args[0]);
+    PyArrayObject *x = NULL;
+    if (!taken(args[0], is_c ? NPY_CDOUBLE : NPY_DOUBLE, &x))
+        return NULL;
+    const double *from = data_of(x);
+    double sum = 0;
+    /* Zero times what is not finite is not a number. */
+    for (npy_intp i = 0; i < PyArray_SIZE(x) * (is_c ? 2 : 1); i++)
+        sum += 0 * from[i];
+    Py_DECREF(x);
+    return PyBool_FromLong(sum == 0);
+}
+
 /* A LAPACK routine of SciPy for 32-bit integers. */
 static void *lapack(const char *name)
 {
@@ -534,6 +574,8 @@ static PyObject *py_band_solve(PyObject *self, PyObject *const *args, Py_ssize_t
             return wrong(#name " takes " #arguments " arguments"), NULL;                           \
         return py_##name(self, args, count);                                                       \
     }
+FUNCTION(add_scaled, 3)
+FUNCTION(finite, 1)
 FUNCTION(relative, 2)
 FUNCTION(lifted, 2)
 FUNCTION(forces, 3)
@@ -550,6 +592,8 @@ FUNCTION(band_solve, 7)
 
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))counted_##name, METH_FASTCALL, NULL}
 static PyMethodDef methods[] = {
+    METHOD(add_scaled),
+    METHOD(finite),
     METHOD(relative),
     METHOD(lifted),
     METHOD(forces),

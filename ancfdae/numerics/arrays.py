@@ -9,17 +9,11 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-import numpy as np
 import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[Any]
 # Imaginary step of derivatives: its square vanishes, and as a power of two it adds no round-off.
 STEP = 2.0**-133
-
-
-def is_finite(x: Array) -> bool:
-    """Whether every entry is finite, at the price of one reduction."""
-    return bool(np.isfinite(x.sum()))
 
 
 def only(batch: Array) -> Array:

@@ -18,8 +18,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
-from ancfdae.kernels import norm
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point, solve
@@ -98,7 +98,7 @@ class Balance:
         """
         balance = Balance(system, t, q_0, lam_0)
         with np.errstate(all="ignore"):
-            good = all(is_finite(x) for x in (q_0, balance.r_0, balance.Phi_0))
+            good = all(finite(x) for x in (q_0, balance.r_0, balance.Phi_0))
         if not good:
             raise InvalidInput(
                 "start of the equilibrium",
@@ -175,7 +175,7 @@ class Balance:
             with np.errstate(all="ignore"):
                 for iteration in range(1, _ITERATIONS + 1):
                     R, Phi = self._residual(s, q, lam, mu, anchor)
-                    if not (is_finite(R) and is_finite(Phi)):
+                    if not (finite(R) and finite(Phi)):
                         return Failure(Verdict.NOT_FINITE, test.size)
                     K = self.tangent(s, q, lam)
                     factors = self.factor(K if mu == 0.0 else K + mu * self.M_0, q)

@@ -19,8 +19,8 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.hht.small_steps import constraint_increment, motion_size, share_of_defect
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.kernels import norm
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 
@@ -78,6 +78,7 @@ class StepSolver:
         self._inverse_weights = 1 / system.weights
         # The round-off of elastic forces, times 1e7.
         self._blur = system.force_round_off / (0.1 * _ROUND_OFF)
+        self._least = max(self._blur, float(np.finfo(float).tiny))
         self._last_motion = math.inf
         self.verdict = Verdict.NO_CONVERGENCE
         self.correction = math.inf
@@ -149,7 +150,7 @@ class StepSolver:
             R = residual(system, c, q, A, reaction - Q, Phi)
             self._recorder.residuals += 1
             self._recorder.iterations += 1
-            if not is_finite(R):
+            if not finite(R):
                 self.verdict = Verdict.NOT_FINITE
                 return None
             fresh = jacobian is None
@@ -220,5 +221,5 @@ class StepSolver:
 
     def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
         """Size of the motion; in a body at rest corrections are compared with round-off."""
-        size = motion_size(self._system, a, reaction, Q)
-        return max(size, self._blur, float(np.finfo(float).tiny))
+        size = motion_size(self._system, self._inverse_weights, a, reaction, Q)
+        return max(size, self._least)

@@ -39,9 +39,13 @@ _QUIET, _QUIET_DERIVATIVES = 1e-9, 1e-8
 _EPS = float(np.finfo(float).eps)
 
 
-def motion_size(system: MechanicalSystem, a: Array, reaction: Array, Q: Array) -> float:
-    """Size of inertia, reactions and forces in one norm, a force per square root of a mass."""
-    inverse = 1 / system.weights
+def motion_size(
+    system: MechanicalSystem, inverse: Array, a: Array, reaction: Array, Q: Array
+) -> float:
+    """Size of inertia, reactions and forces in one norm, a force per square root of a mass.
+
+    `inverse` is one over the weights of the system.
+    """
     size = norm(a, system.weights)
     return size + norm(reaction, inverse) + norm(Q, inverse)
 
@@ -73,7 +77,8 @@ class ConstraintRow:
             return None
         q, t = before.q, before.t
         reaction = system.constraint_force(q, before.lam, t)
-        motion = motion_size(system, before.A, reaction, system.force(q, before.v, t))
+        Q = system.force(q, before.v, t)
+        motion = motion_size(system, 1 / system.weights, before.A, reaction, Q)
         if floor <= unit * motion:
             return None
         chi = share_of_defect(system, c, q, motion)
