@@ -455,6 +455,8 @@ class JointConstraints:
 
     def constraints_b(self, q: Array, t: Array) -> Array:
         """Phi_b, shape (k, n_lam, n_b)."""
+        if not self.active:
+            return np.zeros((len(q), self.n_lam, self._n_b))
         U = self._vectors.of(q)
         return self._partial(
             lambda moved: moved._phi(moved._over(t), self._seen(moved, q, U)),
@@ -463,6 +465,8 @@ class JointConstraints:
 
     def constraint_forces_b(self, q: Array, lam: Array, t: Array) -> Array:
         """(Phi_q^T lam)_b, shape (k, n_q, n_b)."""
+        if not self.active:
+            return np.zeros((*q.shape, self._n_b))
         U = self._vectors.of(q)
 
         def force(moved: JointConstraints) -> Array:

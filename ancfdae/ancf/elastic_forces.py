@@ -65,6 +65,9 @@ class ElasticForces:
         self._pair_element = mapping.elements[pairs]
         self._pair_variable = mapping.variables[pairs]
         self._pair_weight = mapping.weights[pairs]
+        # Whether no variable drives two parameters of one element.
+        stiff = self._pair_element * n_b + self._pair_variable
+        self._apart = len(np.unique(stiff[: self._stiff])) == self._stiff
 
     @property
     def damped(self) -> bool:
@@ -127,7 +130,10 @@ class ElasticForces:
         p_b = np.zeros((len(Y), self._n_b, x.shape[1]), dtype=np.result_type(x, block.A_b))
         stiff, damped = slice(self._stiff), slice(self._stiff, None)
         change = elastic.apply_invariant(block.A_b, x[element[stiff]]) - block.c_b
-        np.add.at(p_b, (element[stiff], variable[stiff]), change)
+        if self._apart:
+            p_b[element[stiff], variable[stiff]] = change
+        else:
+            np.add.at(p_b, (element[stiff], variable[stiff]), change)
         if V is not None and len(block.damping_pairs):
             at = element[damped]
             rate = gram(Y[at], V[at]) * self._pair_weight[damped, None]

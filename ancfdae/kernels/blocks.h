@@ -103,7 +103,7 @@ INLINE void NAME(forces_)(int n_y, int d, const NAME(block) *b, const T *q, cons
 INLINE void NAME(forces_along_)(int n_y, int d, const NAME(block) *b, int one, const T *q,
                                 const T *v, const T *u, const T *z, const T *p_b, T *Q)
 {
-    T Y[MOST_M], V[MOST_M], U[MOST_M], Z[MOST_M], F[MOST_M], p[MOST_G];
+    T Y[MOST_M], V[MOST_M], U[MOST_M], Z[MOST_M], F[MOST_M], p[MOST_G] = {0};
     int n_g = n_y * (n_y + 1) / 2;
     for (npy_intp e = 0; e < b->n; e++) {
         const npy_int64 *vectors = b->vectors + e * (n_y + 1);
