@@ -47,7 +47,7 @@ from ancfdae.protocol import DesignPartials, Linearisation, MechanicalSystem
 
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).
-_CHUNK_NUMBERS = 350_000
+_CHUNK_NUMBERS = 200_000
 # q, v, A and lam, instants as rows.
 States: TypeAlias = tuple[Array, Array, Array, Array]
 
@@ -236,19 +236,20 @@ def pull_back(
             before[3:], mu[k], zeta[k] = linear.solve_transposed(
                 k, jacobian, on_step, on_lam, row is not None
             )
-            on_dq = np.zeros(n_q)
+            if defects is not None:
+                change += before[3] @ defects.q[n] + before[4] @ defects.v[n]
+                change += before[5] @ defects.A[n]
             if row is not None:
                 pattern, w = system.constraint_pattern, zeta[k].copy()
-                on_dq -= pattern.dot_transposed(linear.local.Phi_q[k], w)
+                on_dq = -pattern.dot_transposed(linear.local.Phi_q[k], w)
                 before[0] = -pattern.dot_transposed(row.G, w)
                 gradient -= w @ row.g
                 zeta[k] = 0.0  # Phi_b has had its part.
-            if defects is not None:
-                change += (before[3] + on_dq) @ defects.q[n]
-                change += before[4] @ defects.v[n] + before[5] @ defects.A[n]
-            # dq_b as a combination of v_b before the step and v~_b: `increment_from_velocities`.
-            by_v, by_predicted = increment_from_velocities(all_steps.of(n), *np.eye(2))
-            before[1], before[4] = by_v * on_dq, before[4] + by_predicted * on_dq
+                if defects is not None:
+                    change += on_dq @ defects.q[n]
+                # dq_b combines v_b before the step and v~_b: `increment_from_velocities`.
+                by_v, by_predicted = increment_from_velocities(all_steps.of(n), *np.eye(2))
+                before[1], before[4] = by_v * on_dq, before[4] + by_predicted * on_dq
             on = before
         gradient -= system.pull_back(t, rows, (mu, zeta))
     return gradient, _start_covectors(all_steps.first, on), float(change)
