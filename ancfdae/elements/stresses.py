@@ -124,7 +124,7 @@ class ContinuumSectionLaw(SectionLaw):
 
     def forces(self, Y: Array, V: Array) -> Array:
         """Return integrals of tractions, and of tractions times arms."""
-        Y, V = scaled(Y, self._l), scaled(V, self._l)
+        Y, V = np.broadcast_arrays(scaled(Y, self._l), scaled(V, self._l))
         x = strain(self._g_o, Y, V, self._tau)
         axial, shear, squares = (_applied(R, x) for R in self._maps)
         vectors = _in_section_axes(np.einsum("ijg,...g->...ij", self._frame, packed_gram(Y)))

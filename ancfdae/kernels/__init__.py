@@ -11,7 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
-from ancfdae.kernels import _kernels
+try:
+    from ancfdae.kernels import _kernels
+except ImportError as error:  # a checkout that was updated since it was installed
+    raise ImportError(
+        "the kernels of ancfdae are not compiled; run `python -m pip install -e .` in the checkout"
+    ) from error
 
 Array = npt.NDArray[Any]
 

@@ -175,8 +175,11 @@ class Linearised:
 
     def solve(self, factors: Factorization, force: Array) -> Array:
         """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""
-        none = np.zeros((self.system.n_lam, *force.shape[1:]))
-        return factors.solve(np.concatenate([force, none]))[: len(force)]
+        n, none = len(force), np.zeros((self.system.n_lam, *force.shape[1:]))
+        x = factors.solve(np.concatenate([force, none]))[:n]
+        # Of stiff bodies round-off of the forces is left in the constraints.
+        left = self.system.constraint_pattern.dot(self.Phi_q, x)
+        return np.asarray(x - factors.solve(np.concatenate([0 * force, left]))[:n])
 
     def multipliers(self, z: Array, X: Array) -> Array:
         """Return mu of F(z) x + Phi_q^T mu = 0 for modes, the columns of X."""

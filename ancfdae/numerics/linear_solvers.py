@@ -6,8 +6,8 @@
 The matrix is scaled symmetrically before it is factorised, coordinates by
 1/sqrt(weight) and constraints so that their scaled rows have unit length:
 pivoting then does not depend on the units of the scene. It is factorised as a
-band after a reverse Cuthill-McKee numbering, which puts multipliers beside
-their nodes; SuperLU takes over where the band is wide (many closed loops
+band after a reverse Cuthill-McKee numbering of the coordinates, multipliers
+behind their nodes; SuperLU takes over where the band is wide (many closed loops
 meeting in one body).
 """
 
@@ -79,7 +79,7 @@ class SaddlePoint:
         r, c = constraint_pattern.rows + n, constraint_pattern.columns
         rows = np.concatenate([pattern.rows, r, c])
         columns = np.concatenate([pattern.columns, c, r])
-        self._storage = _choose_storage(self.scale, rows, columns)
+        self._storage = _choose_storage(self.scale, rows, columns, n)
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.
@@ -93,16 +93,32 @@ class SaddlePoint:
         return map(self.factor, K, B)
 
 
-def _choose_storage(scale: Array, rows: Array, columns: Array) -> _Storage:
+def _choose_storage(scale: Array, rows: Array, columns: Array, n: int) -> _Storage:
     size = len(scale)
-    graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
-    order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
+    order = _numbered(rows, columns, n, size)
     place = np.empty(size, dtype=np.int64)
     place[order] = np.arange(size)
     half_width = int(np.max(np.abs(place[rows] - place[columns]), initial=0))
     if half_width <= _BAND_HALF_WIDTH:
         return _BandStorage(scale, order, place[rows], place[columns], half_width)
     return _SparseStorage(scale, rows, columns)
+
+
+def _numbered(rows: Array, columns: Array, n: int, size: int) -> Array:
+    """Return the order of unknowns: a narrow band, and each multiplier behind its coordinates.
+
+    These are eliminated first, by pivots of K; what a constraint asks is then met to the round-off
+    of its own row, and not to that of a stiff body's.
+    """
+    graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
+    B = graph[n:, :n]
+    coordinates = reverse_cuthill_mckee((graph[:n, :n] + B.T @ B).tocsr(), symmetric_mode=True)
+    place = np.zeros(size)
+    place[coordinates] = np.arange(n)
+    own = rows >= n
+    np.maximum.at(place, rows[own], place[columns[own]])
+    # Coordinates come before multipliers of the same place.
+    return np.argsort(place, kind="stable")
 
 
 @final
