@@ -11,12 +11,12 @@ from validation import (
     elements,
     error_bars,
     external_dae,
-    extremes,
     integrators,
     pendulum,
     work_precision,
 )
 from validation.design import report as design
+from validation.extremes import report as extremes
 from validation.literature import report as literature
 from validation.report import Report
 
