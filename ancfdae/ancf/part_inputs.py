@@ -6,8 +6,9 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf.constraints import JointConstraints, JointInput
+from ancfdae.ancf.constraints import JointConstraints
 from ancfdae.ancf.held_angles import HeldAngles
+from ancfdae.ancf.joint_input import JointInput
 from ancfdae.ancf.load_forces import LoadForces, LoadInput
 from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap

@@ -120,7 +120,7 @@ def _gradient(task: Task) -> Gradient:
 def _results(system: MechanicalSystem, answer: Gradient) -> Results:
     solution = answer.solution
     # The end of a run with a fixed step may miss the end time by round-off.
-    common = solution.at(common_times(float(solution.t[-1])).tolist())
+    common = solution.at(common_times(float(solution.t[-1])))
     rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
     t, q = solution.t[rows], solution.q[rows]
     drift = np.array([system.constraint(x, s) for x, s in zip(q, t, strict=True)])

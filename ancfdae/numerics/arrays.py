@@ -7,11 +7,14 @@ convergence tests, must look at the real part only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[Any]
+# Numbers as a user gives them.
+Numbers: TypeAlias = Sequence[float] | Array
 # Imaginary step of derivatives: its square vanishes, and as a power of two it adds no round-off.
 STEP = 2.0**-133
 
