@@ -22,7 +22,7 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.ancf.held_angles import HeldAngles
 from ancfdae.ancf.vectors import Vectors
@@ -237,7 +237,7 @@ class JointConstraints:
             self._B_values = self._to_values(self._at(0.0).a)
             self._B = LinearMap(self.pattern.csr(self._B_values))
 
-    def _place_maps(self) -> sparse.coo_array:
+    def _place_maps(self) -> scipy.sparse.coo_array:
         """Constant maps from raw entries to Phi_q^T lam, and from entries to rows.
 
         Returns what raw entries are made of, (n_raw, n_q).
@@ -251,7 +251,7 @@ class JointConstraints:
         self._raw_row = np.concatenate([self._a_row, s_row, s_row])
         self._raw_at = np.concatenate([self._a_at, to_i, to_j])
         count = len(self._raw_row)
-        spread = L[self._raw_at].tocoo() if count else sparse.coo_array((0, n_q))
+        spread = L[self._raw_at].tocoo() if count else scipy.sparse.coo_array((0, n_q))
         self._to_force = LinearMap.of(spread.col, spread.row, spread.data, (n_q, count))
         self._row_map, self._s_row_map, self._raw_row_map = (
             LinearMap.of(at, np.arange(len(at)), np.ones(len(at)), (self.n_lam, len(at)))

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.ancf.block import ElementBlock
 from ancfdae.ancf.numbering import Numbering
@@ -245,7 +245,7 @@ class ElasticForces:
         R = self._numbering.relative()
         shape = (R.shape[1] * self._n_b, len(rows))
         if len(rows) == 0:
-            return LinearMap(sparse.csr_array(shape))
+            return LinearMap(scipy.sparse.csr_array(shape))
         picked = R[rows].tocoo()
         variable = np.repeat(self._pair_variable, size)[picked.row]
         return LinearMap.of(picked.col * self._n_b + variable, picked.row, picked.data, shape)
@@ -258,7 +258,7 @@ def _tangent_map(numbering: Numbering, pattern: Pattern) -> LinearMap:
     by_row = np.argsort(rows, kind="stable")
     rows, columns, signs = rows[by_row], columns[by_row], signs[by_row]
     if n == 0:
-        return LinearMap(sparse.csr_array((pattern.size, 0)))
+        return LinearMap(scipy.sparse.csr_array((pattern.size, 0)))
     per_element = len(rows) // n
     i, j = (x.ravel() for x in np.indices((per_element, per_element)))
     offset = np.arange(n)[:, None] * per_element

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.ancf.rigid_motions import RigidMotions
 from ancfdae.bodies import BeamBody, RigidBody
@@ -72,11 +72,11 @@ class Numbering:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
         return vectors[..., None] * self.element.d + np.arange(self.element.d)
 
-    def relative(self) -> sparse.csr_array:
+    def relative(self) -> scipy.sparse.csr_array:
         """Return R with Y.ravel() = R q for the relative node vectors Y of all elements."""
         rows, columns, signs = self.relative_entries()
         size = len(self.vectors) * self.element.n_y * self.element.d
-        return sparse.csr_array((signs, (rows, columns)), shape=(size, self.n_q))
+        return scipy.sparse.csr_array((signs, (rows, columns)), shape=(size, self.n_q))
 
     def relative_entries(self) -> tuple[Array, Array, Array]:
         """Return rows, columns and signs of R: r_2 - r_1, then the slopes as they are."""

@@ -7,8 +7,6 @@ from concurrent.futures import Executor
 from contextlib import closing
 from typing import Any
 
-from tqdm import tqdm
-
 from ancfdae.api.calls import differentiable, require_objectives
 from ancfdae.api.jobs import answers, require_pickles
 from ancfdae.api.tradeoff_result import Tradeoff, compared
@@ -102,6 +100,8 @@ def tradeoff(
     tasks += [
         Task(system, objective, t_end, each, method, repeats, time_limit) for each in settings
     ]
+    from tqdm import tqdm
+
     with tqdm(total=len(tasks), disable=not progress, unit="run") as bar:
         measured = _measured(tasks, executor, bar)
     exact = _required(measured[0])

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.numerics.arrays import Array
 
@@ -19,7 +19,7 @@ _DENSE_ENTRIES = 30_000
 class LinearMap:
     """A constant matrix, shape (n, m), that is only ever multiplied with."""
 
-    def __init__(self, matrix: sparse.csr_array) -> None:
+    def __init__(self, matrix: scipy.sparse.csr_array) -> None:
         self._small = matrix.shape[0] * matrix.shape[1] <= _DENSE_ENTRIES
         self._form = matrix.toarray() if self._small else matrix
 
@@ -30,7 +30,7 @@ class LinearMap:
     @staticmethod
     def of(rows: Array, columns: Array, values: Array, shape: tuple[int, int]) -> LinearMap:
         """Return the map with these entries; entries at the same place are summed."""
-        return LinearMap(sparse.csr_array((values, (rows, columns)), shape=shape))
+        return LinearMap(scipy.sparse.csr_array((values, (rows, columns)), shape=shape))
 
     def __call__(self, x: Array) -> Array:
         """Multiply a vector, shape (m,)."""

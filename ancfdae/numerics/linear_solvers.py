@@ -20,9 +20,7 @@ from functools import lru_cache
 from typing import Any, TypeAlias, final
 
 import numpy as np
-from scipy import linalg, sparse
-from scipy.sparse.csgraph import reverse_cuthill_mckee
-from scipy.sparse.linalg import splu
+import scipy
 
 from ancfdae.errors import SingularMatrix
 from ancfdae.numerics.arrays import Array
@@ -38,7 +36,7 @@ _BAND_HALF_WIDTH = 64
 @lru_cache(maxsize=8)
 def _lapack(factor: str, solve: str, dtype: np.dtype) -> tuple[Any, Any]:
     """LAPACK routines for a type; looking them up costs as much as a small solve."""
-    found = linalg.get_lapack_funcs((factor, solve), dtype=dtype)
+    found = scipy.linalg.get_lapack_funcs((factor, solve), dtype=dtype)
     return found[0], found[1]
 
 
@@ -128,8 +126,8 @@ class SaddlePoint:
 def _choose_storage(size: int, rows: Array, columns: Array) -> _Storage:
     if size <= _DENSE_SIZE:
         return _DenseStorage(size, rows, columns)
-    graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
-    order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
+    graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
+    order = scipy.sparse.csgraph.reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
     place = np.empty(size, dtype=np.int64)
     place[order] = np.arange(size)
     half_width = int(np.max(np.abs(place[rows] - place[columns])))
@@ -197,13 +195,13 @@ class _SparseStorage(_Storage):
         self._indptr = np.searchsorted(columns[self._order], np.arange(size + 1))
 
     def factor(self, values: Array) -> _Solver:
-        matrix = sparse.csc_array(
+        matrix = scipy.sparse.csc_array(
             (values[self._order], self._rows, self._indptr), shape=(self._size, self._size)
         )
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                lu = splu(matrix)
+                lu = scipy.sparse.linalg.splu(matrix)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
 

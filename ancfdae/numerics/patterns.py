@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.numerics.arrays import Array
 
@@ -60,9 +60,9 @@ class Pattern:
         matrix[self._flat] = values
         return matrix.reshape(self.shape)
 
-    def csr(self, values: Array) -> sparse.csr_array:
+    def csr(self, values: Array) -> scipy.sparse.csr_array:
         """Return the matrix in compressed sparse row form."""
-        return sparse.csr_array((values, self.columns, self._indptr), shape=self.shape)
+        return scipy.sparse.csr_array((values, self.columns, self._indptr), shape=self.shape)
 
     def dot(self, values: Array, x: Array) -> Array:
         """Product of the matrix with a vector or with the columns of an array."""
