@@ -254,15 +254,14 @@ class ElasticForces:
 def _tangent_map(numbering: Numbering, pattern: Pattern) -> LinearMap:
     """Constant map from the element tangents in Y to values on the pattern."""
     n, size = len(numbering.vectors), numbering.element.n_y * numbering.element.d
-    rows, columns, signs = numbering.relative_entries()
-    by_row = np.argsort(rows, kind="stable")
-    rows, columns, signs = rows[by_row], columns[by_row], signs[by_row]
     if n == 0:
         return LinearMap(scipy.sparse.csr_array((pattern.size, 0)))
-    per_element = len(rows) // n
-    i, j = (x.ravel() for x in np.indices((per_element, per_element)))
-    offset = np.arange(n)[:, None] * per_element
-    I, J = (offset + i).ravel(), (offset + j).ravel()
-    raw = (rows[I] // size * size + rows[I] % size) * size + rows[J] % size
-    index = pattern.index(columns[I], columns[J])
-    return LinearMap.of(index, raw, signs[I] * signs[J], (pattern.size, n * size * size))
+    # Entries of R element by element; rows of an element and signs are those of the first one.
+    rows, columns, signs = numbering.relative_entries()
+    by_row = np.argsort(rows, kind="stable").reshape(n, -1)
+    row, sign, columns = rows[by_row[0]], signs[by_row[0]], columns[by_row]
+    index = pattern.index(columns[:, :, None], columns[:, None, :])
+    raw = np.arange(n)[:, None, None] * size**2 + (row[:, None] * size + row)
+    values = np.broadcast_to(np.outer(sign, sign), raw.shape)
+    shape = (pattern.size, n * size * size)
+    return LinearMap.of(index.ravel(), raw.ravel(), values.ravel(), shape)
