@@ -128,7 +128,7 @@ def test_a_run_that_ends_early_is_told():
         ({"memory": 1.0}, r"memory: must be .* MB or more for 12 coordinates"),
         ({"method": Direct()}, "memory: is a limit of the adjoint"),
         ({"integrator": IDA(1e-6)}, "Adjoint: needs an integrator with an adjoint"),
-        ({"integrator": HHT(rtol=1e-3)}, "memory: needs steps that are known"),
+        ({"integrator": HHT(rtol=1e-3)}, r"HHT\.steps: needs steps that are known"),
     ],
 )
 def test_bad_input_is_refused(change, match):

@@ -243,7 +243,7 @@ class HHT(AdjointIntegrator):
         if not isinstance(self.steps, FixedSteps | GivenSteps):
             rule = "needs steps that are known before the run"
             repair = "Repeat the steps of a run: HHT.frozen(simulate(...))."
-            raise InvalidInput("memory", rule, repr(self.steps), repair)
+            raise InvalidInput("HHT.steps", rule, repr(self.steps), repair)
         t = self.steps.instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
         steps = Steps(self.steps.sizes(t), self.hht_alpha)
