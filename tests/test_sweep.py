@@ -6,7 +6,7 @@ import multiprocessing
 import pickle
 import signal
 import typing
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -187,6 +187,54 @@ def test_worker_processes_give_the_same_rows(pool):
         sweep(SCENE, DESIGNS, lambda scene: 1, executor=pool)
 
 
+class Counting(ThreadPoolExecutor):
+    """Counts its jobs."""
+
+    count = 0
+
+    def submit(self, *args, **kwargs):
+        self.count += 1
+        return super().submit(*args, **kwargs)
+
+
+MANY = np.linspace(1.0, 2.0, 400)[:, None]
+
+
+SYSTEM = CartesianPendulum()
+
+
+def test_short_calls_travel_together():
+    with Counting(2) as executor:
+        done = sweep(SYSTEM, MANY, length, design=["L"], executor=executor)
+    assert done == sweep(SYSTEM, MANY, length, design=["L"])
+    # One by one 16, the others by 24 if calls take less than 4 ms, which these do by far.
+    assert 30 < executor.count < 200
+
+
+def length_until_interrupted(system):
+    if system.b[0] == MANY[200, 0]:
+        raise KeyboardInterrupt
+    return length(system)
+
+
+class Immediate(Executor):
+    """Has done every job when it is sent, so that answers arrive in any order."""
+
+    def submit(self, function, *args):
+        future = Future()
+        future.set_result(function(*args))
+        return future
+
+
+def test_an_interrupt_keeps_what_workers_have_done():
+    done = sweep(SYSTEM, MANY, length_until_interrupted, design=["L"], executor=Immediate())
+    assert done.interrupted
+    # The one that was interrupted, and what travelled with it and was not begun.
+    assert list(done.failed) == [*range(200, 208)]
+    whole = sweep(SYSTEM, MANY, length, design=["L"]).results
+    assert [done.results[k] for k in (0, 199, 208, 399)] == [whole[k] for k in (0, 199, 208, 399)]
+
+
 class Breaking(ThreadPoolExecutor):
     """Loses the second job."""
 
@@ -223,6 +271,8 @@ def test_a_dask_cluster_gives_the_same_rows():
         client.get_executor() as executor,
     ):
         assert sweep(SCENE, DESIGNS, VALUE, executor=executor) == sweep(SCENE, DESIGNS, VALUE)
+        many = SYSTEM, MANY, length
+        assert sweep(*many, design=["L"], executor=executor) == sweep(*many, design=["L"])
 
 
 # ---- interrupts and files

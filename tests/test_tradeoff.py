@@ -302,6 +302,20 @@ def test_adjoint_where_it_exists_else_a_row():
     assert "InvalidInput" in table.rows[1].outcome
 
 
+@pytest.mark.parametrize(
+    ("damping_time", "t_end", "why"),
+    [(0.0, 2.0**-6, ""), (1.0, 2.0**-6, "to be stable"), (1.0, 2.0**-3, "more than 50000 steps")],
+)
+def test_the_default_reference_can_finish(damping_time, t_end, why):
+    """Damped so, Explicit would need 40,000 steps for 2^-6 s."""
+    scene = pendulum(elements=1, youngs_modulus=1e7, damping_time=damping_time)
+    table = tradeoff(scene, Integral(position(TIP, 1)), t_end, [HHT(2.0**-11)], design=DESIGN)
+    assert why in table.reference.outcome
+    assert ("Chosen" in table.reference.outcome) == bool(why)
+    assert isinstance(table.reference.integrator, IDA if why else Explicit)
+    assert table.rows[0].error("states") < 1e-4
+
+
 @pytest.mark.parametrize("reference", [Explicit(1e-8, max_steps=3), FAILING])
 def test_a_reference_that_meets_its_limit_of_steps_is_told_so(reference):
     with pytest.raises(InvalidInput, match="Raise its max_steps"):

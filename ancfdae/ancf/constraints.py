@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.ancf.joint_coefficients import Coefficients, Slot, Values, structure
 from ancfdae.ancf.joint_input import JointInput
@@ -61,14 +61,14 @@ class JointConstraints:
             self._B_values = self._to_values(self._coefficients.at(0.0).a)
             self._B = LinearMap(self.pattern.csr(self._B_values))
 
-    def _place_forces(self) -> sparse.coo_array:
+    def _place_forces(self) -> scipy.sparse.coo_array:
         """Constant map from raw entries to Phi_q^T lam.
 
         Returns what raw entries are made of, (n_raw, n_q).
         """
         L, at = self._vectors.matrix, self._poly.raw_at
         n_q, count = L.shape[1], len(at)
-        spread = L[at].tocoo() if count else sparse.coo_array((0, n_q))
+        spread = L[at].tocoo() if count else scipy.sparse.coo_array((0, n_q))
         self._to_force = LinearMap.of(spread.col, spread.row, spread.data, (n_q, count))
         return spread
 

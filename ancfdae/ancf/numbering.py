@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy import sparse
 
 from ancfdae.ancf.rigid_motions import RigidMotions
 from ancfdae.bodies import BeamBody, RigidBody
@@ -83,27 +82,6 @@ class Numbering:
             np.concatenate([a.ravel(), b.ravel()]) for a, b in zip(elements, bodies, strict=True)
         )
         return rows, columns
-
-    def relative(self) -> sparse.csr_array:
-        """Return R with Y.ravel() = R q for the relative node vectors Y of all elements."""
-        rows, columns, signs = self.relative_entries()
-        size = len(self.vectors) * self.element.n_y * self.element.d
-        return sparse.csr_array((signs, (rows, columns)), shape=(size, self.n_q))
-
-    def relative_entries(self) -> tuple[Array, Array, Array]:
-        """Return rows, columns and signs of R: r_2 - r_1, then the slopes as they are."""
-        n, n_y, n_s, d = len(self.vectors), self.element.n_y, self.element.n_s, self.element.d
-        Y_rows = np.arange(n * n_y * d).reshape(n, n_y, d)
-        coordinates = self.coordinates(self.vectors)
-        slopes = [a for a in range(self.element.n_a) if a not in (0, n_s)]
-        rows = [Y_rows[:, 0], Y_rows[:, 0], Y_rows[:, 1:]]
-        columns = [coordinates[:, 0], coordinates[:, n_s], coordinates[:, slopes]]
-        signs = [-np.ones(n * d), np.ones(n * d), np.ones(n * (n_y - 1) * d)]
-        return (
-            np.concatenate([r.ravel() for r in rows]),
-            np.concatenate([c.ravel() for c in columns]),
-            np.concatenate(signs),
-        )
 
 
 def number(scene: Scene) -> Numbering:

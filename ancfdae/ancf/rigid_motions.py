@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.rotations import cayley, cayley_partials
@@ -68,13 +68,13 @@ class RigidMotions:
         shifts = self._is_position[:, None, None] * np.eye(self._d)
         return np.concatenate([shifts, turns], axis=2)
 
-    def matrix(self, T: Array) -> sparse.csr_array:
+    def matrix(self, T: Array) -> scipy.sparse.csr_array:
         """Return a tangent as a matrix, shape (n_q, n_bodies n_x)."""
         n, d, n_x = T.shape
         rows = np.broadcast_to(np.arange(n * d).reshape(n, d, 1), T.shape)
         columns = np.broadcast_to(self._owner[:, None, None] * n_x + np.arange(n_x), T.shape)
         shape = (n * d, self._count * n_x)
-        return sparse.csr_array((T.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+        return scipy.sparse.csr_array((T.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
     def collect(self, T: Array, f: Array) -> Array:
         """Return what forces f, shape (n_q,), do on each motion: T^T f, shape (n_bodies, n_x)."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.naming import PointVector
 from ancfdae.numerics.arrays import STEP, Array
@@ -47,7 +47,7 @@ class Vectors:
         self._set(self._value)
 
     def _set(self, value: Array) -> None:
-        self.matrix = sparse.csr_array((value, (self._row, self._column)), shape=self._shape)
+        self.matrix = scipy.sparse.csr_array((value, (self._row, self._column)), shape=self._shape)
         self._L = LinearMap(self.matrix)
 
     def moved_by(self, i: int) -> Array:

@@ -3,6 +3,7 @@
 from ancfdae.api.adjoint_error import AdjointError, adjoint_error
 from ancfdae.api.calls import as_system, cheapest, differentiate, gradient, gradients, simulate
 from ancfdae.api.error_bars import ErrorBars, error_bars
+from ancfdae.api.long_runs import Observations, observations, simulate_thinned
 from ancfdae.api.mass_properties import MassProperties, mass_properties
 from ancfdae.api.misfit import Fit, Misfit
 from ancfdae.api.modes import modes, suggest_step

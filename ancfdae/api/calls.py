@@ -88,6 +88,7 @@ def gradient(
     *,
     design: Sequence[str | DesignVariable] | None = None,
     method: GradientMethod | None = None,
+    memory: str | float | None = None,
     progress: bool = False,
 ) -> Gradient:
     """Return value and design gradient of an objective.
@@ -102,6 +103,8 @@ def gradient(
         `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
         default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
         without an adjoint (IDA, Explicit).
+    memory : str or float, optional
+        Short for ``method=Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
 
     Raises
     ------
@@ -112,9 +115,8 @@ def gradient(
     NonFiniteObjective
         If the objective is not finite; the message names the time.
     """
-    return gradients(
-        model, [objective], t_end, integrator, design=design, method=method, progress=progress
-    )[0]
+    own = {"design": design, "method": method, "memory": memory, "progress": progress}
+    return gradients(model, [objective], t_end, integrator, **own)[0]  # type: ignore[arg-type]
 
 
 def gradients(
@@ -125,6 +127,7 @@ def gradients(
     *,
     design: Sequence[str | DesignVariable] | None = None,
     method: GradientMethod | None = None,
+    memory: str | float | None = None,
     progress: bool = False,
 ) -> list[Gradient]:
     """Return value and gradient of several objectives of one run; see `gradient`."""
@@ -132,6 +135,11 @@ def gradients(
     objectives = require_sequence("objectives", objectives)
     system = differentiable(model, design)
     require_objectives(system, objectives, t_end)
+    if memory is not None:
+        if method is not None:
+            rule, repair = "is a limit of the adjoint", "Give one of both, or Adjoint(memory=...)."
+            raise InvalidInput("memory", rule, repr(method), repair)
+        method = Adjoint(memory)
     if method is None:
         adjoint = isinstance(integrator, AdjointIntegrator)
         method = cheapest(system.n_b, len(objectives)) if adjoint else Direct()

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from tqdm import tqdm
 
 from ancfdae.api.calls import as_system, gradient
 from ancfdae.api.jobs import answers, no_interrupt_lost, require_pickles
@@ -140,6 +139,8 @@ def sweep(
     tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
     interrupted = False
     arriving = answers(_row, tasks, executor)
+    from tqdm import tqdm
+
     bar = tqdm(total=len(given), initial=len(rows), disable=not progress, unit="run")
     with bar, closing(arriving):
         try:

@@ -12,19 +12,20 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import TYPE_CHECKING, Any, Final, Literal, final
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
-from ancfdae import plotting
 from ancfdae.api.tradeoff_run import Measurement, Results, common_times
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.integrators import HHT, ControlledSteps, Integrator, StepControl
 from ancfdae.numerics.arrays import Array
-from ancfdae.plotting import Panel, Series
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.text import columns
+
+if TYPE_CHECKING:
+    from ancfdae.plotting import Panel, Series
 
 ErrorKind = Literal["states", "multipliers", "objective", "gradient"]
 _KINDS: Final[tuple[ErrorKind, ...]] = ("states", "multipliers", "objective", "gradient")
@@ -181,10 +182,14 @@ class Tradeoff:
         InvalidInput
             If the path has a suffix, or no setting has an error that can be shown.
         """
+        from ancfdae import plotting
+
         return plotting.save(plotting.draw(self.panels(), columns=2), Path(path))
 
     def panels(self) -> list[Panel]:
         """Return the panels of `plot`, for figures of your own."""
+        from ancfdae.plotting import Panel
+
         return [
             Panel(
                 f"Error of the {of}",
@@ -198,6 +203,8 @@ class Tradeoff:
         ]
 
     def _series(self, of: str) -> list[Series]:
+        from ancfdae.plotting import Series
+
         lines: dict[str, list[tuple[float, float]]] = {}
         for row in self.rows:
             error = getattr(row, of)
@@ -268,8 +275,9 @@ def _energy_error(given: Results, exact: Results) -> float | None:
     if not len(given.energy):
         return None
     k = min(3, len(exact.energy) - 1)
-    energy = make_interp_spline(exact.t, exact.energy, k=k)(np.minimum(given.t, exact.t[-1]))
-    return _ratio(float(np.max(np.abs(given.energy - energy))), exact.kinetic)
+    energy = scipy.interpolate.make_interp_spline(exact.t, exact.energy, k=k)
+    away = given.energy - energy(np.minimum(given.t, exact.t[-1]))
+    return _ratio(float(np.max(np.abs(away))), exact.kinetic)
 
 
 def _largest_ratio(x: Array, reference: Array) -> float:

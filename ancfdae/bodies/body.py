@@ -139,7 +139,9 @@ class BeamBody(Placed):
         for name, which in _PARAMETERS.items():
             if which is not ElementParameter.LENGTH:
                 parameters[:, which] = [getattr(material, name) for material in materials]
-        sizes = np.array([section.sizes() for section in sections])
+        distinct = {id(section): section for section in sections}
+        size = {key: section.sizes() for key, section in distinct.items()}
+        sizes = np.array([size[id(section)] for section in sections])
         first = ElementParameter.SIZE_1
         parameters[:, first : first + sizes.shape[1]] = sizes
         return parameters

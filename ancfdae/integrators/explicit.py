@@ -18,10 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
-from scipy.integrate import DOP853, DenseOutput
+import scipy
 
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
@@ -36,9 +37,6 @@ from ancfdae.numerics.arrays import Array
 _LEAST_RTOL = 3e-14
 # Absolute tolerance relative to the scales, per unit of rtol.
 _SMALL = 1e-2
-# Stages that carry weight; the first is the state before the step.
-_USED = np.flatnonzero(DOP853.B)
-_STAGES = Rule(DOP853.B[_USED], DOP853.E5[_USED], DOP853.E3[_USED])
 # Panels of a step whose stages are too few.
 _PANELS = (1, 4, 16)
 # Steps that are taken into the integrals together: an evaluation of observables costs half a step.
@@ -63,6 +61,14 @@ class Explicit(HighOrder):
         return _ExplicitMarch(self, problem, t_end, quadrature)
 
 
+@cache
+def _stages() -> tuple[Array, Rule]:
+    """Return which stages carry weight, the first is the state before, and their quadrature."""
+    method = scipy.integrate.DOP853
+    used = np.flatnonzero(method.B)
+    return used, Rule(method.B[used], method.E5[used], method.E3[used])
+
+
 class _Stage(NamedTuple):
     """A vector at which the rate was evaluated, with the multipliers there."""
 
@@ -79,7 +85,7 @@ class _Step(NamedTuple):
     right: float
     y: Array
     stages: list[_Stage]
-    between: DenseOutput | None
+    between: scipy.integrate.DenseOutput | None
 
 
 @final
@@ -98,7 +104,7 @@ class _ExplicitMarch(March):
         self._size = np.concatenate([own, own / s.b[: self._m, None]], axis=1)
         first = problem.initial
         start = State(first.q, first.v, *(b or ())[:2])
-        self._between: DenseOutput | None = None
+        self._between: scipy.integrate.DenseOutput | None = None
         self._rtol, self._steps, self._dense = settings.rtol, list[_Step](), False
         self._solver = self._new_solver(0.0, self._vector(start), 1.0)
         self._first = self._stages[0]
@@ -136,7 +142,7 @@ class _ExplicitMarch(March):
             return
         if self._dense:
             self._between = solver.dense_output()
-        used = [stages[i] for i in _USED]
+        used = [stages[i] for i in _stages()[0]]
         self._steps.append(_Step(solver.t_old, solver.t, y, used, self._between))
         if len(self._steps) == _TOGETHER:
             self.finish()
@@ -152,7 +158,7 @@ class _ExplicitMarch(March):
         h = np.array([x.right - x.left for x in steps]) * self._t_end
         used = [stage for x in steps for stage in x.stages]
         s, y = np.array([x.s for x in used]), np.array([x.y for x in used])
-        points = self._points(_STAGES, h, s, y)
+        points = self._points(_stages()[1], h, s, y)
         lam_b = [x.lam_b for x in used if x.lam_b is not None]
         yield replace(
             points, lam=np.array([x.lam for x in used]), lam_b=np.array(lam_b) if lam_b else None
@@ -167,15 +173,18 @@ class _ExplicitMarch(March):
                 KRONROD, np.repeat(h / n, n), np.concatenate(within), np.concatenate(rows)
             )
 
-    def _repeated(self, step: _Step) -> DenseOutput:
+    def _repeated(self, step: _Step) -> scipy.integrate.DenseOutput:
         """Return the dense output of a step that was accepted before."""
         solver = self._new_solver(step.left, step.y, step.right, step.right - step.left)
         solver.step()
         return solver.dense_output()
 
-    def _new_solver(self, s: float, y: Array, end: float, first: float | None = None) -> DOP853:
+    def _new_solver(
+        self, s: float, y: Array, end: float, first: float | None = None
+    ) -> scipy.integrate.DOP853:
         rtol = self._rtol
-        return DOP853(self._rate, s, y, end, first_step=first, rtol=rtol, atol=_SMALL * rtol)
+        atol = _SMALL * rtol
+        return scipy.integrate.DOP853(self._rate, s, y, end, first_step=first, rtol=rtol, atol=atol)
 
     def residual(self) -> float:
         return 0.0  # An explicit step has no equations left over.

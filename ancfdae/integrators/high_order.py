@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self, final
 
 import numpy as np
-from tqdm import tqdm
 
 from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_count
 from ancfdae.integrators.index_1 import State
@@ -180,6 +179,8 @@ class HighOrder(QuadratureIntegrator):
         progress: bool = False,
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, integrals beside the motion."""
+        from tqdm import tqdm
+
         if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
             rule, got = "computes in real numbers", "a complex system"
             raise InvalidInput(type(self).__name__, rule, got, "Use HHT.")

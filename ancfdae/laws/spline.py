@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, ClassVar, final
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+import scipy
 
 from ancfdae.design import require_numbers
 from ancfdae.errors import InvalidInput, require_positive
@@ -82,12 +82,12 @@ class Spline(Law):
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
 
     @cached_property
-    def _basis(self) -> BSpline:
+    def _basis(self) -> scipy.interpolate.BSpline:
         """One at each time and zero at the others, for each control value, over time/unit."""
         s = (np.array(self.times, dtype=float) - self.times[0]) / self._unit
         one = np.eye(len(s))
         if self.period is not None:
             s, one = np.append(s, self.period / self._unit), np.vstack([one, one[:1]])
-            return make_interp_spline(s, one, k=_DEGREE, bc_type="periodic")
+            return scipy.interpolate.make_interp_spline(s, one, k=_DEGREE, bc_type="periodic")
         ends = [(order, np.zeros(len(s))) for order in (1, 2, 3)]
-        return make_interp_spline(s, one, k=_DEGREE, bc_type=(ends, ends))
+        return scipy.interpolate.make_interp_spline(s, one, k=_DEGREE, bc_type=(ends, ends))

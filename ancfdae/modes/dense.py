@@ -8,7 +8,7 @@ With N a basis of the null space of Phi_q, orthonormal in M, motions x = N y sat
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from ancfdae.errors import InvalidInput
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
@@ -20,9 +20,9 @@ def undamped(small: Linearised, count: int, highest: bool) -> tuple[Array, Array
     N, K = _reduced(small, small.K)
     first = len(K) - count if highest else 0
     if small.symmetric:
-        z, Y = linalg.eigh((K + K.T) / 2, subset_by_index=[first, first + count - 1])
+        z, Y = scipy.linalg.eigh((K + K.T) / 2, subset_by_index=[first, first + count - 1])
         return z, N @ Y
-    z, Y = linalg.eig(K)
+    z, Y = scipy.linalg.eig(K)
     chosen = np.lexsort((z.imag, z.real))[first : first + count]
     return z[chosen], N @ Y[:, chosen]
 
@@ -52,7 +52,7 @@ def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
     p = P.shape[1]
     force = -np.hstack([K @ P, D @ S])
     J = np.vstack([np.hstack([np.zeros((p, p)), P.T @ S]), S.T @ force])
-    s, W = linalg.eig(J)
+    s, W = scipy.linalg.eig(J)
     # A pair of complex conjugate exponents is one motion.
     W, s = W[:, s.imag >= 0], s[s.imag >= 0]
     return s, N @ (S @ W[p:])
@@ -71,18 +71,18 @@ def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
     N = np.diag(scale)
     if system.n_lam:
         rows = system.constraint_pattern.dense(small.Phi_q) * scale
-        Q, _ = linalg.qr(rows.T / np.linalg.norm(rows, axis=1))
+        Q, _ = scipy.linalg.qr(rows.T / np.linalg.norm(rows, axis=1))
         N = scale[:, None] * Q[:, system.n_lam :]
     try:
-        L = linalg.cholesky(N.T @ small.times(small.M, N), lower=True)
-    except linalg.LinAlgError as error:
+        L = scipy.linalg.cholesky(N.T @ small.times(small.M, N), lower=True)
+    except scipy.linalg.LinAlgError as error:
         raise InvalidInput(
             "mass matrix",
             "must give inertia to every motion that the joints leave",
             "a motion without inertia",
             "Give every coordinate inertia.",
         ) from error
-    N = linalg.solve_triangular(L, N.T, lower=True).T
+    N = scipy.linalg.solve_triangular(L, N.T, lower=True).T
     return N, N.T @ small.times(values, N)
 
 
@@ -91,9 +91,9 @@ def _undamped_part(small: Linearised, N: Array, rigid: Array, R: Array) -> Array
     assert small.D is not None
     sizes = np.abs(N).T @ small.times(np.abs(small.D), np.abs(rigid))
     force = N.T @ small.times(small.D, rigid)
-    _, left, Vt = linalg.svd(force)
+    _, left, Vt = scipy.linalg.svd(force)
     still = np.zeros(R.shape[1], dtype=bool)
-    still[: len(left)] = left <= ROUND_OFF * EPS * linalg.norm(sizes)
+    still[: len(left)] = left <= ROUND_OFF * EPS * scipy.linalg.norm(sizes)
     part: Array = R @ Vt[still].T
     return part
 
@@ -102,5 +102,5 @@ def _complement(R: Array) -> Array:
     """Return an orthonormal basis of what is orthogonal to orthonormal columns."""
     if R.shape[1] == 0:
         return np.eye(len(R))
-    full: Array = linalg.qr(R)[0]
+    full: Array = scipy.linalg.qr(R)[0]
     return full[:, R.shape[1] :]

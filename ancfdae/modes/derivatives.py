@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from ancfdae.modes.adjoint import PullBack, Transposed, pulled_back
 from ancfdae.modes.linearised import EPS, Linearised
@@ -114,10 +114,10 @@ def _values_b(
     if g == 1:
         return np.asarray(-products[:, 0].T / G)
     if small.symmetric and small.D is None:
-        return np.array([linalg.eigvalsh((a + a.T) / 2) for a in products]).reshape(-1, g).T
+        return np.array([scipy.linalg.eigvalsh((a + a.T) / 2) for a in products]).reshape(-1, g).T
     if _is_defective(small, z, pairs.X[:, group], Y, G):
         return np.full((g, len(products)), np.inf)
-    values = [np.sort_complex(linalg.eigvals(linalg.solve(G, -a))) for a in products]
+    values = [np.sort_complex(scipy.linalg.eigvals(scipy.linalg.solve(G, -a))) for a in products]
     return np.array(values).reshape(-1, g).T
 
 
@@ -128,7 +128,7 @@ def _is_defective(small: Linearised, z: complex, X: Array, Y: Array, G: Array) -
     """
     Y = np.abs(Y[: small.system.n_q])
     size = Y.T @ small.times(np.abs(small.slope(abs(z))), np.abs(X))
-    return bool(linalg.svdvals(G)[-1] <= EPS**0.5 * linalg.norm(size))
+    return bool(scipy.linalg.svdvals(G)[-1] <= EPS**0.5 * scipy.linalg.norm(size))
 
 
 def _shape_b(small: Linearised, z: complex, x: Array, z_b: Array, R_b: Array) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.linalg import LinAlgError
+import scipy
 
 from ancfdae.errors import AncfdaeError, InvalidInput
 from ancfdae.modes.configuration import Configuration
@@ -79,7 +79,7 @@ def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
     try:
         with np.errstate(all="ignore"):
             found = suggestion(system, Configuration(q, lam, t=t), 1.0, None)
-    except (AncfdaeError, LinAlgError):
+    except (AncfdaeError, scipy.linalg.LinAlgError):
         return ""
     return (
         f"Small motions there have periods from {found.fastest:.3g} to {found.slowest:.3g}; the "

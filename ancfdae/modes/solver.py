@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from scipy import linalg
-from scipy.sparse.linalg import ArpackError
+import scipy
 
 from ancfdae.errors import AncfdaeError, InvalidInput, SingularMatrix
 from ancfdae.modes import dense, sparse
@@ -99,7 +98,7 @@ def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         method = _undamped if small.D is None else _damped
         try:
             pairs = method(small, wanted, highest)
-        except ArpackError as error:
+        except scipy.sparse.linalg.ArpackError as error:
             raise NoModes(f"{wanted} modes: {error}. Ask for another number.") from error
         first = pairs.first(asked)
         if len(first.z) < len(pairs.z) or wanted == n:
@@ -178,7 +177,7 @@ def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array]:
         Z = small.solve(factors, small.times(small.M, X))
         Z = Z / np.sqrt(_squares(small, Z))
         K, M = (Z.T @ small.times(values, Z) for values in (small.K, small.M))
-        z, Y = linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
+        z, Y = scipy.linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
         X = Z @ Y
     return z, X
 

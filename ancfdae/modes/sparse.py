@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, eigs, eigsh
+import scipy
 
 from ancfdae.modes.linearised import Linearised
 from ancfdae.numerics.arrays import Array
@@ -93,9 +93,9 @@ def damped(small: Linearised, count: int, size: float, highest: bool) -> tuple[A
         return np.concatenate([root * x, root * u])
 
     start = root * _start(small, factors)
-    OP = LinearOperator((2 * n, 2 * n), matvec=step, dtype=float)
+    OP = scipy.sparse.linalg.LinearOperator((2 * n, 2 * n), matvec=step, dtype=float)
     # Both of a pair of complex conjugate exponents are found.
-    theta, Y = eigs(OP, k=2 * count, v0=np.concatenate([start, start]))
+    theta, Y = scipy.sparse.linalg.eigs(OP, k=2 * count, v0=np.concatenate([start, start]))
     s, X = theta if highest else size + 1 / theta, Y[:n] / root[:, None]
     return s[s.imag >= 0], X[:, s.imag >= 0]
 
@@ -127,7 +127,7 @@ def _near(
     """Eigenvalues of K - z M next to a shift, beside those with the known vectors."""
     factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
     options = {"sigma": shift, "OPinv": _inverse(small, factors, known)}
-    return _sorted(small, eigsh if small.symmetric else eigs, count, tolerance, factors, options)
+    return _sorted(small, small.symmetric, count, tolerance, factors, options)
 
 
 def _highest(
@@ -136,12 +136,12 @@ def _highest(
     """Eigenvalues of largest real part, beside those with the known vectors."""
     factors, symmetric = small.mass_factors, small.symmetric
     options = {"which": "LA" if symmetric else "LR", "Minv": _inverse(small, factors, known)}
-    return _sorted(small, eigsh if symmetric else eigs, count, tolerance, factors, options)
+    return _sorted(small, symmetric, count, tolerance, factors, options)
 
 
 def _sorted(
     small: Linearised,
-    routine: Callable[..., tuple[Array, Array]],
+    symmetric: bool,
     count: int,
     tolerance: float,
     factors: Factorization,
@@ -150,12 +150,15 @@ def _sorted(
     """Call ARPACK, starting within the constraints from what no symmetry keeps from any mode."""
     n, M = small.system.n_q, small.system.pattern.csr(small.M)
     K = _operator(n, lambda x: small.times(small.K, x))
+    routine = scipy.sparse.linalg.eigsh if symmetric else scipy.sparse.linalg.eigs
     z, X = routine(K, count, M, v0=_start(small, factors), tol=tolerance, **options)
     order = np.argsort(z.real, kind="stable")
     return z[order], X[:, order]
 
 
-def _inverse(small: Linearised, factors: Factorization, known: Array | None) -> LinearOperator:
+def _inverse(
+    small: Linearised, factors: Factorization, known: Array | None
+) -> scipy.sparse.linalg.LinearOperator:
     """Return the inverse within the constraints, and within what is orthogonal to known vectors."""
 
     def solve(force: Array) -> Array:
@@ -172,5 +175,5 @@ def _start(small: Linearised, factors: Factorization) -> Array:
     return small.solve(factors, push)
 
 
-def _operator(n: int, times: Callable[[Array], Array]) -> LinearOperator:
-    return LinearOperator((n, n), matvec=times, dtype=float)
+def _operator(n: int, times: Callable[[Array], Array]) -> scipy.sparse.linalg.LinearOperator:
+    return scipy.sparse.linalg.LinearOperator((n, n), matvec=times, dtype=float)

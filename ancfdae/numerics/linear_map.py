@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from scipy import sparse
+import scipy
 
 from ancfdae.kernels import csr_rows, csr_rows_transposed
 from ancfdae.numerics.arrays import Array
@@ -14,14 +14,14 @@ from ancfdae.numerics.arrays import Array
 class LinearMap:
     """A constant matrix, shape (n, m), that is only ever multiplied with."""
 
-    def __init__(self, matrix: sparse.csr_array) -> None:
+    def __init__(self, matrix: scipy.sparse.csr_array) -> None:
         self._rows = matrix.indptr.astype("int32"), matrix.indices.astype("int32"), matrix.data
         self._width = matrix.shape[1]
 
     @staticmethod
     def of(rows: Array, columns: Array, values: Array, shape: tuple[int, int]) -> LinearMap:
         """Return the map with these entries; entries at the same place are summed."""
-        return LinearMap(sparse.csr_array((values, (rows, columns)), shape=shape))
+        return LinearMap(scipy.sparse.csr_array((values, (rows, columns)), shape=shape))
 
     def __call__(self, x: Array) -> Array:
         """Multiply a vector, shape (m,)."""

@@ -19,9 +19,7 @@ from collections.abc import Iterator
 from typing import Any, final
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import reverse_cuthill_mckee
-from scipy.sparse.linalg import splu
+import scipy
 
 from ancfdae.errors import SingularMatrix
 from ancfdae.kernels import band_factor, band_solve
@@ -110,9 +108,11 @@ def _numbered(rows: Array, columns: Array, n: int, size: int) -> Array:
     These are eliminated first, by pivots of K; what a constraint asks is then met to the round-off
     of its own row, and not to that of a stiff body's.
     """
-    graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
+    graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
     B = graph[n:, :n]
-    coordinates = reverse_cuthill_mckee((graph[:n, :n] + B.T @ B).tocsr(), symmetric_mode=True)
+    coordinates = scipy.sparse.csgraph.reverse_cuthill_mckee(
+        (graph[:n, :n] + B.T @ B).tocsr(), symmetric_mode=True
+    )
     place = np.zeros(size)
     place[coordinates] = np.arange(n)
     own = rows >= n
@@ -171,15 +171,16 @@ class _SparseStorage(_Storage):
         if not np.isfinite(values.sum()):
             raise SingularMatrix("the saddle-point matrix is not finite")
         size = len(self._scale)
-        matrix = sparse.csc_array(
+        matrix = scipy.sparse.csc_array(
             (values[self._order], self._rows, self._indptr), shape=(size, size)
         )
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                return _SparseFactorization(splu(matrix), values.dtype, self._scale)
+                lu = scipy.sparse.linalg.splu(matrix)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
+        return _SparseFactorization(lu, values.dtype, self._scale)
 
 
 @final

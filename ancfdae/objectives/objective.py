@@ -130,7 +130,7 @@ class Combination(Operation, Objective):
         """Evaluate every objective in it once."""
         nodes = evaluated(self, lambda leaf: np.asarray(leaf.value(system, states, totals)))
         value = list(nodes.values())[-1]
-        _require_finite_number("the value", value)
+        require_finite_number("the value", value)
         return value.item()
 
     def partials(
@@ -140,11 +140,11 @@ class Combination(Operation, Objective):
         parts = {leaf: leaf.partials(system, states, totals) for leaf in self._leaves()}
         nodes = evaluated(self, lambda leaf: np.asarray(parts[leaf].value))
         value = list(nodes.values())[-1]
-        _require_finite_number("the value", value)
+        require_finite_number("the value", value)
         total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
         b, densities = np.zeros(system.n_b), list[tuple[float, Density]]()
         for leaf, weight in leaf_weights(nodes, np.ones(())).items():
-            _require_finite_number("the derivative", weight)
+            require_finite_number("the derivative", weight)
             part = parts[cast(Objective, leaf)]
             b = b + weight * part.b
             densities += [(float(weight) * w, density) for w, density in part.densities]
@@ -159,6 +159,7 @@ class Combination(Operation, Objective):
         return cast("list[Objective]", leaves(self))
 
 
-def _require_finite_number(what: str, x: Array) -> None:
+def require_finite_number(what: str, x: Array) -> None:
+    """Refuse a value of a function of objectives, or a derivative, that is no number."""
     if not np.isfinite(x):
         raise NonFiniteObjective("function of objectives", what, None)

@@ -24,7 +24,7 @@ from ancfdae.objectives.objective import (
     ObjectivePartials,
     Totals,
 )
-from ancfdae.observables import Observable, States
+from ancfdae.observables import Observable, ObservablePartials, States
 from ancfdae.protocol import MechanicalSystem
 
 
@@ -66,10 +66,33 @@ class Reduction(Objective):
         """Reduce the observable."""
         if self in totals:
             return totals[self].value()
-        w, x = self.weights(states.grid), self.observable.value(system, states)
+        return self.of_values(self.observable.value(system, states), states.grid).item()
+
+    def of_values(self, x: Array, grid: TimeGrid) -> Array:
+        """Reduce values at the instants of a run."""
+        w = self.weights(grid)
         used = w != 0
-        self._require_finite("the observable", x[used], states.t[used])
-        return self.reduce(x[used], w[used]).item()
+        self._require_finite("the observable", x[used], grid.t[used])
+        return self.reduce(x[used], w[used])
+
+    def slopes_of_values(self, x: Array, grid: TimeGrid) -> Array:
+        """Return the derivative of `of_values` in every value, for real ones."""
+        w = self.weights(grid)
+        used, slopes = w != 0, np.zeros(len(w))
+        slopes[used] = self.slopes(x[used].real, w[used])
+        return slopes
+
+    def pulled_back(
+        self, system: MechanicalSystem, states: States, nodes: dict[object, Array], slopes: Array
+    ) -> ObservablePartials:
+        """Return slopes, one per instant, times the partials of the observable.
+
+        `nodes` are the observable's values at the states, `Observable.node_values`.
+        """
+        p = self.observable.weighted_partials(system, states, nodes, slopes)
+        sums = sum(part.sum(axis=1) for part in (p.q, p.v, p.lam, p.b) if part is not None)
+        self._require_finite("the derivative of the observable", np.asarray(sums), states.t)
+        return p
 
     def partials(
         self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
@@ -78,15 +101,9 @@ class Reduction(Objective):
         if self in totals:
             return totals[self].partials()
         nodes = self.observable.node_values(system, states)
-        w, x = self.weights(states.grid), list(nodes.values())[-1]
-        used = w != 0
-        self._require_finite("the observable", x[used], states.t[used])
-        slopes = np.zeros(len(w))
-        slopes[used] = self.slopes(x[used].real, w[used])
-        p = self.observable.weighted_partials(system, states, nodes, slopes)
-        sums = sum(part.sum(axis=1) for part in (p.q, p.v, p.lam, p.b) if part is not None)
-        self._require_finite("the derivative of the observable", np.asarray(sums), states.t)
-        value = float(self.reduce(x[used], w[used]))
+        x = list(nodes.values())[-1]
+        value = float(self.of_values(x, states.grid))
+        p = self.pulled_back(system, states, nodes, self.slopes_of_values(x, states.grid))
         return ObjectivePartials(value, p.q, p.v, p.lam, p.b.sum(axis=0))
 
     def _require_finite(self, what: str, x: Array, t: Array) -> None:

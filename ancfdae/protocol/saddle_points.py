@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from ancfdae.errors import RedundantConstraints
 from ancfdae.numerics.arrays import Array
@@ -63,7 +63,7 @@ def refuse_redundant(system: MechanicalSystem, values: Array) -> None:
             "Remove the joint.",
         )
     connected = abs(matrix) @ abs(matrix).T
-    count, labels = connected_components(connected, directed=False)
+    count, labels = scipy.sparse.csgraph.connected_components(connected, directed=False)
     dependent: list[str] = []
     redundant = 0
     for component in range(count):

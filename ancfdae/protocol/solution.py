@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, make_interp_spline
+import scipy
 
 from ancfdae.bodies import Point, Quantity, require_point
 from ancfdae.errors import (
@@ -185,8 +185,14 @@ class Solution:
 
     def _sampled(self, times: Array, q: Array, v: Array, a: Array, lam: Array) -> list[Array]:
         if self.degree == 1 and len(self.t) > 1:
-            smooth = (CubicHermiteSpline(self.t, x, rate)(times) for x, rate in ((q, v), (v, a)))
-            return [*smooth, *(make_interp_spline(self.t, x, k=1)(times) for x in (a, lam))]
+            smooth = (
+                scipy.interpolate.CubicHermiteSpline(self.t, x, rate)(times)
+                for x, rate in ((q, v), (v, a))
+            )
+            return [
+                *smooth,
+                *(scipy.interpolate.make_interp_spline(self.t, x, k=1)(times) for x in (a, lam)),
+            ]
         grid = TimeGrid(self.t, self.degree)
         shares = [grid.interpolation(time) for time in times]
         return [

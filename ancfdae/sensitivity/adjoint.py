@@ -11,6 +11,8 @@ from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT, AdjointIntegrator, Seeds
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
+from ancfdae.sensitivity import checkpointed
+from ancfdae.sensitivity.checkpointed import size_of
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, keeping
 
 
@@ -22,7 +24,21 @@ class Adjoint(GradientMethod):
     The backward pass is the transpose of the recurrence that direct differentiation runs, so
     the two agree to round-off at any step size. Its cost hardly depends on the number of
     design variables.
+
+    Parameters
+    ----------
+    memory : str or float, optional
+        Limit for the states of the run, such as ``"200 MB"``, or in bytes. Of a longer run parts
+        are integrated again for the pass back, as few as possible (docs/theory.md, section 8). For
+        `HHT` at steps that are known before.
     """
+
+    memory: str | float | None = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        if self.memory is not None:
+            size_of(self.memory)
 
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """One run for all objectives, one transposed pass for each."""
@@ -30,6 +46,8 @@ class Adjoint(GradientMethod):
         if not isinstance(integrator, AdjointIntegrator):
             rule, repair = "needs an integrator with an adjoint", "Use HHT or IDAS, or Direct()."
             raise InvalidInput("Adjoint", rule, repr(integrator), repair)
+        if self.memory is not None:
+            return checkpointed.gradients(run, objectives, self, size_of(self.memory))
         solution, totals = run.integrals(objectives, differentiated=True)
         results = []
         # The pass back over a run of HHT factorises once per step.

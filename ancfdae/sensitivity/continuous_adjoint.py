@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from scipy.interpolate import BarycentricInterpolator
+import scipy
 
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT
@@ -108,7 +108,7 @@ def _with_smooth_multipliers(system: MechanicalSystem, solution: Solution) -> So
     later = [accelerations.solve(float(t), q, v)[1] for t, q, v in states]
     # At the start the reported v has no shift, unlike at later instants.
     near, t = slice(0, _LEAST_STEPS), solution.t
-    first = BarycentricInterpolator(t[1:][near], later[near])(t[0])
+    first = scipy.interpolate.BarycentricInterpolator(t[1:][near], later[near])(t[0])
     return replace(solution, lam=np.stack([first, *later]))
 
 

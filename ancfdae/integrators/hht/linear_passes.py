@@ -216,11 +216,23 @@ def pull_back(
     products with its derivatives are that; and what the defects of all steps change in the
     objective.
     """
+    on, matrix = np.zeros((6, nodes.problem.system.n_q)), step_matrices(nodes.steps)
+    gradient, on, change = pull_back_part(nodes, seeds, on, matrix, defects)
+    return gradient, start_covectors(nodes.steps.first, on), change
+
+
+def pull_back_part(
+    nodes: Nodes, seeds: Seeds, on: Array, matrix: Array, defects: Defects | None = None
+) -> tuple[Array, Array, float]:
+    """Run the transposed recurrence back over a run that is a part of another.
+
+    `on`, (6, n_q), holds covectors on (q_b, v_b, A_b) of its last instant and on (q~_b, v~_b, A~_b)
+    of the step from there; those of its first instant are returned. The matrices are those of
+    `step_matrices` for its steps. Row 0 of the seeds is left out.
+    """
     system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
-    n_t, n_q, matrix = len(nodes.run.t), system.n_q, step_matrices(all_steps)
+    n_t, n_q = len(nodes.run.t), system.n_q
     gradient, change = np.zeros(system.n_b), 0.0
-    # Covectors on (q_b, v_b, A_b) of an instant and on (q~_b, v~_b, A~_b) of the step from it.
-    on = np.zeros((6, n_q))
     for steps in reversed(_chunks(system, n_t, 0)):
         t, rows, linear = _linearised(nodes, steps)
         mu, zeta = np.zeros_like(rows[0]), np.zeros_like(rows[3])
@@ -252,7 +264,7 @@ def pull_back(
                 before[1], before[4] = by_v * on_dq, before[4] + by_predicted * on_dq
             on = before
         gradient -= system.pull_back(t, rows, (mu, zeta))
-    return gradient, _start_covectors(all_steps.first, on), float(change)
+    return gradient, on, float(change)
 
 
 def _linearised(nodes: Nodes, steps: slice) -> tuple[Array, States, LinearSteps]:
@@ -269,7 +281,7 @@ def _predicted(c: Coefficients, start: NodeSensitivity) -> Array:
     return np.array([q_p.T, v_p.T, c.alpha / (1 + c.alpha) * start.A_b.T])
 
 
-def _start_covectors(c: Coefficients, on: Array) -> NodeSensitivity:
+def start_covectors(c: Coefficients, on: Array) -> NodeSensitivity:
     """Transpose of `_predicted`, added to covectors on q_b and v_b themselves."""
     units = NodeSensitivity(*(x[None].T for x in np.eye(4)[[0, 1, 2, 2, 3]]))
     q, v, a, A = _predicted(c, units)[:, 0].T @ on[3:]

@@ -20,14 +20,14 @@ from ancfdae.errors import (
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import Coefficients, Steps, constraint_error
+from ancfdae.integrators.hht.replay import Replay, through_start
 from ancfdae.integrators.hht.small_steps import Nodes
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import Covectors, pull_back_start
-from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, StepControl
+from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
 from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
 from ancfdae.integrators.step_control.march import march
 from ancfdae.integrators.step_control.tolerance import estimated_errors
@@ -236,14 +236,18 @@ class HHT(AdjointIntegrator):
         """Return the gradient of an objective by the discrete adjoint."""
         first, nodes = self._opened(system, solution)
         gradient, back, _ = linear_passes.pull_back(nodes, seeds)
-        on = first.pull_back(back)
-        # What an objective reads at t = 0 is the consistent start, not the shifted one.
-        q, v, lam = (
-            x if seed is None else x + seed[0]
-            for x, seed in ((on.q, seeds.q), (on.v, seeds.v), (on.lam, seeds.lam))
-        )
-        on = Covectors(q, v, on.a, lam, on.b + gradient)
-        return pull_back_start(system, nodes.problem.matrices, nodes.problem.initial, on)
+        return through_start(nodes.problem, first, back, seeds, gradient)
+
+    def replay(self, system: MechanicalSystem, t_end: float) -> Replay:
+        """Return the run to `t_end` part by part; its steps must be known before."""
+        if not isinstance(self.steps, FixedSteps | GivenSteps):
+            rule = "needs steps that are known before the run"
+            repair = "Repeat the steps of a run: HHT.frozen(simulate(...))."
+            raise InvalidInput("HHT.steps", rule, repr(self.steps), repair)
+        t = self.steps.instants(t_end)
+        newton = self.newton_tolerance, self.max_iterations
+        steps = Steps(self.steps.sizes(t), self.hht_alpha)
+        return Replay(Problem.of(system, t_end), steps, t, newton)
 
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
 from ancfdae.integrators.recorder import Recorder
@@ -21,6 +20,8 @@ def march(
     progress: bool,
 ) -> Solution:
     """Step to the end; after a failure or an interrupt the solution holds the steps so far."""
+    from tqdm import tqdm
+
     recorder.record(*method.consistent())
     with tqdm(total=t_end, disable=not progress, unit="s") as bar:
         try:

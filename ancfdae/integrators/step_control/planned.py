@@ -63,8 +63,12 @@ class FixedSteps(_KnownSteps):
 
     def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
         """Return the plan; its instants are multiples, without accumulated round-off."""
-        count = self.count(t_end)
-        return _Plan(np.full(count, self.step), self.step * np.arange(1, count + 1))
+        t = self.instants(t_end)
+        return _Plan(self.sizes(t), t[1:])
+
+    def instants(self, t_end: float) -> Array:
+        """Return the instants from 0 on."""
+        return self.step * np.arange(self.count(t_end) + 1)
 
     def sizes(self, t: Array) -> Array:
         """Return the step, free of the round-off of the instants."""
@@ -123,6 +127,11 @@ class GivenSteps(_KnownSteps):
     def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
         """Return the plan."""
         return _Plan(np.diff(self.times), np.array(self.times[1:]))
+
+    def instants(self, t_end: float) -> Array:
+        """Return the instants."""
+        self.count(t_end)
+        return np.array(self.times)
 
     def sizes(self, t: Array) -> Array:
         """Return the distances of the instants."""

@@ -23,8 +23,7 @@ from dataclasses import dataclass
 from typing import Any, TextIO, final
 
 import numpy as np
-import sksundae
-from scipy import sparse
+import scipy
 
 from ancfdae.errors import Verdict, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
@@ -167,12 +166,14 @@ class _IdaMarch(March):
         return self._last
 
     def _set_up(self, settings: IDA) -> Any:
+        import sksundae
+
         tolerances = np.tile(self._form.tolerances(settings.rtol), self._m + 1)
         size = len(self._y)
         rows, columns = self._storage.sparsity()
         options: dict[str, Any] = {"linsolver": "dense"}
         if size > _MOST_DENSE:
-            pattern = sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
+            pattern = scipy.sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
             options = {"linsolver": "sparse", "sparsity": pattern}
         with warnings.catch_warnings():
             # The warning says that the pattern is not used for difference quotients, rightly.

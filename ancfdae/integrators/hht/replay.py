@@ -1,0 +1,107 @@
+"""A run at known steps, taken part by part, forward and backward.
+
+A part begins with the node that the one before ends with. Newton's method begins it with a fresh
+matrix, so that a part is the same whenever it is taken.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import Outcome, SingularMatrix, Verdict
+from ancfdae.integrators.hht import linear_passes
+from ancfdae.integrators.hht.equations import Node, NodeSensitivity, Steps, rescaled
+from ancfdae.integrators.hht.small_steps import Nodes
+from ancfdae.integrators.hht.start import RecurrenceStart
+from ancfdae.integrators.hht.step import Stepper
+from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.start import Covectors, pull_back_start
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol.solution import Solution
+
+
+@final
+class Replay:
+    """Takes parts of a run, from instant `first` to instant `last` of the times `t`.
+
+    `taken` counts the steps, repeated ones included.
+    """
+
+    def __init__(self, problem: Problem, steps: Steps, t: Array, newton: tuple[float, int]) -> None:
+        self._problem, self._steps, self.t, self._newton = problem, steps, t, newton
+        self._first = RecurrenceStart.of(problem, steps.first)
+        self.taken = 0
+
+    def start(self) -> Node:
+        """Return the node before the first step."""
+        return self._first.node
+
+    def part(self, node: Node, first: int, last: int) -> tuple[Solution, Node]:
+        """Step from a node at `first` to `last`; return the states there and between, and the end.
+
+        A part that fails or is interrupted holds the steps so far; its outcome says so.
+        """
+        system, verdict = self._problem.system, Verdict.FINISHED
+        recorder = Recorder(system, last - first + 1)
+        stepper = Stepper(self._problem, self._steps.alpha, self._newton, None, recorder)
+        recorder.record(*(stepper.recorded((node, None)) if first else stepper.consistent()))
+        try:
+            for n in range(first, last):
+                with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                    before = self._ahead(node, n), None
+                    after = stepper.advance(float(self._steps.h[n]), before, float(self.t[n + 1]))
+                if after is None:
+                    verdict = stepper.failure().verdict
+                    break
+                recorder.record(*stepper.recorded(after))
+                node, self.taken = after[0], self.taken + 1
+        except SingularMatrix:
+            verdict = Verdict.SINGULAR
+        except KeyboardInterrupt:
+            verdict = Verdict.INTERRUPTED
+        size = 0.0 if verdict is Verdict.FINISHED else stepper.failure().correction
+        outcome = Outcome(verdict, recorder.time, first + recorder.steps, size)
+        return recorder.solution(outcome), node
+
+    def pull_back(
+        self, run: Solution, node: Node, first: int, seeds: Seeds, on: Array
+    ) -> tuple[Array, Array]:
+        """Run the transposed recurrence back over a part that begins with a node.
+
+        `on` holds covectors on the states after it (`linear_passes.pull_back_part`). Returns the
+        gradient of the part, (n_b,), and covectors on the states before it.
+        """
+        h, alpha, last = self._steps.h, self._steps.alpha, first + len(run.t) - 1
+        # The last step of the part hands on to a step of the size of the next.
+        matrix = linear_passes.step_matrices(Steps(h[first : last + 1], alpha))[: last - first]
+        steps = Steps(h[first:last], alpha)
+        nodes = Nodes(self._problem, run, steps, self._ahead(node, first))
+        gradient, on, _ = linear_passes.pull_back_part(nodes, seeds, on, matrix)
+        return gradient, on
+
+    def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
+        """Pull covectors on the states before the first step back through the start."""
+        back = linear_passes.start_covectors(self._steps.first, on)
+        return through_start(self._problem, self._first, back, seeds, gradient)
+
+    def _ahead(self, node: Node, n: int) -> Node:
+        """Return a node for the size of the step that begins there."""
+        return rescaled(node, self._steps.ratio(n)) if n else node
+
+
+def through_start(
+    problem: Problem, first: RecurrenceStart, back: NodeSensitivity, seeds: Seeds, gradient: Array
+) -> Array:
+    """Add to a gradient what goes through the start of the recurrence."""
+    on = first.pull_back(back)
+    # What an objective reads at t = 0 is the consistent start, not the shifted one.
+    q, v, lam = (
+        x if seed is None else x + seed[0]
+        for x, seed in ((on.q, seeds.q), (on.v, seeds.v), (on.lam, seeds.lam))
+    )
+    on = Covectors(q, v, on.a, lam, on.b + gradient)
+    return pull_back_start(problem.system, problem.matrices, problem.initial, on)

@@ -1,0 +1,208 @@
+"""Discrete adjoint within a limit of memory: parts of the run are taken again.
+
+The run is divided into parts. Forward, only the states that some parts begin with are kept; the
+pass back takes each part again from the last of them before it. Which to keep, and which parts to
+repeat, is the schedule of Griewank & Walther (revolve, ACM TOMS 26, 2000) by the library
+`checkpoint_schedules`, with the least repetitions that the number of kept states allows.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast, final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.integrators import HHT, MissingPackage, Seeds
+from ancfdae.integrators.hht.replay import Replay
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.objectives import Objective
+from ancfdae.objectives.objective import require_finite_number
+from ancfdae.objectives.reductions import Reduction
+from ancfdae.observables import States, states_of
+from ancfdae.observables.expression import evaluated, leaf_weights, leaves
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
+
+_UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
+# A part is held with its partials and, while these are made, what they are made of.
+_COPIES = 3
+
+
+def size_of(memory: str | float) -> float:
+    """Return a size in bytes of a number or a text such as ``"200 MB"``."""
+    rule, repair = "must be a size", 'For example "200 MB"; units are B, kB, MB and GB.'
+    if not isinstance(memory, str):
+        require_positive("memory", memory)
+        return float(memory)
+    found = re.fullmatch(r"\s*([0-9.eE+]+)\s*([kMG]?B)\s*", memory)
+    try:
+        number = float(found[1]) if found else 0.0
+    except ValueError:
+        number = 0.0
+    if not found or not 0 < number < np.inf:
+        raise InvalidInput("memory", rule, repr(memory), repair)
+    return number * _UNITS[found[2]]
+
+
+def gradients(
+    run: Run, objectives: Sequence[Objective], method: GradientMethod, memory: float
+) -> list[Gradient]:
+    """Return value and gradient of every objective; `memory` in bytes is for states of the run.
+
+    The solution of the results is the last part of the run; its statistics count repeated steps.
+    """
+    system, integrator = run.system, run.integrator
+    if not isinstance(integrator, HHT):
+        rule, repair = "is a limit of the pass back over steps of HHT", "Use HHT, or leave it out."
+        raise InvalidInput("memory", rule, repr(integrator), repair)
+    started, replay = time.perf_counter(), integrator.replay(system, run.t_end)
+    length, kept = division(system, len(replay.t) - 1, memory)
+    watched = [_Watched(system, objective, replay.t) for objective in objectives]
+    backward = _Backward(system, replay, length, watched)
+    for action in schedule(-(-(len(replay.t) - 1) // length), kept):
+        backward.follow(action)
+    solution, seconds = backward.last, time.perf_counter() - started
+    done = replace(solution.statistics, steps=replay.taken, wall_seconds=seconds)
+    solution = replace(solution, statistics=done)
+    return [Gradient(x.value, x.gradient, system.design_names, method, solution) for x in watched]
+
+
+def division(system: MechanicalSystem, steps: int, memory: float) -> tuple[int, int]:
+    """Return steps in a part, and states to keep: half of the memory is for each.
+
+    A part of all steps, and no repetition, where the memory holds that.
+    """
+    number = np.dtype(float).itemsize
+    row = number * _COPIES * (3 * system.n_q + system.n_lam + 1)
+    node = number * (4 * system.n_q + system.n_lam + 1)
+    if row * (steps + 1) <= memory:
+        return steps, 1
+    length, kept = int(memory / 2 // row) - 1, int(memory / 2 // node)
+    if length < 1:
+        rule = f"must be {4 * row / 1e6:.3g} MB or more for {system.n_q} coordinates"
+        raise InvalidInput("memory", rule, f"{memory / 1e6:.3g} MB", "Give more.")
+    return length, min(kept, -(-steps // length))
+
+
+def schedule(parts: int, kept: int) -> Any:
+    """Return the actions for so many parts with so many kept states."""
+    try:
+        library = importlib.import_module("checkpoint_schedules")
+    except ImportError as error:
+        raise MissingPackage(
+            "memory: needs the package checkpoint_schedules; got Python without it. Install it: "
+            "python3 -m pip install 'ancfdae[checkpoints]'."
+        ) from error
+    return library.Revolve(parts, kept)
+
+
+@final
+class _Watched:
+    """An objective whose observables are followed part by part."""
+
+    def __init__(self, system: MechanicalSystem, objective: Objective, t: Array) -> None:
+        self._system, self._objective, self._grid = system, objective, TimeGrid(t, 1)
+        self._values = {x: np.zeros(len(t)) for x in cast("list[Reduction]", leaves(objective))}
+        self._slopes: dict[Reduction, Array] = {}
+        self.value, self.gradient = 0.0, np.zeros(system.n_b)
+        self.on = np.zeros((6, system.n_q))
+
+    def look(self, states: States, first: int) -> None:
+        """Note the values at instants from `first` on."""
+        for leaf, values in self._values.items():
+            values[first : first + len(states.t)] = leaf.observable.value(self._system, states)
+
+    def close(self) -> None:
+        """Make the value of those of all instants, and the slopes in each."""
+        values, grid = self._values, self._grid
+        nodes = evaluated(self._objective, lambda leaf: leaf.of_values(values[leaf], grid))
+        value = list(nodes.values())[-1]
+        require_finite_number("the value", value)
+        self.value = float(value)
+        for leaf, weight in leaf_weights(nodes, np.ones(())).items():
+            require_finite_number("the derivative", weight)
+            own = cast(Reduction, leaf)
+            self._slopes[own] = weight * own.slopes_of_values(values[own], grid)
+
+    def seeds(self, states: States, first: int) -> Seeds:
+        """Return the partials in the states of a part, and add those in the design.
+
+        The instant that a part begins with belongs to the one before.
+        """
+        total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
+        for leaf, all_slopes in self._slopes.items():
+            slopes = all_slopes[first : first + len(states.t)].copy()
+            slopes[: first > 0] = 0.0
+            nodes = leaf.observable.node_values(self._system, states)
+            p = leaf.pulled_back(self._system, states, nodes, slopes)
+            self.gradient = self.gradient + p.b.sum(axis=0)
+            for name, so_far in total.items():
+                own: Array | None = getattr(p, name)
+                if own is not None:
+                    total[name] = own if so_far is None else so_far + own
+        return Seeds(total["q"], total["v"], total["lam"])
+
+
+@final
+class _Backward:
+    """Follows a schedule; the solution `last` is the part that the run ends with."""
+
+    last: Solution
+
+    def __init__(
+        self, system: MechanicalSystem, replay: Replay, length: int, watched: list[_Watched]
+    ) -> None:
+        self._system, self._replay, self._watched = system, replay, watched
+        self._ends = [*range(0, len(replay.t) - 1, length), len(replay.t) - 1]
+        self._node, self._kept, self._seen = replay.start(), dict[int, Any](), 0
+        # The part that is pulled back next, with the node that it begins with.
+        self._held: tuple[Solution, Any] | None = None
+
+    def follow(self, action: Any) -> None:
+        """Do what an action of `checkpoint_schedules` says."""
+        match type(action).__name__, action.args:
+            case "Forward", (begin, end, keep, hold, _):
+                if keep:
+                    self._kept[begin] = self._node
+                for k in range(begin, end):
+                    self._forward(k, hold)
+            case "EndForward", _:
+                for x in self._watched:
+                    x.close()
+            case "Reverse", (end, begin, _):
+                assert end == begin + 1
+                self._reverse(begin)
+            case "Copy", (k, _, _):
+                self._node = self._kept[k]
+            case "Move", (k, _, _):
+                self._node = self._kept.pop(k)
+
+    def _forward(self, k: int, hold: bool) -> None:
+        first, begin = self._ends[k], self._node
+        solution, self._node = self._replay.part(begin, first, self._ends[k + 1])
+        finished(solution)
+        if hold:
+            self._held = solution, begin
+        if k == self._seen:
+            self._seen, self.last = k + 1, solution
+            for x in self._watched:
+                x.look(states_of(solution), first)
+
+    def _reverse(self, k: int) -> None:
+        assert self._held is not None
+        (solution, begin), self._held = self._held, None
+        with keeping(solution):
+            for x in self._watched:
+                seeds = x.seeds(states_of(solution), self._ends[k])
+                own, x.on = self._replay.pull_back(solution, begin, self._ends[k], seeds, x.on)
+                x.gradient = x.gradient + own
+                if k == 0:
+                    x.gradient = self._replay.close(x.on, seeds, x.gradient)

@@ -1,0 +1,120 @@
+"""`simulate_thinned` and `observations`: what is kept is that of the whole run."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    IDA,
+    InvalidInput,
+    Verdict,
+    custom,
+    kinetic_energy,
+    observations,
+    observe,
+    position,
+    simulate,
+    simulate_thinned,
+)
+from ancfdae.api import long_runs
+from ancfdae.bodies import Point
+from validation.scenes import pendulum
+
+from mechanisms import CartesianPendulum
+
+SCENE = pendulum(elements=1, youngs_modulus=1e6)
+STEP, T_END = 2.0**-8, 23 * 2.0**-8
+TIP = position(Point("pendulum", 1.0), 1)
+# Newton's method begins a part with a matrix of its own. Its tolerance of 1e-14 in the forces is
+# 1e-9 in accelerations: positions within it are divided by beta h^2 = 6e-6.
+CLOSE = {"rtol": 1e-8, "atol": 1e-9}
+
+
+@pytest.fixture(autouse=True)
+def short_parts(monkeypatch):
+    """Let parts have 5 steps, so that there are several, the last one shorter."""
+    monkeypatch.setattr(long_runs, "_NUMBERS", 5 * (3 * 12 + 2 + 1))
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return simulate(SCENE, T_END, HHT(STEP))
+
+
+@pytest.mark.parametrize("every", [1, 4, 5, 23, 100])
+def test_every_so_many_steps_are_kept(whole, every):
+    thin = simulate_thinned(SCENE, T_END, HHT(STEP), every=every)
+    rows = sorted({*range(0, 24, every), 23})
+    for name in ("t", "q", "v", "a", "lam"):
+        np.testing.assert_allclose(getattr(thin, name), getattr(whole, name)[rows], **CLOSE)
+    assert thin.statistics.steps == 23
+    assert thin.outcome.success
+
+
+def test_chosen_instants_are_those_between_the_steps(whole):
+    times = [0.0, 0.011, 5 * STEP, 0.05, T_END]
+    thin, exact = simulate_thinned(SCENE, T_END, HHT(STEP), at=times), whole.at(times)
+    for name in ("t", "q", "v", "a", "lam"):
+        np.testing.assert_allclose(getattr(thin, name), getattr(exact, name), **CLOSE)
+
+
+def test_observables_are_kept_here_and_on_disk(whole, tmp_path):
+    own = [TIP, kinetic_energy()]
+    file = tmp_path / "run.npy"
+    for options in ({}, {"file": file}):
+        seen = observations(SCENE, own, T_END, HHT(STEP), every=4, **options)
+        for k, each in enumerate(own):
+            values = observe(each, whole, long_runs.as_system(SCENE))[[0, 4, 8, 12, 16, 20, 23]]
+            np.testing.assert_allclose(seen.values[:, k], values, **CLOSE)
+        assert seen.steps == 23
+    stored = np.load(file, mmap_mode="r")
+    np.testing.assert_array_equal(stored, np.column_stack([seen.t, seen.values]))
+    assert "7 instants of 23 steps" in repr(seen)
+
+
+def own(t, q, v, lam, b):
+    return q[:, 0]
+
+
+class Stopping(CartesianPendulum):
+    """Presses Ctrl-C after half a second."""
+
+    def with_values(self, b):
+        return Stopping(self.angle, self.spin, b)
+
+    def force(self, q, v, t):
+        if t > 0.5:
+            raise KeyboardInterrupt
+        return super().force(q, v, t)
+
+
+def test_a_run_that_ends_early_keeps_what_it_has(tmp_path):
+    given = 1.0, HHT(2.0**-4)
+    thin = simulate_thinned(Stopping(), *given, every=2)
+    assert thin.outcome.verdict is Verdict.INTERRUPTED
+    np.testing.assert_array_equal(thin.t, [0, 0.125, 0.25, 0.375, 0.5])
+    seen = observations(Stopping(), [custom(own)], *given, every=2, file=tmp_path / "run.npy")
+    np.testing.assert_array_equal(seen.values[:, 0], thin.q[:, 0])
+    stored = np.load(tmp_path / "run.npy")
+    np.testing.assert_array_equal(stored[:5, 1], thin.q[:, 0])
+    assert np.isnan(stored[5:]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"every": None}, "every, at: needs one of both; got none"),
+        ({"at": [0.0]}, "every, at: needs one of both; got both"),
+        ({"every": 0}, "every: must be a positive integer"),
+        ({"every": None, "at": [0.2, 0.1]}, "at: must be instants that ascend"),
+        ({"every": None, "at": [0.0, 1.0]}, "at: must lie in"),
+        ({"integrator": IDA(1e-6)}, "integrator: must be HHT"),
+        ({"integrator": HHT(rtol=1e-3)}, r"HHT\.steps: needs steps that are known"),
+        ({"observables": TIP}, "observables"),
+        ({"observables": [3]}, "observables"),
+    ],
+)
+def test_bad_input_is_refused(change, match):
+    given = {"observables": [TIP], "integrator": HHT(STEP), "every": 2} | change
+    with pytest.raises(InvalidInput, match=match):
+        observations(SCENE, t_end=T_END, **given)

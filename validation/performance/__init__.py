@@ -1,0 +1,1 @@
+"""What runs cost: time and memory, one module a subject."""
