@@ -262,20 +262,19 @@ class JointConstraints:
     def couplings(self) -> tuple[Array, Array, Array, Array]:
         """Rows, columns, weights and bilinear entry of the products L_i^T L_j + L_j^T L_i."""
         d, L = self._d, self._vectors.matrix
-        parts: list[tuple[Array, Array, Array, Array]] = []
-        for entry, (i, j) in enumerate(zip(self._s_i, self._s_j, strict=True)):
-            for axis in range(d):
-                left, right = L[[i * d + axis]].tocoo(), L[[j * d + axis]].tocoo()
-                weights = np.outer(left.data, right.data).ravel()
-                rows = np.repeat(left.col, len(right.col))
-                columns = np.tile(right.col, len(left.col))
-                number = np.full(len(rows), entry)
-                parts += [(rows, columns, weights, number), (columns, rows, weights, number)]
-        empty = np.zeros(0, dtype=np.int64)
-        start = (empty, empty, np.zeros(0), empty)
-        rows, columns, weights, numbers = (
-            np.concatenate(column) for column in zip(start, *parts, strict=True)
-        )
+        entry = np.repeat(np.arange(len(self._s_row)), d)
+        axis = np.tile(np.arange(d), len(self._s_row))
+        left, right = self._s_i[entry] * d + axis, self._s_j[entry] * d + axis
+        sizes = np.diff(L.indptr)
+        # Every entry of one row of L with every entry of the other.
+        pairs = sizes[left] * sizes[right]
+        of = np.repeat(np.arange(len(entry)), pairs)
+        count = np.arange(len(of)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+        i = L.indptr[left][of] + count // sizes[right][of]
+        j = L.indptr[right][of] + count % sizes[right][of]
+        rows, columns = L.indices[i], L.indices[j]
+        weights, numbers = np.tile(L.data[i] * L.data[j], 2), np.tile(entry[of], 2)
+        rows, columns = np.concatenate([rows, columns]), np.concatenate([columns, rows])
         return rows, columns, weights, numbers
 
     def place_curvature(self, pattern: Pattern) -> None:
