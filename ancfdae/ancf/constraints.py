@@ -125,8 +125,9 @@ class _Slot:
     linear: tuple[Array, Array, Array]
     bilinear: tuple[Array, Array, Array]
 
+    @cached_property
     def parts(self) -> list[_Values]:
-        """Return the flat coefficients, of the constant part first."""
+        """The flat coefficients, of the constant part first."""
         _, i, j = self.bilinear
         # Both halves of the symmetric matrix in one entry, 1/2 on the diagonal.
         half = np.where(i == j, 0.5, 1.0)
@@ -135,13 +136,17 @@ class _Slot:
             for c in self.item.parts()
         ]
 
+    def moved(self, i: int) -> _Slot:
+        """Return the slot moved in design variable i by an imaginary step."""
+        return replace(self, item=self.item.moved(i)) if i in self.item.active else self
+
     def changes(self, i: int) -> bool:
         """Tell whether a design variable changes the coefficients with all vectors held."""
         if i not in self.item.active:
             return False
         if isinstance(self.item.joint, DrivenJoint) and np.any(self.item.p_b[:, i]):
             return True
-        parts = replace(self, item=self.item.moved(i)).parts()
+        parts = self.moved(i).parts
         return any(bool(np.any(x.imag)) for c in parts for x in (c.a, c.s, c.offset))
 
 
@@ -209,7 +214,7 @@ class JointConstraints:
 
     def _collect(self) -> _Values:
         """Flatten the coefficients of all joints onto the structure, the parts as rows."""
-        each = [slot.parts() for slot in self._slots]
+        each = [slot.parts for slot in self._slots]
         count = 1 + sum(len(parts) - 1 for parts in each)
         dtype = np.result_type(float, *(parts[0].a for parts in each))
         sizes = (len(self._a_row), len(self._s_row), self.n_lam)
@@ -341,7 +346,7 @@ class JointConstraints:
         if i not in self.active:
             return self
         if i not in self._moved:
-            slots = [replace(slot, item=slot.item.moved(i)) for slot in self._slots]
+            slots = [slot.moved(i) for slot in self._slots]
             other = self._with(slots, self._vectors.moved(i), np.ones(self.n_lam, dtype=bool))
             other._place()
             self._moved[i] = other
@@ -355,7 +360,7 @@ class JointConstraints:
         if i not in self._parts_moved:
             touched, rows = self._vectors.moved_by(i), np.zeros(self.n_lam, dtype=bool)
             reached = [
-                replace(slot, item=slot.item.moved(i))
+                slot.moved(i)
                 for slot in self._slots
                 if i in slot.item.active or np.any(touched[slot.vectors])
             ]

@@ -294,7 +294,9 @@ class AncfSystem(MechanicalSystem):
         moves = follows or np.any(self.b.real != self._mapping.nominal)
         declared = self._declared(None)
         strains = scene.project_start
-        return Assembly(motions, self.pattern, free, declared, size, bool(moves), strains)
+        # Equations of rigid bodies come after those of the joints.
+        rows = sum(joint.rows for joint in self.naming.layout.joints[: len(scene.joints)])
+        return Assembly(motions, self.pattern, rows, free, declared, size, bool(moves), strains)
 
     def _declared(self, i: int | None) -> Declared:
         """Return what is declared, moved in design variable i by an imaginary step."""
