@@ -40,6 +40,9 @@ _ITERATIONS = 60
 # A step that turns a body by more than this is shortened: Newton's method shall find the assembly
 # near the declared one, not that of another branch.
 _LONGEST_TURN = 0.3
+# Other starts where the declared one does not lead to closed joints, and the Gibbs vectors of their
+# turns: up to 90 degrees about each axis; and damped steps before Newton's method.
+_RESTARTS, _FARTHEST, _DAMPED_STEPS = 12, 2.0, 15
 # Of a motion that is fixed but for round-off nothing is left in the null space.
 _FREE = 1e-6
 # Joints count as closed at this distance over the size of the mechanism: far above round-off of
@@ -168,14 +171,51 @@ class Assembly:
             F = self._position_equations(self._declared, y)
             return _plus(y, -1j * LeastNorm(self._position_matrix(y)).solve(F.imag))
         found = self._search(self._soft)
+        if found is not None and (self._soft or self._fits(found)):
+            return found
+        closed = [] if self._soft else self._from_elsewhere()
+        if closed:
+            return min(closed, key=self._turned)
         if found is not None:
             return found
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
-            f"no convergence in {_ITERATIONS} iterations",
-            "Change the design less, or declare the bodies nearer to where they fit together.",
+            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} other starts",
+            "Change the design less, or declare the bodies nearer to where they fit together: "
+            "turn them with turn=..., so that joints nearly meet.",
         )
+
+    def _from_elsewhere(self) -> list[_Unknowns]:
+        """Newton's method from bodies turned at random, the same each time; what fits."""
+        generator, found = np.random.default_rng(0), []
+        for _ in range(_RESTARTS):
+            x, sigma, rho = self._start(False)
+            x[~self._shift] = generator.uniform(-_FARTHEST, _FARTHEST, np.sum(~self._shift))
+            found.append(self._search(False, (self._nearer(x), sigma, rho)))
+        return [y for y in found if y is not None and self._fits(y)]
+
+    def _nearer(self, x: Array) -> Array:
+        """Damped steps of Gauss and Newton towards closed joints, where Newton's goes anywhere."""
+        none, Z = np.zeros(0), self._declared.Z.real
+        for _ in range(_DAMPED_STEPS):
+            motion = self._motion(x)
+            q, T = self._motions.place(Z, motion).ravel(), self._motions.tangent(Z, motion)
+            flat = sparse.csr_array((len(x), len(x)))
+            matrix = self._matrix(self._jacobian(q, T), [flat])
+            F = self._position_equations(self._declared, (x, none, none)).real
+            dx = -LeastNorm(matrix).solve(F - _SOFT * x)
+            turn = np.max(np.abs(dx[~self._shift]), initial=0.0)
+            x = x + dx * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
+        return x
+
+    def _fits(self, y: _Unknowns) -> bool:
+        """Whether joints are closed, and drives on the side of their angle."""
+        q = self._placed(self._declared, y[0])
+        return self._open(y[0]) <= _CLOSED and self._declared.constraints.opposite(q, 0.0) is None
+
+    def _turned(self, y: _Unknowns) -> float:
+        return float(np.sum(y[0].real[~self._shift] ** 2))
 
     @property
     def _stands(self) -> bool:
@@ -196,9 +236,9 @@ class Assembly:
         rows = np.zeros(0 if soft else self._rows)
         return np.zeros(len(self._free)), rows, rows
 
-    def _search(self, soft: bool) -> _Unknowns | None:
+    def _search(self, soft: bool, start: _Unknowns | None = None) -> _Unknowns | None:
         """Newton's method, None if it does not settle."""
-        y, settled = self._start(soft), 0
+        y, settled = self._start(soft) if start is None else start, 0
         for _ in range(_ITERATIONS):
             F = self._position_equations(self._declared, y)
             dy = -LeastNorm(self._position_matrix(y)).solve(F)
@@ -391,8 +431,9 @@ class Assembly:
                 "assembly",
                 "rigid motions of the bodies must close all joints",
                 self._worst(x),
-                "Declare the bodies nearer to where they fit, correct the design, or set "
-                "project_start=True to strain them.",
+                f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they fit "
+                "(turn=... turns one), correct the design, or set project_start=True to strain "
+                "them.",
             )
 
     def strained_along(self, moved: Declared) -> tuple[Array, Array]:

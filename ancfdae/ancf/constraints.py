@@ -26,6 +26,7 @@ from scipy import sparse
 
 from ancfdae.ancf.held_angles import HeldAngles
 from ancfdae.ancf.vectors import Vectors
+from ancfdae.errors import InconsistentStart
 from ancfdae.joints import DrivenJoint, Equations, Joint
 from ancfdae.naming import JointLayout
 from ancfdae.numerics.arrays import STEP, Array, only
@@ -418,6 +419,34 @@ class JointConstraints:
         if self._simple:
             return self._B(q) - self._at(0.0).offset
         return self._phi(self._at(t), self._U(q))
+
+    def refuse_opposite(self, q: Array, t: float) -> None:
+        """Refuse a start at which a drive is half a turn off, where its equation holds as well.
+
+        Raises
+        ------
+        InconsistentStart
+        """
+        name = self.opposite(q, t)
+        if name is not None:
+            raise InconsistentStart(
+                f"joint {name!r}",
+                "the section must start at the angle of the law",
+                "one that points the other way",
+                "Add pi to the offset of the law, or declare the body turned to that angle.",
+            )
+
+    def opposite(self, q: Array, t: float) -> str | None:
+        """Return the name of a drive that is half a turn off, None without one."""
+        U = self._U(q).real if self.driven else np.zeros(0)
+        for slot in self._slots:
+            item = slot.item
+            p, reference = item.p.real, item.reference.real
+            if isinstance(item.joint, DrivenJoint) and not item.joint.faces(
+                p, reference, U[slot.vectors], t
+            ):
+                return item.joint.name
+        return None
 
     def constraint_q(self, q: Array, t: float) -> Array:
         """Values of Phi_q, one instant."""

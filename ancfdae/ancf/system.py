@@ -253,10 +253,15 @@ class AncfSystem(MechanicalSystem):
 
     def start(self) -> tuple[Array, Array]:
         """Return the declared start, or the equilibrium."""
+        return self._started
+
+    @cached_property
+    def _started(self) -> tuple[Array, Array]:
         if self._rest is not None:
             return self._rest.q, np.zeros_like(self._rest.q)
         if not self.project_start:
             self._assembly.require_closed()
+        self._constraints.refuse_opposite(self._assembly.q, 0.0)
         return self._assembly.q, self._assembly.v
 
     def start_b(self) -> tuple[Array, Array]:
