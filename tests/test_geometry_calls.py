@@ -217,7 +217,7 @@ def test_a_drive_half_a_turn_off_is_refused(other):
 
     assemble(scene(0.0)).start()
     for offset in (np.pi, -np.pi):
-        with pytest.raises(InconsistentStart, match="motor.*angle of the law"):
+        with pytest.raises(InconsistentStart, match=r"motor.*angle of the law"):
             assemble(scene(offset)).start()
     # Where bodies may move they turn the right way, from where the equation tells none too.
     for angle in (0.5 * np.pi, 2.5):
