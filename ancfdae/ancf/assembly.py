@@ -431,9 +431,9 @@ class Assembly:
                 "assembly",
                 "rigid motions of the bodies must close all joints",
                 self._worst(x),
-                f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they fit "
-                "(turn=... turns one), correct the design, or set project_start=True to strain "
-                "them.",
+                f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they "
+                "fit (turn=... turns one), correct the design, or set project_start=True to "
+                "strain them.",
             )
 
     def strained_along(self, moved: Declared) -> tuple[Array, Array]:
