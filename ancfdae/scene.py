@@ -180,7 +180,7 @@ class Scene(SceneDesign):
     def start_of(self, beam: str) -> RigidMotion | NodeState | None:
         """Return how a beam starts, None if from rest in the reference configuration."""
         own = (start for start in self.start if not isinstance(start, AtRest))
-        return next((start for start in own if start.beam == beam), None)
+        return next((start for start in own if start.body == beam), None)
 
     def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
         """Turn a sequence of parts into a tuple and refuse what is none of them."""
@@ -198,7 +198,7 @@ class Scene(SceneDesign):
         _require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
         if SCENE in (part.name for part in self._all_parts()):
             raise InvalidInput("Scene", "'scene' names the scene itself", SCENE, repair)
-        starts = [start.beam for start in self.start if not isinstance(start, AtRest)]
+        starts = [start.body for start in self.start if not isinstance(start, AtRest)]
         _require_unique(
             "Scene.start", "every beam and body starts once", starts, "Keep one of them."
         )
@@ -273,7 +273,7 @@ class Scene(SceneDesign):
     def _checked_start(self, start: Start) -> Start:
         if isinstance(start, AtRest):
             return start
-        return checked_start(start, self.member(start.beam), self.dimension)
+        return checked_start(start, self.member(start.body), self.dimension)
 
     def _check_rest(self) -> None:
         """Refuse a start at rest that moves."""

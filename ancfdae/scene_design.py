@@ -182,11 +182,11 @@ class SceneDesign(Designable, abc.ABC):
         parts = {part.name: part for part in self._all_parts()}
         starts = list(self.start)
         for k, start in enumerate(starts):
-            if isinstance(start, RigidMotion) and start.beam in own:
+            if isinstance(start, RigidMotion) and start.body in own:
                 known = start.parameters()
-                moving = [c for c in own[start.beam] if c[1].parameter in known]
+                moving = [c for c in own[start.body] if c[1].parameter in known]
                 starts[k] = _with_numbers(start, moving)
-                own[start.beam] = [c for c in own[start.beam] if c not in moving]
+                own[start.body] = [c for c in own[start.body] if c not in moving]
         scene = _with_numbers(self, own.pop(SCENE, []))
         parts |= {name: _with_values(parts[name], own[name]) for name in own if own[name]}
         loads = [part for part in parts.values() if isinstance(part, Load)]

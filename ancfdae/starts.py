@@ -35,8 +35,8 @@ class RigidMotion(Designable):
 
     Parameters
     ----------
-    beam : str
-        Name of the beam or the body.
+    body : str
+        Name of the beam or the rigid body.
     angular_velocity : float or sequence of float
         A number in the plane, three components in space; rad/s.
     about : sequence of float
@@ -45,7 +45,7 @@ class RigidMotion(Designable):
         Velocity of the reference point, zero by default; m/s.
     """
 
-    beam: str
+    body: str
     angular_velocity: float | Sequence[float]
     about: Sequence[float]
     velocity: Sequence[float] | None = None
@@ -59,8 +59,8 @@ class RigidMotion(Designable):
 
     def __post_init__(self) -> None:
         """Validate."""
-        require_text("RigidMotion.beam", self.beam)
-        self.check_fields(f"start of {self.beam!r}")
+        require_text("RigidMotion.body", self.body)
+        self.check_fields(f"start of {self.body!r}")
 
 
 @final
@@ -70,7 +70,7 @@ class NodeState:
 
     Parameters
     ----------
-    beam : str
+    body : str
         Name of the beam.
     coordinates : array, shape (n + 1, n_s, d)
         Position and slopes of every node.
@@ -78,7 +78,7 @@ class NodeState:
         Zero by default.
     """
 
-    beam: str
+    body: str
     coordinates: Array
     velocities: Array | None = None
 

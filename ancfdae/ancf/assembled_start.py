@@ -51,6 +51,7 @@ class AssembledStart:
         """Return q and v; raise InconsistentStart where joints stay open that nothing projects."""
         if not self._scene.project_start:
             self._assembly.require_closed()
+        self._joints.refuse_opposite(self._assembly.q, 0.0)
         return self._assembly.q, self._assembly.v
 
     @cached_property
@@ -90,7 +91,9 @@ class AssembledStart:
         moves = follows or np.any(self._b.real != self._mapping.nominal)
         declared = self._declared(None)
         strains = scene.project_start
-        return Assembly(motions, self._pattern, free, declared, size, bool(moves), strains)
+        # Equations of rigid bodies come after those of the joints.
+        rows = sum(joint.rows for joint in self._joints.joints[: len(scene.joints)])
+        return Assembly(motions, self._pattern, rows, free, declared, size, bool(moves), strains)
 
     def _declared(self, i: int | None) -> Declared:
         """Return what is declared, moved in design variable i by an imaginary step."""

@@ -27,19 +27,22 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
+from scipy import sparse
 
 from ancfdae.ancf.constraints import JointConstraints
 from ancfdae.ancf.rigid_motions import RigidMotions
 from ancfdae.errors import InconsistentStart
 from ancfdae.numerics.arrays import STEP, Array, only
+from ancfdae.numerics.least_norm import LeastNorm
 from ancfdae.numerics.patterns import Pattern
 
 _ITERATIONS = 60
 # A step that turns a body by more than this is shortened: Newton's method shall find the assembly
 # near the declared one, not that of another branch.
 _LONGEST_TURN = 0.3
-# Singular values of dimensionless matrices below this are round-off of zero.
-_RANK = 1e-10
+# Other starts where the declared one does not lead to closed joints, and the Gibbs vectors of their
+# turns: up to 90 degrees about each axis; and damped steps before Newton's method.
+_RESTARTS, _FARTHEST, _DAMPED_STEPS = 12, 2.0, 15
 # Of a motion that is fixed but for round-off nothing is left in the null space.
 _FREE = 1e-6
 # Joints count as closed at this distance over the size of the mechanism: far above round-off of
@@ -76,6 +79,8 @@ class Assembly:
     motions : RigidMotions
     pattern : Pattern
         Of the system's tangents, which `constraints` place their curvature on.
+    rows : int
+        How many equations rigid motions change; the others, last, say that bodies are rigid.
     free : array of bool, shape (n_bodies, n_x)
         Which numbers of the motions may change; the turns of a body that leads may not.
     declared : Declared
@@ -94,6 +99,7 @@ class Assembly:
         self,
         motions: RigidMotions,
         pattern: Pattern,
+        rows: int,
         free: Array,
         declared: Declared,
         size: float,
@@ -101,6 +107,7 @@ class Assembly:
         strains: bool,
     ) -> None:
         self._motions, self._pattern, self._declared = motions, pattern, declared
+        self._rows = rows
         self._moves, self._strains, self._size = moves, strains, size
         self._release(free)
 
@@ -137,12 +144,12 @@ class Assembly:
     def along(self, moved: Declared) -> tuple[Array, Array]:
         """Return the derivatives of q and v along a declaration moved by an imaginary step."""
         y = self._positions
-        x = y[0] - self._position_inverse[: len(y[0])] @ self._position_equations(moved, y)
+        x = y[0] - self._position_inverse.solve(self._position_equations(moved, y))[: len(y[0])]
         q = self._placed(moved, x)
         rates = self._velocities
         motion = self._motion(x)
         F = self._velocity_equations(moved, q, self._moving(moved, motion, q, rates[0]), rates)
-        s = rates[0] - self._velocity_inverse[: len(rates[0])] @ F
+        s = rates[0] - self._velocity_inverse.solve(F)[: len(rates[0])]
         v = self._moving(moved, motion, q, s)
         return q.imag / STEP, v.imag / STEP
 
@@ -162,16 +169,53 @@ class Assembly:
         if not self._moves:
             # What is declared stands; a perturbation follows it.
             F = self._position_equations(self._declared, y)
-            return _plus(y, -1j * (_inverse(self._position_matrix(y)) @ F.imag))
+            return _plus(y, -1j * LeastNorm(self._position_matrix(y)).solve(F.imag))
         found = self._search(self._soft)
+        if found is not None and (self._soft or self._fits(found)):
+            return found
+        closed = [] if self._soft else self._from_elsewhere()
+        if closed:
+            return min(closed, key=self._turned)
         if found is not None:
             return found
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
-            f"no convergence in {_ITERATIONS} iterations",
-            "Change the design less, or declare the bodies nearer to where they fit together.",
+            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} other starts",
+            "Change the design less, or declare the bodies nearer to where they fit together: "
+            "turn them with turn=..., so that joints nearly meet.",
         )
+
+    def _from_elsewhere(self) -> list[_Unknowns]:
+        """Newton's method from bodies turned at random, the same each time; what fits."""
+        generator, found = np.random.default_rng(0), []
+        for _ in range(_RESTARTS):
+            x, sigma, rho = self._start(False)
+            x[~self._shift] = generator.uniform(-_FARTHEST, _FARTHEST, np.sum(~self._shift))
+            found.append(self._search(False, (self._nearer(x), sigma, rho)))
+        return [y for y in found if y is not None and self._fits(y)]
+
+    def _nearer(self, x: Array) -> Array:
+        """Damped steps of Gauss and Newton towards closed joints, where Newton's goes anywhere."""
+        none, Z = np.zeros(0), self._declared.Z.real
+        for _ in range(_DAMPED_STEPS):
+            motion = self._motion(x)
+            q, T = self._motions.place(Z, motion).ravel(), self._motions.tangent(Z, motion)
+            flat = sparse.csr_array((len(x), len(x)))
+            matrix = self._matrix(self._jacobian(q, T), [flat])
+            F = self._position_equations(self._declared, (x, none, none)).real
+            dx = -LeastNorm(matrix).solve(F - _SOFT * x)
+            turn = np.max(np.abs(dx[~self._shift]), initial=0.0)
+            x = x + dx * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
+        return x
+
+    def _fits(self, y: _Unknowns) -> bool:
+        """Whether joints are closed, and drives on the side of their angle."""
+        q = self._placed(self._declared, y[0])
+        return self._open(y[0]) <= _CLOSED and self._declared.constraints.opposite(q, 0.0) is None
+
+    def _turned(self, y: _Unknowns) -> float:
+        return float(np.sum(y[0].real[~self._shift] ** 2))
 
     @property
     def _stands(self) -> bool:
@@ -189,15 +233,15 @@ class Assembly:
         return found is None or self._open(found[0]) > _CLOSED
 
     def _start(self, soft: bool) -> _Unknowns:
-        rows = np.zeros(0 if soft else len(self._weights))
+        rows = np.zeros(0 if soft else self._rows)
         return np.zeros(len(self._free)), rows, rows
 
-    def _search(self, soft: bool) -> _Unknowns | None:
+    def _search(self, soft: bool, start: _Unknowns | None = None) -> _Unknowns | None:
         """Newton's method, None if it does not settle."""
-        y, settled = self._start(soft), 0
+        y, settled = self._start(soft) if start is None else start, 0
         for _ in range(_ITERATIONS):
             F = self._position_equations(self._declared, y)
-            dy = -_inverse(self._position_matrix(y)) @ F
+            dy = -LeastNorm(self._position_matrix(y)).solve(F)
             dx = np.abs(dy[: len(y[0])].real)
             size, turn = np.max(dx, initial=0.0), np.max(dx[~self._shift], initial=0.0)
             dy = dy * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
@@ -213,42 +257,36 @@ class Assembly:
         x, sigma, rho = y
         motion, q = self._motion(x), self._placed(declared, x)
         T = self._motions.tangent(declared.Z, motion)
-        Phi = self.left(q, declared)
+        Phi = self.left(q, declared)[: self._rows]
         return self._equations(declared, q, T, (x, sigma, rho), Phi)
 
-    def _position_matrix(self, y: _Unknowns) -> Array:
+    def _position_matrix(self, y: _Unknowns) -> sparse.csr_array:
         """F_(x, sigma, rho)."""
         x, sigma, rho = (part.real for part in y)
         Z, motion = self._declared.Z.real, self._motion(x)
         q = self._motions.place(Z, motion).ravel()
         T = self._motions.tangent(Z, motion)
-        Phi = self.left(q).real
+        Phi = self.left(q).real[: self._rows]
         loads = (sigma, Phi, rho) if len(sigma) == len(Phi) else (Phi,)
         bends = [self._bend(Z, motion, q, T, s) for s in loads]
         return self._matrix(self._jacobian(q, T), bends)
 
-    def _bend(self, Z: Array, motion: Array, q: Array, T: Array, multipliers: Array) -> Array:
+    def _bend(
+        self, Z: Array, motion: Array, q: Array, T: Array, multipliers: Array
+    ) -> sparse.csr_array:
         """(J^T s)_x with s held: curvature of the joints, and of the turns."""
-        lam = self._weights * multipliers
+        lam = self._spread(multipliers)
         constraints, matrix = self._declared.constraints, self._motions.matrix(T)
         values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
-        bend = (matrix.T @ (self._pattern.csr(values) @ matrix)).toarray()
         force = constraints.constraint_force(q, lam, 0.0).real
         own = self._motions.curvature(Z, motion, force)
-        count, n_x, _ = own.shape
-        for body in range(count):
-            block = slice(body * n_x, (body + 1) * n_x)
-            bend[block, block] += own[body]
-        scaled: Array = bend[np.ix_(self._free, self._free)] * np.outer(self._units, self._units)
-        return scaled
+        bend = matrix.T @ (self._pattern.csr(values) @ matrix) + self._motions.blocks(own)
+        return self._scaled(bend.tocsr()[self._free], self._units)
 
     @cached_property
-    def _position_inverse(self) -> Array:
-        matrix = self._position_matrix(self._positions)
-        inverse = _inverse(matrix)
-        n = len(self._free)
-        free = np.linalg.norm(np.eye(n) - inverse[:n] @ matrix[:, :n], axis=1)
-        if np.any(free > _FREE):
+    def _position_inverse(self) -> LeastNorm:
+        inverse = LeastNorm(self._position_matrix(self._positions))
+        if np.any(inverse.leaves_open(len(self._free)) > _FREE):
             raise InconsistentStart(
                 "assembly",
                 "must be the only one nearby",
@@ -267,19 +305,19 @@ class Assembly:
             return y
         for _ in range(3 if q.dtype.kind == "c" else 1):
             F = self._velocity_equations(declared, q, self._moving(declared, motion, q, y[0]), y)
-            y = _plus(y, -self._velocity_inverse @ (F if self._moves else 1j * F.imag))
+            y = _plus(y, -self._velocity_inverse.solve(F if self._moves else 1j * F.imag))
         return y
 
     def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: _Unknowns) -> Array:
-        rate = self._weights * declared.constraints.rate(0.0, q, (v,))
+        rate = (self._weights * declared.constraints.rate(0.0, q, (v,)))[: self._rows]
         return self._rates._equations(declared, q, self._rigid(q), y, rate)
 
     @cached_property
-    def _velocity_inverse(self) -> Array:
+    def _velocity_inverse(self) -> LeastNorm:
         q = self.q.real
         rates, count = self._rates, 1 if self._soft else 3
         J = rates._jacobian(q, self._rigid(q))
-        return _inverse(rates._matrix(J, [np.zeros((J.shape[1], J.shape[1]))] * count))
+        return LeastNorm(rates._matrix(J, [sparse.csr_array((J.shape[1], J.shape[1]))] * count))
 
     def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
         """Velocities as declared, with rigid motions at rates s added."""
@@ -309,7 +347,7 @@ class Assembly:
         """(F_1, F_2, F_3), with `left` for what is left of the joints' equations."""
 
         def work(multipliers: Array) -> Array:
-            force = declared.constraints.constraint_force(q, self._weights * multipliers, 0.0)
+            force = declared.constraints.constraint_force(q, self._spread(multipliers), 0.0)
             collected: Array = self._motions.collect(T, force).ravel()[self._free]
             return self._units * collected
 
@@ -320,27 +358,37 @@ class Assembly:
         F_1, F_2 = np.where(shift, 0.0, x) + work(sigma), work(left)
         return np.concatenate([F_1, F_2, x[shift] + work(rho)[shift]])
 
-    def _jacobian(self, q: Array, T: Array) -> Array:
-        """J, dimensionless and dense, shape (n_lam, n_free)."""
-        constraints = self._declared.constraints
-        B = constraints.pattern.csr(constraints.constraint_q(q, 0.0).real)
-        J: Array = (B @ self._motions.matrix(T)).toarray()[:, self._free]
-        scaled: Array = self._weights[:, None] * J * self._units
-        return scaled
+    def _spread(self, multipliers: Array) -> Array:
+        """Return the multipliers of all equations, in their units, from those that may act."""
+        lam = np.zeros(len(self._weights), dtype=multipliers.dtype)
+        lam[: self._rows] = self._weights[: self._rows] * multipliers
+        return lam
 
-    def _matrix(self, J: Array, bends: Sequence[Array]) -> Array:
-        n, shift = J.shape[1], self._shift
+    def _jacobian(self, q: Array, T: Array) -> sparse.csr_array:
+        """J, dimensionless, shape (n_rows, n_free)."""
+        constraints = self._declared.constraints
+        B = constraints.pattern.csr(constraints.constraint_q(q, 0.0).real)[: self._rows]
+        return self._scaled(B @ self._motions.matrix(T), self._weights[: self._rows])
+
+    def _scaled(self, matrix: sparse.csr_array, rows: Array) -> sparse.csr_array:
+        """Return columns of free motions in their units, and rows in those given."""
+        own = matrix[:, self._free].tocoo()
+        values = own.data * rows[own.row] * self._units[own.col]
+        return sparse.csr_array((values, (own.row, own.col)), shape=own.shape)
+
+    def _matrix(self, J: sparse.csr_array, bends: Sequence[sparse.csr_array]) -> sparse.csr_array:
+        (m, n), shift = J.shape, self._shift
         if len(bends) == 1:
-            return J.T @ J + bends[0] + _SOFT * np.eye(n)
-        none = np.zeros((n, len(J)))
+            return (J.T @ J + bends[0] + _SOFT * sparse.eye_array(n)).tocsr()
+        one, none = np.where(shift, 0.0, 1.0), sparse.csr_array((n, m))
         on_1, on_2, on_3 = bends
-        return np.block(
-            [
-                [np.diag(np.where(shift, 0.0, 1.0)) + on_1, J.T, none],
-                [J.T @ J + on_2, none, none],
-                [(np.eye(n) + on_3)[shift], none[shift], J.T[shift]],
-            ]
-        )
+        rows = np.flatnonzero(shift)
+        blocks = [
+            [sparse.diags_array(one) + on_1, J.T, none],
+            [J.T @ J + on_2, none, none],
+            [(sparse.eye_array(n) + on_3).tocsr()[rows], none[rows], J.T.tocsr()[rows]],
+        ]
+        return sparse.block_array(blocks).tocsr()
 
     @cached_property
     def _weights(self) -> Array:
@@ -349,10 +397,10 @@ class Assembly:
         constraints = self._declared.constraints
         B = constraints.pattern.csr(constraints.constraint_q(Z.ravel(), 0.0).real)
         T = self._motions.matrix(self._motions.tangent(Z, self._motions.none))
-        J = np.abs((B @ T).toarray())
+        J = abs(B @ T).tocsr()
         shifts = np.arange(J.shape[1]) % self._motions.n_x < Z.shape[1]
         # Of a slope that is long in its own units nothing but round-off moves with the body.
-        is_length = np.max(J[:, shifts], axis=1, initial=0.0) > 1e-9 * np.max(J, axis=1, initial=0)
+        is_length = J[:, shifts].max(axis=1).toarray() > 1e-9 * J.max(axis=1).toarray()
         return np.where(is_length, 1.0 / self._size, 1.0)
 
     def _open(self, x: Array) -> float:
@@ -383,8 +431,9 @@ class Assembly:
                 "assembly",
                 "rigid motions of the bodies must close all joints",
                 self._worst(x),
-                "Declare the bodies nearer to where they fit, correct the design, or set "
-                "project_start=True to strain them.",
+                f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they "
+                "fit (turn=... turns one), correct the design, or set project_start=True to "
+                "strain them.",
             )
 
     def strained_along(self, moved: Declared) -> tuple[Array, Array]:
@@ -394,14 +443,14 @@ class Assembly:
         """
         none = np.zeros(0)
         x = self._positions[0].real
-        inverse = _inverse(self._position_matrix((x, none, none)))
-        x = x - 1j * (inverse @ self._position_equations(moved, (x, none, none)).imag)
+        inverse = LeastNorm(self._position_matrix((x, none, none)))
+        x = x - 1j * inverse.solve(self._position_equations(moved, (x, none, none)).imag)
         q, s = self._placed(moved, x), self._velocities[0].real
         J = self._rates._jacobian(self.q.real, self._rigid(self.q.real))
-        inverse = _inverse(self._rates._matrix(J, [np.zeros((len(s), len(s)))]))
+        inverse = LeastNorm(self._rates._matrix(J, [sparse.csr_array((len(s), len(s)))]))
         motion = self._motion(x)
         v = self._moving(moved, motion, q, s)
-        s = s - 1j * (inverse @ self._velocity_equations(moved, q, v, (s, none, none)).imag)
+        s = s - 1j * inverse.solve(self._velocity_equations(moved, q, v, (s, none, none)).imag)
         return q.imag / STEP, self._moving(moved, motion, q, s).imag / STEP
 
     def follows(self, moved: Declared, q_b: Array, value: float) -> str | None:
@@ -425,11 +474,6 @@ class Assembly:
         if np.max(left, initial=0.0) <= _FREE * size + noise:
             return None
         return self.names[int(np.argmax(left))]
-
-
-def _inverse(matrix: Array) -> Array:
-    inverse: Array = np.linalg.pinv(matrix, rcond=_RANK)
-    return inverse
 
 
 def _plus(y: _Unknowns, dy: Array) -> _Unknowns:

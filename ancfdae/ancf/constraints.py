@@ -18,6 +18,8 @@ from ancfdae.ancf.joint_coefficients import Coefficients, Slot, Values, structur
 from ancfdae.ancf.joint_input import JointInput
 from ancfdae.ancf.joint_polynomials import JointPolynomials
 from ancfdae.ancf.vectors import Vectors
+from ancfdae.errors import InconsistentStart
+from ancfdae.joints import DrivenJoint
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
@@ -75,20 +77,19 @@ class JointConstraints:
     def couplings(self) -> tuple[Array, Array, Array, Array]:
         """Rows, columns, weights and bilinear entry of the products L_i^T L_j + L_j^T L_i."""
         d, L, entries = self._d, self._vectors.matrix, self._poly.entries
-        parts: list[tuple[Array, Array, Array, Array]] = []
-        for entry, (i, j) in enumerate(zip(entries.s_i, entries.s_j, strict=True)):
-            for axis in range(d):
-                left, right = L[[i * d + axis]].tocoo(), L[[j * d + axis]].tocoo()
-                weights = np.outer(left.data, right.data).ravel()
-                rows = np.repeat(left.col, len(right.col))
-                columns = np.tile(right.col, len(left.col))
-                number = np.full(len(rows), entry)
-                parts += [(rows, columns, weights, number), (columns, rows, weights, number)]
-        empty = np.zeros(0, dtype=np.int64)
-        start = (empty, empty, np.zeros(0), empty)
-        rows, columns, weights, numbers = (
-            np.concatenate(column) for column in zip(start, *parts, strict=True)
-        )
+        entry = np.repeat(np.arange(len(entries.s_row)), d)
+        axis = np.tile(np.arange(d), len(entries.s_row))
+        left, right = entries.s_i[entry] * d + axis, entries.s_j[entry] * d + axis
+        sizes = np.diff(L.indptr)
+        # Every entry of one row of L with every entry of the other.
+        pairs = sizes[left] * sizes[right]
+        of = np.repeat(np.arange(len(entry)), pairs)
+        count = np.arange(len(of)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+        i = L.indptr[left][of] + count // sizes[right][of]
+        j = L.indptr[right][of] + count % sizes[right][of]
+        rows, columns = L.indices[i], L.indices[j]
+        weights, numbers = np.tile(L.data[i] * L.data[j], 2), np.tile(entry[of], 2)
+        rows, columns = np.concatenate([rows, columns]), np.concatenate([columns, rows])
         return rows, columns, weights, numbers
 
     def place_curvature(self, pattern: Pattern) -> None:
@@ -189,6 +190,34 @@ class JointConstraints:
         if self._simple:
             return self._B(q) - self._coefficients.at(0.0).offset
         return self._poly.phi(self._coefficients.at(t), self._U(q))
+
+    def refuse_opposite(self, q: Array, t: float) -> None:
+        """Refuse a start at which a drive is half a turn off, where its equation holds as well.
+
+        Raises
+        ------
+        InconsistentStart
+        """
+        name = self.opposite(q, t)
+        if name is not None:
+            raise InconsistentStart(
+                f"joint {name!r}",
+                "the section must start at the angle of the law",
+                "one that points the other way",
+                "Add pi to the offset of the law, or declare the body turned to that angle.",
+            )
+
+    def opposite(self, q: Array, t: float) -> str | None:
+        """Return the name of a drive that is half a turn off, None without one."""
+        U = self._U(q).real if self.driven else np.zeros(0)
+        for slot in self._slots:
+            item = slot.item
+            p, reference = item.p.real, item.reference.real
+            if isinstance(item.joint, DrivenJoint) and not item.joint.faces(
+                p, reference, U[slot.vectors], t
+            ):
+                return item.joint.name
+        return None
 
     def constraint_q(self, q: Array, t: float) -> Array:
         """Values of Phi_q, one instant."""

@@ -49,8 +49,9 @@ class Slot:
     linear: tuple[Array, Array, Array]
     bilinear: tuple[Array, Array, Array]
 
+    @cached_property
     def parts(self) -> list[Values]:
-        """Return the flat coefficients, of the constant part first."""
+        """The flat coefficients, of the constant part first."""
         _, i, j = self.bilinear
         # Both halves of the symmetric matrix in one entry, 1/2 on the diagonal.
         half = np.where(i == j, 0.5, 1.0)
@@ -61,7 +62,7 @@ class Slot:
 
     def moved(self, i: int) -> Slot:
         """Return the joint moved in design variable i by an imaginary step."""
-        return replace(self, item=self.item.moved(i))
+        return replace(self, item=self.item.moved(i)) if i in self.item.active else self
 
     def changes(self, i: int) -> bool:
         """Tell whether a design variable changes the coefficients with all vectors held."""
@@ -69,9 +70,8 @@ class Slot:
             return False
         if isinstance(self.item.joint, DrivenJoint) and np.any(self.item.p_b[:, i]):
             return True
-        return any(
-            bool(np.any(x.imag)) for c in self.moved(i).parts() for x in (c.a, c.s, c.offset)
-        )
+        parts = self.moved(i).parts
+        return any(bool(np.any(x.imag)) for c in parts for x in (c.a, c.s, c.offset))
 
 
 @final
@@ -149,7 +149,7 @@ class Coefficients:
 
     def _collect(self, n_lam: int) -> Values:
         """Flatten the coefficients of all joints onto the structure, the parts as rows."""
-        each = [slot.parts() for slot in self._slots]
+        each = [slot.parts for slot in self._slots]
         count = 1 + sum(len(parts) - 1 for parts in each)
         dtype = np.result_type(float, *(parts[0].a for parts in each))
         sizes = (sum(len(c.a) for c, *_ in each), sum(len(c.s) for c, *_ in each), n_lam)

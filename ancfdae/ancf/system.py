@@ -181,6 +181,10 @@ class AncfSystem(MechanicalSystem):
 
     def start(self) -> tuple[Array, Array]:
         """Return the declared start, or the equilibrium."""
+        return self._started
+
+    @cached_property
+    def _started(self) -> tuple[Array, Array]:
         if self._rest is not None:
             return self._rest.q, np.zeros_like(self._rest.q)
         return self._start.state()

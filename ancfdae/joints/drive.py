@@ -90,6 +90,13 @@ class Drive(DrivenJoint):
         cosine = self._against_section(p, reference, ((e_1, e_2), (e_2, -e_1)))
         return cosine, self._against_section(p, reference, ((e_1, -e_1), (e_2, -e_2)))
 
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Whether the derivative in the angle has the sign that it has in the reference."""
+        cosine, sine = self.moving(p, reference)
+        of_cosine, of_sine = self.factors(p, np.array([t]), 0)[:, 0]
+        rate = of_cosine * sine.at(U)[0] - of_sine * cosine.at(U)[0]
+        return bool(rate * sine.at(reference)[0] > 0)
+
     def factors(self, p: Array, t: Array, order: int) -> Array:
         """Cosine and sine of the angle."""
         law = self.split(p)[0]

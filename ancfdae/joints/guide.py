@@ -73,6 +73,10 @@ class Guide(DrivenJoint):
         travel.offset[0] = 1.0
         return (travel,)
 
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Return true: travel has no other side."""
+        return True
+
     def factors(self, p: Array, t: Array, order: int) -> Array:
         """Its law."""
         return self.travel.derivative(self.split(p)[1], t, order)[None]

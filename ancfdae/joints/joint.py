@@ -61,6 +61,12 @@ class Equations:
     offset: Array
     shapes: tuple[RightAngle, ...] = ()
 
+    def at(self, U: Array) -> Array:
+        """Return the value of the equations at vectors, shape (n_vectors, d) to (n_rows,)."""
+        products = np.einsum("rij,ix,jx->r", self.bilinear, U, U)
+        value: Array = np.einsum("rix,ix->r", self.linear, U) + products / 2 - self.offset
+        return value
+
     def without(self, dropped: Sequence[int]) -> Equations:
         """Return the equations without some of them."""
         if not dropped:
@@ -101,6 +107,10 @@ class DrivenJoint(Joint):
     @abc.abstractmethod
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
         """Return what goes with each of the `factors`; arguments as in `coefficients`."""
+
+    @abc.abstractmethod
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Whether vectors that meet the equations stand where the law says, not half a turn off."""
 
     @abc.abstractmethod
     def factors(self, p: Array, t: Array, order: int) -> Array:

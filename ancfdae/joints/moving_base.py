@@ -63,6 +63,10 @@ class MovingBase(DrivenJoint):
         c.offset[: reference.shape[1]] = unit(self.split(p)[0])
         return (c,)
 
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Return true: travel has no other side."""
+        return True
+
     def factors(self, p: Array, t: Array, order: int) -> Array:
         """Return the travel."""
         return np.asarray(self.travel.derivative(self.split(p)[1], t, order))[None]
