@@ -27,7 +27,7 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from ancfdae.ancf.constraints import JointConstraints
 from ancfdae.ancf.rigid_motions import RigidMotions
@@ -201,7 +201,7 @@ class Assembly:
         for _ in range(_DAMPED_STEPS):
             motion = self._motion(x)
             q, T = self._motions.place(Z, motion).ravel(), self._motions.tangent(Z, motion)
-            flat = sparse.csr_array((len(x), len(x)))
+            flat = scipy.sparse.csr_array((len(x), len(x)))
             matrix = self._matrix(self._jacobian(q, T), [flat])
             F = self._position_equations(self._declared, (x, none, none)).real
             dx = -LeastNorm(matrix).solve(F - _SOFT * x)
@@ -260,7 +260,7 @@ class Assembly:
         Phi = self.left(q, declared)[: self._rows]
         return self._equations(declared, q, T, (x, sigma, rho), Phi)
 
-    def _position_matrix(self, y: _Unknowns) -> sparse.csr_array:
+    def _position_matrix(self, y: _Unknowns) -> scipy.sparse.csr_array:
         """F_(x, sigma, rho)."""
         x, sigma, rho = (part.real for part in y)
         Z, motion = self._declared.Z.real, self._motion(x)
@@ -273,7 +273,7 @@ class Assembly:
 
     def _bend(
         self, Z: Array, motion: Array, q: Array, T: Array, multipliers: Array
-    ) -> sparse.csr_array:
+    ) -> scipy.sparse.csr_array:
         """(J^T s)_x with s held: curvature of the joints, and of the turns."""
         lam = self._spread(multipliers)
         constraints, matrix = self._declared.constraints, self._motions.matrix(T)
@@ -317,7 +317,9 @@ class Assembly:
         q = self.q.real
         rates, count = self._rates, 1 if self._soft else 3
         J = rates._jacobian(q, self._rigid(q))
-        return LeastNorm(rates._matrix(J, [sparse.csr_array((J.shape[1], J.shape[1]))] * count))
+        return LeastNorm(
+            rates._matrix(J, [scipy.sparse.csr_array((J.shape[1], J.shape[1]))] * count)
+        )
 
     def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
         """Velocities as declared, with rigid motions at rates s added."""
@@ -364,31 +366,33 @@ class Assembly:
         lam[: self._rows] = self._weights[: self._rows] * multipliers
         return lam
 
-    def _jacobian(self, q: Array, T: Array) -> sparse.csr_array:
+    def _jacobian(self, q: Array, T: Array) -> scipy.sparse.csr_array:
         """J, dimensionless, shape (n_rows, n_free)."""
         constraints = self._declared.constraints
         B = constraints.pattern.csr(constraints.constraint_q(q, 0.0).real)[: self._rows]
         return self._scaled(B @ self._motions.matrix(T), self._weights[: self._rows])
 
-    def _scaled(self, matrix: sparse.csr_array, rows: Array) -> sparse.csr_array:
+    def _scaled(self, matrix: scipy.sparse.csr_array, rows: Array) -> scipy.sparse.csr_array:
         """Return columns of free motions in their units, and rows in those given."""
         own = matrix[:, self._free].tocoo()
         values = own.data * rows[own.row] * self._units[own.col]
-        return sparse.csr_array((values, (own.row, own.col)), shape=own.shape)
+        return scipy.sparse.csr_array((values, (own.row, own.col)), shape=own.shape)
 
-    def _matrix(self, J: sparse.csr_array, bends: Sequence[sparse.csr_array]) -> sparse.csr_array:
+    def _matrix(
+        self, J: scipy.sparse.csr_array, bends: Sequence[scipy.sparse.csr_array]
+    ) -> scipy.sparse.csr_array:
         (m, n), shift = J.shape, self._shift
         if len(bends) == 1:
-            return (J.T @ J + bends[0] + _SOFT * sparse.eye_array(n)).tocsr()
-        one, none = np.where(shift, 0.0, 1.0), sparse.csr_array((n, m))
+            return (J.T @ J + bends[0] + _SOFT * scipy.sparse.eye_array(n)).tocsr()
+        one, none = np.where(shift, 0.0, 1.0), scipy.sparse.csr_array((n, m))
         on_1, on_2, on_3 = bends
         rows = np.flatnonzero(shift)
         blocks = [
-            [sparse.diags_array(one) + on_1, J.T, none],
+            [scipy.sparse.diags_array(one) + on_1, J.T, none],
             [J.T @ J + on_2, none, none],
-            [(sparse.eye_array(n) + on_3).tocsr()[rows], none[rows], J.T.tocsr()[rows]],
+            [(scipy.sparse.eye_array(n) + on_3).tocsr()[rows], none[rows], J.T.tocsr()[rows]],
         ]
-        return sparse.block_array(blocks).tocsr()
+        return scipy.sparse.block_array(blocks).tocsr()
 
     @cached_property
     def _weights(self) -> Array:
@@ -447,7 +451,7 @@ class Assembly:
         x = x - 1j * inverse.solve(self._position_equations(moved, (x, none, none)).imag)
         q, s = self._placed(moved, x), self._velocities[0].real
         J = self._rates._jacobian(self.q.real, self._rigid(self.q.real))
-        inverse = LeastNorm(self._rates._matrix(J, [sparse.csr_array((len(s), len(s)))]))
+        inverse = LeastNorm(self._rates._matrix(J, [scipy.sparse.csr_array((len(s), len(s)))]))
         motion = self._motion(x)
         v = self._moving(moved, motion, q, s)
         s = s - 1j * inverse.solve(self._velocity_equations(moved, q, v, (s, none, none)).imag)

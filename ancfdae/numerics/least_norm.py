@@ -16,8 +16,7 @@ import warnings
 from typing import final
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
+import scipy
 
 from ancfdae.errors import SingularMatrix
 from ancfdae.numerics.arrays import Array
@@ -35,7 +34,7 @@ _PASSES = 20
 class LeastNorm:
     """The pseudo-inverse of a real sparse matrix K."""
 
-    def __init__(self, matrix: sparse.csr_array) -> None:
+    def __init__(self, matrix: scipy.sparse.csr_array) -> None:
         self._matrix, self._pinv = matrix, None
         if matrix.shape[1] <= _DENSE:
             self._pinv = np.linalg.pinv(matrix.toarray(), rcond=_RANK)
@@ -70,7 +69,7 @@ class LeastNorm:
         return left
 
 
-def _augmented(matrix: sparse.csr_array) -> sparse.linalg.SuperLU:
+def _augmented(matrix: scipy.sparse.csr_array) -> sparse.linalg.SuperLU:
     rows, columns = matrix.shape
     shift = _SHIFT * float(np.max(np.abs(matrix.data), initial=0.0))
     diagonal = np.concatenate([np.full(rows, shift), np.full(columns, -shift)])
@@ -78,10 +77,10 @@ def _augmented(matrix: sparse.csr_array) -> sparse.linalg.SuperLU:
     i = np.concatenate([np.arange(rows + columns), entries.row, entries.col + rows])
     j = np.concatenate([np.arange(rows + columns), entries.col + rows, entries.row])
     values = np.concatenate([diagonal, entries.data, entries.data])
-    whole = sparse.csc_array((values, (i, j)), shape=(rows + columns, rows + columns))
+    whole = scipy.sparse.csc_array((values, (i, j)), shape=(rows + columns, rows + columns))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            return splu(whole)
+            return scipy.sparse.linalg.splu(whole)
         except (RuntimeError, Warning) as error:
             raise SingularMatrix(str(error)) from error
