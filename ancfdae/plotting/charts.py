@@ -1,4 +1,4 @@
-"""Line plots for reports: the one module that imports matplotlib.
+"""Line plots for reports.
 
 A plot is declared as data (`Series` in `Panel`), drawn by `draw` and written by `save`. Neither
 uses pyplot, so no figure stays open and no backend is chosen for the rest of the process.
@@ -191,7 +191,7 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
     columns = min(columns, len(panels))
     rows = math.ceil(len(panels) / columns)
     width, height = _PANEL_SIZE[0] * columns, _PANEL_SIZE[1] * rows
-    with _settings():
+    with settings():
         figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
         entries: dict[str, Line2D] = {}
         for number, panel in enumerate(panels, start=1):
@@ -219,13 +219,13 @@ def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     svg, png = path.with_name(path.name + ".svg"), path.with_name(path.name + ".png")
-    with _settings():
+    with settings():
         figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": "ancfdae"})
         figure.savefig(png, format="png", metadata={"Software": "ancfdae"})
     return svg, png
 
 
-def _settings() -> AbstractContextManager[None]:
+def settings() -> AbstractContextManager[None]:
     """Shield a figure from the user's matplotlibrc, and the user's settings from the figure."""
     return matplotlib.style.context(["default", _SETTINGS])
 

@@ -1,0 +1,31 @@
+"""Pictures of mechanisms, films, histories and line plots: only here matplotlib is imported."""
+
+from ancfdae.plotting.charts import Figure, Panel, Scale, Series, draw, save
+from ancfdae.plotting.fields import (
+    AxialForce,
+    BendingMoment,
+    Field,
+    Sensitivity,
+    Speed,
+    StrainEnergyDensity,
+    VonMisesStress,
+)
+from ancfdae.plotting.pictures import animate, snapshots
+
+__all__ = [
+    "AxialForce",
+    "BendingMoment",
+    "Field",
+    "Figure",
+    "Panel",
+    "Scale",
+    "Sensitivity",
+    "Series",
+    "Speed",
+    "StrainEnergyDensity",
+    "VonMisesStress",
+    "animate",
+    "draw",
+    "save",
+    "snapshots",
+]
