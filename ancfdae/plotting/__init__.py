@@ -1,5 +1,6 @@
 """Pictures of mechanisms, films, histories and line plots: only here matplotlib is imported."""
 
+from ancfdae.plotting.bars import gradient_bars
 from ancfdae.plotting.charts import Figure, Panel, Scale, Series, draw, save
 from ancfdae.plotting.fields import (
     AxialForce,
@@ -10,7 +11,9 @@ from ancfdae.plotting.fields import (
     StrainEnergyDensity,
     VonMisesStress,
 )
+from ancfdae.plotting.history import history
 from ancfdae.plotting.pictures import animate, snapshots
+from ancfdae.plotting.vtk import write_vtk
 
 __all__ = [
     "AxialForce",
@@ -26,6 +29,9 @@ __all__ = [
     "VonMisesStress",
     "animate",
     "draw",
+    "gradient_bars",
+    "history",
     "save",
     "snapshots",
+    "write_vtk",
 ]

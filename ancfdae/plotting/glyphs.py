@@ -39,12 +39,12 @@ class Glyphs:
 
     def line(self, line: Line, k: int) -> Array:
         """Return the points of a line at instant k, shape (n, d)."""
-        ends = line.ends[k]
+        ends: Array = line.ends[k]
         if line.kind == "spring":
             return _zigzag(ends)
         if line.kind == "way":
             half = _WAY * self.extent * (ends[1] - ends[0])
-            return np.stack([ends[0] - half, ends[0] + half])
+            return np.array([ends[0] - half, ends[0] + half])
         return ends
 
     def arrow(self, arrows: Arrows) -> Array:

@@ -196,7 +196,7 @@ class PlanePainter(Painter):
         """Return a line along a thin beam, in the colour of the largest value over the height."""
         mesh = self.mechanism.meshes[number]
         assert isinstance(mesh, BeamMesh)
-        x = mesh.axis(self.mechanism.motion.q[[k]])[0]
+        x = mesh.axis(self.mechanism.motion.q[[k]])[0].reshape(-1, self.mechanism.d)
         if self.mechanism.field is None:
             colours = np.array([to_rgba(BODY)])
         else:

@@ -11,8 +11,14 @@ import numpy as np
 from matplotlib import animation
 from matplotlib.figure import Figure
 
-from ancfdae.errors import InvalidInput, require_count, require_kind, require_positive, require_text
-from ancfdae.integrators import MissingPackage
+from ancfdae.errors import (
+    InvalidInput,
+    MissingPackage,
+    require_count,
+    require_kind,
+    require_positive,
+    require_text,
+)
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import settings
 from ancfdae.plotting.fields import Field

@@ -104,7 +104,7 @@ class BeamMesh(Mesh):
             z = np.zeros_like(y)
         self.y, self.z = y, z
         quantities = [q for q in body.element.quantities if q <= d]
-        points = self._axis(naming)
+        points = self._stations(naming)
         self._vectors = {
             quantity: Vectors(
                 [naming.vector(point, quantity) for point in points],
@@ -118,36 +118,38 @@ class BeamMesh(Mesh):
 
     def places(self, q: Array, move: int | None = None) -> Array:
         """R + y r_y + z r_z; of an element without r_y the normal of its centre line."""
-        own = (
-            self._vectors
-            if move is None
-            else {quantity: vectors.moved(move) for quantity, vectors in self._vectors.items()}
-        )
-        at = {quantity: vectors.of(q) for quantity, vectors in own.items()}
+        at, shape = self._along(q, move), (len(q), *self.shape[:2], 1, self.body.dimension)
+        x = at[Quantity.POSITION].reshape(shape)
+        for slope, offset in ((Quantity.SLOPE_Y, self.y), (Quantity.SLOPE_Z, self.z)):
+            if slope in at:
+                x = x + offset[:, None, :, None] * at[slope].reshape(shape)
+        return x.reshape(len(q), -1, shape[-1])
+
+    def axis(self, q: Array) -> tuple[Array, Array]:
+        """Return centre line and height direction of the section, shape (k, n, n_xi, d) each."""
+        at, shape = self._along(q, None), (len(q), *self.shape[:2], self.body.dimension)
+        up = at[Quantity.SLOPE_Y].reshape(shape)
+        up = up / np.linalg.norm(up, axis=-1, keepdims=True)
+        return at[Quantity.POSITION].reshape(shape), up
+
+    def _along(self, q: Array, move: int | None) -> dict[Quantity, Array]:
+        """Return vectors at all stations, shape (k, n n_xi, d) each."""
+        at = {
+            quantity: (vectors if move is None else vectors.moved(move)).of(q)
+            for quantity, vectors in self._vectors.items()
+        }
         if Quantity.SLOPE_Y not in at:
             tangent = at[Quantity.SLOPE_X]
             length = np.sqrt(np.sum(tangent * tangent, axis=-1, keepdims=True))
             at[Quantity.SLOPE_Y] = tangent @ generators(2)[0].T / length
-        offsets = [(self.y, at[Quantity.SLOPE_Y])]
-        if Quantity.SLOPE_Z in at:
-            offsets.append((self.z, at[Quantity.SLOPE_Z]))
-        r = at[Quantity.POSITION]
-        shape = (len(q), *self.shape[:2], 1, r.shape[-1])
-        x = r.reshape(shape)
-        for offset, slope in offsets:
-            x = x + offset[:, None, :, None] * slope.reshape(shape)
-        return x.reshape(len(q), -1, r.shape[-1])
-
-    def axis(self, q: Array) -> Array:
-        """Return the centre line, shape (k, n n_xi, d)."""
-        return self._vectors[Quantity.POSITION].of(q)
+        return at
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Elements, stations and fibres."""
         return len(self.y), len(self.xi), self.y.shape[1]
 
-    def _axis(self, naming: Naming) -> list[Point]:
+    def _stations(self, naming: Naming) -> list[Point]:
         nodes = np.asarray(naming.layout.beam(self.name).fractions)
         along = nodes[:-1, None] + np.diff(nodes)[:, None] * self.xi
         along[:, -1] = nodes[1:]
