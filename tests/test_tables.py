@@ -24,6 +24,7 @@ from ancfdae import (
     sweep,
     tradeoff,
 )
+
 from mechanisms import CartesianPendulum
 
 DESIGN = ["rod.height", "rod.density"]
@@ -83,7 +84,6 @@ def test_gradients_and_sweeps_have_a_row_each():
         scene(),
         heights,
         lambda model: gradient(model, objective, 1 / 32, STEPS, design=DESIGN),
-        workers=1,
     ).to_dataframe()
     assert many.loc[0, "objective"] == run.value
     assert many.loc[0, "d/d rod.density"] == run.gradient[1]

@@ -190,7 +190,7 @@ def _objective_over_time(report: Report, solution: Solution, extent: _Extent) ->
             for i, symbol in enumerate(_SYMBOLS)
         ],
         columns=3,
-        title="Ψ(t) = ∫₀ᵗ (x - 1.8)² dt",
+        title="Sensitivities of Ψ(t) = ∫₀ᵗ (x - 1.8)² dt by every method",
         caption="An adjoint yields one upper limit per run: markers.",
     )
     rows = [
@@ -271,7 +271,7 @@ def _open_question(report: Report, extent: _Extent) -> None:
             for i, symbol in enumerate(_SYMBOLS)
         ],
         columns=3,
-        title="Against the exact gradient of the same discrete run, step 2⁻⁸ s",
+        title="Error of finite differences against the exact gradient of the same run, step 2⁻⁸ s",
         caption="To the right truncation, to the left round-off.",
     )
     one_percent = errors["forward difference"][list(extent.perturbations).index(1e-2)]

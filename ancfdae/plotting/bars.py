@@ -74,11 +74,14 @@ def gradient_bars(
     return figure
 
 
-def bar_places(own: Mechanism, number: int, values: Array, extent: float) -> Array:
-    """Return the corners of a bar on each element, along its centre line, shape (n, n_c, d)."""
+def bar_places(own: Mechanism, number: int, values: Array, extent: float, k: int = 0) -> Array:
+    """Return the corners of a bar on each element at instant k, shape (n, n_c, d).
+
+    They stand on the centre line of the mesh of this number; the longest is a share of the extent.
+    """
     mesh = own.meshes[number]
     assert isinstance(mesh, BeamMesh)
-    x, up = (part[0] for part in mesh.axis(own.motion.q[:1]))
+    x, up = (part[0] for part in mesh.axis(own.motion.q[[k]]))
     longest = float(np.max(np.abs(values))) or 1.0
     tips = x + _LONGEST * extent * (values / longest)[:, None, None] * up
     return np.concatenate([x, tips[:, ::-1]], axis=1)
