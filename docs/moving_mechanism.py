@@ -56,11 +56,11 @@ def scene() -> Scene:
     )
 
 
-def derivatives() -> Gradient:
+def derivatives(t_end: float = T_END) -> Gradient:
     """Return the run, and what the height of each element does to the work that bends the rod."""
     objective = Integral(strain_energy("rod"))
     return gradient(
-        scene(), objective, T_END, HHT(step=STEP), design=distribution("rod.height", ELEMENTS)
+        scene(), objective, t_end, HHT(step=STEP), design=distribution("rod.height", ELEMENTS)
     )
 
 

@@ -209,6 +209,5 @@ def test_the_film_at_the_top_is_made_by_its_script_and_small(tmp_path: Path) -> 
     source = (ROOT / "docs" / "moving_mechanism.py").read_text(encoding="utf-8")
     script: dict[str, Any] = {"__name__": "film"}
     exec(compile(source, "moving_mechanism.py", "exec"), script)
-    script.update(T_END=3 / 128, STEP=1 / 128)
-    run = script["derivatives"]()
+    run = script["derivatives"](8 / 512)
     assert script["film"](tmp_path / "film.gif", run, frames=2).stat().st_size > 5_000
