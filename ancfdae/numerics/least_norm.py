@@ -69,7 +69,7 @@ class LeastNorm:
         return left
 
 
-def _augmented(matrix: scipy.sparse.csr_array) -> sparse.linalg.SuperLU:
+def _augmented(matrix: scipy.sparse.csr_array) -> scipy.sparse.linalg.SuperLU:
     rows, columns = matrix.shape
     shift = _SHIFT * float(np.max(np.abs(matrix.data), initial=0.0))
     diagonal = np.concatenate([np.full(rows, shift), np.full(columns, -shift)])
