@@ -52,6 +52,7 @@ from ancfdae.elements import (
 from ancfdae.errors import (
     AncfdaeError,
     InconsistentStart,
+    Interrupted,
     InvalidInput,
     Outcome,
     RedundantConstraints,
@@ -233,6 +234,7 @@ __all__ = [
     "IndexReduction",
     "Integral",
     "Integrator",
+    "Interrupted",
     "InvalidInput",
     "Joint",
     "JointFriction",

@@ -12,7 +12,7 @@ import pickle
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, final
+from typing import Any, Protocol, TypeVar, final
 
 import numpy as np
 import numpy.typing as npt
@@ -161,6 +161,46 @@ class Outcome:
             f"a last relative residual of {self.residual:.3g}; results up to there are kept."
         )
         return f"{text} {self.advice}" if self.advice else text
+
+
+@final
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C came; no loop goes on, and nothing is lost.
+
+    Every call raises it, also in worker processes. It is a KeyboardInterrupt, so that
+    ``except Exception`` lets it pass.
+
+    Attributes
+    ----------
+    result : object
+        What was computed up to there, of the kind that the call returns: a `Solution` (of
+        gradients the run), an `Equilibrium`, a `Sweep` or a `Tradeoff`. In an interactive session
+        it is ``sys.last_value.result``.
+    """
+
+    def __init__(self, result: Any, how: str) -> None:
+        super().__init__(how)
+        self.result = result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make it anew from result and text."""
+        return Interrupted, (self.result, str(self))
+
+
+class _Ended(Protocol):
+    @property
+    def outcome(self) -> Any:
+        """`Outcome`, or one of a search."""
+
+
+_Result = TypeVar("_Result", bound=_Ended)
+
+
+def uninterrupted(result: _Result) -> _Result:
+    """Return a result; raise `Interrupted` with one that Ctrl-C cut short."""
+    if result.outcome.verdict is Verdict.INTERRUPTED:
+        raise Interrupted(result, str(result.outcome))
+    return result
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 from ancfdae.ancf import assemble
 from ancfdae.design import DesignVariable
-from ancfdae.errors import InvalidInput, require_kind, require_positive, require_sequence
+from ancfdae.errors import (
+    InvalidInput,
+    require_kind,
+    require_positive,
+    require_sequence,
+    uninterrupted,
+)
 from ancfdae.integrators import AdjointIntegrator, Integrator
 from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
@@ -38,9 +44,11 @@ def simulate(
     ------
     InvalidInput
         If the input makes no sense; before anything is integrated.
+    Interrupted
+        At Ctrl-C; its `result` is the solution up to there.
     """
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
-    return integrator.integrate(as_system(model), t_end, progress=progress)
+    return uninterrupted(integrator.integrate(as_system(model), t_end, progress=progress))
 
 
 def differentiate(
@@ -71,13 +79,14 @@ def differentiate(
 
     Raises
     ------
-    InvalidInput
+    InvalidInput, Interrupted
         As `simulate`.
     """
     method = Direct() if method is None else method
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
-    return method.differentiate(Run(differentiable(model, design), t_end, integrator, progress))
+    run = Run(differentiable(model, design), t_end, integrator, progress)
+    return uninterrupted(method.differentiate(run))
 
 
 def gradient(
@@ -105,7 +114,7 @@ def gradient(
 
     Raises
     ------
-    InvalidInput
+    InvalidInput, Interrupted
         As `simulate`.
     UnfinishedRun
         If the run ends early; the error carries what was computed.
