@@ -8,6 +8,8 @@ from ancfdae.api import (
     Fit,
     MassProperties,
     Misfit,
+    Response,
+    Responses,
     Setting,
     Sweep,
     SweepRow,
@@ -51,6 +53,7 @@ from ancfdae.elements import (
 )
 from ancfdae.errors import (
     AncfdaeError,
+    FailedDesign,
     InconsistentStart,
     Interrupted,
     InvalidInput,
@@ -220,6 +223,7 @@ __all__ = [
     "EstimatedErrors",
     "Evaluate",
     "Explicit",
+    "FailedDesign",
     "FiniteDifference",
     "Fit",
     "FixedSteps",
@@ -270,6 +274,8 @@ __all__ = [
     "Ramp",
     "Rectangle",
     "RedundantConstraints",
+    "Response",
+    "Responses",
     "Revolute",
     "RigidBody",
     "RigidBox",

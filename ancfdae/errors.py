@@ -93,6 +93,11 @@ class StabilityWarning(UserWarning):
     """A setting that is admissible but known to lose accuracy or stability."""
 
 
+@final
+class FailedDesign(UserWarning):
+    """A design that an optimiser tried has no values; the message says why."""
+
+
 class Verdict(Enum):
     """How a run ended; the value is the sentence that a reader sees."""
 

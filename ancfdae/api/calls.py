@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ancfdae.ancf import assemble
 from ancfdae.design import DesignVariable
 from ancfdae.errors import (
@@ -14,6 +16,7 @@ from ancfdae.errors import (
     uninterrupted,
 )
 from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
@@ -184,6 +187,16 @@ def differentiable(
             'For a scene write design=["rod.height"]; a mechanical system needs design_names.',
         )
     return system
+
+
+def design_bounds(
+    system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> tuple[Array, Array]:
+    """Return lower and upper bounds of the design values; infinite where there are none."""
+    known = {x.name: x.bounds for x in design or () if isinstance(x, DesignVariable)}
+    pairs = [known.get(name) or (-np.inf, np.inf) for name in system.design_names]
+    lower, upper = np.array(pairs, dtype=float).T
+    return lower, upper
 
 
 def as_system(
