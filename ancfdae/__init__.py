@@ -20,6 +20,7 @@ from ancfdae.api import (
     differentiate,
     equilibrium,
     error_bars,
+    evaluate,
     gradient,
     gradients,
     mass_properties,
@@ -57,6 +58,7 @@ from ancfdae.errors import (
     InconsistentStart,
     Interrupted,
     InvalidInput,
+    MissingPackage,
     Outcome,
     RedundantConstraints,
     StabilityWarning,
@@ -73,7 +75,6 @@ from ancfdae.integrators import (
     GivenSteps,
     IndexReduction,
     Integrator,
-    MissingPackage,
 )
 from ancfdae.joints import (
     Clamp,
@@ -331,6 +332,7 @@ __all__ = [
     "drive_torque",
     "equilibrium",
     "error_bars",
+    "evaluate",
     "gradient",
     "gradients",
     "guide_force",

@@ -44,6 +44,11 @@ def _sendable(value: object) -> object:
     return value
 
 
+@final
+class MissingPackage(AncfdaeError, ImportError):
+    """An optional package that is not installed; the message says how to install it."""
+
+
 class InvalidInput(AncfdaeError, ValueError):
     """Input that breaks a rule.
 

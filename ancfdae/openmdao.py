@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, final
 
 from ancfdae.api import Responses
-from ancfdae.errors import AncfdaeError, require_kind
-from ancfdae.integrators import MissingPackage
+from ancfdae.errors import AncfdaeError, MissingPackage, require_kind
 
 try:
     import openmdao.api as om

@@ -1,7 +1,15 @@
 """Calls that take a scene or a mechanical system: what a user of the package calls."""
 
 from ancfdae.api.adjoint_error import AdjointError, adjoint_error
-from ancfdae.api.calls import as_system, cheapest, differentiate, gradient, gradients, simulate
+from ancfdae.api.calls import (
+    as_system,
+    cheapest,
+    differentiate,
+    evaluate,
+    gradient,
+    gradients,
+    simulate,
+)
 from ancfdae.api.error_bars import ErrorBars, error_bars
 from ancfdae.api.mass_properties import MassProperties, mass_properties
 from ancfdae.api.misfit import Fit, Misfit

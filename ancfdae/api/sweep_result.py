@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
-from ancfdae.text import columns, listed
+from ancfdae.text import columns, listed, page
 
 
 @final
@@ -59,6 +59,17 @@ class Sweep:
 
     def __repr__(self) -> str:
         """Return the first rows, and how many failed."""
+        return f"{self._head}\n{columns(self._cells())}"
+
+    def _repr_html_(self) -> str:
+        """Return the same as notebooks show it."""
+        return page(self._head, self._cells())
+
+    @property
+    def _head(self) -> str:
+        return f"Sweep: {len(self.rows)} designs, {len(self.failed)} without result"
+
+    def _cells(self) -> list[tuple[str, str, str]]:
         cells = [
             (
                 str(k),
@@ -67,5 +78,4 @@ class Sweep:
             )
             for k, row in enumerate(self.rows)
         ]
-        head = f"Sweep: {len(self.rows)} designs, {len(self.failed)} without result"
-        return "\n".join([head, columns([("row", "design", "result"), *cells])])
+        return [("row", "design", "result"), *cells]

@@ -11,7 +11,6 @@ from ancfdae.integrators.integrator import (
 )
 from ancfdae.integrators.static import Static
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
-from ancfdae.integrators.sundials.bindings import MissingPackage
 from ancfdae.integrators.sundials.ida import IDA
 from ancfdae.integrators.sundials.idas import IDAS
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
@@ -29,7 +28,6 @@ __all__ = [
     "IndexReduction",
     "Integrand",
     "Integrator",
-    "MissingPackage",
     "PartialIntegral",
     "Points",
     "QuadratureIntegrator",

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from typing import TypeAlias, final
 
 import numpy as np
+from tqdm import tqdm
 
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.hht.defects import Defects
@@ -134,7 +135,9 @@ class LinearSteps:
         return through, mu, zeta / float(self.c.beta * self.c.h[k, 0] ** 2)
 
 
-def differentiate(nodes: Nodes, start: NodeSensitivity) -> tuple[list[Array], Verdict]:
+def differentiate(
+    nodes: Nodes, start: NodeSensitivity, progress: bool = False
+) -> tuple[list[Array], Verdict]:
     """Run the derivative recurrence forward from the start.
 
     Returns q_b, v_b, A_b, lam_b, shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the steps
@@ -146,7 +149,8 @@ def differentiate(nodes: Nodes, start: NodeSensitivity) -> tuple[list[Array], Ve
     states[0], lam_b[0] = (start.q_b.T, start.v_b.T, start.A_b.T), start.lam_b.T
     done, verdict = 1, Verdict.FINISHED
     try:
-        for _ in _advance(nodes, start, states, lam_b):
+        steps = _advance(nodes, start, states, lam_b)
+        for _ in tqdm(steps, "derivatives", n_t - 1, disable=not progress, unit="step"):
             done += 1
     except SingularMatrix:
         verdict = Verdict.SINGULAR
@@ -210,7 +214,7 @@ def advance(
 
 
 def pull_back(
-    nodes: Nodes, seeds: Seeds, defects: Defects | None = None
+    nodes: Nodes, seeds: Seeds, defects: Defects | None = None, progress: bool = False
 ) -> tuple[Array, NodeSensitivity, float]:
     """Run the transposed recurrence backward (discrete adjoint).
 
@@ -223,7 +227,8 @@ def pull_back(
     gradient, change = np.zeros(system.n_b), 0.0
     # Covectors on (q_b, v_b, A_b) of an instant and on (q~_b, v~_b, A~_b) of the step from it.
     on = np.zeros((6, n_q))
-    for steps in reversed(_chunks(system, n_t, 0)):
+    chunks = _chunks(system, n_t, 0)
+    for steps in tqdm(chunks[::-1], "adjoint", disable=not progress, unit="chunk"):
         t, rows, linear = _linearised(nodes, steps)
         mu, zeta = np.zeros_like(rows[0]), np.zeros_like(rows[3])
         order = range(len(t) - 1, -1, -1)
