@@ -30,7 +30,7 @@ from ancfdae.ancf.vectors import Vectors
 from ancfdae.bodies import Point
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
-from ancfdae.errors import InconsistentStart, InvalidInput, UnknownName
+from ancfdae.errors import InconsistentStart, InvalidInput, UnknownName, require_kind
 from ancfdae.joints import DrivenJoint
 from ancfdae.loads import Load
 from ancfdae.naming import Layout, Naming, PointVector
@@ -61,6 +61,7 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
     InvalidInput, UnknownName
         If a design variable does not fit the scene.
     """
+    require_kind("scene", scene, (Scene,), "Call Scene(...).")
     variables = as_design(design)
     mapping = parameter_map(scene, variables)
     return AncfSystem(scene, variables, mapping, mapping.nominal)

@@ -265,7 +265,7 @@ def as_system(
     if isinstance(model, Scene):
         return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
-    if design is not None and len(design):
+    if design is not None and require_sequence("design", design):
         rule, repair = "a mechanical system brings its own design variables", "Leave it out."
         raise InvalidInput("design", rule, repr(design), repair)
     return model

@@ -89,10 +89,12 @@ class TimeLimit:
     """
 
     def __init__(self, seconds: float | None) -> None:
-        self.seconds, self.expired, self._left = seconds, False, False
+        # Longer waits than a clock can count are none.
+        self.seconds = None if seconds is not None and seconds > threading.TIMEOUT_MAX else seconds
+        self.expired = self._left = False
         self._lock = threading.Lock()
         self._thread = 0
-        self._timer = threading.Timer(seconds or 0.0, self._strike)
+        self._timer = threading.Timer(self.seconds or 0.0, self._strike)
         self._timer.daemon = True
 
     def __enter__(self) -> TimeLimit:

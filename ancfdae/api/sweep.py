@@ -22,6 +22,7 @@ from ancfdae.errors import (
     Interrupted,
     InvalidInput,
     UnknownName,
+    require_flag,
     require_kind,
     require_sequence,
 )
@@ -136,6 +137,7 @@ def sweep(
         At Ctrl-C; its `result` is the sweep with the rows that are done.
     """
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
+    require_flag("progress", progress)
     if not callable(what):
         raise InvalidInput("what", "must be callable", repr(what), "Pass Evaluate(...).")
     if executor is not None:
@@ -218,6 +220,8 @@ def _mappings(
     if variables is None and isinstance(model, MechanicalSystem):
         variables = model.design_names
     keys = require_sequence("design", variables, "must name the columns of rows of values")
+    for key in keys:
+        require_kind("design", key, (str, DesignVariable), 'For example ["rod.height"].')
     return [dict(zip(keys, _values(k, row, len(keys)), strict=True)) for k, row in enumerate(rows)]
 
 

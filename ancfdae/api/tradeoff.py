@@ -19,6 +19,7 @@ from ancfdae.errors import (
     InvalidInput,
     Verdict,
     require_count,
+    require_flag,
     require_kind,
     require_positive,
     require_sequence,
@@ -96,6 +97,7 @@ def tradeoff(
         require_kind("method", method, (GradientMethod,), "For example Direct().")
     if executor is not None:
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
+    require_flag("progress", progress)
     require_count("repeats", repeats, "1 is enough for ratios of long runs.")
     if time_limit is not None:
         require_positive("time_limit", time_limit)

@@ -8,7 +8,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import final
 
-from ancfdae.errors import AncfdaeError, PassFailed, SingularMatrix, Verdict, uninterrupted
+from ancfdae.errors import (
+    AncfdaeError,
+    PassFailed,
+    SingularMatrix,
+    Verdict,
+    require_flag,
+    uninterrupted,
+)
 from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
@@ -88,6 +95,10 @@ class Run:
     integrator: Integrator
     progress: bool = False
     after: Solution | None = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_flag("progress", self.progress)
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
         """Integrate."""
