@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Iterable, Sequence
 
 # Entries shown of what has any number of them.
@@ -34,3 +35,18 @@ def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
     if len(shown) < len(rows):
         lines.append(f"and {len(rows) - len(shown)} more")
     return "\n".join(lines)
+
+
+def page(head: str, rows: Sequence[Sequence[str]], tail: str = "") -> str:
+    """Return a table in HTML, as notebooks show it, between two texts.
+
+    The first row has the titles; of the others the first twelve are shown.
+    """
+    left = len(rows) - _SHOWN - 1
+    cells = "".join(
+        f"<tr>{''.join(f'<{kind}>{html.escape(cell)}</{kind}>' for cell in row)}</tr>"
+        for kind, row in zip(["th"] + ["td"] * _SHOWN, rows, strict=False)
+    )
+    more = f"and {left} more" if left > 0 else ""
+    before, after = (f"<p>{html.escape(text)}</p>" if text else "" for text in (head, tail))
+    return f"{before}<table>{cells}</table>{more}{after}"

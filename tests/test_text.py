@@ -5,8 +5,10 @@ import pytest
 
 from ancfdae import (
     HHT,
+    Direct,
     Integral,
     Point,
+    Terminal,
     adjoint_error,
     assemble,
     check_system,
@@ -17,10 +19,11 @@ from ancfdae import (
     gradient,
     position,
     simulate,
+    sweep,
     taylor_test,
     tradeoff,
 )
-from ancfdae.text import columns, listed
+from ancfdae.text import columns, listed, page
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
@@ -124,3 +127,28 @@ def test_lists_end_and_columns_stand_below_each_other():
     assert columns([("a", "bb"), ("ccc", "d")]) == "a    bb\nccc  d"
     assert columns([("a",)] * 14).endswith("a\nand 2 more")
     assert columns([("a",)] * 14, shorten=False) == "\n".join("a" * 14)
+
+
+def test_tables_for_notebooks_have_titles_end_and_escape():
+    rows = [("a", "b<c"), *[("1", "2")] * 14]
+    told = page("head & all", rows, "tail")
+    assert told.startswith("<p>head &amp; all</p><table><tr><th>a</th><th>b&lt;c</th></tr>")
+    assert told.count("<tr><td>1</td><td>2</td></tr>") == 12
+    assert told.endswith("</table>and 2 more<p>tail</p>")
+    assert page("", rows[:2]) == (
+        "<table><tr><th>a</th><th>b&lt;c</th></tr><tr><td>1</td><td>2</td></tr></table>"
+    )
+
+
+def test_results_are_tables_in_notebooks():
+    system = CartesianPendulum()
+    x = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
+    found = gradient(system, x, 0.5, HHT(0.25), method=Direct())
+    run = found.solution
+    for told, words in (
+        (found._repr_html_(), ("objective", "<td>L</td>", "the end time was reached")),
+        (run.sensitivities._repr_html_(), ("<th>largest |q_b|</th>", "<td>9.81</td>")),
+        (run._repr_html_(), ("<td>instants</td><td>3</td>", "<th>largest |q_b|</th>")),
+        (sweep(system, [{"L": 1.0}], type)._repr_html_(), ("<td>L = 1.0</td>",)),
+    ):
+        assert all(word in told for word in words), told

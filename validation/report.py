@@ -16,6 +16,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Final, cast, final
 
+from tqdm import tqdm
+
 import ancfdae
 from ancfdae import plotting
 from ancfdae.errors import InvalidInput
@@ -75,12 +77,15 @@ class Report:
         self._claims: list[_Claim] = []
         self._figures: dict[str, float] = {}
         self._plots: dict[str, plotting.Figure] = {}
+        # In a terminal only; how many parts there will be nobody knows.
+        self._bar = tqdm(desc=title, disable=None, unit=" parts")
 
     def heading(self, text: str, level: int = 2) -> None:
         """Start a section; `level` is 2 to 4, as 1 is the title of the report."""
         if not 2 <= level <= 4:
             raise InvalidInput("Report.heading", "level must be 2, 3 or 4", level, "Choose one.")
         self._body.append(f"{'#' * level} {text}")
+        self._bar.update()
 
     def text(self, markdown: str) -> None:
         """Add a paragraph, list or other block of Markdown."""
@@ -172,6 +177,7 @@ class Report:
         All files are made in a temporary folder first and then moved into place one by one, so that
         no reader meets half a file and a failure leaves an older report as it was.
         """
+        self._bar.close()
         seconds = time.perf_counter() - self._clock
         meta = environment() | {
             "command": self._command,

@@ -24,7 +24,7 @@ from ancfdae.ancf.reference import Reference
 from ancfdae.ancf.works import Works
 from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.naming import Layout, Naming
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
@@ -48,6 +48,7 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
     InvalidInput, UnknownName
         If a design variable does not fit the scene.
     """
+    require_kind("scene", scene, (Scene,), "Call Scene(...).")
     variables = as_design(design)
     mapping = parameter_map(scene, variables)
     return AncfSystem(scene, variables, mapping, mapping.nominal)

@@ -24,7 +24,7 @@ from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.scene import Scene
-from ancfdae.sensitivity.method import finished, keeping
+from ancfdae.sensitivity.method import Run, finished, keeping
 
 _LEAST_STEPS = 4
 
@@ -86,7 +86,7 @@ def adjoint_error(
         )
     system = as_system(model, design)
     require_objectives(system, [objective], t_end)
-    solution = finished(integrator.integrate(system, t_end, progress=progress))
+    solution = finished(Run(system, t_end, integrator, progress).solution())
     steps = len(solution.t) - 1
     if steps < _LEAST_STEPS:
         periods = advice(system, 0.0, solution.q[0], solution.lam[0])

@@ -4,23 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ancfdae.ancf import assemble
 from ancfdae.design import DesignVariable
-from ancfdae.errors import InvalidInput, require_kind, require_positive, require_sequence
+from ancfdae.errors import (
+    InvalidInput,
+    require_kind,
+    require_positive,
+    require_sequence,
+    uninterrupted,
+)
 from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.integrators.problem import Problem
+from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
+from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.scene import Scene
 from ancfdae.sensitivity.adjoint import Adjoint
 from ancfdae.sensitivity.direct import Direct
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
 
 _INTEGRATOR = "For example HHT(step=0.01)."
 
 
 def simulate(
-    model: Scene | MechanicalSystem, t_end: float, integrator: Integrator, *, progress: bool = False
+    model: Scene | MechanicalSystem,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    after: Solution | None = None,
+    progress: bool = False,
 ) -> Solution:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
@@ -31,6 +47,11 @@ def simulate(
         End time; s.
     integrator : Integrator
         `HHT`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
+    after : Solution, optional
+        A run of this model by the same `HHT` that ended before, at its end time, early or at
+        Ctrl-C: it goes on there, and the result is the whole run, to round-off that of one in one
+        go. If it has reached `t_end` nothing is integrated. Under error control steps also depend
+        on `t_end`: it is the same run for the same end time, else one within the tolerance.
     progress : bool
         Whether to show a progress bar.
 
@@ -38,9 +59,12 @@ def simulate(
     ------
     InvalidInput
         If the input makes no sense; before anything is integrated.
+    Interrupted
+        At Ctrl-C; its `result` is the solution up to there.
     """
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
-    return integrator.integrate(as_system(model), t_end, progress=progress)
+    _require_after(after)
+    return uninterrupted(Run(as_system(model), t_end, integrator, progress, after).solution())
 
 
 def differentiate(
@@ -50,13 +74,14 @@ def differentiate(
     *,
     design: Sequence[str | DesignVariable] | None = None,
     method: Method | None = None,
+    after: Solution | None = None,
     progress: bool = False,
 ) -> Solution:
     """Integrate and differentiate the whole trajectory in the design variables.
 
     Parameters
     ----------
-    model, t_end, integrator, progress
+    model, t_end, integrator, after, progress
         As in `simulate`.
     design : sequence of str or DesignVariable
         For a scene: targets such as ``"pendulum.youngs_modulus"``. A mechanical system brings its
@@ -71,13 +96,15 @@ def differentiate(
 
     Raises
     ------
-    InvalidInput
+    InvalidInput, Interrupted
         As `simulate`.
     """
     method = Direct() if method is None else method
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
-    return method.differentiate(Run(differentiable(model, design), t_end, integrator, progress))
+    _require_after(after)
+    run = Run(differentiable(model, design), t_end, integrator, progress, after)
+    return uninterrupted(method.differentiate(run))
 
 
 def gradient(
@@ -89,14 +116,15 @@ def gradient(
     design: Sequence[str | DesignVariable] | None = None,
     method: GradientMethod | None = None,
     memory: str | float | None = None,
+    after: Solution | None = None,
     progress: bool = False,
 ) -> Gradient:
     """Return value and design gradient of an objective.
 
     Parameters
     ----------
-    model, t_end, integrator, design, progress
-        As in `differentiate`.
+    model, t_end, integrator, design, after, progress
+        As in `differentiate`; with `after` a run that is there gets further gradients.
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
     method : GradientMethod, optional
@@ -108,14 +136,20 @@ def gradient(
 
     Raises
     ------
-    InvalidInput
+    InvalidInput, Interrupted
         As `simulate`.
     UnfinishedRun
         If the run ends early; the error carries what was computed.
     NonFiniteObjective
         If the objective is not finite; the message names the time.
     """
-    own = {"design": design, "method": method, "memory": memory, "progress": progress}
+    own = {
+        "design": design,
+        "method": method,
+        "memory": memory,
+        "after": after,
+        "progress": progress,
+    }
     return gradients(model, [objective], t_end, integrator, **own)[0]  # type: ignore[arg-type]
 
 
@@ -128,11 +162,13 @@ def gradients(
     design: Sequence[str | DesignVariable] | None = None,
     method: GradientMethod | None = None,
     memory: str | float | None = None,
+    after: Solution | None = None,
     progress: bool = False,
 ) -> list[Gradient]:
     """Return value and gradient of several objectives of one run; see `gradient`."""
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     objectives = require_sequence("objectives", objectives)
+    _require_after(after)
     system = differentiable(model, design)
     require_objectives(system, objectives, t_end)
     if memory is not None:
@@ -144,7 +180,43 @@ def gradients(
         adjoint = isinstance(integrator, AdjointIntegrator)
         method = cheapest(system.n_b, len(objectives)) if adjoint else Direct()
     require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
-    return method.gradients(Run(system, t_end, integrator, progress), objectives)
+    return method.gradients(Run(system, t_end, integrator, progress, after), objectives)
+
+
+def evaluate(
+    objective: Objective,
+    solution: Solution,
+    model: Scene | MechanicalSystem,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+) -> float:
+    """Return the value of an objective on a run that is there; `observe` is for observables.
+
+    Integrals are those over the instants of the solution; IDA, IDAS and Explicit take them
+    beside the motion in `gradient`, which differs within their tolerance.
+
+    Parameters
+    ----------
+    objective : Objective
+    solution : Solution
+        A finished run, from a call or a file; `gradient` with ``after=solution`` differentiates.
+    model, design
+        What ran, as in `gradient`.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If the solution is of another model, or the objective of something it does not have.
+    UnfinishedRun, NonFiniteObjective
+    """
+    require_kind("solution", solution, (Solution,), "Call simulate, or Solution.load.")
+    system = as_system(model, design)
+    t_end = float(solution.t[-1])
+    require_objectives(system, [objective], t_end)
+    Problem.of(system, t_end).require_run(solution, t_end, "solution")
+    if not solution.outcome.success:
+        raise UnfinishedRun(solution)
+    return float(objective.value(system, states_of(solution)))
 
 
 def require_objectives(
@@ -157,6 +229,12 @@ def require_objectives(
         require_kind("objective", objective, (Objective,), repair)
     for objective in objectives:
         objective.check(system, t_end)
+
+
+def _require_after(after: object) -> None:
+    """Refuse what is no run to go on with."""
+    if after is not None:
+        require_kind("after", after, (Solution,), "Pass what simulate returned.")
 
 
 def cheapest(variables: int, objectives: int) -> GradientMethod:
@@ -185,6 +263,16 @@ def differentiable(
     return system
 
 
+def design_bounds(
+    system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> tuple[Array, Array]:
+    """Return lower and upper bounds of the design values; infinite where there are none."""
+    known = {x.name: x.bounds for x in design or () if isinstance(x, DesignVariable)}
+    pairs = [known.get(name) or (-np.inf, np.inf) for name in system.design_names]
+    lower, upper = np.array(pairs, dtype=float).T
+    return lower, upper
+
+
 def as_system(
     model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None = None
 ) -> MechanicalSystem:
@@ -192,7 +280,7 @@ def as_system(
     if isinstance(model, Scene):
         return assemble(model, () if design is None else design)
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
-    if design is not None and len(design):
+    if design is not None and require_sequence("design", design):
         rule, repair = "a mechanical system brings its own design variables", "Leave it out."
         raise InvalidInput("design", rule, repr(design), repair)
     return model

@@ -130,7 +130,7 @@ def error_bars(
     InvalidInput, UnfinishedRun, NonFiniteObjective
         As `gradient`.
     """
-    if isinstance(levels, bool) or levels not in (2, 3):
+    if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
     runs: list[Gradient] = []
     settings, chosen = integrator, Direct() if method is None else method

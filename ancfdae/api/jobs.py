@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import pickle
-import signal
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
-from types import FrameType
 from typing import Any, NamedTuple, TypeVar, final
 from uuid import uuid4
 
@@ -157,33 +155,6 @@ def require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
             ) from error
 
 
-@contextmanager
-def no_interrupt_lost() -> Iterator[None]:
-    """Raise KeyboardInterrupt at the end if one came in between and became an outcome.
-
-    A run that is interrupted returns what it has, which must not pass for a finished row.
-    """
-    main = threading.current_thread() is threading.main_thread()
-    before = signal.getsignal(signal.SIGINT) if main else None
-    if before is not signal.default_int_handler:
-        yield
-        return
-    came = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal came
-        came = True
-        signal.default_int_handler(number, frame)
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
-        raise KeyboardInterrupt
-
-
 @final
 class TimeLimit:
     """Raises KeyboardInterrupt in the thread of its `with` block after `seconds`, if not None.
@@ -193,10 +164,12 @@ class TimeLimit:
     """
 
     def __init__(self, seconds: float | None) -> None:
-        self.seconds, self.expired, self._left = seconds, False, False
+        # Longer waits than a clock can count are none.
+        self.seconds = None if seconds is not None and seconds > threading.TIMEOUT_MAX else seconds
+        self.expired = self._left = False
         self._lock = threading.Lock()
         self._thread = 0
-        self._timer = threading.Timer(seconds or 0.0, self._strike)
+        self._timer = threading.Timer(self.seconds or 0.0, self._strike)
         self._timer.daemon = True
 
     def __enter__(self) -> TimeLimit:

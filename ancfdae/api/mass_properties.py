@@ -8,7 +8,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf import AncfSystem, assemble
+from ancfdae.ancf import AncfSystem
+from ancfdae.api.calls import as_system
 from ancfdae.design import DesignVariable
 from ancfdae.errors import require_kind
 from ancfdae.numerics.arrays import Array
@@ -63,7 +64,8 @@ def mass_properties(
         If the beam or a design target does not exist.
     """
     require_kind("model", model, (Scene, AncfSystem), "Pass one of them.")
-    system = assemble(model, design) if isinstance(model, Scene) else model
+    system = as_system(model, design)
+    assert isinstance(system, AncfSystem)
     d = system.naming.layout.d
     axes = (2,) if d == 2 else (0, 1, 2)
     m, m_b = _at_start(system, mass(beam))

@@ -8,7 +8,7 @@ from typing import Any, final
 
 from ancfdae.protocol.tables import pandas
 from ancfdae.sensitivity import Gradient
-from ancfdae.text import columns, listed
+from ancfdae.text import columns, listed, page
 
 
 @final
@@ -44,12 +44,10 @@ class Sweep:
     Attributes
     ----------
     rows : tuple of SweepRow
-    interrupted : bool
-        Whether Ctrl-C ended the sweep early; the rows not computed say so.
+        Those that Ctrl-C left out say so.
     """
 
     rows: tuple[SweepRow, ...]
-    interrupted: bool = False
 
     @property
     def results(self) -> list[Any]:
@@ -72,6 +70,17 @@ class Sweep:
 
     def __repr__(self) -> str:
         """Return the first rows, and how many failed."""
+        return f"{self._head}\n{columns(self._cells())}"
+
+    def _repr_html_(self) -> str:
+        """Return the same as notebooks show it."""
+        return page(self._head, self._cells())
+
+    @property
+    def _head(self) -> str:
+        return f"Sweep: {len(self.rows)} designs, {len(self.failed)} without result"
+
+    def _cells(self) -> list[tuple[str, str, str]]:
         cells = [
             (
                 str(k),
@@ -80,8 +89,7 @@ class Sweep:
             )
             for k, row in enumerate(self.rows)
         ]
-        head = f"Sweep: {len(self.rows)} designs, {len(self.failed)} without result"
-        return "\n".join([head, columns([("row", "design", "result"), *cells])])
+        return [("row", "design", "result"), *cells]
 
 
 def _cells(result: Any) -> dict[str, Any]:

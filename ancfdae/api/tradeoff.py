@@ -9,17 +9,20 @@ from dataclasses import replace
 from typing import Any
 
 from ancfdae.api.calls import differentiable, require_objectives
-from ancfdae.api.jobs import answers, no_interrupt_lost, require_pickles
+from ancfdae.api.jobs import answers, require_pickles
 from ancfdae.api.tradeoff_result import Tradeoff, compared
 from ancfdae.api.tradeoff_run import Measurement, Results, Task, measure
 from ancfdae.design import DesignVariable
 from ancfdae.errors import (
+    Interrupted,
     InvalidInput,
     Verdict,
     require_count,
+    require_flag,
     require_kind,
     require_positive,
     require_sequence,
+    uninterrupted,
 )
 from ancfdae.integrators import IDA, Explicit, Integrator
 from ancfdae.objectives import Objective
@@ -32,6 +35,7 @@ _STEPS = 50_000
 # What `Explicit` takes for the first of so many parts of the motion tells whether it suits; fewer
 # steps than so many say nothing.
 _PARTS, _FEW = 64, 20
+_LEFT = Measurement(0.0, "not measured: the tradeoff was interrupted")
 
 
 def tradeoff(
@@ -74,12 +78,14 @@ def tradeoff(
     Returns
     -------
     Tradeoff
-        A setting that fails is a row with its message, and so is one that Ctrl-C left unmeasured.
+        A setting that fails is a row with its message.
 
     Raises
     ------
     InvalidInput
         If the input makes no sense, or the reference does not finish.
+    Interrupted
+        At Ctrl-C; its `result` is the table, with rows that say that they were not measured.
     KeyboardInterrupt
         If Ctrl-C comes before the reference is there.
     """
@@ -94,6 +100,7 @@ def tradeoff(
         require_kind("method", method, (GradientMethod,), "For example Direct().")
     if executor is not None:
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
+    require_flag("progress", progress)
     require_count("repeats", repeats, "1 is enough for ratios of long runs.")
     if time_limit is not None:
         require_positive("time_limit", time_limit)
@@ -111,7 +118,11 @@ def tradeoff(
         measured = _measured(tasks, executor, bar)
     exact = _required(measured[0])
     rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, measured, strict=True)]
-    return Tradeoff(tuple(rows[1:]), replace(rows[0], outcome=rows[0].outcome + why))
+    done = Tradeoff(tuple(rows[1:]), replace(rows[0], outcome=rows[0].outcome + why))
+    left = sum(each is _LEFT for each in measured)
+    if left:
+        raise Interrupted(done, f"{len(settings) - left} of {len(settings)} settings were measured")
+    return done
 
 
 def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:
@@ -120,11 +131,12 @@ def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:
     Where stability limits the steps of `Explicit`, a loose tolerance needs about as many as a tight
     one; where accuracy does, it needs 10^(-5/8) = 0.24 times as many.
     """
-    with no_interrupt_lost():
-        tight, loose = (
+    tight, loose = (
+        uninterrupted(
             Explicit(rtol, max_steps=2 * _STEPS // _PARTS).integrate(system, t_end / _PARTS)
-            for rtol in (1e-10, 1e-5)
         )
+        for rtol in (1e-10, 1e-5)
+    )
     steps = tight.statistics.steps
     if tight.outcome.success and (steps < _FEW or loose.statistics.steps < steps / 2):
         return Explicit(1e-10, max_steps=_STEPS), ""
@@ -155,8 +167,7 @@ def _measured(tasks: Sequence[Task], executor: Executor | None, bar: Any) -> lis
             # Without the reference nothing could be said of the others.
             if 0 not in found:
                 raise
-    left = Measurement(0.0, "not measured: the tradeoff was interrupted")
-    return [found.get(k, left) for k in range(len(tasks))]
+    return [found.get(k, _LEFT) for k in range(len(tasks))]
 
 
 def _required(reference: Measurement) -> Results:

@@ -29,7 +29,6 @@ __all__ = [
     "IndexReduction",
     "Integrand",
     "Integrator",
-    "MissingPackage",
     "PartialIntegral",
     "Points",
     "QuadratureIntegrator",

@@ -67,6 +67,24 @@ class Integrator(abc.ABC):
             If settings, end time or start make no sense; before anything is integrated.
         """
 
+    def resume(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        after: Solution,
+        *,
+        sensitivities: bool = False,
+        progress: bool = False,
+    ) -> Solution:
+        """Go on with a run of this integrator on this system, from its last instant to `t_end`.
+
+        Returns the whole solution, which is that of a run in one go to round-off. Raises
+        InvalidInput where the run is another one, or the integrator is not `HHT`.
+        """
+        raise InvalidInput(
+            "after", "needs HHT, whose runs can go on", repr(self), "Run again from t = 0."
+        )
+
 
 class QuadratureIntegrator(Integrator):
     """An integrator that takes integrals beside the motion; others sum over their instants."""
@@ -102,7 +120,9 @@ class AdjointIntegrator(Integrator):
     """An integrator that can also run backward through a finished run."""
 
     @abc.abstractmethod
-    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+    def pull_back(
+        self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
+    ) -> Array:
         """Return the gradient of an objective from its partials in the states (adjoint), (n_b,).
 
         The solution is a finished run of this integrator on this system. The explicit partial of

@@ -26,6 +26,10 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point
+from ancfdae.protocol.solution import Solution
+
+# Starts of one system, computed twice, differ by round-off of their projection.
+_SAME = 1e-7
 
 
 @final
@@ -122,3 +126,23 @@ class Problem:
             if not all(finite(x) for x in arrays):
                 rule, got = "must be finite", "NaN or infinity"
                 raise InvalidInput(f"{what} at the start", rule, got, "Check forces and start.")
+
+    def require_run(self, run: Solution, t_end: float, where: str) -> None:
+        """Refuse a run that did not begin as this problem does, or went further than `t_end`."""
+        start, scales, system = self.initial, self.scales, self.system
+        rule, repair = "must be a run of this model at this design", "Pass the model that it ran."
+        sizes = run.q.shape[1], run.lam.shape[1]
+        if sizes != (system.n_q, system.n_lam):
+            got = f"{sizes[0]} coordinates and {sizes[1]} multipliers"
+            raise InvalidInput(where, rule, got, repair)
+        unbalanced = system.mass_times(start.q, run.a[0] - start.a)
+        for difference, size in (
+            (run.q[0] - start.q, scales.q),
+            (run.v[0] - start.v, scales.v),
+            (unbalanced, scales.force),
+        ):
+            if not np.max(np.abs(difference) / size, initial=0.0) <= _SAME:
+                raise InvalidInput(where, rule, "another start", repair)
+        if run.t[-1] > t_end * (1 + 1e-9):
+            rule = f"must end at {t_end:.6g} or before"
+            raise InvalidInput(where, rule, f"{run.t[-1]:.6g}", "Raise t_end.")

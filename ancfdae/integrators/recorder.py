@@ -23,7 +23,8 @@ class Recorder:
     """Arrays that a run fills row by row, and the counters of its cost (`Statistics`).
 
     There are `rows` instants, the start included; the arrays grow if there are more. `accepted` are
-    the accepted steps where the instants, of a solution of this degree, are not the steps.
+    the accepted steps where the instants, of a solution of this degree, are not the steps. A
+    solution `before` fills the first rows and counts, of a run that goes on.
 
     Raises
     ------
@@ -32,7 +33,12 @@ class Recorder:
     """
 
     def __init__(
-        self, system: MechanicalSystem, rows: int, degree: int = 1, sensitivities: bool = False
+        self,
+        system: MechanicalSystem,
+        rows: int,
+        degree: int = 1,
+        sensitivities: bool = False,
+        before: Solution | None = None,
     ) -> None:
         self._system, self._degree = system, degree
         dtype = np.result_type(system.b, system.start()[0], float)
@@ -49,10 +55,26 @@ class Recorder:
                 "Use a larger step, fewer instants or a shorter run.",
             ) from error
         self._rows = 0
+        self._control: tuple[float, ...] = ()
         self.accepted: int | None = None
         self.iterations = self.factorisations = self.residuals = 0
         self.round_off_steps = self.rejected = self.continued = 0
         self._started = time.perf_counter()
+        if before is not None:
+            self._go_on(before)
+
+    def _go_on(self, before: Solution) -> None:
+        done, told = len(before.t), before.statistics
+        kept = (before.t, before.q, before.v, before.a, before.lam)
+        more = max(0, done - len(self._arrays[0]))
+        arrays = [np.concatenate([x, np.zeros((more, *x.shape[1:]))]) for x in self._arrays]
+        for array, rows in zip(arrays, kept, strict=True):
+            array[:done] = rows
+        self._arrays, self._rows, self._control = arrays, done, before.control
+        self.iterations, self.factorisations = told.iterations, told.factorisations
+        self.residuals, self.round_off_steps = told.residuals, told.round_off_steps
+        self.rejected, self.continued = told.rejected, told.continued
+        self._started -= told.wall_seconds
 
     @property
     def steps(self) -> int:
@@ -72,8 +94,10 @@ class Recorder:
         a: Array,
         lam: Array,
         derivatives: tuple[Array, ...] = (),
+        *,
+        control: tuple[float, ...] = (),
     ) -> None:
-        """Store a state, and its design derivatives (q_b, v_b, a_b, lam_b) if there are any.
+        """Store a state, its design derivatives (q_b, v_b, a_b, lam_b), and that of step control.
 
         The row counts only when all of it is stored, so that an interrupt leaves whole rows.
         """
@@ -82,11 +106,11 @@ class Recorder:
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
         for array, value in zip(self._arrays, (t, q, v, a, lam, *derivatives), strict=True):
             array[row] = value
-        self._rows = row + 1
+        self._rows, self._control = row + 1, control
 
     def restart(self) -> None:
         """Forget all instants but the first."""
-        self._rows = 1
+        self._rows, self._control = 1, ()
 
     def solution(self, outcome: Outcome) -> Solution:
         """Return what was recorded."""
@@ -112,6 +136,7 @@ class Recorder:
             naming=system.naming,
             sensitivities=Sensitivities(system.design_names, system.b, *own) if own else None,
             degree=self._degree,
+            control=self._control,
         )
 
     def _advised(self, outcome: Outcome) -> Outcome:

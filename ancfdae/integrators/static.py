@@ -45,7 +45,9 @@ class Static(AdjointIntegrator):
             system, max_steps=self.max_steps, sensitivities=sensitivities
         ).solution
 
-    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+    def pull_back(
+        self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
+    ) -> Array:
         """One transposed solve."""
         q, lam, t = solution.q[0], solution.lam[0], float(solution.t[0])
         on_q = np.zeros_like(q) if seeds.q is None else seeds.q[0]

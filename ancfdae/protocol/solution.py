@@ -27,7 +27,7 @@ from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.protocol import solution_file, tables
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
-from ancfdae.text import listed
+from ancfdae.text import listed, page
 
 # Imaginary perturbation of the states: any value whose square underflows against one is exact.
 _STEP = 1e-40
@@ -54,6 +54,9 @@ class Solution:
         8 for Gauss-Lobatto instants (`ancfdae.numerics.time_grid`).
     estimated_errors : EstimatedErrors or None
         Of HHT only; the others keep their tolerances to themselves.
+    control : tuple of float
+        State of the step control at the last instant, with which ``simulate(..., after=solution)``
+        goes on; empty where the steps were known beforehand.
     """
 
     t: Array
@@ -67,6 +70,7 @@ class Solution:
     sensitivities: Sensitivities | None = None
     degree: int = 1
     estimated_errors: EstimatedErrors | None = None
+    control: tuple[float, ...] = ()
 
     # -- named access --------------------------------------------------------------------------
 
@@ -182,7 +186,8 @@ class Solution:
             q_b, v_b, a_b, lam_b = self._sampled(asked, own.q_b, own.v_b, own.a_b, own.lam_b)
             own = replace(own, q_b=q_b, v_b=v_b, a_b=a_b, lam_b=lam_b)
         q, v, a, lam = self._sampled(asked, self.q, self.v, self.a, self.lam)
-        return replace(self, t=asked, q=q, v=v, a=a, lam=lam, sensitivities=own, degree=1)
+        full = replace(self, sensitivities=own, degree=1, control=())
+        return replace(full, t=asked, q=q, v=v, a=a, lam=lam)
 
     def _sampled(self, times: Array, q: Array, v: Array, a: Array, lam: Array) -> list[Array]:
         if self.degree == 1 and len(self.t) > 1:
@@ -245,7 +250,8 @@ class Solution:
             outcome = Outcome(verdict, float(self.t[steps]), steps, 0.0)
         kept = {x: getattr(self, x)[: steps + 1] for x in ("t", "q", "v", "a", "lam")}
         full = self.with_pass(steps, seconds)
-        return replace(full, **kept, outcome=outcome, sensitivities=own)
+        control = self.control if steps == len(self.t) - 1 else ()
+        return replace(full, **kept, outcome=outcome, sensitivities=own, control=control)
 
     def with_pass(self, factorisations: int, seconds: float) -> Solution:
         """Return the solution with the cost of a pass over it added to the statistics."""
@@ -259,7 +265,12 @@ class Solution:
     # -- files and text ------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the solution to one file (``.npz``), complete or not at all; return its path."""
+        """Write the solution to one file, complete or not at all; return its path.
+
+        A name that ends in ``.h5`` or ``.hdf5`` makes a compressed HDF5 file, which needs h5py
+        (``pip install "ancfdae[hdf5]"``); any other an archive of NumPy, as ``.npz`` is.
+        docs/results.md has the format.
+        """
         return solution_file.write(_path(path), vars(self))
 
     @staticmethod
@@ -304,6 +315,16 @@ class Solution:
         lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
         lines += [] if errors is None else [repr(errors)]
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Return the size of the run as notebooks show it, and how it ended."""
+        spans = (("instants", self.t), ("coordinates", self.q[0]), ("multipliers", self.lam[0]))
+        rows = [("Solution", ""), *((name, str(len(x))) for name, x in spans)]
+        rows += [("from, to", f"{self.t[0]:.6g} s, {self.t[-1]:.6g} s")]
+        own, errors = self.sensitivities, self.estimated_errors
+        rows += [] if errors is None else [("estimated error", f"{errors.motion:.3g}")]
+        told = page("", rows, str(self.outcome))
+        return told if own is None else told + own._repr_html_()
 
 
 def _path(path: object) -> Path:

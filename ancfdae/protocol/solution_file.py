@@ -1,7 +1,11 @@
-"""File of a solution: a NumPy archive without pickled objects, its plain numbers as JSON."""
+"""File of a solution: arrays by name, and everything else as JSON; docs/results.md, no pickle.
+
+A NumPy archive, or HDF5 where the name says so.
+"""
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import uuid
@@ -10,16 +14,20 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, Outcome, Verdict
+from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict
 from ancfdae.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, RigidNodes
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 
-_FORMAT = "ancfdae solution 5"
+# What is written, and the oldest version that is read: it lacks `control`.
+_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 6, 5
+_HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
+# Arrays that are not worth compressing; bytes.
+_SMALL = 10_000
 _STATES = ("t", "q", "v", "a", "lam")
 _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
 # Exceptions raised on reading a file that is damaged or not an archive.
@@ -35,15 +43,16 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
             rule, got = "must hold numbers to be saved", f"objects in {name}"
             raise InvalidInput("solution", rule, got, "Give arrays of numbers.")
     # Settings may be numbers of NumPy, which JSON does not know.
-    arrays["meta"] = np.array(json.dumps(meta, default=np.generic.item))
+    text = json.dumps(meta, default=np.generic.item)
+    put = _put_hdf5 if path.suffix.lower() in _HDF5 else _put_npz
     # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
     if not path.parent.is_dir():
         rule, repair = "must lie in a folder that exists", "Create the folder, or correct the path."
         raise InvalidInput("solution file", rule, repr(os.fspath(path)), repair)
     temporary = path.parent / f"{path.name}.{uuid.uuid4().hex}.part"
     try:
-        with temporary.open("xb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # of a later NumPy: a flag
+        with temporary.open("x+b") as file:
+            put(file, arrays, text)
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
@@ -55,22 +64,74 @@ def read(path: Path) -> dict[str, Any]:
     """Return the fields of a solution; InvalidInput if the file is not one written by `write`."""
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        meta = json.loads(str(arrays["meta"]))
-        if meta["format"] != _FORMAT:
-            raise ValueError(f"the format {meta['format']!r}")
+        with path.open("rb") as raw:
+            is_hdf5 = raw.read(len(_SIGNATURE)) == _SIGNATURE
+            raw.seek(0)
+            arrays, text = (_get_hdf5 if is_hdf5 else _get_npz)(raw)
+        meta = json.loads(text)
+        _require_version(path, meta["format"])
         return _unpacked(arrays, meta)
+    except InvalidInput:
+        raise
     except FileNotFoundError:
         where, repair = "solution file", "Check the path, and that Solution.save was called."
         raise InvalidInput(where, "must exist", repr(os.fspath(path)), repair) from None
     except (OSError, KeyError, ValueError, TypeError, *_DAMAGED) as error:
         raise InvalidInput(
             f"solution file {os.fspath(path)!r}",
-            f"must be a file written by Solution.save ({_FORMAT})",
+            "must be a whole file written by Solution.save",
             f"{type(error).__name__}: {error}",
             "Choose another file.",
         ) from error
+
+
+def _put_npz(file: IO[bytes], arrays: Mapping[str, Array], text: str) -> None:
+    np.savez(file, meta=np.array(text), **arrays)  # type: ignore[arg-type]  # of a later NumPy: a flag
+
+
+def _get_npz(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
+    with np.load(raw, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    return arrays, str(arrays.pop("meta"))
+
+
+def _put_hdf5(file: IO[bytes], arrays: Mapping[str, Array], text: str) -> None:
+    with _h5py().File(file, "w") as hdf5:
+        for name, array in arrays.items():
+            packed = {"compression": "gzip", "shuffle": True} if array.nbytes > _SMALL else {}
+            hdf5.create_dataset(name, data=array, **packed)
+        hdf5.create_dataset("meta", data=text)
+
+
+def _get_hdf5(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
+    with _h5py().File(raw, "r") as hdf5:
+        text = hdf5["meta"].asstr()[()]
+        return {name: hdf5[name][()] for name in hdf5 if name != "meta"}, text
+
+
+def _h5py() -> Any:
+    try:
+        return importlib.import_module("h5py")
+    except ImportError as error:
+        raise MissingPackage(
+            "HDF5 files: need the package h5py; got none. Install it: "
+            'python3 -m pip install "ancfdae[hdf5]", or save under a name that ends in .npz.'
+        ) from error
+
+
+def _require_version(path: Path, told: str) -> None:
+    """Refuse what this version does not read."""
+    kind, _, version = told.rpartition(" ")
+    if kind != _FORMAT:
+        raise ValueError(f"the format {told!r}")
+    if not _OLDEST <= int(version) <= _VERSION:
+        newer = int(version) > _VERSION
+        raise InvalidInput(
+            f"solution file {os.fspath(path)!r}",
+            f"must be written by Solution.save in a format from {_OLDEST} to {_VERSION}",
+            f"format {version}, of {'a newer' if newer else 'an older'} ancfdae",
+            "Install a newer ancfdae." if newer else "Run again, and save anew.",
+        )
 
 
 def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -79,7 +140,8 @@ def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]
     naming, own, errors = (fields[x] for x in ("naming", "sensitivities", "estimated_errors"))
     outcome = fields["outcome"]
     meta = {
-        "format": _FORMAT,
+        "format": f"{_FORMAT} {_VERSION}",
+        "control": list(fields["control"]),
         "statistics": asdict(fields["statistics"]),
         "outcome": {**asdict(outcome), "verdict": outcome.verdict.name},
         "degree": fields["degree"],
@@ -101,6 +163,7 @@ def _unpacked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str,
         "outcome": Outcome(**outcome),
         "naming": None,
         "degree": int(meta["degree"]),
+        "control": tuple(map(float, meta.get("control", ()))),
     }
     if meta["layout"] is not None:
         layout = _layout(meta["layout"])

@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import tables
-from ancfdae.text import columns, listed
+from ancfdae.text import columns, listed, page
 
 
 @final
@@ -101,10 +101,20 @@ class Sensitivities:
         return tables.sensitivity_table(self.q_b, self.names)
 
     def __repr__(self) -> str:
+        return f"{self._head}\n{columns(self._rows())}"
+
+    def _repr_html_(self) -> str:
+        """Return the same as notebooks show it."""
+        return page(self._head, self._rows())
+
+    @property
+    def _head(self) -> str:
+        return f"Sensitivities at {len(self.q_b)} instants"
+
+    def _rows(self) -> list[tuple[str, str, str]]:
         largest = np.max(np.abs(self.q_b), axis=(0, 1), initial=0.0)
         rows = zip(self.names, _short(self.values), _short(largest), strict=True)
-        head = ("design variable", "value", "largest |q_b|")
-        return f"Sensitivities at {len(self.q_b)} instants\n{columns([head, *rows])}"
+        return [("design variable", "value", "largest |q_b|"), *rows]
 
 
 def _short(numbers: Iterable[float]) -> list[str]:

@@ -57,7 +57,7 @@ class Adjoint(GradientMethod):
             partials = objective.partials(system, states_of(solution), totals)
             seeds = Seeds(partials.q, partials.v, partials.lam, partials.densities)
             with keeping(solution):
-                total = partials.b + integrator.pull_back(system, solution, seeds)
+                total = partials.b + integrator.pull_back(system, solution, seeds, run.progress)
             seconds = time.perf_counter() - started
             done = solution.with_pass(factorised, seconds)
             results.append(Gradient(partials.value, total, system.design_names, self, done))

@@ -8,7 +8,6 @@ repeat, is the schedule of Griewank & Walther (revolve, ACM TOMS 26, 2000) by th
 
 from __future__ import annotations
 
-import importlib
 import re
 import time
 from collections.abc import Sequence
@@ -17,8 +16,8 @@ from typing import Any, cast, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_positive
-from ancfdae.integrators import HHT, MissingPackage, Seeds
+from ancfdae.errors import InvalidInput, require_package, require_positive
+from ancfdae.integrators import HHT, Seeds
 from ancfdae.integrators.hht.replay import Replay
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
@@ -94,13 +93,7 @@ def division(system: MechanicalSystem, steps: int, memory: float) -> tuple[int, 
 
 def schedule(parts: int, kept: int) -> Any:
     """Return the actions for so many parts with so many kept states."""
-    try:
-        library = importlib.import_module("checkpoint_schedules")
-    except ImportError as error:
-        raise MissingPackage(
-            "memory: needs the package checkpoint_schedules; got Python without it. Install it: "
-            "python3 -m pip install 'ancfdae[checkpoints]'."
-        ) from error
+    library = require_package("memory", "checkpoint_schedules", "checkpoints")
     return library.Revolve(parts, kept)
 
 

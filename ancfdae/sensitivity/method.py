@@ -8,7 +8,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from ancfdae.errors import AncfdaeError, PassFailed, SingularMatrix, Verdict
+from ancfdae.errors import (
+    AncfdaeError,
+    PassFailed,
+    SingularMatrix,
+    Verdict,
+    require_flag,
+    uninterrupted,
+)
 from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
@@ -17,7 +24,7 @@ from ancfdae.objectives.totals import totals_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.tables import pandas
-from ancfdae.text import columns
+from ancfdae.text import columns, page
 
 
 @final
@@ -72,24 +79,43 @@ class Gradient:
 
     def __repr__(self) -> str:
         """Return value, method, derivatives by name and outcome."""
+        head, rows, tail = self._table()
+        return f"{head}\n{columns(rows)}\n{tail}"
+
+    def _repr_html_(self) -> str:
+        """Return the same as notebooks show it."""
+        return page(*self._table())
+
+    def _table(self) -> tuple[str, list[tuple[str, str]], str]:
         slopes = [f"{slope:.6g}" for slope in self.gradient]
         rows = [("design variable", "derivative"), *zip(self.names, slopes, strict=True)]
         head = f"objective {self.value:.9g}, gradient by {self.method}"
-        return f"{head}\n{columns(rows)}\n{self.solution.outcome}"
+        return head, rows, str(self.solution.outcome)
 
 
 @final
 @dataclass(frozen=True)
 class Run:
-    """What is integrated: a system from t = 0 to `t_end`, with a progress bar or without."""
+    """What is integrated: a system from t = 0 to `t_end`, with a progress bar or without.
+
+    `after` is a run that goes on, or that is there already if it reached `t_end`.
+    """
 
     system: MechanicalSystem
     t_end: float
     integrator: Integrator
     progress: bool = False
+    after: Solution | None = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_flag("progress", self.progress)
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
         """Integrate."""
+        if self.after is not None:
+            own = {"sensitivities": sensitivities, "progress": self.progress}
+            return self.integrator.resume(self.system, self.t_end, self.after, **own)
         return self.integrator.integrate(
             self.system, self.t_end, sensitivities=sensitivities, progress=self.progress
         )
@@ -98,7 +124,7 @@ class Run:
         self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
     ) -> tuple[Solution, Totals]:
         """Return a finished run and the integrals that the integrator took beside the motion."""
-        if not isinstance(self.integrator, QuadratureIntegrator):
+        if self.after is not None or not isinstance(self.integrator, QuadratureIntegrator):
             return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
         totals = totals_of(self.system, objectives, differentiated)
         run = self.integrator.integrate_with(
@@ -112,13 +138,14 @@ class Run:
 
     def at(self, b: Array) -> Run:
         """Return the run at other design values."""
-        return replace(self, system=self.system.with_values(b))
+        return replace(self, system=self.system.with_values(b), after=None)
 
     def repeating(self, solution: Solution) -> Run:
         """Return the run at the steps of a solution, as far as that got."""
         done = solution.outcome.success or len(solution.t) < 2
         t_end = self.t_end if done else float(solution.t[-1])
-        return replace(self, integrator=self.integrator.frozen(solution), t_end=t_end)
+        frozen = self.integrator.frozen(solution)
+        return replace(self, integrator=frozen, t_end=t_end, after=None)
 
 
 class GradientMethod(abc.ABC):
@@ -149,18 +176,18 @@ class Method(GradientMethod):
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Raise UnfinishedRun with the run and the reason where a pass back breaks off."""
+    """Raise UnfinishedRun, or Interrupted, with the run where a pass back breaks off."""
     try:
         yield
     except (KeyboardInterrupt, SingularMatrix, PassFailed) as error:
         verdict = Verdict.SINGULAR if isinstance(error, SingularMatrix) else Verdict.INTERRUPTED
         verdict = error.verdict if isinstance(error, PassFailed) else verdict
         outcome = replace(solution.outcome, verdict=verdict)
-        raise UnfinishedRun(replace(solution, outcome=outcome)) from error
+        raise UnfinishedRun(uninterrupted(replace(solution, outcome=outcome))) from error
 
 
 def finished(solution: Solution) -> Solution:
-    """Return a solution that reached its end time; raise UnfinishedRun for another."""
-    if not solution.outcome.success:
+    """Return a solution that reached its end time; raise UnfinishedRun, or Interrupted, else."""
+    if not uninterrupted(solution).outcome.success:
         raise UnfinishedRun(solution)
     return solution

@@ -133,19 +133,24 @@ class LinearSteps:
         return through, mu, zeta / float(self.c.beta * self.c.h[k, 0] ** 2)
 
 
-def differentiate(nodes: Nodes, start: NodeSensitivity) -> tuple[list[Array], Verdict]:
+def differentiate(
+    nodes: Nodes, start: NodeSensitivity, progress: bool = False
+) -> tuple[list[Array], Verdict]:
     """Run the derivative recurrence forward from the start.
 
     Returns q_b, v_b, A_b, lam_b, shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the steps
     done, and how the pass ended.
     """
+    from tqdm import tqdm
+
     system, n_t = nodes.problem.system, len(nodes.run.t)
     n_b, n_q = system.n_b, system.n_q
     states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
     states[0], lam_b[0] = (start.q_b.T, start.v_b.T, start.A_b.T), start.lam_b.T
     done, verdict = 1, Verdict.FINISHED
     try:
-        for _ in _advance(nodes, start, states, lam_b):
+        steps = _advance(nodes, start, states, lam_b)
+        for _ in tqdm(steps, "derivatives", n_t - 1, disable=not progress, unit="step"):
             done += 1
     except SingularMatrix:
         verdict = Verdict.SINGULAR
@@ -208,7 +213,7 @@ def advance(
 
 
 def pull_back(
-    nodes: Nodes, seeds: Seeds, defects: Defects | None = None
+    nodes: Nodes, seeds: Seeds, defects: Defects | None = None, progress: bool = False
 ) -> tuple[Array, NodeSensitivity, float]:
     """Run the transposed recurrence backward (discrete adjoint).
 
@@ -217,12 +222,17 @@ def pull_back(
     objective.
     """
     on, matrix = np.zeros((6, nodes.problem.system.n_q)), step_matrices(nodes.steps)
-    gradient, on, change = pull_back_part(nodes, seeds, on, matrix, defects)
+    gradient, on, change = pull_back_part(nodes, seeds, on, matrix, defects, progress)
     return gradient, start_covectors(nodes.steps.first, on), change
 
 
 def pull_back_part(
-    nodes: Nodes, seeds: Seeds, on: Array, matrix: Array, defects: Defects | None = None
+    nodes: Nodes,
+    seeds: Seeds,
+    on: Array,
+    matrix: Array,
+    defects: Defects | None = None,
+    progress: bool = False,
 ) -> tuple[Array, Array, float]:
     """Run the transposed recurrence back over a run that is a part of another.
 
@@ -233,7 +243,10 @@ def pull_back_part(
     system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
     n_t, n_q = len(nodes.run.t), system.n_q
     gradient, change = np.zeros(system.n_b), 0.0
-    for steps in reversed(_chunks(system, n_t, 0)):
+    from tqdm import tqdm
+
+    chunks = _chunks(system, n_t, 0)
+    for steps in tqdm(chunks[::-1], "adjoint", disable=not progress, unit="chunk"):
         t, rows, linear = _linearised(nodes, steps)
         mu, zeta = np.zeros_like(rows[0]), np.zeros_like(rows[3])
         order = range(len(t) - 1, -1, -1)

@@ -21,7 +21,7 @@ from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import Coefficients, Steps, constraint_error
 from ancfdae.integrators.hht.replay import Replay, through_start
-from ancfdae.integrators.hht.small_steps import Nodes
+from ancfdae.integrators.hht.small_steps import Nodes, node_after
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
@@ -29,7 +29,7 @@ from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
 from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
-from ancfdae.integrators.step_control.march import march
+from ancfdae.integrators.step_control.march import Reached, march
 from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
@@ -145,23 +145,60 @@ class HHT(AdjointIntegrator):
         progress: bool = False,
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, which must be the end of a step."""
+        return self._integrate(system, t_end, None, sensitivities, progress)
+
+    def resume(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        after: Solution,
+        *,
+        sensitivities: bool = False,
+        progress: bool = False,
+    ) -> Solution:
+        """Go on with a run; as `Integrator.resume`."""
+        if self._derivatives_along(system):
+            rule, repair = "cannot go on with derivatives along", "Run again from t = 0."
+            raise InvalidInput("after", rule, repr(self.steps), repair)
+        return self._integrate(system, t_end, after, sensitivities, progress)
+
+    def _integrate(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        after: Solution | None,
+        sensitivities: bool,
+        progress: bool,
+    ) -> Solution:
         steps, started = self.steps, time.perf_counter()
         rows, along = steps.count(t_end) + 1, self._derivatives_along(system)
         problem = Problem.of(system, t_end)
         problem = problem.differentiated() if along else problem
         scales = problem.scales
+        if after is not None:
+            problem.require_run(after, t_end, "after")
+            if not steps.continues(after.t, after.control):
+                rule, repair = "must be a run under the same steps", "Pass its own integrator."
+                raise InvalidInput("after", rule, repr(self.steps), repair)
+            after = after if len(after.t) > 1 else None
 
         def run(sizes_b: Array) -> Solution:
-            recorder = Recorder(system, rows, sensitivities=along)
+            recorder = Recorder(system, rows, sensitivities=along, before=after)
             newton = self.newton_tolerance, self.max_iterations
             tolerance = steps.tolerance(t_end, scales.q, sizes_b)
             stepper = Stepper(problem, self.hht_alpha, newton, tolerance, recorder)
-            return march(stepper, steps.controller(t_end, stepper), recorder, t_end, progress)
+            if after is None:
+                return march(stepper, steps.controller(t_end, stepper), recorder, t_end, progress)
+            controller, n = steps.controller(t_end, stepper, after.control), len(after.t) - 1
+            taken = self.steps_of(after)
+            node = node_after(after, n, self.hht_alpha)
+            reached = Reached(n, node.t, float(taken.h[-1]), (node, None))
+            return march(stepper, controller, recorder, t_end, progress, reached)
 
         if not along:
             solution = run(np.zeros(0))
             if sensitivities:
-                return self._differentiate(problem, solution)
+                return self._differentiate(problem, solution, progress)
             return self._estimated(solution, scales)
         rough = self._rough().integrate(system, t_end, sensitivities=True, progress=progress)
         solution = with_own_sizes(rough, run, scales)
@@ -216,7 +253,9 @@ class HHT(AdjointIntegrator):
         """
         return self._differentiate(Problem.of(system, float(solution.t[-1]) or 1.0), solution)
 
-    def _differentiate(self, problem: Problem, solution: Solution) -> Solution:
+    def _differentiate(
+        self, problem: Problem, solution: Solution, progress: bool = False
+    ) -> Solution:
         started, steps = time.perf_counter(), self.steps_of(solution)
         system, derivative = problem.system, problem.differentiated().derivative
         assert derivative is not None
@@ -225,17 +264,20 @@ class HHT(AdjointIntegrator):
         if len(steps.h):
             first = RecurrenceStart.of(problem, steps.first)
             nodes = Nodes(problem, solution, steps, first.node)
-            arrays, verdict = linear_passes.differentiate(nodes, first.sensitivity(derivative))
+            begun = first.sensitivity(derivative)
+            arrays, verdict = linear_passes.differentiate(nodes, begun, progress)
             arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
         own = Sensitivities(system.design_names, system.b, *arrays)
         seconds = time.perf_counter() - started
         full = solution.with_sensitivities(own, verdict, len(arrays[0]) - 1, seconds)
         return self._estimated(full, problem.scales)
 
-    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+    def pull_back(
+        self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
+    ) -> Array:
         """Return the gradient of an objective by the discrete adjoint."""
         first, nodes = self._opened(system, solution)
-        gradient, back, _ = linear_passes.pull_back(nodes, seeds)
+        gradient, back, _ = linear_passes.pull_back(nodes, seeds, progress=progress)
         return through_start(nodes.problem, first, back, seeds, gradient)
 
     def replay(self, system: MechanicalSystem, t_end: float) -> Replay:

@@ -103,14 +103,19 @@ def constraint_increment(
     return total
 
 
+def node_after(run: Solution, n: int, alpha: float) -> Node:
+    """Return the node that the step to instant n of a run arrived at.
+
+    The accelerations of the run are A; a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n.
+    """
+    a = (1 + alpha) * run.a[n] - alpha * run.a[n - 1]
+    return Node(float(run.t[n]), run.q[n], run.v[n], a, run.lam[n], run.a[n])
+
+
 @final
 @dataclass(frozen=True)
 class Nodes:
-    """States of the recurrence at the instants of a finished run.
-
-    The accelerations of the run are A; a_{n+1} = (1 + alpha) A_{n+1} - alpha A_n. `first` is the
-    start of the recurrence.
-    """
+    """States of the recurrence at the instants of a finished run; `first` is its start."""
 
     problem: Problem
     run: Solution
@@ -119,9 +124,7 @@ class Nodes:
 
     def after(self, n: int) -> Node:
         """Return the node that the step to instant n arrives at."""
-        run, alpha = self.run, self.steps.alpha
-        a = (1 + alpha) * run.a[n] - alpha * run.a[n - 1]
-        return Node(float(run.t[n]), run.q[n], run.v[n], a, run.lam[n], run.a[n])
+        return node_after(self.run, n, self.steps.alpha)
 
     def maybe_small(self) -> Array:
         """Return for every instant whether the step that ends there may be small, shape (n_t,)."""

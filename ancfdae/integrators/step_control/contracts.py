@@ -81,6 +81,10 @@ class Controller(abc.ABC):
         tried, 0 if the run begins anew; or why no step helps.
         """
 
+    @abc.abstractmethod
+    def state(self) -> tuple[float, ...]:
+        """Return the numbers with which `StepControl.controller` goes on."""
+
 
 class StepControl(abc.ABC):
     """Frozen settings of how the steps of a run are chosen."""
@@ -94,8 +98,14 @@ class StepControl(abc.ABC):
         """Return what measures the error of a step; None where nothing depends on it."""
 
     @abc.abstractmethod
-    def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
-        """Return what decides the steps of one run."""
+    def controller(
+        self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
+    ) -> Controller:
+        """Return what decides the steps of one run; a state is that of a run that goes on."""
+
+    @abc.abstractmethod
+    def continues(self, t: Array, state: tuple[float, ...]) -> bool:
+        """Whether a run with the instants t, which left this state, can go on under it."""
 
     @abc.abstractmethod
     def sizes(self, t: Array) -> Array:

@@ -50,6 +50,8 @@ _RESTART = 10
 _LAST_STEPS = 10
 # A run ends where the step falls below this part of its length, or of the time reached.
 _SMALLEST = 1e-13
+# Numbers of `_Filter.state`.
+_NUMBERS = 8
 
 
 @final
@@ -111,8 +113,16 @@ class ControlledSteps(StepControl):
         atol = self.rtol if self.atol is None else self.atol
         return Tolerance(self.rtol, atol, t_end, sizes, sizes_b)
 
-    def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
+    def continues(self, t: Array, state: tuple[float, ...]) -> bool:
+        """Whether the state is one of the filter."""
+        return len(state) == _NUMBERS
+
+    def controller(
+        self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
+    ) -> Controller:
         """Return the filter; half of what it aims at is the error of the step tried first."""
+        if state:
+            return _Filter(method.order, 0.0, t_end, self.max_steps, state)
         e, longest = method.start_error(), t_end / 20
         first = longest if e == 0 else min(longest, _root(_AIM / 2 / e, method.order))
         return _Filter(method.order, first, t_end, self.max_steps)
@@ -134,13 +144,29 @@ class ControlledSteps(StepControl):
 class _Filter(Controller):
     """The digital filter of the module description; p is the order, `first` is tried first."""
 
-    def __init__(self, order: int, first: float, t_end: float, max_steps: int) -> None:
+    def __init__(
+        self,
+        order: int,
+        first: float,
+        t_end: float,
+        max_steps: int,
+        state: tuple[float, ...] = (),
+    ) -> None:
         self._order, self._t_end, self._max_steps = order, t_end, max_steps
         self._h = self._start = first
         self._taken = 0
         self._last_wish = self._last_ratio = 1.0
         self._memory = 0.0
         self._remaining, self._last_h = 0, self._h
+        if state:
+            self._h, self._start, self._last_wish, self._last_ratio, self._memory = state[:5]
+            self._last_h, taken, remaining = state[5:]
+            self._taken, self._remaining = int(taken), int(remaining)
+
+    def state(self) -> tuple[float, ...]:
+        """Return all that changes."""
+        sizes = self._h, self._start, self._last_wish, self._last_ratio, self._memory
+        return *sizes, self._last_h, float(self._taken), float(self._remaining)
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
         """Return the proposed step; the last ones of a run change linearly to meet its end."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import math
 from dataclasses import dataclass
 from typing import Any, final
@@ -33,6 +34,15 @@ class _KnownSteps(StepControl):
     def frozen(self, t: Array) -> StepControl:
         return self
 
+    @abc.abstractmethod
+    def _known(self, count: int) -> Array:
+        """Return the first instants, `count` of them or as many as there are."""
+
+    @final
+    def continues(self, t: Array, state: tuple[float, ...]) -> bool:
+        known = self._known(len(t))
+        return len(known) == len(t) and np.allclose(t, known, rtol=_WHOLE, atol=0)
+
 
 @final
 @dataclass(frozen=True)
@@ -61,7 +71,9 @@ class FixedSteps(_KnownSteps):
             )
         return count
 
-    def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
+    def controller(
+        self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
+    ) -> Controller:
         """Return the plan; its instants are multiples, without accumulated round-off."""
         t = self.instants(t_end)
         return _Plan(self.sizes(t), t[1:])
@@ -69,6 +81,9 @@ class FixedSteps(_KnownSteps):
     def instants(self, t_end: float) -> Array:
         """Return the instants from 0 on."""
         return self.step * np.arange(self.count(t_end) + 1)
+
+    def _known(self, count: int) -> Array:
+        return self.step * np.arange(count)
 
     def sizes(self, t: Array) -> Array:
         """Return the step, free of the round-off of the instants."""
@@ -124,7 +139,12 @@ class GivenSteps(_KnownSteps):
             )
         return len(self.times) - 1
 
-    def controller(self, t_end: float, method: OneStepMethod[Any]) -> Controller:
+    def _known(self, count: int) -> Array:
+        return np.array(self.times[:count])
+
+    def controller(
+        self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
+    ) -> Controller:
         """Return the plan."""
         return _Plan(np.diff(self.times), np.array(self.times[1:]))
 
@@ -155,3 +175,6 @@ class _Plan(Controller):
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
         return Verdict.NO_CONVERGENCE if error is None else n + 1
+
+    def state(self) -> tuple[float, ...]:
+        return ()

@@ -50,7 +50,9 @@ class IDAS(HighOrder, AdjointIntegrator):
         """Set up IDAS."""
         return _IdasMarch(Bindings.load(), self, problem, t_end, quadrature)
 
-    def pull_back(self, system: MechanicalSystem, solution: Solution, seeds: Seeds) -> Array:
+    def pull_back(
+        self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
+    ) -> Array:
         """Return the gradient of an objective by the adjoint with checkpoints."""
         t_end = float(solution.t[-1])
         problem = Problem.of(system, t_end).differentiated()

@@ -1,0 +1,205 @@
+"""Whatever calls that take a model are given, they answer or refuse it in their own words.
+
+Arguments are good ones, one or two of them spoiled. A spoiled one that is accepted must be what the
+parameter of that name stands for, and nothing takes longer than ten seconds.
+"""
+
+import os
+import signal
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from test_fuzz import JUNK, ROD, TIP
+
+import ancfdae
+from ancfdae import (
+    HHT,
+    Adjoint,
+    AncfdaeError,
+    Configuration,
+    DesignVariable,
+    Direct,
+    Equilibrium,
+    Evaluate,
+    Integrator,
+    MechanicalSystem,
+    Objective,
+    Observable,
+    Pin,
+    Scene,
+    Solution,
+    Terminal,
+    assemble,
+    equilibrium,
+    simulate,
+)
+from ancfdae.sensitivity import GradientMethod, Method
+
+SCENE = Scene([ROD], [ancfdae.Clamp(ROD.at_start)], gravity=(0.0, -9.81))
+SWINGING = Scene([ROD], [Pin(ROD.at_start)], gravity=(0.0, -9.81))
+SYSTEM = assemble(SCENE, ["rod.height"])
+STEP = HHT(0.01)
+RUN = simulate(SCENE, 0.05, STEP)
+OBJECTIVE = Terminal(TIP)
+#: What the parameter of a name is given.
+GOOD: dict[str, list[Any]] = {
+    "model": [SCENE, SYSTEM, SWINGING],
+    "scene": [SCENE],
+    "t_end": [0.05, 0.04],
+    "integrator": [STEP, HHT(0.005)],
+    "design": [["rod.height"], [DesignVariable("h", {"rod.height": 2.0})]],
+    "method": [Direct(), Adjoint()],
+    "objective": [OBJECTIVE],
+    "objectives": [[OBJECTIVE, 2 * OBJECTIVE]],
+    "observable": [TIP],
+    "solution": [RUN],
+    "system": [SYSTEM],
+    "after": [RUN],
+    "progress": [False],
+    "settings": [[STEP], [STEP, HHT(0.005)]],
+    "reference": [HHT(0.005)],
+    "repeats": [1],
+    "time_limit": [5.0],
+    "executor": [None],
+    "designs": [[{"rod.height": 0.04}], [[0.04], [0.05]]],
+    "what": [Evaluate(OBJECTIVE, 0.05, STEP)],
+    "functions": [{"tip": OBJECTIVE}],
+    "scale": [1.0, [0.05]],
+    "strict": [True],
+    "count": [1, 2],
+    "at": [None],
+    "start": [None, equilibrium(SCENE)],
+    "max_steps": [50],
+    "runs": [2],
+    "file": [None],
+}
+CALLS = [
+    *(ancfdae.simulate, ancfdae.differentiate, ancfdae.gradient, ancfdae.gradients),
+    *(ancfdae.observe, ancfdae.evaluate, ancfdae.modes, ancfdae.equilibrium),
+    *(ancfdae.static_gradient, ancfdae.error_bars, ancfdae.adjoint_error, ancfdae.tradeoff),
+    *(ancfdae.sweep, ancfdae.mass_properties, ancfdae.suggest_step, ancfdae.Responses, assemble),
+]
+
+
+def number(x: Any) -> bool:
+    real = isinstance(x, int | float | np.integer | np.floating) and not isinstance(x, bool)
+    return real and bool(abs(x) < float("inf")) and x > 0
+
+
+def all_of(kinds: Any) -> Callable[[Any], bool]:
+    # What is empty holds nothing wrong.
+    sized = Sequence | Mapping | np.ndarray
+    return lambda x: isinstance(x, sized) and all(isinstance(each, kinds) for each in x)
+
+
+#: What the parameter of a name may be; another name may be anything.
+VALID: dict[str, Callable[[Any], bool]] = {
+    "model": lambda x: isinstance(x, Scene | MechanicalSystem),
+    "scene": lambda x: isinstance(x, Scene),
+    "t_end": number,
+    "integrator": lambda x: isinstance(x, Integrator),
+    "design": lambda x: x is None or all_of(str | DesignVariable)(x),
+    "method": lambda x: x is None or isinstance(x, GradientMethod | Method),
+    "objective": lambda x: isinstance(x, Objective),
+    "objectives": all_of(Objective),
+    "observable": lambda x: isinstance(x, Observable),
+    "solution": lambda x: isinstance(x, Solution),
+    "system": lambda x: x is None or isinstance(x, MechanicalSystem),
+    "after": lambda x: x is None or isinstance(x, Solution),
+    "progress": lambda x: isinstance(x, bool | np.bool_),
+    "settings": all_of(Integrator),
+    "reference": lambda x: x is None or isinstance(x, Integrator),
+    "repeats": number,
+    "time_limit": lambda x: x is None or number(x),
+    "executor": lambda x: x is None,
+    "functions": lambda x: isinstance(x, Mapping),
+    "strict": lambda x: isinstance(x, bool | np.bool_),
+    "count": number,
+    "at": lambda x: x is None or isinstance(x, Configuration | Equilibrium | Solution),
+    "start": lambda x: x is None or isinstance(x, Equilibrium),
+    "max_steps": number,
+}
+
+
+def parameters(call: Callable[..., Any]) -> list[str]:
+    code = (call.__init__ if isinstance(call, type) else call).__code__
+    names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+    return [name for name in names if name != "self"]
+
+
+def optional(call: Callable[..., Any], name: str) -> bool:
+    function = call.__init__ if isinstance(call, type) else call
+    code, known = function.__code__, function.__kwdefaults__ or {}
+    plain = code.co_varnames[: code.co_argcount][-len(function.__defaults__ or ()) :]
+    if name == "reference":
+        return False  # The default takes 10,000 steps of a stiff beam.
+    return name in known or (bool(function.__defaults__) and name in plain)
+
+
+@st.composite
+def calls(draw: st.DrawFn) -> tuple[Callable[..., Any], dict[str, Any], set[str]]:
+    call = draw(st.sampled_from(CALLS))
+    names = parameters(call)
+    given = {
+        name: draw(st.sampled_from(GOOD[name]))
+        for name in names
+        if name in GOOD and (not optional(call, name) or draw(st.booleans()))
+    }
+    spoiled = set(draw(st.lists(st.sampled_from(names), max_size=2)))
+    # Files are written, and many repeats take long because they are asked for.
+    spoiled -= {"file", "repeats"}
+    for name in sorted(spoiled):
+        given[name] = draw(st.sampled_from(JUNK))
+    return call, given, spoiled
+
+
+@contextmanager
+def at_most(seconds: float) -> Iterator[None]:
+    def strike(*_: object) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, strike)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any], set[str]]:
+    needed = {x: GOOD[x][0] for x in parameters(call) if x in GOOD and not optional(call, x)}
+    return call, needed | junk, set(junk)
+
+
+@settings(max_examples=int(os.environ.get("FUZZ", "60")), deadline=None)
+@given(calls())
+@example(with_junk(ancfdae.simulate, progress="x"))
+@example(with_junk(ancfdae.adjoint_error, progress=object()))
+@example(with_junk(ancfdae.tradeoff, progress=3))
+@example(with_junk(ancfdae.tradeoff, time_limit=1e308))
+@example(with_junk(ancfdae.error_bars, levels=np.zeros(3)))
+@example(with_junk(ancfdae.gradient, model=SYSTEM, design=0.5))
+@example(with_junk(ancfdae.mass_properties, model=SYSTEM, design=int))
+@example(with_junk(ancfdae.sweep, designs=[[0.04]], design=b"x"))
+@example(with_junk(assemble, scene="a.b"))
+def test_calls_answer_or_refuse(call: tuple[Callable[..., Any], dict[str, Any], set[str]]) -> None:
+    function, given, spoiled = call
+    try:
+        with warnings.catch_warnings(), at_most(10.0):
+            warnings.simplefilter("ignore")
+            repr(function(**given))
+    except AncfdaeError:
+        return
+    except TypeError as error:
+        # Python's own word on arguments that are missing.
+        if "required" in str(error):
+            return
+        raise
+    wrong = [name for name in spoiled if name in VALID and not VALID[name](given[name])]
+    assert not wrong, f"{function.__name__} accepted {wrong}: {given}"
