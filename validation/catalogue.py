@@ -18,6 +18,7 @@ from validation.crank_slider import report as crank_slider
 from validation.design import report as design
 from validation.extremes import report as extremes
 from validation.literature import report as literature
+from validation.performance import report as performance
 from validation.report import Report
 
 __all__ = ["CATALOGUE", "Definition"]
@@ -129,5 +130,13 @@ CATALOGUE: tuple[Definition, ...] = (
         "what cost?",
         run=design.run,
         source="other way",
+    ),
+    Definition(
+        name="performance",
+        title="What steps, derivatives, sizes and many runs cost",
+        question="How fast are a step, its derivatives, large scenes, long runs, the start and "
+        "many runs, beside what the project asks of them?",
+        run=performance.run,
+        source="aim",
     ),
 )

@@ -1,0 +1,66 @@
+"""The explicit path: a right-hand side, and a derivative to given accuracies."""
+
+import time
+from functools import partial
+
+import numpy as np
+
+from ancfdae import Explicit, assemble, differentiate, simulate
+from ancfdae.protocol import MechanicalSystem
+from validation.performance.row import Row
+from validation.performance.steps import crank_variables, medians, pendulum_variables
+from validation.scenes import crank_slider, pendulum
+
+__all__ = ["measure"]
+
+_EXACT = 1e-11
+_MOST = 400_000
+
+
+def measure(repeats: int = 5) -> list[Row]:
+    """Return microseconds of a right-hand side, and seconds to an accuracy of E d/dE."""
+    rows = []
+    for what, design, asked in (
+        ("alone", [], "at most 15"),
+        ("with six variables", crank_variables(), "at most 50"),
+    ):
+        system = assemble(crank_slider(), design)
+        evaluations = _evaluations(system)
+        (run,) = medians([partial(_run, system, 1e-6)], repeats)
+        value = 1e6 * run / evaluations
+        rows.append(Row(f"right-hand side {what}, with the solver around it", value, "us", asked))
+    return rows + _pendulum(repeats)
+
+
+def _run(system: MechanicalSystem, rtol: float, t_end: float = 0.02) -> object:
+    explicit = Explicit(rtol, max_steps=_MOST)
+    if system.n_b:
+        return differentiate(system, t_end, explicit)
+    return simulate(system, t_end, explicit)
+
+
+def _evaluations(system: MechanicalSystem) -> int:
+    explicit = Explicit(1e-6, max_steps=_MOST)
+    run = differentiate if system.n_b else simulate
+    return run(system, 0.02, explicit).statistics.residuals
+
+
+def _pendulum(repeats: int) -> list[Row]:
+    """Return the least time, of a few tolerances, that reaches an accuracy of E d/dE at 1 s."""
+    system, rows = assemble(pendulum(), pendulum_variables()), []
+    exact = differentiate(system, 1.0, Explicit(_EXACT, max_steps=_MOST)).sensitivities
+    assert exact is not None
+    size = np.max(np.abs(exact.q_b[-1, :, 0]))
+    for accuracy, asked in ((1e-3, "at most 0.3"), (1e-6, "at most 0.5")):
+        for rtol in accuracy * np.array([10.0, 1.0, 0.1, 0.01]):
+            explicit, times = Explicit(float(rtol), max_steps=_MOST), []
+            for _ in range(repeats):
+                clock = time.process_time()
+                found = differentiate(system, 1.0, explicit).sensitivities
+                times.append(time.process_time() - clock)
+            assert found is not None
+            if np.max(np.abs(found.q_b[-1] - exact.q_b[-1])[:, 0]) <= accuracy * size:
+                what = f"pendulum, E d/dE at 1 s to {accuracy:g} (rtol {rtol:g})"
+                rows.append(Row(what, float(np.median(times)), "s", asked))
+                break
+    return rows

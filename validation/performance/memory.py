@@ -1,0 +1,72 @@
+"""A thousand variables: the adjoint against the dynamics, and within a limit of memory."""
+
+import multiprocessing
+import resource
+import statistics
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from ancfdae import HHT, Adjoint, Integral, assemble, gradient, position, simulate
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import MechanicalSystem
+from validation.performance.row import Row
+from validation.performance.scale import cantilever, variables
+
+__all__ = ["measure"]
+
+_STEP = 2.0**-9
+_LIMIT = "50 MB"
+
+
+def measure(elements: int = 1_000, steps: int = 512, repeats: int = 3) -> list[Row]:
+    """Return the cost of the adjoint of a height per element, its memory, and what a limit does."""
+    found = {limit: _in_a_process(_gradient, elements, steps, limit) for limit in (None, _LIMIT)}
+    ratio = _in_a_process(_ratio, elements, steps, repeats)
+    (whole, peak, _), (parts, limited, taken) = found[None], found[_LIMIT]
+    base = _in_a_process(_gradient, elements, 2, None)[1]
+    away = float(np.max(np.abs(parts - whole)) / np.max(np.abs(whole)))
+    what = f"{elements} variables, {steps} steps"
+    return [
+        Row(f"adjoint against dynamics, {what}", ratio, "-", "at most 1.6"),
+        Row("memory beyond that of two steps, whole run", 1e-6 * (peak - base), "MB"),
+        Row(f"memory beyond that, memory={_LIMIT!r}", 1e-6 * (limited - base), "MB", _LIMIT),
+        Row("steps taken within that limit, of those of the run", taken / steps, "-"),
+        Row("difference of the gradients", away, "-"),
+    ]
+
+
+def _in_a_process(function: Callable[..., Any], *arguments: object) -> Any:
+    """Call in a process of its own, so that its largest memory is that of the call."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
+        return process.submit(function, *arguments).result()
+
+
+def _gradient(elements: int, steps: int, limit: str | None) -> tuple[Array, float, int]:
+    """Return the gradient, the largest memory in bytes, and the steps taken."""
+    system = assemble(cantilever(elements), variables(elements))
+    method = Adjoint(memory=limit)
+    answer = gradient(system, _objective(elements), steps * _STEP, HHT(_STEP), method=method)
+    largest = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # kilobytes, on Linux
+    return answer.gradient, largest, answer.solution.statistics.steps
+
+
+def _ratio(elements: int, steps: int, repeats: int) -> float:
+    """Return the median over alternating runs of gradient against motion."""
+    system: MechanicalSystem = assemble(cantilever(elements), variables(elements))
+    objective, t_end, ratios = _objective(elements), steps * _STEP, []
+    for _ in range(repeats):
+        clock = time.perf_counter()
+        simulate(system, t_end, HHT(_STEP))
+        half = time.perf_counter()
+        gradient(system, objective, t_end, HHT(_STEP), method=Adjoint())
+        ratios.append((time.perf_counter() - half) / (half - clock))
+    return statistics.median(ratios)
+
+
+def _objective(elements: int) -> Integral:
+    beam = cantilever(elements).beams[0]
+    return Integral(position(beam.at(0.03), 1) ** 2)

@@ -1,0 +1,67 @@
+"""From ten to ten thousand spatial elements: assembly, steps and memory of a chain."""
+
+import multiprocessing
+import resource
+import statistics
+import time
+from concurrent.futures import ProcessPoolExecutor
+
+from ancfdae import HHT, Beam, Clamp, Material, Rectangle, Scene, assemble, simulate
+from ancfdae.protocol import MechanicalSystem
+from validation.performance.row import Row, seconds
+
+__all__ = ["cantilever", "measure", "variables"]
+
+_STEP = 2.0**-9
+_MOST = 10_000
+
+
+def cantilever(elements: int) -> Scene:
+    """Return a clamped beam of spatial elements, 0.1 m each, under gravity."""
+    end = (0.1 * elements, 0, 0)
+    section, material = Rectangle(height=0.05, width=0.05), Material(2770, 1e9, 0.3)
+    beam = Beam("beam", (0, 0, 0), end, elements, section, material)
+    return Scene([beam], [Clamp(beam.at_start)], gravity=(0, -9.81, 0))
+
+
+def variables(elements: int) -> list[str]:
+    """Return the heights of all elements as design variables."""
+    return [f"beam.height[{k}]" for k in range(elements)]
+
+
+def measure(repeats: int = 3) -> list[Row]:
+    """Return times of assemblies and steps, and memory; each size in a process of its own."""
+    rows, per_element, memory = [], dict[int, float](), dict[int, float]()
+    for n in (10, 100, 1_000, _MOST):
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, mp_context=context) as process:
+            assembly, step, memory[n] = process.submit(_measured, n, repeats).result()
+        per_element[n] = step / n
+        asked = ("at most 2", "at most 150") if n == _MOST else ("-", "-")
+        rows.append(Row(f"{n} elements assembled", assembly, "s", asked[0]))
+        rows.append(Row(f"step of {n} elements", 1e3 * step, "ms", asked[1]))
+    growth = per_element[_MOST] / per_element[100]
+    rows.append(Row("step per element, 10,000 against 100", growth, "-", "at most 1.5"))
+    more = (memory[_MOST] - memory[1_000]) / (_MOST - 1_000)
+    rows.append(Row("memory of an element, assembled and run", 1e-3 * more, "kB", "at most 40"))
+    design = seconds(lambda: assemble(cantilever(1_000), variables(1_000)), repeats)
+    rows.append(Row("1,000 elements assembled with their heights", design, "s", "at most 1"))
+    return rows
+
+
+def _measured(n: int, repeats: int) -> tuple[float, float, float]:
+    """Return seconds of an assembly and of a step, and the largest memory in bytes."""
+    assembly, steps = seconds(lambda: assemble(cantilever(n)), repeats), max(4, 2_000 // n)
+    system, times = assemble(cantilever(n)), []
+    for _ in range(repeats):
+        clocks = [_seconds_of_run(system, count) for count in (2, 2 + steps)]
+        times.append((clocks[1] - clocks[0]) / steps)
+    # Kilobytes, on Linux.
+    largest = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return assembly, statistics.median(times), largest
+
+
+def _seconds_of_run(system: MechanicalSystem, steps: int) -> float:
+    clock = time.perf_counter()
+    simulate(system, steps * _STEP, HHT(_STEP))
+    return time.perf_counter() - clock
