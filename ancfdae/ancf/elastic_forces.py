@@ -162,20 +162,19 @@ class ElasticForces:
     def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
         """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q).
 
-        mu . W(p_b) Y is p_b . g'(Y, R mu): instants are summed before the invariants of pairs come
-        in.
+        mu . W(p_b) Y is p_b . g'(Y, R mu).
         """
         if not len(self._pair_element):
             return np.zeros(self._n_b)
         block, Y = self._block, self.relative(q)
         V = self.relative(v) if self.damped else None
-        x, r = strain(block.g_o, Y, V, block.tau), gram(Y, self.relative(mu))
-        stiff, damped = slice(self._stiff), slice(self._stiff, None)
-        products = np.matmul(r.transpose(1, 2, 0), x.transpose(1, 0, 2))[self._pair_element[stiff]]
-        per_pair = np.sum(block.A_b * products, axis=(1, 2))
-        per_pair -= np.sum(block.c_b * np.sum(r, axis=0)[self._pair_element[stiff]], axis=1)
+        r, own = gram(Y, self.relative(mu)), self._pair_element[: self._stiff]
+        x = strain(block.g_o, Y, V, block.tau)[:, own]
+        change = elastic.apply_invariant(block.A_b, x) - block.c_b
+        per_pair = np.einsum("kpg,kpg->p", change, r[:, own])
         if V is not None and len(block.damping_pairs):
             rate = np.sum(elastic.apply_invariant(block.A, gram(Y, V)) * r, axis=(0, 2))
+            damped = slice(self._stiff, None)
             weighted = rate[self._pair_element[damped]] * self._pair_weight[damped]
             per_pair = np.concatenate([per_pair, weighted])
         return -np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
