@@ -156,7 +156,7 @@ def test_error_bars_hold(kind):
         bar = np.array([found.value_bar, *found.gradient_bar])
         held.append(error <= bar + 1e-13 * np.abs(exact))
     # A bar is the difference of two runs, and these may err alike by chance: of IDA two of twelve,
-    # in the derivative that is below the tolerance. Without the quadrature none held.
+    # in the derivative that is below the tolerance.
     assert np.sum(held) >= 10, held
 
 

@@ -42,6 +42,47 @@ _CLOSE = 0.5
 _Step: TypeAlias = tuple[Coefficients, Node, float]
 
 
+@final
+class _Equations:
+    """Eqs. (2) to (5) of one step, with what does not change in it formed once."""
+
+    def __init__(self, system: MechanicalSystem, step: _Step, motion: float) -> None:
+        c, before, self._t = step
+        self._system, self._c, self._before = system, c, before
+        self._dq_p, self._v_p = predict_increment(c, before.v, before.a)
+        self._q_p = before.q + self._dq_p
+        chi = share_of_defect(system, c, before.q, motion)
+        self._defect = chi * system.constraint(before.q, before.t) if chi < 1 else None
+
+    def at(self, a: Array, lam: Array) -> tuple[tuple[Array, ...], tuple[Array, Array, Array]]:
+        """Return (q, v, A), and the residual with the reaction and the force that it contains."""
+        system, t, state = self._system, self._t, self._state(a)
+        q, v, A = state
+        reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
+        R = residual(system, self._c, q, A, reaction - Q, self._constraint(q, a))
+        return state, (R, reaction, Q)
+
+    def node(self, a: Array, lam: Array) -> Node:
+        """Return the state after the step."""
+        q, v, A = self._state(a)
+        return Node(self._t, q, v, a, lam, A)
+
+    def _state(self, a: Array) -> tuple[Array, Array, Array]:
+        q, v = correct(self._c, self._q_p, self._v_p, a)
+        return q, v, acceleration(self._c, a, self._before.A)
+
+    def _constraint(self, q: Array, a: Array) -> Array:
+        if self._defect is None:
+            return self._system.constraint(q, self._t)
+        dq = self._dq_p + self._c.in_q * a
+        return self._defect + constraint_increment(self._system, self._c, self._before, dq)
+
+
+def _left(size: float, rate: float, fresh: bool) -> float:
+    """Return the error left after a correction: quadratic convergence squares the rate again."""
+    return size * (min(1.0, rate * rate) if fresh else rate / max(1.0 - rate, 1e-3))
+
+
 class Found(NamedTuple):
     """A solution, and what its next step and its count need.
 
@@ -125,29 +166,17 @@ class StepSolver:
         patience: int = 1,
     ) -> Found | None:
         """Iterate from a guess; corrections above round-off shrink at the allowed rate at least."""
-        c, before, t = step
-        system = self._system
-        dq_p, v_p = predict_increment(c, before.v, before.a)
-        q_p = before.q + dq_p
+        (c, before, t), system, n_q = step, self._system, self._system.n_q
+        equations = _Equations(system, step, self._motion_before(before))
         a, lam = guess
-        is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
         last, settled, motion = math.inf, 0, _JUMP * self._motion_before(before)
-        chi = share_of_defect(system, c, before.q, self._motion_before(before))
-        defect = chi * system.constraint(before.q, before.t) if chi < 1 else None
         slowest, round_off, kept = 0.0, False, jacobian
         # The imaginary part of a complex step lags the real part by one iteration, and one is
         # for its round-off; as a guess it serves as it is. The real part goes its own way.
+        is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
         more = 2 if is_complex and tolerance == self._tolerance else 0
         for _ in range(patience * self.max_iterations + more):
-            q, v = correct(c, q_p, v_p, a)
-            A = acceleration(c, a, before.A)
-            reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
-            if defect is None:
-                Phi = system.constraint(q, t)
-            else:
-                dq = dq_p + (c.beta * c.h**2) * a
-                Phi = defect + constraint_increment(system, c, before, dq)
-            R = residual(system, c, q, A, reaction - Q, Phi)
+            (q, v, A), (R, reaction, Q) = equations.at(a, lam)
             self._recorder.residuals += 1
             self._recorder.iterations += 1
             if not finite(R):
@@ -157,33 +186,25 @@ class StepSolver:
             if jacobian is None:
                 jacobian = self._factor(c, Node(t, q.real, v.real, a.real, lam.real, A.real))
             x = jacobian.solve(R)
-            a, lam = a - x[: system.n_q], lam - x[system.n_q :]
+            a, lam = a - x[:n_q], lam - x[n_q:]
             now = self._motion(a, reaction, Q)
             # A diverging iterate has huge forces; measured against those any correction
             # looks small. So the smallest motion met counts, and no more than a jump from the
             # last accepted step.
             motion = min(motion, now)
-            size = self._size(t, q, x) / motion
+            self.correction = size = self._size(t, q, x) / motion
             rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
-            self.correction = size
             if last < math.inf and size > _ROUND_OFF:
                 slowest = max(slowest, rate)
                 if rate > allowed:
                     break
-            # Error left after the correction: quadratic convergence squares the rate once more.
-            left = size * (min(1.0, rate * rate) if fresh else rate / max(1.0 - rate, 1e-3))
-            stuck = fresh and rate > 0.5 and size <= _ROUND_OFF
-            # Of stiff bodies far from balance corrections are small too: forces must balance.
-            if stuck:
-                stuck = norm(R[: system.n_q], self._inverse_weights) <= _ROUND_OFF * now
-            if left <= tolerance or size <= tolerance or stuck:
+            stuck = fresh and self._stuck(size, rate, R, now)
+            if stuck or _left(size, rate, fresh) <= tolerance or size <= tolerance:
                 settled += 1
                 if settled == 1:
                     kept, round_off = jacobian, stuck or self._blurred(t, q, a, lam)
                 if settled > more:
-                    q, v = correct(c, q_p, v_p, a)
-                    node = Node(t, q, v, a, lam, acceleration(c, a, before.A))
-                    return Found(node, kept, now, round_off, slowest)
+                    return Found(equations.node(a, lam), kept, now, round_off, slowest)
             # The matrix kept from the step before serves one iteration; a fresh one at the
             # improved state then converges in two (measured: 3 iterations and 1 factorisation
             # per step, against 6 and 0.3 with the old matrix throughout, and 1.5 times slower).
@@ -192,6 +213,15 @@ class StepSolver:
             last = size
         self.verdict = Verdict.NO_CONVERGENCE
         return None
+
+    def _stuck(self, size: float, rate: float, R: Array, motion: float) -> bool:
+        """Whether corrections of a fresh matrix are round-off.
+
+        Of stiff bodies far from balance corrections are small too: forces must balance.
+        """
+        if rate <= 0.5 or size > _ROUND_OFF:
+            return False
+        return norm(R[: self._system.n_q], self._inverse_weights) <= _ROUND_OFF * motion
 
     def _factor(self, c: Coefficients, state: Node) -> Factorization:
         self._recorder.factorisations += 1
