@@ -61,6 +61,15 @@ class Comparison:
     tolerance: float
     lower: bool = False
 
+    @classmethod
+    def with_search(
+        cls, what: str, found: Optimisation, search: Optimisation, tolerance: float
+    ) -> "Comparison":
+        """Compare the objective at the optimum with what a search without gradients reached."""
+        source = f"COBYQA, without gradients, {search.runs} runs, {search.seconds:.0f} s"
+        here, there = (float(each.evaluate(each.optimum)[0][0]) for each in (found, search))
+        return cls(what, here, there, source, tolerance, lower=True)
+
     @property
     def apart(self) -> float:
         """Relative difference; what is less where that is as good counts as zero."""
