@@ -72,11 +72,11 @@ def slider_crank(elements: int) -> Scene:
     )
 
 
-def sag(rod: Beam) -> Observable:
+def sag() -> Observable:
     """Return how far the middle of the rod is from the line through its ends; m."""
+    pin, middle, slider = (Point("rod", s) for s in (0.0, 0.5, 1.0))
     (e_x, e_y), (m_x, m_y) = (
-        [position(point, i) - position(rod.at_start, i) for i in (0, 1)]
-        for point in (rod.at_end, rod.at(0.5))
+        [position(point, i) - position(pin, i) for i in (0, 1)] for point in (slider, middle)
     )
     return (e_x * m_y - e_y * m_x) / _ROD
 
@@ -87,14 +87,13 @@ def evaluation(elements: int, steps: int, uniform: bool = False) -> Once:
     Variables: radii of the elements, mm; a single one of all if `uniform`.
     """
     t_end = 2 * np.pi / _SPEED
-    scene = slider_crank(elements)
     one, each = DesignVariable("radius", ["rod.radius"]), distribution("rod.radius", elements)
-    system = assemble(scene, [one] if uniform else each)
+    system = assemble(slider_crank(elements), [one] if uniform else each)
     stress = maximum_stress("rod", _SHARPNESS / _ALLOWED) / _ALLOWED
     asked = [
         Terminal(mass("rod")) / _JONKER,
         SmoothMaximum(stress, _SHARPNESS),
-        SmoothMaximum((sag(scene.beams[0]) / _SAG) ** 2, _SHARPNESS) ** 0.5,
+        SmoothMaximum((sag() / _SAG) ** 2, _SHARPNESS) ** 0.5,
     ]
 
     @Once
@@ -187,7 +186,7 @@ def _findings(ratio: float, found: Optimisation, elements: int, steps: int) -> s
     # Sharper than in the optimisation: within 1 % of the largest stress at any place.
     stress = maximum_stress("rod", 10 * _SHARPNESS / _ALLOWED)
     largest = float(np.max(observe(stress, solution, system))) / _ALLOWED
-    sags = observe(sag(slider_crank(elements).beams[0]), solution, system)
+    sags = observe(sag(), solution, system)
     furthest = float(np.max(np.abs(sags))) / _SAG
     return (
         f"The rod weighs {ratio:.3f} times the lightest uniform one: thick in the middle, thin at "

@@ -44,10 +44,6 @@ class Once:
             self._known[key] = self._function(at)
         return self._known[key]
 
-    def afresh(self) -> "Once":
-        """Return the function with nothing known and no runs counted."""
-        return Once(self._function)
-
 
 @final
 @dataclass(frozen=True)
@@ -165,13 +161,18 @@ def _slsqp(evaluate: Once, x: Array, box: Array, iterations: int, tolerance: flo
 
 
 def searched(
-    evaluate: Once, start: npt.ArrayLike, radius: float, runs: int, bounds: npt.ArrayLike | None = None
+    evaluate: Evaluation,
+    start: npt.ArrayLike,
+    radius: float,
+    runs: int,
+    bounds: npt.ArrayLike | None = None,
 ) -> Optimisation:
     """Minimise row 0 with every other row at most 1 by COBYQA, which asks for no derivatives.
 
     Parameters
     ----------
-    evaluate : Once
+    evaluate : callable
+        As for `Once`.
     start : array_like, shape (n,)
     radius : float
         Of its first trust region; it ends at a thousandth of it.
@@ -179,7 +180,7 @@ def searched(
         At most so many.
     bounds : array_like, shape (n, 2), optional
     """
-    once, clock = evaluate.afresh(), stopwatch()
+    once, clock = Once(evaluate), stopwatch()
     rows = len(once(start)[0])
     limit = {"type": "ineq", "fun": lambda x: 1 - once(x)[0][1:]}
     result = minimize(
@@ -192,6 +193,7 @@ def searched(
             "maxfev": runs,
             "initial_tr_radius": radius,
             "final_tr_radius": 1e-3 * radius,
+            "feasibility_tol": 1e-4,
         },
     )
     return Optimisation.of(once, start, result, clock(), bounds)

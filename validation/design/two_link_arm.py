@@ -14,6 +14,7 @@ from ancfdae import (
     Joint,
     Load,
     Material,
+    Objective,
     Pin,
     Point,
     PointMass,
@@ -21,11 +22,11 @@ from ancfdae import (
     Rectangle,
     Scene,
     SmoothMaximum,
+    Solution,
     Spline,
     Terminal,
     Torque,
     assemble,
-    distribution,
     drive_torque,
     gradients,
     mass,
@@ -46,6 +47,7 @@ _ALLOWED, _TOLERANCE = 40e6, 2e-3  # Pa, m
 _SHOULDER, _ELBOW = np.pi / 3, np.pi / 6
 _TARGET: Final = (0.5 * _LENGTH, (np.sqrt(0.75) + 1.0) * _LENGTH)
 _TIP: Final = Point("lower", 1.0)
+_LINKS, _MOTORS = ("upper", "lower"), ("shoulder", "elbow")
 _MANOEUVRE = 0.5  # s
 _INSTANTS: Final = (0.5, 0.55, 0.6)
 _CONTROLS: Final = (0.0, 0.125, 0.25, 0.375, 0.5)
@@ -95,7 +97,7 @@ def evaluation(elements: int, step: float, driven: bool = False) -> Once:
     system = assemble(arm(elements, driven), design)
     stresses = [maximum_stress(link, _SHARPNESS / _ALLOWED) / _ALLOWED for link in _LINKS]
     misses = [(position(_TIP, i) - _TARGET[i]) / _TOLERANCE for i in (0, 1)]
-    asked = [Terminal(mass("upper") + mass("lower"))]
+    asked: list[Objective] = [Terminal(mass("upper") + mass("lower"))]
     asked += [SmoothMaximum(stress, _SHARPNESS) for stress in stresses]
     asked += [AtTimes(miss, instant) for instant in _INSTANTS for miss in misses]
 
@@ -120,11 +122,11 @@ def optimise(elements: int, step: float, iterations: int) -> Optimisation:
 
 def two_link_arm(quick: bool) -> Case:
     """Return the case."""
-    elements, step, iterations = (1, 0.025, 2) if quick else (2, 0.00625, 100)
+    elements, step, iterations = (1, 0.0125, 1) if quick else (2, 0.00625, 100)
     found = optimise(elements, step, iterations)
-    search = searched(found.evaluate, found.optimum, 0.05, 19 if quick else 60, found.bounds)
+    search = found if quick else searched(found.evaluate, found.optimum, 0.05, 40, found.bounds)
     path = evaluation(elements, step, driven=True)
-    given = searched(path, [2.0, 2.0], 0.2, 8 if quick else 60, [(0.3, 5.0)] * 2)
+    given = searched(path, [2.0, 2.0], 0.2, 6 if quick else 40, [(0.3, 5.0)] * 2)
     return Case(
         key="two-link-arm",
         title="Light two-link arm, links and torques together",
@@ -147,46 +149,75 @@ def two_link_arm(quick: bool) -> Case:
         ],
         panels=_panels(found, given, elements, step),
         caption="The arm on its way, at every tenth of a second, and torques of both motors.",
-        findings=_findings(found, given, elements, step),
+        findings=_findings(found, elements, step),
     )
 
 
 def _responses() -> list[Response]:
-    names = [f"{i} of the tip at {instant:g} s" for instant in _INSTANTS for i in "xy"]
     stresses = [Response(f"stress in the {link} link over 40 MPa", "-", 1.0) for link in _LINKS]
     misses = [
-        Response(f"{sign}miss in {name} over 2 mm", "-", 1.0) for sign in ("", "-") for name in names
+        Response(f"tip {side} its target in {i} at {instant:g} s, over 2 mm", "-", 1.0)
+        for side in ("above", "below")
+        for instant in _INSTANTS
+        for i in "xy"
     ]
     return [Response("mass", "kg"), *stresses, *misses]
 
 
 def _moved(x: Array, elements: int, step: float, driven: bool = False) -> tuple[Scene, Solution]:
-    """Return the motion at what `evaluation` calls x, half a second longer than the manoeuvre."""
+    """Return scene and motion at what `evaluation` calls x."""
     names = [f"{link}.height" for link in _LINKS]
-    names += [f"{motor}.value[{k}]" for motor in _MOTORS for k in (1, 2, 3)]
-    unit = np.array([1e-2] * 2 + [10.0] * 6)[: len(x)]
-    values = {name: float(value) for name, value in zip(names, unit * x, strict=False)}
+    names += [f"{motor}.value[{k}]" for motor in _MOTORS for k in (1, 2, 3)][: len(x) - 2]
+    sizes = np.array([1e-2] * 2 + [10.0] * (len(x) - 2))
+    values = dict[str | DesignVariable, float](zip(names, (sizes * x).tolist(), strict=True))
     scene = arm(elements, driven).with_values(values)
-    return scene, simulate(scene, 2 * _MANOEUVRE, HHT(step))
+    return scene, simulate(scene, _INSTANTS[-1], HHT(step))
 
 
-def _panels(
-    found: Optimisation, given: Optimisation, elements: int, step: float
-) -> list[Panel]:
-    _, solution = _moved(found.optimum, elements, step)
-    arms = []
+def _panels(found: Optimisation, given: Optimisation, elements: int, step: float) -> list[Panel]:
+    _, optimum = _moved(found.optimum, elements, step)
+    scene, led = _moved(given.optimum, elements, step, driven=True)
     points = [Point(link, s) for link in _LINKS for s in np.linspace(0, 1, 5)]
-    for time in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5):
-        at = solution.at([time])
-        arms.append(Series(f"{time:g} s", *np.array([at.position(p)[0] for p in points]).T))
+    arms = []
+    for time in (0.0, 0.125, 0.25, 0.375, 0.5):
+        at = optimum.at([time])
+        x, y = np.array([at.position(point)[0] for point in points]).T
+        arms.append(Series(f"{time:g} s", x, y))
+    t = np.linspace(0, _INSTANTS[-1], 121)
+    controls = 10 * found.optimum[2:].reshape(2, 3)
     exerted = []
-    for name, x, driven in (("optimum", found.optimum, False), ("given path", given.optimum, True)):
-        scene, run = _moved(x, elements, step, driven)
-        for motor in _MOTORS:
-            torque = _torque(scene, run, motor, driven)
-            shown = run.t <= _INSTANTS[-1] + step / 2
-            exerted.append(Series(f"{motor}, {name}", run.t[shown], torque[shown]))
+    for motor, inner in zip(_MOTORS, controls, strict=True):
+        law = Spline(_CONTROLS, [0.0, *inner.tolist(), 0.0])
+        torque = [float(law.derivative(np.array(law.values), time, 0)) for time in t]
+        exerted.append(Series(f"{motor}, optimum", t, torque))
+        torque_led = observe(drive_torque(motor), led, assemble(scene))
+        exerted.append(Series(f"{motor}, given path", led.t, torque_led))
     return [
-        Panel("Arm of the optimum on its way", "x [m]", "y [m]", arms),
+        Panel("Optimal arm on its way", "x [m]", "y [m]", arms),
         Panel("Torques of the motors", "t [s]", "torque [N m]", exerted),
     ]
+
+
+def _findings(found: Optimisation, elements: int, step: float) -> str:
+    _, solution = _moved(found.optimum, elements, step)
+    after = solution.t >= _MANOEUVRE - 0.5 * step
+    miss = np.linalg.norm(solution.position(_TIP)[after] - np.array(_TARGET), axis=1)
+    return (
+        f"The tip stays within {1e3 * np.max(miss):.2g} mm of its target for the tenth of a second "
+        "after the manoeuvre, also between the three instants. The motors may deviate from the "
+        "path, and so start and stop the links more gently than any links on the path can be."
+    )
+
+
+_QUESTION = """
+*After* S. Oral and S. K. Ider, *Comput. Struct.* 65 (1997) 255-259, who ask for the lightest links
+of a fast arm whose motors hold it to a given motion, under limits of stress and of the tip's
+deviation. Here the motors need not: two aluminium links of 0.5 m and 2 cm width, with 0.5 kg at
+elbow and tip, are turned by 60 and 30 degrees within half a second, from rest to rest. Heights of
+the links and torques of both motors, splines through three values each between zeros at both ends,
+are optimised together for the least mass of the links, at 40 MPa at most (a smooth maximum over
+place and time), with x and y of the tip within 2 mm of the target when the manoeuvre ends and 0.05
+and 0.1 s after it. Nothing holds the joints then. Their tables could not be had; so the
+optimum is held against a search without gradients that starts there, and against the lightest
+links, found without gradients, of an arm led on a given path (a polynomial of degree seven).
+"""
