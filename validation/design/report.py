@@ -176,8 +176,11 @@ def _verdict(report: Report, requirements: list[Requirement], quick: bool) -> No
 
 _METHOD = """
 One file each in `validation/design/`: a page that builds scene and variables and calls SciPy, to
-be copied (with `Once` of `validation/design/optimisation.py`, which answers objective,
-constraints and derivatives at one place from one run), and below it what is drawn and compared.
+be copied, and below it what is drawn and compared. What the pages share is in
+`validation/design/optimisation.py`: `Once` answers objective, constraints and derivatives at one
+place from one run, and `constrained` is SLSQP within boxes that follow it, because far from where
+it linearised mechanisms vibrate differently. Searches without gradients are COBYQA of SciPy; their
+runs compute gradients, too, and do not use them.
 Gradients are discrete adjoints unless stated. *Gradient* is the largest difference of an entry of
 the Jacobian from central differences of the very call, over the largest entry of its row, at the
 start and at the optimum. *Optimality* is what remains of the gradient of the objective when
@@ -196,6 +199,9 @@ To the question: not everywhere; see the rows with NO.
 """
 
 _LIMITS = """
+- Optima belong to the meshes and steps named in the pages: two to six elements a beam.
+- The search without gradients for the arm starts at the optimum: it shows that nothing near it is
+  better, not that nothing else is.
 - Optima are local. Where vibrations matter the constraints have several valleys, and another start
   may end in another.
 - Smooth maxima over time lie below the largest value, by some per cent at the sharpness used;

@@ -148,7 +148,7 @@ def two_link_arm(quick: bool) -> Case:
             ),
         ],
         panels=_panels(found, given, elements, step),
-        caption="The arm on its way, at every tenth of a second, and torques of both motors.",
+        caption="The arm on its way at five instants, and torques of both motors.",
         findings=_findings(found, elements, step),
     )
 
