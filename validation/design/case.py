@@ -145,8 +145,9 @@ class Case:
 def gradient_check(case: Case, x: Array, variables: int | None = None, step: float = 1e-5) -> float:
     """Return how far the Jacobian is from central differences of the very call.
 
-    The largest entry of the difference, relative to the largest of its row; columns are scaled by
-    the sizes of the variables. Only the first `variables` are moved, if given.
+    The largest entry of the difference, relative to the largest of its row there or at the start,
+    as a gradient vanishes where nothing constrains an optimum; columns are scaled by the sizes of
+    the variables. Only the first `variables` are moved, if given.
     """
     sizes = case.sizes_or_start()
     exact = (case.found.evaluate(x)[1] * sizes)[:, :variables]
@@ -155,7 +156,8 @@ def gradient_check(case: Case, x: Array, variables: int | None = None, step: flo
         above, below = case.found.evaluate(x + move)[0], case.found.evaluate(x - move)[0]
         columns.append((above - below) / (2 * step))
     apart = np.max(np.abs(np.transpose(columns) - exact), axis=1)
-    return float(np.max(apart / np.max(np.abs(exact), axis=1)))
+    slopes = np.abs([exact, (case.found.evaluate(case.found.start)[1] * sizes)[:, :variables]])
+    return float(np.max(apart / np.max(slopes, axis=(0, 2))))
 
 
 def optimality(case: Case) -> float:

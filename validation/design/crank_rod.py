@@ -133,7 +133,7 @@ def crank_rod(quick: bool) -> Case:
         comparisons=[
             Comparison.with_search("mass over that of the rod of 6 mm", found, search, 1e-3),
             Comparison(
-                "the same",
+                "mass over that of the rod of 6 mm, not uniform",
                 lightest,
                 (radius / _RADIUS) ** 2,
                 f"the lightest uniform rod, of {radius:.3f} mm",

@@ -181,9 +181,9 @@ be copied, and below it what is drawn and compared. What the pages share is in
 place from one run, and `constrained` is SLSQP within boxes that follow it, because far from where
 it linearised mechanisms vibrate differently. Searches without gradients are COBYQA of SciPy; their
 runs compute gradients, too, and do not use them.
-Gradients are discrete adjoints unless stated. *Gradient* is the largest difference of an entry of
-the Jacobian from central differences of the very call, over the largest entry of its row, at the
-start and at the optimum. *Optimality* is what remains of the gradient of the objective when
+Gradients are discrete adjoints, but those of sums of squares, which are by direct differentiation.
+*Gradient* is the largest difference of an entry of the Jacobian from central differences of the
+very call, over the largest entry of its row there or at the start. *Optimality* is what remains of the gradient of the objective when
 active constraints and bounds have taken their part with multipliers of the right sign, over that
 gradient at the start. A run is one simulation with all its gradients. CPU is processor time of
 the optimisation alone.

@@ -122,7 +122,7 @@ def optimise(elements: int, step: float, iterations: int) -> Optimisation:
 
 def two_link_arm(quick: bool) -> Case:
     """Return the case."""
-    elements, step, iterations = (1, 0.0125, 1) if quick else (2, 0.00625, 100)
+    elements, step, iterations = (1, 0.00625, 1) if quick else (2, 0.00625, 100)
     found = optimise(elements, step, iterations)
     search = found if quick else searched(found.evaluate, found.optimum, 0.05, 40, found.bounds)
     path = evaluation(elements, step, driven=True)
@@ -139,7 +139,7 @@ def two_link_arm(quick: bool) -> Case:
         comparisons=[
             Comparison.with_search("mass [kg]", found, search, 1e-3),
             Comparison(
-                "the same [kg]",
+                "mass off the given path [kg]",
                 float(found.evaluate(found.optimum)[0][0]),
                 float(given.evaluate(given.optimum)[0][0]),
                 f"motors on the given path, heights by COBYQA, {given.runs} runs",
