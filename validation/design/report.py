@@ -183,10 +183,10 @@ it linearised mechanisms vibrate differently. Searches without gradients are COB
 runs compute gradients, too, and do not use them.
 Gradients are discrete adjoints, but those of sums of squares, which are by direct differentiation.
 *Gradient* is the largest difference of an entry of the Jacobian from central differences of the
-very call, over the largest entry of its row there or at the start. *Optimality* is what remains of the gradient of the objective when
-active constraints and bounds have taken their part with multipliers of the right sign, over that
-gradient at the start. A run is one simulation with all its gradients. CPU is processor time of
-the optimisation alone.
+very call, over the largest entry of its row there or at the start. *Optimality* is what remains of
+the gradient of the objective when active constraints and bounds have taken their part with
+multipliers of the right sign, over that gradient at the start. A run is one simulation with all
+its gradients. CPU is processor time of the optimisation alone.
 """
 
 _YES = """
