@@ -160,6 +160,15 @@ def test_a_law_of_a_users_own_is_its_function():
     assert not np.any(UserLaw(lambda t, a: a, (3.0,)).at(t, 1))
 
 
+def test_user_law_divides_by_whole_numbers_and_by_functions():
+    t = np.array([0.25, 1.5])
+    halved = UserLaw(lambda t: t * t / 2 + 1 / (t + 1))
+    assert np.allclose(halved.at(t, 0), t**2 / 2 + 1 / (t + 1), rtol=1e-14)
+    # Derivatives of t^2/2 are t, 1, 0; those of 1/(t + 1) are -1, 2 and -6 over its powers.
+    for order, expected in ((1, t - (t + 1) ** -2), (2, 1 + 2 * (t + 1) ** -3)):
+        assert np.allclose(halved.at(t, order), expected, rtol=1e-14)
+
+
 # ---------------------------------------------------------------- refusals
 
 

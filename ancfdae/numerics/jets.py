@@ -84,7 +84,9 @@ class Jet(NDArrayOperatorsMixin):
         if plain and ufunc in (np.multiply, np.matmul):
             return _product(ufunc, *inputs)
         if plain and ufunc is np.divide:
-            return _product(np.multiply, inputs[0], np.reciprocal(inputs[1]))
+            x, y = inputs
+            # The reciprocal of a whole number, which NumPy takes as a whole number, is zero.
+            return _product(np.multiply, x, np.reciprocal(y) if isinstance(y, Jet) else 1.0 / y)
         if plain and ufunc is np.power:
             return self._power(*inputs)
         if plain and ufunc in _DERIVATIVES:

@@ -1,6 +1,6 @@
 """What the report says of one optimisation, and the checks that are the same for all."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -60,6 +60,21 @@ class Comparison:
     source: str
     tolerance: float
     lower: bool = False
+
+    @classmethod
+    def with_search(
+        cls,
+        what: str,
+        found: Optimisation,
+        search: Optimisation,
+        tolerance: float,
+        told: Callable[[float], float] = float,
+    ) -> "Comparison":
+        """Compare the objective, as `told`, with what a search without gradients reached."""
+        begin = "from the start" if np.array_equal(search.start, found.start) else "from here"
+        source = f"COBYQA, without gradients, {begin}, {search.runs} runs, {search.seconds:.0f} s"
+        here, there = (told(each.evaluate(each.optimum)[0][0]) for each in (found, search))
+        return cls(what, here, there, source, tolerance, lower=True)
 
     @property
     def apart(self) -> float:
@@ -127,20 +142,22 @@ class Case:
         return [name for name, is_on in zip(self.variables, on, strict=True) if is_on]
 
 
-def gradient_check(case: Case, x: Array, step: float = 1e-5) -> float:
+def gradient_check(case: Case, x: Array, variables: int | None = None, step: float = 1e-5) -> float:
     """Return how far the Jacobian is from central differences of the very call.
 
-    The largest entry of the difference, relative to the largest of its row; columns are scaled by
-    the sizes of the variables.
+    The largest entry of the difference, relative to the largest of its row there or at the start,
+    as a gradient vanishes where nothing constrains an optimum; columns are scaled by the sizes of
+    the variables. Only the first `variables` are moved, if given.
     """
     sizes = case.sizes_or_start()
-    exact = case.found.evaluate(x)[1] * sizes
+    exact = (case.found.evaluate(x)[1] * sizes)[:, :variables]
     columns = []
-    for move in np.diag(step * sizes):
+    for move in np.diag(step * sizes)[:variables]:
         above, below = case.found.evaluate(x + move)[0], case.found.evaluate(x - move)[0]
         columns.append((above - below) / (2 * step))
     apart = np.max(np.abs(np.transpose(columns) - exact), axis=1)
-    return float(np.max(apart / np.max(np.abs(exact), axis=1)))
+    slopes = np.abs([exact, (case.found.evaluate(case.found.start)[1] * sizes)[:, :variables]])
+    return float(np.max(apart / np.max(slopes, axis=(0, 2))))
 
 
 def optimality(case: Case) -> float:

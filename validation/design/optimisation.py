@@ -7,8 +7,11 @@ from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import OptimizeResult, minimize
 
-__all__ = ["Array", "Evaluation", "Once", "Optimisation", "stopwatch"]
+from ancfdae import UnfinishedRun
+
+__all__ = ["Array", "Evaluation", "Once", "Optimisation", "constrained", "searched", "stopwatch"]
 
 Array = npt.NDArray[np.float64]
 Evaluation = Callable[[Array], tuple[Array, Array]]
@@ -16,7 +19,7 @@ Evaluation = Callable[[Array], tuple[Array, Array]]
 
 @final
 class Once:
-    """A function that answers again without a run where it is asked at the same place.
+    """A function that answers again without a run where it was asked before.
 
     SciPy asks for the objective, the constraints and the derivatives of both one after the other;
     one run answers all.
@@ -29,16 +32,17 @@ class Once:
 
     def __init__(self, function: Evaluation) -> None:
         self._function = function
-        self._last: tuple[Array, tuple[Array, Array]] | None = None
+        self._known: dict[bytes, tuple[Array, Array]] = {}
         self.runs = 0
 
     def __call__(self, x: npt.ArrayLike) -> tuple[Array, Array]:
         """Return values and Jacobian."""
         at = np.array(x, dtype=float)
-        if self._last is None or not np.array_equal(at, self._last[0]):
-            self._last = at, self._function(at)
+        key = at.tobytes()
+        if key not in self._known:
             self.runs += 1
-        return self._last[1]
+            self._known[key] = self._function(at)
+        return self._known[key]
 
 
 @final
@@ -95,3 +99,101 @@ def stopwatch() -> Callable[[], float]:
     """Return a function that tells the processor time since now; s."""
     begin = time.process_time()
     return lambda: time.process_time() - begin
+
+
+def constrained(
+    evaluate: Once,
+    start: npt.ArrayLike,
+    bounds: npt.ArrayLike,
+    move: float,
+    iterations: int,
+    tolerance: float = 1e-7,
+) -> Optimisation:
+    """Minimise row 0 with every other row at most 1, by SLSQP in boxes.
+
+    Its line search believes what the linear model promises far away, where mechanisms vibrate
+    differently or runs do not finish. So it may go by `move` from where it stands, then on from
+    where it ended, until it ends inside the box; a run that does not finish halves the box.
+
+    Parameters
+    ----------
+    evaluate : Once
+    start : array_like, shape (n,)
+    bounds : array_like, shape (n, 2)
+    move : float
+        Half a side of a box, in the unit of the variables.
+    iterations : int
+        In all boxes together.
+    tolerance : float, optional
+        Change of the objective at which SLSQP ends.
+    """
+    x, limits, clock = np.asarray(start, dtype=float), np.asarray(bounds, dtype=float), stopwatch()
+    done, inside = 0, False
+    while done < iterations and not inside:
+        box = np.clip(np.stack([x - move, x + move], 1), limits[:, :1], limits[:, 1:])
+        try:
+            result = _slsqp(evaluate, x, box, iterations - done, tolerance)
+        except UnfinishedRun:
+            move /= 2
+            done += 1
+            continue
+        done += max(result.nit, 1)
+        at_edge = np.isclose(result.x[:, None], box) & (box != limits)
+        x, inside = result.x, bool(result.success and not np.any(at_edge))
+    found = OptimizeResult(x=x, nit=done, success=inside)
+    return Optimisation.of(evaluate, start, found, clock(), bounds)
+
+
+def _slsqp(evaluate: Once, x: Array, box: Array, iterations: int, tolerance: float) -> Any:
+    return minimize(
+        lambda x: evaluate(x)[0][0],
+        x,
+        jac=lambda x: evaluate(x)[1][0],
+        method="SLSQP",
+        bounds=box,
+        constraints={
+            "type": "ineq",
+            "fun": lambda x: 1 - evaluate(x)[0][1:],
+            "jac": lambda x: -evaluate(x)[1][1:],
+        },
+        options={"maxiter": iterations, "ftol": tolerance},
+    )
+
+
+def searched(
+    evaluate: Evaluation,
+    start: npt.ArrayLike,
+    radius: float,
+    runs: int,
+    bounds: npt.ArrayLike | None = None,
+) -> Optimisation:
+    """Minimise row 0 with every other row at most 1 by COBYQA, which asks for no derivatives.
+
+    Parameters
+    ----------
+    evaluate : callable
+        As for `Once`.
+    start : array_like, shape (n,)
+    radius : float
+        Of its first trust region; it ends at a thousandth of it.
+    runs : int
+        At most so many.
+    bounds : array_like, shape (n, 2), optional
+    """
+    once, clock = Once(evaluate), stopwatch()
+    rows = len(once(start)[0])
+    limit = {"type": "ineq", "fun": lambda x: 1 - once(x)[0][1:]}
+    result = minimize(
+        lambda x: once(x)[0][0],
+        np.asarray(start, dtype=float),
+        method="COBYQA",
+        bounds=bounds,
+        constraints=[limit] if rows > 1 else [],
+        options={
+            "maxfev": runs,
+            "initial_tr_radius": radius,
+            "final_tr_radius": 1e-3 * radius,
+            "feasibility_tol": 1e-4,
+        },
+    )
+    return Optimisation.of(once, start, result, clock(), bounds)
