@@ -36,6 +36,11 @@ INJECTIONS = [
         "import sksundae",
         "Only ancfdae.integrators.sundials.ida imports sksundae",
     ),
+    (
+        "api/responses.py",
+        "import openmdao",
+        "Only ancfdae.openmdao imports openmdao",
+    ),
     ("integrators/start.py", "from ancfdae.integrators import hht", "Layers of the integrators"),
     (
         "integrators/step_control/march.py",
