@@ -1,0 +1,78 @@
+"""Settings of the site: ``python -m sphinx -W docs out/site`` with the extra `docs`."""
+
+import os
+from pathlib import Path
+
+import ancfdae
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+HERE = Path(__file__).parent
+
+project = "ancfdae"
+author = "ancfdae developers"
+release = version = ancfdae.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.viewcode",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["tutorial", "gallery"]  # The gallery reads them and writes below `made`.
+myst_enable_extensions = ["colon_fence", "attrs_inline"]
+myst_heading_anchors = 3
+highlight_language = "none"  # Indented blocks are formulas.
+nitpicky = True
+default_role = "py:obj"  # `Pin` in a docstring is a link,
+nitpick_ignore_regex = [("py:obj", ".*")]  # and `q_b` a word in type of code.
+
+autodoc_typehints = "none"  # They stand in the docstrings, in words and with units.
+numpydoc_show_class_members = False
+python_maximum_signature_line_length = 90
+add_module_names = False
+# The words of numpydoc's types are no names.
+numpydoc_xref_param_type = False
+
+# Read from files of the checkout, so that a build needs no network; the links are the real ones.
+intersphinx_mapping = {
+    name: (address, str(HERE / "inventories" / f"{name}.inv"))
+    for name, address in {
+        "python": "https://docs.python.org/3",
+        "numpy": "https://numpy.org/doc/stable",
+        "scipy": "https://docs.scipy.org/doc/scipy",
+        "matplotlib": "https://matplotlib.org/stable",
+    }.items()
+}
+
+sphinx_gallery_conf = {
+    "examples_dirs": ["tutorial", "gallery"],
+    "gallery_dirs": ["made/tutorial", "made/gallery"],
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "only_warn_on_example_error": False,
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "show_memory": False,
+    "show_signature": False,
+    "image_srcset": ["2x"],
+}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "ancfdae"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_theme_options = {
+    "show_prev_next": True,
+    "navigation_with_keys": False,
+    "show_nav_level": 1,
+    "header_links_before_dropdown": 7,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "navbar_end": ["theme-switcher"],
+}
+html_sidebars = {"index": []}
