@@ -1,9 +1,12 @@
 """Settings of the site: ``python -m sphinx -W docs out/site`` with the extra `docs`."""
 
 import os
+import sys
 from pathlib import Path
 
 import ancfdae
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 HERE = Path(__file__).parent
@@ -51,6 +54,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": ["made/tutorial", "made/gallery"],
     "filename_pattern": r"\.py$",
     "within_subsection_order": "FileNameSortKey",
+    "image_scrapers": ("pictures",),
     "abort_on_example_error": True,
     "only_warn_on_example_error": False,
     "download_all_examples": False,

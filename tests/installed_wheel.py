@@ -1,4 +1,4 @@
-"""Builds sdist and wheel and uses the wheel alone, in an environment of its own.
+"""Builds sdist and wheel and uses the wheel alone: README's program and the tutorial.
 
 Run as ``python tests/installed_wheel.py`` from the checkout. The wheel is built from the sdist,
 so that a file missing there is missed here.
@@ -11,6 +11,8 @@ import zipfile
 from pathlib import Path
 
 from test_readme import README, ROOT, python_blocks
+
+TUTORIAL = ROOT / "docs" / "tutorial"
 
 # Imports every module, so that none needs the checkout or an extra.
 IMPORT_ALL = """
@@ -46,7 +48,9 @@ def main() -> None:
         run(sys.executable, "-m", "venv", "clean", folder=folder)
         python = folder / "clean" / "bin" / "python"
         run(python, "-m", "pip", "install", "--quiet", wheel, folder=folder)
-        for program in (IMPORT_ALL, python_blocks("README.md", README.read_text())[0].code):
+        first = python_blocks("README.md", README.read_text())[0].code
+        tutorial = [path.read_text() for path in sorted(TUTORIAL.glob("step_*.py"))]
+        for program in (IMPORT_ALL, first, *tutorial):
             # Isolated: neither the checkout nor PYTHONPATH is seen.
             run(python, "-I", "-W", "error", "-c", program, folder=folder)
 
