@@ -1,18 +1,15 @@
 """Settings of the site: ``python -m sphinx -W docs out/site`` with the extra `docs`."""
 
-import os
 import sys
 from pathlib import Path
 
 import ancfdae
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # For `pictures`.
 
 project = "ancfdae"
-author = "ancfdae developers"
+author = project_copyright = "ancfdae developers"
 release = version = ancfdae.__version__
 
 extensions = [
@@ -45,7 +42,6 @@ intersphinx_mapping = {
         "python": "https://docs.python.org/3",
         "numpy": "https://numpy.org/doc/stable",
         "scipy": "https://docs.scipy.org/doc/scipy",
-        "matplotlib": "https://matplotlib.org/stable",
     }.items()
 }
 
@@ -56,12 +52,10 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("pictures",),
     "abort_on_example_error": True,
-    "only_warn_on_example_error": False,
     "download_all_examples": False,
     "remove_config_comments": True,
     "show_memory": False,
     "show_signature": False,
-    "image_srcset": ["2x"],
 }
 
 html_theme = "pydata_sphinx_theme"
