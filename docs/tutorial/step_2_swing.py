@@ -32,26 +32,13 @@ print(tip.shape, f"lowest point {tip[:, 1].min():.4f} m, largest force {abs(forc
 system = assemble(scene)
 moving = observe(kinetic_energy(), solution, system)
 strained = observe(strain_energy(), solution, system)
-save(
-    draw(
-        [
-            Panel(
-                "The tip falls",
-                "time [s]",
-                "place [m]",
-                [Series("x", solution.t, tip[:, 0]), Series("y", solution.t, tip[:, 1])],
-            ),
-            Panel(
-                "Energy of motion and of strain",
-                "time [s]",
-                "energy [J]",
-                [Series("kinetic", solution.t, moving), Series("strain", solution.t, strained)],
-            ),
-        ],
-        columns=2,
-    ),
-    "step_2",
-)
+places = [Series("x", solution.t, tip[:, 0]), Series("y", solution.t, tip[:, 1])]
+energies = [Series("kinetic", solution.t, moving), Series("strain", solution.t, strained)]
+panels = [
+    Panel("The tip falls", "time [s]", "place [m]", places),
+    Panel("Energy of motion and of strain", "time [s]", "energy [J]", energies),
+]
+save(draw(panels, columns=2), "step_2")
 
 # %%
 # A solution is written to a file by ``solution.save("swing.npz")`` and read back by

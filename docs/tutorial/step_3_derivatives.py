@@ -29,21 +29,10 @@ y = solution.position(beam.at_end)[:, 1]
 y_b = solution.derivative(lambda run: run.position(beam.at_end)[:, 1])
 change = 0.01 * solution.sensitivities.values * y_b
 print(f"one per cent of height moves the tip by up to {1e3 * abs(change[:, 0]).max():.2f} mm")
-save(
-    draw(
-        [
-            Panel("Height of the tip", "time [s]", "y [m]", [Series("y", solution.t, y)]),
-            Panel(
-                "What one per cent changes",
-                "time [s]",
-                "change of y [m]",
-                [Series(name, solution.t, change[:, i]) for i, name in enumerate(design)],
-            ),
-        ],
-        columns=2,
-    ),
-    "step_3",
-)
+height = Panel("Height of the tip", "time [s]", "y [m]", [Series("y", solution.t, y)])
+curves = [Series(name, solution.t, change[:, i]) for i, name in enumerate(design)]
+changes = Panel("What one per cent changes", "time [s]", "change of y [m]", curves)
+save(draw([height, changes], columns=2), "step_3")
 
 # %%
 # An objective is one number of a run: here how much the beam bends, the root of the mean square
@@ -51,12 +40,13 @@ save(
 
 bent = np.sqrt(Integral(deflection(beam.at_end, beam.at_start) ** 2) / 0.5)
 found = gradient(scene, bent, 0.5, HHT(2**-9), design=design)
-print(f"bends by {1e3 * found.value:.3f} mm;", dict(zip(found.names, found.gradient, strict=True)))
+print(f"bends by {1e3 * found.value:.3f} mm")
+for name, slope in zip(found.names, found.gradient, strict=True):
+    print(f"d/d({name}) = {slope: .4e}")
 
 # %%
 # Do not believe a gradient, test it: `taylor_test` compares it with runs at changed designs. What
 # is left must fall with the square of the change; the order is 2.
 
-print(
-    f"order of what is left: {taylor_test(scene, bent, 0.5, HHT(2**-9), design=design).order:.3f}"
-)
+tested = taylor_test(scene, bent, 0.5, HHT(2**-9), design=design)
+print(f"order of what is left: {tested.order:.3f}")

@@ -47,23 +47,10 @@ print(
 print(
     f"the motor needs up to {abs(torque).max():.2f} N m, the rod up to {stress.max() / 1e6:.1f} MPa"
 )
-save(
-    draw(
-        [
-            Panel(
-                "Slider",
-                "time [s]",
-                "deviation [mm]",
-                [Series("deviation", solution.t, 1e3 * (slider - rigid))],
-            ),
-            Panel(
-                "Largest stress in the rod",
-                "time [s]",
-                "stress [MPa]",
-                [Series("stress", solution.t, stress / 1e6)],
-            ),
-        ],
-        columns=2,
-    ),
-    "step_5",
-)
+strays = Series("deviation", solution.t, 1e3 * (slider - rigid))
+loaded = Series("stress", solution.t, stress / 1e6)
+panels = [
+    Panel("Slider against that of a rigid rod", "time [s]", "deviation [mm]", [strays]),
+    Panel("Largest stress in the rod", "time [s]", "stress [MPa]", [loaded]),
+]
+save(draw(panels, columns=2), "step_5")
