@@ -7,6 +7,7 @@ exception but an `Outcome`, so that what was computed stays usable.
 
 from __future__ import annotations
 
+import importlib
 import math
 import pickle
 from collections.abc import Iterable
@@ -71,6 +72,11 @@ class UnknownName(InvalidInput):
     def __init__(self, where: str, name: object, known: Iterable[str]) -> None:
         listed = ", ".join(sorted(known)) or "(none)"
         super().__init__(where, "must be a known name", repr(name), f"Known names: {listed}.")
+
+
+@final
+class MissingPackage(AncfdaeError, ImportError):
+    """An optional package that is not installed; the message says how to install it."""
 
 
 @final
@@ -161,6 +167,17 @@ class Outcome:
             f"a last relative residual of {self.residual:.3g}; results up to there are kept."
         )
         return f"{text} {self.advice}" if self.advice else text
+
+
+def require_package(where: str, module: str, extra: str) -> Any:
+    """Import a module of an optional package; raise MissingPackage, naming the extra with it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise MissingPackage(
+            f'{where}: needs the package {package}. Install it with pip install "ancfdae[{extra}]".'
+        ) from error
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:

@@ -1,5 +1,6 @@
 """Integrators, and the consistent start that all of them share."""
 
+from ancfdae.errors import MissingPackage
 from ancfdae.integrators.explicit import Explicit
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.integrand import Density, Integrand, PartialIntegral, Points
@@ -11,7 +12,6 @@ from ancfdae.integrators.integrator import (
 )
 from ancfdae.integrators.static import Static
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
-from ancfdae.integrators.sundials.bindings import MissingPackage
 from ancfdae.integrators.sundials.ida import IDA
 from ancfdae.integrators.sundials.idas import IDAS
 from ancfdae.integrators.sundials.index_reduced import IndexReduction

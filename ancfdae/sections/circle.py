@@ -46,6 +46,10 @@ class Circle(Section):
         """Points around the circumference."""
         return _around(sizes[:, 0])
 
+    def contour(self, sizes: Array) -> tuple[Array, Array]:
+        """Return a polygon."""
+        return _polygon(sizes[:, 0])
+
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """Cowper (1966)."""
         factor = 6 * (1 + nu) / (7 + 6 * nu)
@@ -98,6 +102,10 @@ class Tube(Section):
         """Points around the circumference."""
         return _around(sizes[:, 0])
 
+    def contour(self, sizes: Array) -> tuple[Array, Array]:
+        """Return a polygon."""
+        return _polygon(sizes[:, 0])
+
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """Cowper (1966); m is the ratio of inner to outer radius."""
         m = 1 - sizes[:, 1] / sizes[:, 0]
@@ -116,6 +124,12 @@ def _around(radius: Array) -> tuple[Array, Array]:
     """Points at equal angles: of stresses linear in y and z none misses the largest by 2 %."""
     angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
     return radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
+
+
+def _polygon(radius: Array) -> tuple[Array, Array]:
+    """Points at equal angles from the bottom on, none of them at the bottom itself."""
+    angle = 2 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
+    return -radius[:, None] * np.cos(angle), -radius[:, None] * np.sin(angle)
 
 
 def _annulus(inner: Array, outer: Array, fine: bool) -> SectionPoints:

@@ -92,6 +92,19 @@ class Section(abc.ABC):
     def outline(self, sizes: Array) -> tuple[Array, Array]:
         """Return y and z of the points of the contour where stresses are largest, (n, n_o) each."""
 
+    def contour(self, sizes: Array) -> tuple[Array, Array]:
+        """Return y and z of the outer contour, for pictures, shape (n, n_c) each.
+
+        Points run up in y on one side and down on the other, where the i-th from the end is level
+        with the i-th: strips between the two fill the section.
+        """
+        y, z = self.outline(sizes)
+        bottom, top, left, right = y.min(axis=1), y.max(axis=1), z.min(axis=1), z.max(axis=1)
+        return (
+            np.stack([bottom, top, top, bottom], axis=1),
+            np.stack([left, left, right, right], axis=1),
+        )
+
     @abc.abstractmethod
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """Shear factors along y and z for Poisson's ratio nu, shape (n,) each."""

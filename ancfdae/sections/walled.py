@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from ancfdae.numerics.arrays import Array
 from ancfdae.sections.rectangle import corners, rectangle_torsion, rectangles_points
 from ancfdae.sections.section import Section, SectionPoints, require_smaller
@@ -110,6 +112,14 @@ class ISection(_Walled):
     def _webs(self) -> int:
         """One web."""
         return 1
+
+    def contour(self, sizes: Array) -> tuple[Array, Array]:
+        """Return the twelve corners."""
+        h, w, t_w, t_f = sizes.T
+        top, inner = h / 2, h / 2 - t_f
+        y = np.stack([-top, -inner, -inner, inner, inner, top], axis=1)
+        z = -np.stack([w, w, t_w, t_w, w, w], axis=1) / 2
+        return np.concatenate([y, y[:, ::-1]], axis=1), np.concatenate([z, -z[:, ::-1]], axis=1)
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
         """Gauss points of flanges and web."""

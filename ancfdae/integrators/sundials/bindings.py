@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
 
-from ancfdae.errors import AncfdaeError, Verdict
+from ancfdae.errors import AncfdaeError, MissingPackage, Verdict
 from ancfdae.integrators.high_order import NotFinite
 
 _RECOVERABLE, _FATAL = 1, -1
@@ -25,11 +25,6 @@ _FAILURES = {
     **dict.fromkeys((-6, -7), Verdict.SINGULAR),
     **dict.fromkeys((-8, -9, -12, -41, -42), Verdict.NOT_FINITE),
 }
-
-
-@final
-class MissingPackage(AncfdaeError, ImportError):
-    """An optional package that is not installed; the message says how to install it."""
 
 
 @final

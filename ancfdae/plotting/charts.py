@@ -1,4 +1,4 @@
-"""Line plots for reports: the one module that imports matplotlib.
+"""Line plots for reports.
 
 A plot is declared as data (`Series` in `Panel`), drawn by `draw` and written by `save`. Neither
 uses pyplot, so no figure stays open and no backend is chosen for the rest of the process.
@@ -33,7 +33,7 @@ __all__ = ["Figure", "Panel", "Scale", "Series", "draw", "save"]
 Scale = Literal["linear", "log"]
 
 # Okabe and Ito (2008), without the yellow: it is too faint for a line on white.
-_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
 _DASHES: Final = ((5.0, 2.0), (1.2, 1.0), (5.0, 2.5, 1.2, 2.5))
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
 _PANEL_SIZE: Final = (6.4, 4.0)  # inches
@@ -138,13 +138,7 @@ class Panel:
             )
         where = f"Panel {self.title!r}"
         for label in (self.x_label, self.y_label):
-            if not _UNIT.match(label):
-                raise InvalidInput(
-                    where,
-                    "an axis label must end with its unit in brackets",
-                    repr(label),
-                    "Write 't [s]', or 'n [-]' for a number without unit.",
-                )
+            require_unit(where, label)
         for scale in (self.x_scale, self.y_scale):
             if scale not in ("linear", "log"):
                 raise InvalidInput(
@@ -191,7 +185,7 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
     columns = min(columns, len(panels))
     rows = math.ceil(len(panels) / columns)
     width, height = _PANEL_SIZE[0] * columns, _PANEL_SIZE[1] * rows
-    with _settings():
+    with settings():
         figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
         entries: dict[str, Line2D] = {}
         for number, panel in enumerate(panels, start=1):
@@ -219,13 +213,24 @@ def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     svg, png = path.with_name(path.name + ".svg"), path.with_name(path.name + ".png")
-    with _settings():
+    with settings():
         figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": "ancfdae"})
         figure.savefig(png, format="png", metadata={"Software": "ancfdae"})
     return svg, png
 
 
-def _settings() -> AbstractContextManager[None]:
+def require_unit(where: str, label: object) -> None:
+    """Refuse a label of an axis without a unit."""
+    if not isinstance(label, str) or not _UNIT.match(label):
+        raise InvalidInput(
+            where,
+            "an axis label must end with its unit in brackets",
+            repr(label),
+            "Write 't [s]', or 'n [-]' for a number without unit.",
+        )
+
+
+def settings() -> AbstractContextManager[None]:
     """Shield a figure from the user's matplotlibrc, and the user's settings from the figure."""
     return matplotlib.style.context(["default", _SETTINGS])
 
@@ -286,7 +291,7 @@ def _draw_series(axes: Axes, series: Series, place: int) -> Line2D:
     (line,) = axes.plot(
         x,
         y,
-        color=_COLOURS[place % len(_COLOURS)],
+        color=COLOURS[place % len(COLOURS)],
         linewidth=max(1.2, 3.0 * 0.85**place),
         linestyle=_line_style(series, place),
         zorder=2.0 + 0.01 * place,

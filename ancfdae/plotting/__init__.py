@@ -1,0 +1,37 @@
+"""Pictures of mechanisms, films, histories and line plots: only here matplotlib is imported."""
+
+from ancfdae.plotting.bars import gradient_bars
+from ancfdae.plotting.charts import Figure, Panel, Scale, Series, draw, save
+from ancfdae.plotting.fields import (
+    AxialForce,
+    BendingMoment,
+    Field,
+    Sensitivity,
+    Speed,
+    StrainEnergyDensity,
+    VonMisesStress,
+)
+from ancfdae.plotting.history import history
+from ancfdae.plotting.pictures import animate, snapshots
+from ancfdae.plotting.vtk import write_vtk
+
+__all__ = [
+    "AxialForce",
+    "BendingMoment",
+    "Field",
+    "Figure",
+    "Panel",
+    "Scale",
+    "Sensitivity",
+    "Series",
+    "Speed",
+    "StrainEnergyDensity",
+    "VonMisesStress",
+    "animate",
+    "draw",
+    "gradient_bars",
+    "history",
+    "save",
+    "snapshots",
+    "write_vtk",
+]

@@ -1,0 +1,221 @@
+"""What colours a mechanism: numbers at the points of its meshes at every instant."""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.stress_points import StressPoints
+from ancfdae.elements import elastic
+from ancfdae.elements.invariants import prepare
+from ancfdae.errors import InvalidInput, require_text
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting.shapes import BeamMesh, Mesh
+from ancfdae.protocol import Solution
+
+# Of the forces and moments in a section, as `SectionLaw.forces` has them.
+_AXIAL, _TORQUE = 0, 3
+
+
+class Field(abc.ABC):
+    """A number at every point of a mesh: the base of what pictures are coloured by.
+
+    Attributes
+    ----------
+    label : str
+        Quantity and unit.
+    signed : bool
+        Whether its sign counts, so that colours part at zero.
+    """
+
+    signed = False
+
+    @property
+    @abc.abstractmethod
+    def label(self) -> str:
+        """Quantity and unit."""
+
+    @abc.abstractmethod
+    def values(self, mesh: Mesh, motion: Solution) -> Array:
+        """Return the values at the instants of a solution, shape (k, n); NaN where there are none.
+
+        Raises
+        ------
+        InvalidInput
+            If the solution or the element lacks what the field is made of.
+        """
+
+
+class _OfBeams(Field):
+    """A field that only beams that deform have."""
+
+    @final
+    def values(self, mesh: Mesh, motion: Solution) -> Array:
+        """Those of the beam, spread over its points."""
+        if not isinstance(mesh, BeamMesh) or mesh.elements is None:
+            return np.full(mesh.places(motion.q).shape[:2], np.nan)
+        own = np.broadcast_to(self.on_beam(mesh, motion), (len(motion.t), *mesh.shape))
+        return own.reshape(len(motion.t), -1)
+
+    @abc.abstractmethod
+    def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
+        """Return the values, shape (k, n elements, n stations, n fibres) or broadcast to it."""
+
+
+@final
+@dataclass(frozen=True)
+class StrainEnergyDensity(_OfBeams):
+    """Strain energy over volume, the mean over each element; J/m^3."""
+
+    @property
+    def label(self) -> str:
+        """Quantity and unit."""
+        return "strain energy density [J/m³]"
+
+    def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
+        """Energy of each element over its volume."""
+        own = mesh.elements
+        assert own is not None
+        law = prepare(own.element, own.kind, own.parameters, own.Y_unit)
+        Y = own.relative(motion.q[:, own.coordinates])
+        energy = elastic.energy(law.A, law.g_o, Y, law.p_o)
+        areas = own.kind.section.points(own.kind.sizes(own.parameters), False)[2].sum(axis=1)
+        density: Array = energy / (areas * mesh.body.reference().lengths)
+        return density[..., None, None]
+
+
+@final
+@dataclass(frozen=True)
+class VonMisesStress(_OfBeams):
+    """Von Mises' stress as the observable `von_mises` has it; Pa. Cables have none."""
+
+    @property
+    def label(self) -> str:
+        """Quantity and unit."""
+        return "von Mises stress [Pa]"
+
+    def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
+        """Stresses at all points."""
+        own = mesh.elements
+        assert own is not None
+        points = StressPoints(own, mesh.xi, lambda _: (mesh.y, mesh.z))
+        n, n_xi, n_f = mesh.shape
+        stress = points.value(motion.q, motion.v).reshape(len(motion.t), n, n_f, n_xi)
+        return stress.swapaxes(2, 3)
+
+
+class _SectionForce(_OfBeams):
+    """A force or moment of the section."""
+
+    signed = True
+
+    @property
+    @abc.abstractmethod
+    def component(self) -> int:
+        """Which one."""
+
+    @final
+    def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
+        """Return it, the same at all fibres of a section."""
+        return section_forces(mesh, motion)[..., [self.component]]
+
+
+@final
+@dataclass(frozen=True)
+class AxialForce(_SectionForce):
+    """Axial force, positive in tension, as the observable `axial_force`; N."""
+
+    component = _AXIAL
+
+    @property
+    def label(self) -> str:
+        """Quantity and unit."""
+        return "axial force [N]"
+
+
+@final
+@dataclass(frozen=True)
+class BendingMoment(_SectionForce):
+    """Bending moment, as the observable `bending_moment`; N m.
+
+    Parameters
+    ----------
+    about : int
+        2 for the width of the section, the z axis of a planar scene, and 1 for its height.
+    """
+
+    about: int = 2
+
+    def __post_init__(self) -> None:
+        if self.about not in (1, 2):
+            raise InvalidInput(
+                "BendingMoment, about", "must be 1 or 2", repr(self.about), "2 is the width."
+            )
+
+    @property
+    def component(self) -> int:
+        """M_y or M_z."""
+        return _TORQUE + self.about
+
+    @property
+    def label(self) -> str:
+        """Quantity and unit."""
+        return "bending moment [N m]"
+
+
+@final
+@dataclass(frozen=True)
+class Speed(Field):
+    """Size of the velocity; m/s."""
+
+    @property
+    def label(self) -> str:
+        """Quantity and unit."""
+        return "speed [m/s]"
+
+    def values(self, mesh: Mesh, motion: Solution) -> Array:
+        """Size of the velocity of every point."""
+        return np.asarray(np.linalg.norm(mesh.velocities(motion.q, motion.v), axis=-1))
+
+
+@final
+@dataclass(frozen=True)
+class Sensitivity(Field):
+    """How far a change of a design variable moves each point: |dr/db|, of a material point.
+
+    Parameters
+    ----------
+    variable : str
+        Name of a design variable of the solution, which must come from `differentiate`.
+    """
+
+    variable: str
+
+    def __post_init__(self) -> None:
+        require_text("Sensitivity, variable", self.variable)
+
+    @property
+    def label(self) -> str:
+        """Quantity and unit."""
+        return f"|dr/db|, b = {self.variable} [m per unit of b]"
+
+    def values(self, mesh: Mesh, motion: Solution) -> Array:
+        """Size of the derivative of every place."""
+        number = motion.design_index(self.variable)
+        assert motion.sensitivities is not None  # as was just seen
+        q_b = motion.sensitivities.q_b[..., number]
+        return np.asarray(np.linalg.norm(mesh.sensitivities(motion.q, q_b, number), axis=-1))
+
+
+def section_forces(mesh: BeamMesh, motion: Solution) -> Array:
+    """Return N, V_y, V_z, T, M_y and M_z of a beam that deforms, shape (k, n, n_xi, 6)."""
+    own = mesh.elements
+    assert own is not None
+    Y, V = (own.relative(x[:, own.coordinates]) for x in (motion.q, motion.v))
+    laws = (
+        own.element.section_law(own.kind, own.parameters, own.Y_unit, xi) for xi in mesh.xi.tolist()
+    )
+    return np.stack([law.forces(Y, V) for law in laws], axis=2)

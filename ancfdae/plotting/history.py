@@ -1,0 +1,116 @@
+"""Observables over time with bands of what a change of each design variable does to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_positive
+from ancfdae.numerics.arrays import Array
+from ancfdae.observables import Observable
+from ancfdae.observables.states import states_of
+from ancfdae.plotting.charts import COLOURS, require_unit, settings
+from ancfdae.protocol import MechanicalSystem, Solution
+
+_SIZE = (7.5, 2.7)  # inches, of each observable
+
+
+def history(
+    system: MechanicalSystem,
+    solution: Solution,
+    observables: Mapping[str, Observable],
+    percent: float = 1.0,
+) -> Figure:
+    """Draw observables over time, with a band for each design variable.
+
+    The band is observable ± |d(observable)/db b| percent/100: what a change of the variable by so
+    many per cent does, to first order, with the exact derivative of the computed motion.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The system of the solution: ``assemble(scene, design)``.
+    solution : Solution
+        From `differentiate`.
+    observables : mapping of str to Observable
+        By label with unit, ``{"tip [m]": position(rod.at_end, 1)}``; one panel each.
+    percent : float
+        Change of each variable.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If there are no derivatives, the system has other design variables, one of them is zero,
+        or an observable does not exist.
+    """
+    require_kind("history, system", system, (MechanicalSystem,), "Call assemble(scene, design).")
+    require_kind("history, solution", solution, (Solution,), "Call differentiate.")
+    require_kind("history, observables", observables, (Mapping,), "For example {'tip [m]': ...}.")
+    require_positive("history, percent", percent)
+    if not observables:
+        rule, repair = "needs at least one observable", "For example {'tip [m]': ...}."
+        raise InvalidInput("history", rule, "none", repair)
+    for label in observables:
+        require_unit("history, observables", label)
+    names = _checked_variables(system, solution)
+    with settings():
+        figure = Figure(figsize=(_SIZE[0], _SIZE[1] * len(observables) + 0.6), layout="constrained")
+        rows = figure.subplots(len(observables), sharex=True, squeeze=False)[:, 0]
+        for axes, (label, observable) in zip(rows, observables.items(), strict=True):
+            value, slopes = total_derivatives(system, solution, observable)
+            axes.set_ylabel(label)
+            axes.plot(solution.t, value, color="black", lw=1.4, label=label, zorder=3)
+            widths = np.abs(slopes * system.b) * percent / 100
+            # The widest first, so that none hides another.
+            for i in np.argsort(-widths.max(axis=0)).tolist():
+                low, high = value - widths[:, i], value + widths[:, i]
+                own = {"color": COLOURS[i % len(COLOURS)], "alpha": 0.45, "lw": 0.5}
+                axes.fill_between(solution.t, low, high, label=names[i], **own)
+        rows[-1].set_xlabel("t [s]")
+        bands = dict(zip(*rows[0].get_legend_handles_labels()[::-1], strict=True))
+        figure.legend(
+            [bands[name] for name in names],
+            [f"{name} ± {percent:g} %" for name in names],
+            loc="outside lower center",
+            ncols=min(4, len(names)),
+        )
+    return figure
+
+
+def total_derivatives(
+    system: MechanicalSystem, solution: Solution, observable: Observable
+) -> tuple[Array, Array]:
+    """Return an observable over time and its total design derivative, (n_t,) and (n_t, n_b)."""
+    require_kind("history, observable", observable, (Observable,), "For example position(...).")
+    observable.check(system)
+    own, p = solution.sensitivities, observable.partials(system, states_of(solution))
+    assert own is not None
+    total = p.b.copy()
+    for partial, states_b in ((p.q, own.q_b), (p.v, own.v_b), (p.lam, own.lam_b)):
+        if partial is not None:
+            total += np.einsum("tq,tqb->tb", partial, states_b)
+    return p.value, total
+
+
+def _checked_variables(system: MechanicalSystem, solution: Solution) -> tuple[str, ...]:
+    own = solution.sensitivities
+    if own is None or not own.names:
+        rule, repair = "must have derivatives", "Call differentiate with a design."
+        raise InvalidInput("history, solution", rule, "none", repair)
+    for name in own.names:
+        if name not in system.design_names:
+            raise UnknownName("history, design variable of the solution", name, system.design_names)
+    if own.names != system.design_names or not np.array_equal(own.values, system.b):
+        raise InvalidInput(
+            "history, system",
+            "must be the system of the solution, with its design variables and their values",
+            f"{', '.join(system.design_names)} at {system.b}",
+            "Call assemble(scene, design) with the same design.",
+        )
+    if np.any(system.b == 0):
+        at = system.design_names[int(np.argmin(np.abs(system.b)))]
+        rule, repair = "a variable at zero has no per cent", "Leave it out of the design."
+        raise InvalidInput(f"history, design variable {at!r}", rule, "0", repair)
+    return own.names

@@ -1,0 +1,172 @@
+"""A mechanism at some instants, as data: what every picture, animation and export is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf import assemble
+from ancfdae.ancf.beam_elements import BeamElements
+from ancfdae.ancf.numbering import number
+from ancfdae.ancf.parameters import ParameterMap, parameter_map
+from ancfdae.ancf.reference import Reference
+from ancfdae.bodies import RigidBody
+from ancfdae.errors import InvalidInput, Outcome, Verdict, require_kind
+from ancfdae.naming import Naming
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting.fields import Field
+from ancfdae.plotting.shapes import BeamMesh, Mesh, RigidMesh
+from ancfdae.plotting.symbols import Arrows, Line, Mark, Symbols
+from ancfdae.protocol import Solution, Statistics
+from ancfdae.scene import Scene
+from ancfdae.text import listed
+
+# Lengths of elements that are the same number, summed in another order.
+_SAME = 1e-9
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """A scene at the instants of a solution.
+
+    Attributes
+    ----------
+    d : int
+        Dimension of space.
+    motion : Solution
+        At these instants.
+    meshes : tuple of Mesh
+    places : tuple of array, shape (k, n, d)
+        Points of each mesh.
+    values : tuple of array, shape (k, n)
+        The field there; empty without one. NaN where there is none.
+    marks, lines, arrows : tuple
+    field : Field or None
+    """
+
+    d: int
+    motion: Solution
+    meshes: tuple[Mesh, ...]
+    places: tuple[Array, ...]
+    values: tuple[Array, ...]
+    marks: tuple[Mark, ...]
+    lines: tuple[Line, ...]
+    arrows: tuple[Arrows, ...]
+    field: Field | None
+
+    @property
+    def bounds(self) -> Array:
+        """Lowest and highest coordinates of everything at all instants, shape (2, d)."""
+        found = [x.reshape(-1, self.d) for x in self.places]
+        found += [mark.places for mark in self.marks]
+        found += [line.ends.reshape(-1, self.d) for line in self.lines if line.kind != "way"]
+        every = np.concatenate(found)
+        return np.stack([every.min(axis=0), every.max(axis=0)])
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Least and largest value of the field; symmetric about zero if it is signed."""
+        own = np.concatenate([np.zeros(0), *(x[np.isfinite(x)] for x in self.values)])
+        if not len(own):
+            return 0.0, 1.0
+        low, high = float(own.min()), float(own.max())
+        if self.field is not None and self.field.signed:
+            high = max(abs(low), abs(high))
+            low = -high
+        # All of one value: colours need a span.
+        return (low, high) if low < high else (low, low + (abs(low) or 1.0))
+
+
+def mechanism(
+    scene: Scene, motion: Solution | None, times: Sequence[float] | None, field: Field | None
+) -> Mechanism:
+    """Put a scene at instants of a motion, or as declared without one.
+
+    Raises
+    ------
+    InvalidInput
+        If the solution is that of another scene or a field needs what it lacks.
+    """
+    require_kind("picture, scene", scene, (Scene,), "Give the Scene that was integrated.")
+    if field is not None:
+        require_kind("picture, colour", field, (Field,), "For example VonMisesStress().")
+    mapping, own = parameter_map(scene, ()), assemble(scene).naming
+    reference = Reference(scene, mapping, mapping.nominal, own)
+    if motion is None:
+        if times is not None or field is not None:
+            rule, repair = "times and colour need a motion", "Give the solution as well."
+            raise InvalidInput("picture", rule, "a scene alone", repair)
+        motion = _at_rest(reference.Z.ravel(), own)
+    require_kind("picture, solution", motion, (Solution,), "Call simulate, or leave it out.")
+    naming = _checked(motion, own)
+    motion = motion if times is None else motion.at(times)
+    meshes = _meshes(scene, mapping, naming, motion.q.shape[1])
+    symbols = Symbols(scene, naming, reference.q)
+    return Mechanism(
+        scene.dimension,
+        motion,
+        meshes,
+        tuple(mesh.places(motion.q) for mesh in meshes),
+        () if field is None else tuple(field.values(mesh, motion) for mesh in meshes),
+        tuple(symbols.marks(motion)),
+        tuple(symbols.lines(motion)),
+        tuple(symbols.arrows(motion)),
+        field,
+    )
+
+
+def _meshes(scene: Scene, mapping: ParameterMap, naming: Naming, n_q: int) -> tuple[Mesh, ...]:
+    numbering, parameters = number(scene), mapping.values(mapping.nominal)
+    found: list[Mesh] = []
+    for body in scene.members:
+        if isinstance(body, RigidBody):
+            found.append(RigidMesh(body, naming, n_q))
+            continue
+        own = naming.layout.beam(body.name), numbering, mapping, parameters, slice(None)
+        found.append(BeamMesh(body, naming, n_q, None if body.rigid else BeamElements(body, *own)))
+    return tuple(found)
+
+
+def frames_of(motion: Solution, count: int) -> Array:
+    """Return equally spaced instants of a whole motion."""
+    if len(motion.t) < 2:
+        rule, repair = "needs a motion of several instants", "Use snapshots for a state of rest."
+        raise InvalidInput("film", rule, f"{len(motion.t)}", repair)
+    return np.linspace(motion.t[0], motion.t[-1], count)
+
+
+def _at_rest(q: Array, naming: Naming) -> Solution:
+    none, outcome = np.zeros((1, 0)), Outcome(Verdict.FINISHED, 0.0, 0, 0.0)
+    still, statistics = np.zeros((1, len(q))), Statistics(0, 0, 0, 0, 0, 0.0)
+    return Solution(np.zeros(1), q[None], still, still, none, statistics, outcome, naming)
+
+
+def _checked(motion: Solution, own: Naming) -> Naming:
+    """Refuse the solution of another scene, or of the same one with other lengths."""
+    given = motion.naming
+    if given is None:
+        rule, repair = "must be that of an ANCF scene", "Other systems have no bodies to draw."
+        raise InvalidInput("picture, solution", rule, "a system of another kind", repair)
+    vectors = [
+        {body.name: (body.first_vector, body.count) for body in x.layout.bodies}
+        for x in (given, own)
+    ]
+    if vectors[0] != vectors[1] or len(given.lengths) != len(own.lengths):
+        raise InvalidInput(
+            "picture, solution",
+            f"must be that of the scene, with the bodies {listed(vectors[1])}",
+            f"one of {listed(vectors[0])}, or of other elements",
+            "Give the scene that was integrated.",
+        )
+    if not np.allclose(given.lengths, own.lengths, rtol=_SAME, atol=0.0):
+        raise InvalidInput(
+            "picture, solution",
+            "must be that of the scene at its design values",
+            "elements of other lengths",
+            "Give scene.with_values({...}) at the values of the solution.",
+        )
+    return given

@@ -1,0 +1,122 @@
+"""A film as one page of HTML that needs nothing else: the data stands in it, beside its program.
+
+Places are kept as 16 bit integers over the extent of the film, colours as 8 bit.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting.glyphs import Glyphs
+from ancfdae.plotting.mechanism import Mechanism
+from ancfdae.plotting.painters import EDGE, GROUND, JOINT, LOAD, colour_map
+
+_MARK = "/*DATA*/null"
+# Shade of what has no value, and the largest of a value.
+_NO_VALUE, _TOP = 255, 254
+
+
+def write_page(own: Mechanism, file: Path, seconds: float, title: str) -> None:
+    """Write the page."""
+    # No text of the data may end the script that it stands in.
+    data = json.dumps(page_data(own, seconds, title), allow_nan=False).replace("</", "<\\/")
+    page = files("ancfdae.plotting").joinpath("viewer.html").read_text(encoding="utf-8")
+    file.write_text(page.replace(_MARK, data), encoding="utf-8")
+
+
+def page_data(own: Mechanism, seconds: float, title: str) -> dict[str, Any]:
+    """Return what the program in the page reads."""
+    low, high = (_spatial(x) for x in own.bounds)
+    span = high - low
+    x = _spatial(np.concatenate([*own.places], axis=1))
+    scale = np.where(span, span, 1.0)
+    signs, items = _signs(own)
+    return {
+        "d": own.d,
+        "title": title,
+        "seconds": seconds,
+        "t": own.motion.t.tolist(),
+        "low": low.tolist(),
+        "span": span.tolist(),
+        "points": x.shape[1],
+        "places": _packed(np.round(65535 * (x - low) / scale), np.uint16),
+        "triangles": _packed(_triangles(own), np.uint32),
+        "shades": _packed(_shades(own), np.uint8),
+        "map": _packed(255 * colour_map(own)(np.linspace(0, 1, 256)), np.uint8),
+        "label": "" if own.field is None else own.field.label,
+        "limits": own.limits,
+        "signs": _packed(_spatial(signs), np.float32),
+        "items": items,
+        "legend": "; ".join(Glyphs(own).labels.values()),
+    }
+
+
+def _packed(array: Array, kind: npt.DTypeLike) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode("ascii")
+
+
+def _spatial(x: Array) -> Array:
+    """Return places with three components."""
+    return x if x.shape[-1] == 3 else np.concatenate([x, 0.0 * x[..., :1]], axis=-1)
+
+
+def _triangles(own: Mechanism) -> Array:
+    """Split the faces of all meshes, numbered through."""
+    firsts = np.cumsum([0, *(x.shape[1] for x in own.places)])
+    faces = np.concatenate(
+        [mesh.faces + first for mesh, first in zip(own.meshes, firsts, strict=False)]
+    )
+    return np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
+
+
+def _shades(own: Mechanism) -> Array:
+    """Return the field as numbers from 0 to 254, or 255 where there is none, shape (k, n)."""
+    if own.field is None:
+        return np.full([len(own.motion.t), sum(x.shape[1] for x in own.places)], _NO_VALUE)
+    values = np.concatenate(own.values, axis=1)
+    low, high = own.limits
+    share = (values - low) / (high - low)
+    return np.where(np.isfinite(values), np.round(_TOP * share), _NO_VALUE)
+
+
+def _signs(own: Mechanism) -> tuple[Array, list[dict[str, Any]]]:
+    """Return the points of all signs, (k, n, d), and what each is with how many of them."""
+    glyphs = Glyphs(own)
+    parts: list[Array] = []
+    items: list[dict[str, Any]] = []
+
+    def add(x: Array, **item: Any) -> None:
+        parts.append(x)
+        items.append({"count": x.shape[1], **item})
+
+    every = range(len(own.motion.t))
+    for line in own.lines:
+        x = np.stack([glyphs.line(line, k) for k in every])
+        dashes = {"dash": [10, 3, 2, 3]} if line.kind == "way" else {}
+        colour = {"way": GROUND, "spring": LOAD}.get(line.kind, EDGE)
+        add(x, sign="line", colour=colour, width=1.5, **dashes)
+    for mark in sorted(own.marks, key=lambda mark: mark.kind != "ground"):
+        shapes = {"clamp": "square", "line": "diamond", "prismatic": "diamond", "drive": "turn"}
+        shape = "ground" if mark.kind == "ground" else shapes.get(mark.kind, "circle")
+        fill = JOINT if mark.kind in ("clamp", "mass", "drive", "weld") else "#ffffff"
+        colour = GROUND if mark.kind == "ground" else JOINT
+        add(mark.places[:, None], sign="mark", shape=shape, colour=colour, fill=fill, width=1.5)
+    for arrows in own.arrows:
+        if arrows.kind == "moment":
+            x = np.stack([glyphs.arc(arrows, k) for k in every])
+            add(x, sign="line", colour=LOAD, width=2)
+            continue
+        tips = arrows.places + glyphs.arrow(arrows)
+        for i in range(tips.shape[1]):
+            x = np.stack([arrows.places[:, i], tips[:, i]], axis=1)
+            add(x, sign="arrow", colour=LOAD, width=2)
+    none = np.zeros((len(own.motion.t), 0, own.d))
+    return np.concatenate([none, *parts], axis=1), items

@@ -1,0 +1,308 @@
+"""Paint a mechanism at one instant into axes of matplotlib, in the plane and in space."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, Final, final
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.artist import Artist
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import Colormap, Normalize, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting.glyphs import Glyphs
+from ancfdae.plotting.mechanism import Mechanism
+from ancfdae.plotting.shapes import BeamMesh, Mesh
+
+#: Body, outline, joints, loads, ground.
+BODY, EDGE, JOINT, LOAD, GROUND = "#9db4c8", "#33404d", "#111111", "#c1272d", "#7a7a7a"
+#: Of a field whose sign counts, and of others.
+SIGNED, PLAIN = "RdBu_r", "viridis"
+#: Marker and name of each sign; a joint of a user's own gets the last but two.
+SIGNS: Final[dict[str, tuple[str, str]]] = {
+    "pin": ("o", "pin"),
+    "revolute": ("o", "revolute joint"),
+    "clamp": ("s", "clamp"),
+    "weld": ("X", "weld"),
+    "cylindrical": ("h", "cylindrical joint"),
+    "prismatic": ("d", "prismatic joint"),
+    "universal": ("P", "universal joint"),
+    "planar": ("D", "planar joint"),
+    "line": ("d", "point on a line"),
+    "link": (".", "link"),
+    "drive": (r"$\circlearrowleft$", "drive"),
+    "guide": (r"$\leftrightarrow$", "guide"),
+    "base": ("p", "moving base"),
+    "mass": ("o", "point mass"),
+    "ground": ("^", "ground"),
+}
+_OTHER: Final = ("*", "joint")
+_FILLED: Final = ("clamp", "weld", "mass", "base")
+# Of the extent of the picture: height of thin beams, and margin.
+_THIN, _MARGIN = 0.008, 0.12
+_LIGHT: Final = np.array([-0.35, -0.55, 0.75])
+
+
+class Painter(abc.ABC):
+    """Axes with equal scales for all instants of a mechanism.
+
+    Parameters
+    ----------
+    figure : Figure
+    mechanism : Mechanism
+    place : tuple of int
+        Of the axes in the figure, as in `Figure.add_subplot`.
+    """
+
+    def __init__(
+        self, figure: Figure, mechanism: Mechanism, place: tuple[int, int, int] = (1, 1, 1)
+    ) -> None:
+        self.mechanism, self._bounds = mechanism, mechanism.bounds
+        self.glyphs = Glyphs(mechanism)
+        self.extent = self.glyphs.extent
+        self.colours = ScalarMappable(Normalize(*mechanism.limits), colour_map(mechanism))
+        self.axes = self._make_axes(figure, place)
+
+    @abc.abstractmethod
+    def _make_axes(self, figure: Figure, place: tuple[int, int, int]) -> Any:
+        """Return axes with equal scales that hold everything."""
+
+    @abc.abstractmethod
+    def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
+        """Paint all bodies at instant k, the fainter the less the strength, from 0 to 1."""
+
+    @abc.abstractmethod
+    def _mark(self, kind: str, x: Array) -> list[Artist]:
+        """Paint a sign."""
+
+    @abc.abstractmethod
+    def _quiver(self, x: Array, F: Array) -> Artist:
+        """Paint arrows from places, (n, d) each."""
+
+    @final
+    def symbols(self, k: int) -> list[Artist]:
+        """Paint joints, point masses and loads at instant k."""
+        own, found = self.mechanism, list[Artist]()
+        for line in own.lines:
+            found += self._line(self.glyphs.line(line, k), line.kind)
+        for mark in sorted(own.marks, key=lambda mark: mark.kind != "ground"):
+            found += self._mark(mark.kind, mark.places[k])
+        for arrows in own.arrows:
+            if arrows.kind == "moment":
+                found += self._line(self.glyphs.arc(arrows, k), "moment")
+            else:
+                found.append(self._quiver(arrows.places[k], self.glyphs.arrow(arrows)[k]))
+        return found
+
+    @final
+    def _line(self, x: Array, kind: str) -> list[Artist]:
+        style = {
+            "way": {"color": GROUND, "linestyle": (0, (6, 2, 1, 2)), "linewidth": 1.0},
+            "moment": {"color": LOAD, "linewidth": 1.6},
+            "spring": {"color": LOAD, "linewidth": 1.2},
+        }.get(kind, {"color": EDGE, "linewidth": 1.8})
+        return list(self.axes.plot(*x.T, zorder=6, **style))
+
+    @final
+    def _marker(self, kind: str) -> dict[str, object]:
+        marker, _ = SIGNS.get(kind, _OTHER)
+        turning = marker.startswith("$")
+        filled = kind in _FILLED or turning or kind == "link"
+        return {
+            "marker": marker,
+            "markersize": {"drive": 17.0, "guide": 15.0, "mass": 9.0, "ground": 12.0}.get(
+                kind, 7.0
+            ),
+            "markerfacecolor": GROUND if kind == "ground" else JOINT if filled else "white",
+            "markeredgecolor": GROUND if kind == "ground" else JOINT,
+            "markeredgewidth": 0.4 if turning else 1.2,
+            "linestyle": "none",
+            "zorder": 7 if kind == "ground" else 9 if turning else 8,
+        }
+
+    @final
+    def legend(self) -> list[Line2D]:
+        """Return an entry for each kind of sign and of arrow that there is."""
+        kinds = dict.fromkeys(mark.kind for mark in self.mechanism.marks)
+        entries = [
+            Line2D([], [], label=SIGNS.get(kind, _OTHER)[1], **self._marker(kind))  # type: ignore[arg-type]
+            for kind in kinds
+        ]
+        arrows = dict(self.glyphs.labels)
+        if any(line.kind == "spring" for line in self.mechanism.lines):
+            arrows["spring"] = "spring and damper"
+        entries += [
+            Line2D([], [], label=label, color=LOAD, linewidth=1.6) for label in arrows.values()
+        ]
+        return entries
+
+    @final
+    def _face_colours(self, mesh: int, k: int) -> Array:
+        """Colours of the faces: of the mean over their points, shape (n_faces, 4)."""
+        faces = self.mechanism.meshes[mesh].faces
+        if self.mechanism.field is None:
+            return np.tile(to_rgba(BODY), (len(faces), 1))
+        return self._coloured(face_values(self.mechanism, mesh, k))
+
+    @final
+    def _coloured(self, values: Array) -> Array:
+        rgba: Array = self.colours.to_rgba(np.ma.masked_invalid(values))
+        return rgba
+
+    @final
+    def _thin(self, mesh: Mesh) -> bool:
+        return isinstance(mesh, BeamMesh) and bool(np.max(mesh.y) < _THIN / 2 * self.extent)
+
+
+@final
+class PlanePainter(Painter):
+    """A mechanism in the plane."""
+
+    def _make_axes(self, figure: Figure, place: tuple[int, int, int]) -> Any:
+        axes = figure.add_subplot(*place, aspect="equal", xlabel="x [m]", ylabel="y [m]")
+        margin = _MARGIN * self.extent
+        (left, bottom), (right, top) = self._bounds
+        axes.set(xlim=(left - margin, right + margin), ylim=(bottom - margin, top + margin))
+        return axes
+
+    def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
+        """Areas of the bodies with their outlines; thin beams as coloured lines."""
+        found: list[Artist] = []
+        for number, (mesh, x) in enumerate(
+            zip(self.mechanism.meshes, self.mechanism.places, strict=True)
+        ):
+            if not len(mesh.faces):
+                continue
+            own = faded(self._face_colours(number, k), strength)
+            # Edges hide the seams between faces.
+            areas = PolyCollection(x[k][mesh.faces], facecolors=own, edgecolors=own, linewidths=0.3)
+            areas.set_zorder(3)
+            found.append(self.axes.add_collection(areas))
+            loop = np.append(mesh.loop, mesh.loop[0])
+            edge = faded(np.array([to_rgba(EDGE)]), strength)[0]
+            found += self.axes.plot(*x[k][loop].T, color=edge, lw=0.8, zorder=3)
+            if self._thin(mesh):
+                found.append(self.axes.add_collection(self._stroke(number, k, strength)))
+        return found
+
+    def _stroke(self, number: int, k: int, strength: float) -> LineCollection:
+        """Return a line along a thin beam, in the colour of the largest value over the height."""
+        mesh = self.mechanism.meshes[number]
+        assert isinstance(mesh, BeamMesh)
+        x = mesh.axis(self.mechanism.motion.q[[k]])[0].reshape(-1, self.mechanism.d)
+        if self.mechanism.field is None:
+            colours = np.array([to_rgba(BODY)])
+        else:
+            own = self.mechanism.values[number][k].reshape(-1, mesh.shape[2])
+            chosen = np.argmax(np.abs(np.nan_to_num(own)), axis=1)
+            along = own[np.arange(len(own)), chosen]
+            colours = self._coloured((along[1:] + along[:-1]) / 2)
+        pieces = np.stack([x[:-1], x[1:]], axis=1)
+        line = LineCollection(list(pieces), colors=faded(colours, strength), linewidths=3.0)
+        line.set_zorder(3)
+        return line
+
+    def _mark(self, kind: str, x: Array) -> list[Artist]:
+        if kind != "ground":
+            return list(self.axes.plot(*x[:, None], **self._marker(kind)))
+        # A triangle below the place, and hatching.
+        s = 0.03 * self.extent
+        shape = s * np.array([[0.0, 0.0], [-0.7, -1.0], [0.7, -1.0], [0.0, 0.0]])
+        hatch = s * np.array(
+            [[[a, -1.0], [a - 0.3, -1.35]] for a in np.linspace(-0.9, 1.1, 6).tolist()]
+        )
+        found = list(self.axes.plot(*(x + shape).T, color=GROUND, lw=1.0, zorder=5))
+        lines = LineCollection(list(x + hatch), colors=GROUND, linewidths=0.8)
+        lines.set_zorder(5)
+        return [*found, self.axes.add_collection(lines)]
+
+    def _quiver(self, x: Array, F: Array) -> Artist:
+        settings = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.006}
+        arrows: Artist = self.axes.quiver(*x.T, *F.T, color=LOAD, zorder=7, **settings)
+        return arrows
+
+
+@final
+class SpacePainter(Painter):
+    """A mechanism in space, its faces lit from above."""
+
+    def _make_axes(self, figure: Figure, place: tuple[int, int, int]) -> Any:
+        axes = figure.add_subplot(*place, projection="3d")
+        low, high = self._bounds
+        middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.12 * self.extent)
+        half = half + 0.4 * _MARGIN * self.extent
+        for axis, m, h in zip("xyz", middle, half, strict=True):
+            axes.set(**{f"{axis}lim": (m - h, m + h), f"{axis}label": f"{axis} [m]"})
+            ticks = max(2, round(5 * h / half.max()))
+            getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(ticks))
+        axes.set_box_aspect(half, zoom=1.1)
+        axes.view_init(elev=22, azim=-60)
+        return axes
+
+    def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
+        """All faces in one collection, so that they hide each other."""
+        faces, colours = [], []
+        for number, (mesh, x) in enumerate(
+            zip(self.mechanism.meshes, self.mechanism.places, strict=True)
+        ):
+            corners = x[k][mesh.faces]
+            faces.append(corners)
+            colours.append(lit(self._face_colours(number, k), corners))
+        if not sum(map(len, faces)):
+            return []
+        own = faded(np.concatenate(colours), strength)
+        surface = Poly3DCollection(
+            np.concatenate(faces), facecolors=own, edgecolors=own, linewidths=0.2
+        )
+        return [self.axes.add_collection3d(surface)]
+
+    def _mark(self, kind: str, x: Array) -> list[Artist]:
+        return list(self.axes.plot(*x[:, None], **self._marker(kind)))
+
+    def _quiver(self, x: Array, F: Array) -> Artist:
+        arrows: Artist = self.axes.quiver(*x.T, *F.T, color=LOAD, arrow_length_ratio=0.25, lw=1.6)
+        return arrows
+
+
+def colour_map(mechanism: Mechanism) -> Colormap:
+    """Return the colours of the field; what has no value is as without a field."""
+    signed = mechanism.field is not None and mechanism.field.signed
+    return colormaps[SIGNED if signed else PLAIN].with_extremes(bad=BODY)
+
+
+def painter(
+    figure: Figure, mechanism: Mechanism, place: tuple[int, int, int] = (1, 1, 1)
+) -> Painter:
+    """Return the painter for the space of a mechanism."""
+    kind = PlanePainter if mechanism.d == 2 else SpacePainter
+    return kind(figure, mechanism, place)
+
+
+def face_values(mechanism: Mechanism, mesh: int, k: int) -> Array:
+    """Return the field on the faces of a mesh: the mean over their points, shape (n_faces,)."""
+    own: Array = mechanism.values[mesh][k][mechanism.meshes[mesh].faces].mean(axis=1)
+    return own
+
+
+def lit(colours: Array, corners: Array) -> Array:
+    """Return colours (n, 4) of faces, (n, 4, 3), darker the more they turn from the light."""
+    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    length = np.linalg.norm(normals, axis=1)
+    across = np.abs(normals @ _LIGHT) / (np.linalg.norm(_LIGHT) * np.where(length, length, 1.0))
+    own = colours.copy()
+    own[:, :3] *= (0.6 + 0.4 * across)[:, None]
+    return own
+
+
+def faded(colours: Array, strength: float) -> Array:
+    """Return colours (n, 4) mixed with white; opaque, so that faces do not add up."""
+    own = colours.copy()
+    own[:, :3] = 1.0 - strength * (1.0 - own[:, :3])
+    return own

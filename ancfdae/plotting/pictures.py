@@ -1,0 +1,212 @@
+"""Pictures of a mechanism as it stands and moves, and films of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib import animation
+from matplotlib.figure import Figure
+
+from ancfdae.errors import (
+    InvalidInput,
+    MissingPackage,
+    require_count,
+    require_kind,
+    require_positive,
+    require_text,
+)
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting.charts import settings
+from ancfdae.plotting.fields import Field
+from ancfdae.plotting.mechanism import Mechanism, frames_of, mechanism
+from ancfdae.plotting.page import write_page
+from ancfdae.plotting.painters import Painter, painter
+from ancfdae.protocol import Solution
+from ancfdae.scene import Scene
+
+# Instants of a picture where none are asked for, and the faintest of them.
+_INSTANTS, _FAINT = 5, 0.22
+_WIDTH: Final = 7.5  # inches
+_NARROW, _WIDE = 0.15, 1.1  # height of the axes over their width
+
+
+def snapshots(
+    scene: Scene,
+    solution: Solution | None = None,
+    times: Sequence[float] | None = None,
+    colour: Field | None = None,
+    title: str = "",
+) -> Figure:
+    """Draw a mechanism as declared, or at several instants of a motion in one picture.
+
+    Bodies stand with their sections, joints and loads with signs that the legend names, and forces
+    with arrows as long as they are large. Earlier instants are fainter; signs are those of the
+    last.
+
+    Parameters
+    ----------
+    scene : Scene
+        At the design values of the solution: see `Scene.with_values`.
+    solution : Solution, optional
+        Of this scene, `equilibrium(...).solution` too; without it the scene as declared, before
+        any assembly, so that joints that do not meet are seen.
+    times : sequence of float, optional
+        Instants, increasing; s. By default five equally spaced ones, or the one of a state of rest.
+    colour : Field, optional
+        `StrainEnergyDensity()`, `VonMisesStress()`, `AxialForce()`, `BendingMoment()`, `Speed()` or
+        `Sensitivity(variable)`. Bodies without the quantity are grey.
+    title : str
+
+    Returns
+    -------
+    Figure
+        For `save`, or ``figure.savefig``.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If the solution is not that of the scene, or lacks what is asked for.
+    """
+    require_text("snapshots, title", title)
+    if solution is not None and times is None and len(solution.t) > 1:
+        times = frames_of(solution, _INSTANTS).tolist()
+    own = mechanism(scene, solution, times, colour)
+    with settings():
+        figure, brush = _figure(own, title)
+        count = len(own.motion.t)
+        for k in range(count):
+            share = (k + 1) / count
+            brush.bodies(k, _FAINT + (1 - _FAINT) * share**2)
+        brush.symbols(count - 1)
+        if count > 1:
+            _label_instants(brush, own)
+    return figure
+
+
+def animate(
+    scene: Scene,
+    solution: Solution,
+    path: str | os.PathLike[str],
+    colour: Field | None = None,
+    frames: int = 80,
+    seconds: float = 4.0,
+    title: str = "",
+    dpi: int = 100,
+) -> Path:
+    """Write a film of a motion: GIF, MP4, or a page to turn and zoom, by the suffix of the path.
+
+    Parameters
+    ----------
+    scene, solution, colour, title
+        As in `snapshots`.
+    path : str or path
+        Ends with ``.gif``; with ``.mp4``, for which the program ffmpeg must be installed; or with
+        ``.html``: a page that needs nothing else and no network, with play, pause, a slider, and in
+        space a view that turns.
+    frames : int
+        Number of pictures, equally spaced over the motion.
+    seconds : float
+        How long the film takes; s.
+    dpi : int
+        Dots per inch of the 7.5 inches of GIF and MP4.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InvalidInput
+        As in `snapshots`, and for another suffix.
+    MissingPackage
+        If a film is to be MP4 and there is no ffmpeg.
+    """
+    file = checked_path("animate", path, (".gif", ".mp4", ".html"))
+    require_count("animate, frames", frames, "For example 80.")
+    require_count("animate, dpi", dpi, "For example 100.")
+    require_positive("animate, seconds", seconds)
+    require_text("animate, title", title)
+    if file.suffix == ".mp4" and not animation.FFMpegWriter.isAvailable():
+        raise MissingPackage(
+            "animate: MP4 needs the program ffmpeg, which is not on the path. Install it (apt "
+            "install ffmpeg, brew install ffmpeg), or write a .gif or .html."
+        )
+    own = mechanism(scene, solution, frames_of(solution, frames).tolist(), colour)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if file.suffix == ".html":
+        write_page(own, file, seconds, title)
+        return file
+    with settings():
+        _film(own, file, frames / seconds, title, dpi)
+    return file
+
+
+def checked_path(where: str, path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
+    """Return a path with one of some suffixes; InvalidInput for another."""
+    require_kind(f"{where}, path", path, (str, os.PathLike), "Give the name of a file.")
+    if Path(path).suffix not in suffixes:
+        rule = f"must be a path that ends with {' or '.join(suffixes)}"
+        raise InvalidInput(
+            f"{where}, path", rule, repr(path), f"For example 'motion{suffixes[0]}'."
+        )
+    return Path(path)
+
+
+def _film(own: Mechanism, file: Path, rate: float, title: str, dpi: int) -> None:
+    writers: dict[str, Any] = {".gif": animation.PillowWriter, ".mp4": animation.FFMpegWriter}
+    figure, brush = _figure(own, title)
+    # Found once: it takes longer than all the rest of a frame.
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    clock = figure.text(0.02, 0.98, "", va="top", fontsize=10)
+    writer = writers[file.suffix](fps=rate)
+    with writer.saving(figure, file, dpi):
+        for k, t in enumerate(own.motion.t.tolist()):
+            clock.set_text(f"t = {t:.3g} s")
+            artists = brush.bodies(k) + brush.symbols(k)
+            writer.grab_frame()
+            for artist in artists:
+                artist.remove()
+
+
+def _figure(own: Mechanism, title: str) -> tuple[Figure, Painter]:
+    """Make a figure as high as the mechanism needs, with legend and colour bar."""
+    span = np.ptp(own.bounds, axis=0) + 0.24 * np.ptp(own.bounds, axis=0).max()
+    ratio = 0.65 if own.d == 3 else span[1] / span[0]
+    height = _WIDTH * float(np.clip(0.9 * ratio, _NARROW, _WIDE)) + 1.2
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    brush = painter(figure, own)
+    brush.axes.set_title(title)
+    entries = brush.legend()
+    if entries:
+        figure.legend(handles=entries, loc="outside lower center", ncols=min(4, len(entries)))
+    if own.field is not None:
+        bar = figure.colorbar(
+            brush.colours, ax=brush.axes, shrink=0.8, pad=0.03 + 0.07 * (own.d == 3)
+        )
+        bar.set_label(own.field.label)
+    return figure, brush
+
+
+def _label_instants(brush: Painter, own: Mechanism) -> None:
+    """Write each instant beside the point that travels farthest."""
+    travel = [np.linalg.norm(np.diff(x, axis=0), axis=-1).sum(axis=0) for x in own.places]
+    if not any(len(x) for x in travel):
+        return
+    mesh = int(np.argmax([x.max(initial=-1.0) for x in travel]))
+    track: Array = own.places[mesh][:, int(np.argmax(travel[mesh]))]
+    for x, t in zip(track, own.motion.t.tolist(), strict=True):
+        offset = (x[:2] - own.bounds.mean(axis=0)[:2]) >= 0
+        brush.axes.text(
+            *x,
+            f" {t:.3g} s ",
+            fontsize=8,
+            color="#444444",
+            zorder=10,
+            ha="left" if offset[0] else "right",
+            va="bottom" if offset[1] else "top",
+        )

@@ -1,0 +1,248 @@
+"""Beams with their sections and rigid bodies as meshes that the coordinates move.
+
+Places are those of material points, exact in the shape functions. What depends on the design is
+complex-safe, so that derivatives are complex steps.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.beam_elements import BeamElements
+from ancfdae.ancf.vectors import Vectors
+from ancfdae.bodies import (
+    BeamBody,
+    BodyShape,
+    Point,
+    Quantity,
+    RigidBody,
+    RigidBox,
+    RigidCylinder,
+)
+from ancfdae.naming import Naming
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.rotations import generators
+
+# Stations along a beam, at least, and rows of cells over the height of a planar one: a circle in
+# eight elements looks round, and bending stresses show their change of sign.
+_STATIONS, _ROWS = 24, 4
+# Points around circles, and from pole to pole of a sphere.
+_AROUND, _POLES = 24, 12
+
+
+class Mesh(abc.ABC):
+    """Points and faces of one body.
+
+    Attributes
+    ----------
+    name : str
+    faces : array of int, shape (n_faces, 4)
+        Points of each face; a triangle repeats its last one.
+    loop : array of int, shape (n_loop,)
+        Points of the closed outline in the plane.
+    """
+
+    name: str
+    faces: Array
+    loop: Array
+
+    @abc.abstractmethod
+    def places(self, q: Array, move: int | None = None) -> Array:
+        """Return the places of the points, shape (k, n, d), complex where q is.
+
+        With `move` at places of the design variable of this number moved by an imaginary step.
+        """
+
+    @final
+    def velocities(self, q: Array, v: Array) -> Array:
+        """Return the velocities of the points, shape (k, n, d)."""
+        return self.places(q + 1j * STEP * v).imag / STEP
+
+    @final
+    def sensitivities(self, q: Array, q_b: Array, number: int) -> Array:
+        """Return the total derivative of the places in a design variable, shape (k, n, d).
+
+        `q_b`, (k, n_q), is that of the coordinates.
+        """
+        return self.places(q + 1j * STEP * q_b, number).imag / STEP
+
+
+@final
+class BeamMesh(Mesh):
+    """The surface of a beam, in the plane the area between its lowest and highest fibres.
+
+    Parameters
+    ----------
+    body : BeamBody
+    naming : Naming
+    n_q : int
+    elements : BeamElements or None
+        Its elements; None if it is rigid.
+
+    Attributes
+    ----------
+    xi : array, shape (n_xi,)
+        Places along every element.
+    y, z : array, shape (n, n_f)
+        Fibres of each element. Points are numbered element by element, station by station.
+    """
+
+    def __init__(
+        self, body: BeamBody, naming: Naming, n_q: int, elements: BeamElements | None
+    ) -> None:
+        self.name, self.body, self.elements = body.name, body, elements
+        n, d = body.element_count, body.dimension
+        self.xi = np.linspace(0.0, 1.0, max(2, -(-_STATIONS // n)) + 1)
+        kind = body.element_type()
+        y, z = kind.section.contour(kind.sizes(body.element_parameters()))
+        if d == 2:
+            low, high = y.min(axis=1), y.max(axis=1)
+            y = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _ROWS + 1)
+            z = np.zeros_like(y)
+        self.y, self.z = y, z
+        quantities = [q for q in body.element.quantities if q <= d]
+        points = self._stations(naming)
+        self._vectors = {
+            quantity: Vectors(
+                [naming.vector(point, quantity) for point in points],
+                d,
+                n_q,
+                naming.lengths_b.shape[1],
+            )
+            for quantity in quantities
+        }
+        self.faces, self.loop = self._connected()
+
+    def places(self, q: Array, move: int | None = None) -> Array:
+        """R + y r_y + z r_z; of an element without r_y the normal of its centre line."""
+        at, shape = self._along(q, move), (len(q), *self.shape[:2], 1, self.body.dimension)
+        x = at[Quantity.POSITION].reshape(shape)
+        for slope, offset in ((Quantity.SLOPE_Y, self.y), (Quantity.SLOPE_Z, self.z)):
+            if slope in at:
+                x = x + offset[:, None, :, None] * at[slope].reshape(shape)
+        return x.reshape(len(q), -1, shape[-1])
+
+    def axis(self, q: Array) -> tuple[Array, Array]:
+        """Return centre line and height direction of the section, shape (k, n, n_xi, d) each."""
+        at, shape = self._along(q, None), (len(q), *self.shape[:2], self.body.dimension)
+        up = at[Quantity.SLOPE_Y].reshape(shape)
+        up = up / np.linalg.norm(up, axis=-1, keepdims=True)
+        return at[Quantity.POSITION].reshape(shape), up
+
+    def _along(self, q: Array, move: int | None) -> dict[Quantity, Array]:
+        """Return vectors at all stations, shape (k, n n_xi, d) each."""
+        at = {
+            quantity: (vectors if move is None else vectors.moved(move)).of(q)
+            for quantity, vectors in self._vectors.items()
+        }
+        if Quantity.SLOPE_Y not in at:
+            tangent = at[Quantity.SLOPE_X]
+            length = np.sqrt(np.sum(tangent * tangent, axis=-1, keepdims=True))
+            at[Quantity.SLOPE_Y] = tangent @ generators(2)[0].T / length
+        return at
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Elements, stations and fibres."""
+        return len(self.y), len(self.xi), self.y.shape[1]
+
+    def _stations(self, naming: Naming) -> list[Point]:
+        nodes = np.asarray(naming.layout.beam(self.name).fractions)
+        along = nodes[:-1, None] + np.diff(nodes)[:, None] * self.xi
+        along[:, -1] = nodes[1:]
+        return [Point(self.name, fraction) for fraction in along.ravel().tolist()]
+
+    def _connected(self) -> tuple[Array, Array]:
+        """Join stations by faces, and close the ends in space."""
+        numbers = np.arange(np.prod(self.shape)).reshape(self.shape)
+        if self.body.dimension == 2:
+            rows = numbers.reshape(-1, self.shape[2])
+            loop = np.concatenate([rows[:, 0], rows[::-1, -1]])
+            here, there = numbers[..., :-1], numbers[..., 1:]
+        else:
+            loop = np.zeros(0, dtype=np.int64)
+            here, there = numbers, np.roll(numbers, -1, axis=2)
+        corners = [here[:, :-1], here[:, 1:], there[:, 1:], there[:, :-1]]
+        faces = np.stack(corners, axis=-1).reshape(-1, 4)
+        if self.body.dimension == 3:
+            faces = np.concatenate([_cap(numbers[0, 0])[:, ::-1], faces, _cap(numbers[-1, -1])])
+        return faces, loop
+
+
+@final
+class RigidMesh(Mesh):
+    """The shape of a rigid body; no faces if only its mass and inertia are known."""
+
+    def __init__(self, body: RigidBody, naming: Naming, n_q: int) -> None:
+        self.name, self.body = body.name, body
+        x, self.faces, self.loop = _solid(body.shape, body.dimension)
+        x = x[:, : body.dimension] + np.asarray(body.centre)
+        points = [body.at(*place) for place in x.tolist()]
+        vectors = [naming.vector(point, Quantity.POSITION) for point in points]
+        self._places = Vectors(vectors, body.dimension, n_q, naming.lengths_b.shape[1])
+
+    def places(self, q: Array, move: int | None = None) -> Array:
+        """R + x d_1 + y d_2 + z d_3."""
+        return self._places.of(q)
+
+
+def _cap(loop: Array) -> Array:
+    """Fill a contour by strips between level points of its sides."""
+    half = len(loop) // 2
+    up, down = loop[:half], loop[: half - 1 : -1]
+    return np.stack([up[:-1], up[1:], down[1:], down[:-1]], axis=-1)
+
+
+def _solid(shape: BodyShape | None, d: int) -> tuple[Array, Array, Array]:
+    """Points in the axes of the body, faces and outline."""
+    none = np.zeros((0, 4), dtype=np.int64)
+    if shape is None:
+        return np.zeros((0, 3)), none, none[:, 0]
+    if d == 2:
+        x = _seen_along_z(shape)
+        loop = np.arange(len(x))
+        return x, _cap(loop), loop
+    return (*_surface(shape), none[:, 0])
+
+
+def _seen_along_z(shape: BodyShape) -> Array:
+    if isinstance(shape, RigidBox):
+        return _rectangle(shape)
+    return _circle(shape.radius if isinstance(shape, RigidCylinder) else _radius(shape))
+
+
+def _surface(shape: BodyShape) -> tuple[Array, Array]:
+    """Rings of points, joined by faces, with ends that close it."""
+    up = np.array([0.0, 0.0, 1.0])
+    if isinstance(shape, RigidBox):
+        rings = [_rectangle(shape) + sign * shape.width / 2 * up for sign in (-1, 1)]
+    elif isinstance(shape, RigidCylinder):
+        rings = [_circle(shape.radius) + sign * shape.length / 2 * up for sign in (-1, 1)]
+    else:
+        radius, angles = _radius(shape), np.pi * np.arange(_POLES + 1) / _POLES
+        rings = [_circle(radius * np.sin(a)) - radius * np.cos(a) * up for a in angles]
+    numbers = np.arange(len(rings) * len(rings[0])).reshape(len(rings), -1)
+    beside = np.roll(numbers, -1, axis=1)
+    sides = np.stack([numbers[:-1], numbers[1:], beside[1:], beside[:-1]], axis=-1)
+    faces = [_cap(numbers[0]), sides.reshape(-1, 4), _cap(numbers[-1])[:, ::-1]]
+    return np.concatenate(rings), np.concatenate(faces)
+
+
+def _rectangle(shape: RigidBox) -> Array:
+    a, b = shape.length / 2, shape.height / 2
+    return np.array([[-a, -b, 0.0], [-a, b, 0.0], [a, b, 0.0], [a, -b, 0.0]])
+
+
+def _circle(radius: float) -> Array:
+    """Return a polygon whose points are level in pairs."""
+    angle = (np.arange(_AROUND) + 0.5) * 2 * np.pi / _AROUND
+    return radius * np.stack([-np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+
+
+def _radius(shape: BodyShape) -> float:
+    """Radius of the ball of the same spread: of shapes of a user's own no more is known."""
+    _, means = shape.moments(np.array(list(shape.parameters().values()), dtype=float))
+    return float(np.sqrt(5 * np.mean(means)))

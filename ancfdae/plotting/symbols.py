@@ -1,0 +1,231 @@
+"""Joints, loads and point masses as marks, lines and arrows that move with the mechanism."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from ancfdae.ancf.vectors import Vectors
+from ancfdae.bodies import Point, Quantity, RigidBody
+from ancfdae.joints import (
+    Cylindrical,
+    Distance,
+    Drive,
+    Guide,
+    Joint,
+    MovingBase,
+    PlanarJoint,
+    PointOnLine,
+    Prismatic,
+    Revolute,
+    Universal,
+)
+from ancfdae.loads import Load, SpringDamper
+from ancfdae.naming import Naming
+from ancfdae.numerics.arrays import Array
+from ancfdae.parts import CentreLine, Direction
+from ancfdae.protocol import Solution
+from ancfdae.scene import Scene
+
+# Arrows along a beam under a distributed force.
+_ALONG: Final = 9
+
+
+@final
+@dataclass(frozen=True)
+class Mark:
+    """A sign at a place: `kind` is the word of a joint, "mass" or "ground"; places (k, d)."""
+
+    kind: str
+    name: str
+    places: Array
+
+
+@final
+@dataclass(frozen=True)
+class Line:
+    """A line between two places: `kind` "link", "spring", or "way" along which something moves.
+
+    `ends` has the shape (k, 2, d). The ends of a way are its place and that plus a unit vector: how
+    long it is drawn is a matter of the picture.
+    """
+
+    kind: str
+    name: str
+    ends: Array
+
+
+@final
+@dataclass(frozen=True)
+class Arrows:
+    """Forces or moments at places, (k, n, d) each; a moment in the plane has the shape (k, n, 1).
+
+    `kind` is "force" (N), "force per length" (N/m) or "moment" (N m).
+    """
+
+    kind: str
+    name: str
+    places: Array
+    vectors: Array
+
+
+@final
+class Symbols:
+    """What of a scene has no extent of its own.
+
+    Parameters
+    ----------
+    scene : Scene
+    naming : Naming
+    q_o : array, shape (n_q,)
+        Its reference configuration.
+    """
+
+    def __init__(self, scene: Scene, naming: Naming, q_o: Array) -> None:
+        self._scene, self._naming, self._q_o = scene, naming, q_o
+        self._d = scene.dimension
+
+    def marks(self, motion: Solution) -> list[Mark]:
+        """Return a mark for each joint, ground that holds one, and point mass."""
+        found = []
+        for joint in self._scene.joints:
+            places = self._places(joint.points[0], motion.q)
+            ground = self._ground(joint, places)
+            if ground is not None:
+                found.append(Mark("ground", joint.name, ground))
+            found.append(Mark(joint.kind, joint.name, places))
+        masses = self._scene.point_masses
+        return found + [Mark("mass", x.name, self._places(x.point, motion.q)) for x in masses]
+
+    def lines(self, motion: Solution) -> list[Line]:
+        """Return links, springs, the axes and ways of joints, and frames of bodies."""
+        found = []
+        for joint in self._scene.joints:
+            if isinstance(joint, Distance):
+                found.append(Line("link", joint.name, self._between(joint, joint.ground, motion)))
+            direction = _direction(joint)
+            if direction is not None:
+                found.append(Line("way", joint.name, self._along(joint, direction, motion)))
+        springs = [load for load in self._scene.loads if isinstance(load, SpringDamper)]
+        found += [Line("spring", x.name, self._between(x, x.ground, motion)) for x in springs]
+        for body in self._scene.bodies:
+            if isinstance(body, RigidBody) and body.shape is None:
+                found += self._frame(body, motion)
+        return found
+
+    def arrows(self, motion: Solution) -> list[Arrows]:
+        """Return the forces and moments of all loads, as their laws give them."""
+        return [arrows for load in self._scene.loads for arrows in self._of_load(load, motion)]
+
+    def _of_load(self, load: Load, motion: Solution) -> list[Arrows]:
+        names = load.vectors(self._scene.element)
+        F, found = self._forces(load, motion), []
+        moments: dict[Point, list[Array]] = {}
+        for number, name in enumerate(names):
+            own = F[:, [number]]
+            if isinstance(name, CentreLine):
+                places = self._stations(name.beam, motion.q)
+                spread = np.broadcast_to(own, places.shape)
+                found.append(Arrows("force per length", load.name, places, spread))
+            elif isinstance(name, tuple) and name[1] is Quantity.POSITION:
+                if not isinstance(load, SpringDamper):
+                    places = self._places(name[0], motion.q)[:, None]
+                    found.append(Arrows("force", load.name, places, own))
+            elif isinstance(name, tuple):
+                slope = self._of([name], motion.q)
+                moments.setdefault(name[0], []).append(_cross(slope, own))
+        for point, parts in moments.items():
+            M = sum(parts[1:], parts[0])
+            if np.any(M):
+                found.append(Arrows("moment", load.name, self._places(point, motion.q)[:, None], M))
+        return found
+
+    def _forces(self, load: Load, motion: Solution) -> Array:
+        """Return the generalised forces on the vectors of a load, shape (k, n, d)."""
+        vectors = self._vectors(load.vectors(self._scene.element))
+        p = np.array(list(load.parameters().values()), dtype=float)
+        U, V = vectors.of(motion.q), vectors.of(motion.v)
+        F = np.asarray(load.force(U, V, p, vectors.of(self._q_o[None])[0]))
+        return F * load.factor(p, motion.t, 0)[:, None, None]
+
+    def _vectors(
+        self, names: tuple[tuple[Point, Quantity] | CentreLine | Direction, ...]
+    ) -> Vectors:
+        naming, own = self._naming, []
+        for name in names:
+            if isinstance(name, CentreLine):
+                own.append(naming.centre_line(name.beam))
+            elif isinstance(name, Direction):
+                own.append(naming.direction(name.body, name.number))
+            else:
+                own.append(naming.vector(*name))
+        return Vectors(own, self._d, len(self._q_o), naming.lengths_b.shape[1])
+
+    def _of(self, names: list[tuple[Point, Quantity]], q: Array) -> Array:
+        """Return vectors of points, shape (k, n, d)."""
+        return self._vectors(tuple(names)).of(q)
+
+    def _places(self, point: Point, q: Array) -> Array:
+        return self._of([(point, Quantity.POSITION)], q)[:, 0]
+
+    def _stations(self, beam: str, q: Array) -> Array:
+        fractions = np.linspace(0.0, 1.0, _ALONG).tolist()
+        return self._of([(Point(beam, x), Quantity.POSITION) for x in fractions], q)
+
+    def _ground(self, joint: Joint, places: Array) -> Array | None:
+        """Return where the ground holds a joint: where it is given, or the joint itself."""
+        if len(joint.points) > 1 or isinstance(joint, Drive):
+            return None
+        if isinstance(joint, Distance) and joint.ground is not None:
+            return np.broadcast_to(np.asarray(joint.ground, dtype=float), places.shape)
+        return places
+
+    def _between(self, part: Joint | Load, ground: object, motion: Solution) -> Array:
+        ends = self._of([(point, Quantity.POSITION) for point in part.points], motion.q)
+        if len(part.points) == 2:
+            return ends
+        fixed = np.broadcast_to(np.asarray(ground, dtype=float), ends.shape)
+        return np.concatenate([ends, fixed], axis=1)
+
+    def _along(self, joint: Joint, direction: Array, motion: Solution) -> Array:
+        """Return a place of a joint, and that plus its direction as the last point carries it."""
+        point, e = joint.points[-1], direction / np.linalg.norm(direction)
+        places = self._places(joint.points[0], motion.q)
+        if len(joint.points) == 1:
+            return np.stack([places, places + e], axis=1)
+        slopes = [(point, q) for q in self._quantities(point)]
+        reference = self._of(slopes, self._q_o[None])[0]
+        carried = np.linalg.solve(reference.T, e) @ self._of(slopes, motion.q)
+        carried = carried / np.linalg.norm(carried, axis=-1, keepdims=True)
+        return np.stack([places, places + carried], axis=1)
+
+    def _quantities(self, point: Point) -> list[Quantity]:
+        return [q for q in Quantity if q is not Quantity.POSITION and q <= self._d]
+
+    def _frame(self, body: RigidBody, motion: Solution) -> list[Line]:
+        """Return the axes of a body of which only mass and inertia are known, from its centre."""
+        size = self._naming.layout.body(body.name).size
+        centre = np.asarray(body.centre, dtype=float)
+        ends = [centre, *(centre + size * e for e in np.eye(self._d))]
+        points = [(body.at(*end.tolist()), Quantity.POSITION) for end in ends]
+        x = self._of(points, motion.q)
+        return [Line("frame", body.name, x[:, [0, k]]) for k in range(1, self._d + 1)]
+
+
+def _direction(joint: Joint) -> Array | None:
+    """Return the axis of a joint, or the direction in which it moves."""
+    if isinstance(joint, Cylindrical | PlanarJoint | Prismatic | Revolute | Universal):
+        return np.asarray(joint.axis, dtype=float)
+    if isinstance(joint, Guide | MovingBase | PointOnLine):
+        return np.asarray(joint.direction, dtype=float)
+    return None
+
+
+def _cross(r: Array, F: Array) -> Array:
+    """Return r x F, with one component in the plane."""
+    if r.shape[-1] == 3:
+        return np.cross(r, F)
+    M: Array = r[..., :1] * F[..., 1:] - r[..., 1:] * F[..., :1]
+    return M

@@ -1,0 +1,149 @@
+"""Export for ParaView: surfaces that move, with fields.
+
+Files are written by pyevtk: pure Python beside NumPy, kept, and made for just this, VTK's XML with
+raw arrays. The package vtk itself is 140 MB, and meshio, which reads the files back in the tests,
+has had no release since January 2024.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ancfdae.elements import Quantity
+from ancfdae.errors import require_package
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting.fields import StrainEnergyDensity, VonMisesStress, section_forces
+from ancfdae.plotting.mechanism import Mechanism, mechanism
+from ancfdae.plotting.pictures import checked_path
+from ancfdae.plotting.shapes import BeamMesh, Mesh
+from ancfdae.protocol import Solution
+from ancfdae.scene import Scene
+
+_QUAD = 9  # type of a cell with four corners, in the VTK file formats
+_FORCES = ("N [N]", "V_y [N]", "V_z [N]", "T [N m]", "M_y [N m]", "M_z [N m]")
+_PLANAR = (0, 1, 5)
+
+
+def write_vtk(
+    scene: Scene,
+    solution: Solution,
+    path: str | os.PathLike[str],
+    times: Sequence[float] | None = None,
+) -> Path:
+    """Write a motion for ParaView: a .pvd, which lists one .vtu per instant in a folder beside it.
+
+    Points carry displacement from the configuration as declared, velocity, von Mises stress (not
+    of cables), strain energy density, forces and moments of the section, and the derivative of the
+    place in each design variable of the solution; cells the number of their body. What a body does
+    not have is NaN.
+
+    Parameters
+    ----------
+    scene, solution
+        As in `snapshots`.
+    path : str or path
+        Ends with ``.pvd``.
+    times : sequence of float, optional
+        By default all instants of the solution; s.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InvalidInput
+        As in `snapshots`.
+    MissingPackage
+        Without pyevtk, which ``pip install "ancfdae[vtk]"`` brings.
+    """
+    file = checked_path("write_vtk", path, (".pvd",))
+    evtk = require_package("write_vtk", "pyevtk.hl", "vtk")
+    group = require_package("write_vtk", "pyevtk.vtk", "vtk")
+    own, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
+    folder = file.with_suffix("")
+    folder.mkdir(parents=True, exist_ok=True)
+    faces, bodies, points = _cells(own), _bodies(own), point_data(own, declared)
+    series = group.VtkGroup(str(folder))
+    for k, t in enumerate(own.motion.t.tolist()):
+        x = np.concatenate([place[k] for place in own.places])
+        written = evtk.unstructuredGridToVTK(
+            str(folder / f"{k:05d}"),
+            *_components(x),
+            connectivity=faces.ravel(),
+            offsets=4 * np.arange(1, len(faces) + 1),
+            cell_types=np.full(len(faces), _QUAD, dtype=np.uint8),
+            cellData={"body": bodies},
+            pointData={
+                name: _components(x[k]) if x.ndim == 3 else np.ascontiguousarray(x[k])
+                for name, x in points.items()
+            },
+        )
+        series.addFile(written, sim_time=t)
+    series.save()
+    return file
+
+
+def point_data(own: Mechanism, declared: Mechanism) -> dict[str, Array]:
+    """Return fields at all points by name: vectors (k, n, d) or numbers (k, n)."""
+    motion = own.motion
+    x = np.concatenate(own.places, axis=1)
+    found = {
+        "displacement [m]": x - np.concatenate(declared.places, axis=1),
+        "velocity [m/s]": _joined(own, lambda mesh: mesh.velocities(motion.q, motion.v)),
+        "strain energy density [J/m^3]": _joined(
+            own, lambda mesh: StrainEnergyDensity().values(mesh, motion)
+        ),
+    }
+    if all(_has_stress(mesh) for mesh in own.meshes):
+        found["von Mises stress [Pa]"] = _joined(
+            own, lambda mesh: VonMisesStress().values(mesh, motion)
+        )
+    forces = _joined(own, lambda mesh: _section_forces(mesh, motion))
+    for component in _PLANAR if own.d == 2 else range(6):
+        found[_FORCES[component]] = forces[..., component]
+    if motion.sensitivities is not None:
+        q_b = motion.sensitivities.q_b
+        for i, name in enumerate(motion.sensitivities.names):
+            found[f"d place/d {name}"] = _joined(
+                own, lambda mesh, i=i: mesh.sensitivities(motion.q, q_b[..., i], i)
+            )
+    return found
+
+
+def _joined(own: Mechanism, function: Any) -> Array:
+    return np.concatenate([function(mesh) for mesh in own.meshes], axis=1)
+
+
+def _has_stress(mesh: Mesh) -> bool:
+    return not isinstance(mesh, BeamMesh) or Quantity.SLOPE_Y in mesh.body.element.quantities
+
+
+def _section_forces(mesh: Mesh, motion: Solution) -> Array:
+    """Return the forces of the sections at all points, shape (k, n, 6)."""
+    k = len(motion.t)
+    if not isinstance(mesh, BeamMesh) or mesh.elements is None:
+        return np.full((*mesh.places(motion.q).shape[:2], 6), np.nan)
+    own = section_forces(mesh, motion)[..., None, :]
+    return np.broadcast_to(own, (k, *mesh.shape, 6)).reshape(k, -1, 6)
+
+
+def _components(x: Array) -> tuple[Array, Array, Array]:
+    """Return three arrays in a row each, the third zero in the plane."""
+    columns = [np.ascontiguousarray(x[:, axis]) for axis in range(x.shape[1])]
+    return (*columns, np.zeros(len(x)))[:3]  # type: ignore[return-value]
+
+
+def _cells(own: Mechanism) -> Array:
+    firsts = np.cumsum([0, *(x.shape[1] for x in own.places)])
+    faces = [mesh.faces + first for mesh, first in zip(own.meshes, firsts, strict=False)]
+    return np.concatenate(faces)
+
+
+def _bodies(own: Mechanism) -> Array:
+    return np.repeat(np.arange(len(own.meshes)), [len(mesh.faces) for mesh in own.meshes])
