@@ -13,7 +13,7 @@ import pickle
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, final
+from typing import Any, Protocol, TypeVar, final
 
 import numpy as np
 import numpy.typing as npt
@@ -99,6 +99,11 @@ class StabilityWarning(UserWarning):
     """A setting that is admissible but known to lose accuracy or stability."""
 
 
+@final
+class FailedDesign(UserWarning):
+    """A design that an optimiser tried has no values; the message says why."""
+
+
 class Verdict(Enum):
     """How a run ended; the value is the sentence that a reader sees."""
 
@@ -178,6 +183,46 @@ def require_package(where: str, module: str, extra: str) -> Any:
         raise MissingPackage(
             f'{where}: needs the package {package}. Install it with pip install "ancfdae[{extra}]".'
         ) from error
+
+
+@final
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C came; no loop goes on, and nothing is lost.
+
+    Every call raises it, also in worker processes. It is a KeyboardInterrupt, so that
+    ``except Exception`` lets it pass.
+
+    Attributes
+    ----------
+    result : object
+        What was computed up to there, of the kind that the call returns: a `Solution` (of
+        gradients the run), an `Equilibrium`, a `Sweep` or a `Tradeoff`. In an interactive session
+        it is ``sys.last_value.result``.
+    """
+
+    def __init__(self, result: Any, how: str) -> None:
+        super().__init__(how)
+        self.result = result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make it anew from result and text."""
+        return Interrupted, (self.result, str(self))
+
+
+class _Ended(Protocol):
+    @property
+    def outcome(self) -> Any:
+        """`Outcome`, or one of a search."""
+
+
+_Result = TypeVar("_Result", bound=_Ended)
+
+
+def uninterrupted(result: _Result) -> _Result:
+    """Return a result; raise `Interrupted` with one that Ctrl-C cut short."""
+    if result.outcome.verdict is Verdict.INTERRUPTED:
+        raise Interrupted(result, str(result.outcome))
+    return result
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:

@@ -450,7 +450,6 @@ def test_a_run_that_ends_early_keeps_its_results_in_the_error():
     [
         (PassFailed(Verdict.STEP_LIMIT), Verdict.STEP_LIMIT),
         (SingularMatrix("zero pivot"), Verdict.SINGULAR),
-        (KeyboardInterrupt(), Verdict.INTERRUPTED),
     ],
 )
 def test_a_pass_back_that_breaks_off_says_why(monkeypatch, raised, verdict):

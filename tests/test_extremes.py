@@ -14,6 +14,7 @@ from ancfdae import (
     Explicit,
     GivenSteps,
     Integral,
+    Interrupted,
     InvalidInput,
     custom,
     differentiate,
@@ -128,7 +129,9 @@ def test_an_interrupt_among_small_steps_keeps_the_derivatives_before(monkeypatch
         return original(*arguments)
 
     monkeypatch.setattr(ConstraintRow, "of", interrupted)
-    run = differentiate(CartesianPendulum(-1.0, 2.0), 20e-7, HHT(1e-7))
+    with pytest.raises(Interrupted) as caught:
+        differentiate(CartesianPendulum(-1.0, 2.0), 20e-7, HHT(1e-7))
+    run = caught.value.result
     assert run.outcome.verdict is Verdict.INTERRUPTED
     assert len(run.t) == len(run.sensitivities.q_b) == 6
 

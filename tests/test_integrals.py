@@ -15,6 +15,7 @@ from ancfdae import (
     Explicit,
     FiniteDifference,
     Integral,
+    Interrupted,
     Material,
     NonFiniteObjective,
     Pin,
@@ -22,7 +23,6 @@ from ancfdae import (
     Scene,
     SmoothMaximum,
     Terminal,
-    UnfinishedRun,
     Verdict,
     assemble,
     custom,
@@ -322,10 +322,10 @@ def test_an_interrupt_in_an_integrand_keeps_the_run(kind):
             raise KeyboardInterrupt
         return q[:, 0]
 
-    with pytest.raises(UnfinishedRun) as caught:
+    with pytest.raises(Interrupted) as caught:
         gradient(CartesianPendulum(), Integral(custom(x)), 4.0, kind(1e-6))
-    assert caught.value.solution.outcome.verdict is Verdict.INTERRUPTED
-    assert caught.value.solution.t[-1] > 0.0
+    assert caught.value.result.outcome.verdict is Verdict.INTERRUPTED
+    assert caught.value.result.t[-1] > 0.0
 
 
 @pytest.mark.parametrize(

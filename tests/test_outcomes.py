@@ -1,18 +1,23 @@
 """Trouble on the way is an outcome in words, and what was computed stays usable."""
 
+import pickle
 import re
+import signal
 
 import numpy as np
 import pytest
 
 from ancfdae import (
     HHT,
+    IDA,
     Adjoint,
     Beam,
     Clamp,
     ComplexStep,
     Distance,
+    Explicit,
     Integral,
+    Interrupted,
     InvalidInput,
     Material,
     Pin,
@@ -21,7 +26,6 @@ from ancfdae import (
     Rectangle,
     RigidMotion,
     Scene,
-    UnfinishedRun,
     Verdict,
     assemble,
     custom,
@@ -63,10 +67,33 @@ def test_forces_that_are_not_finite_end_the_run_with_its_results(value):
     assert "t = 0.46875" in str(run.outcome)
 
 
-def test_an_interrupt_keeps_what_was_computed():
-    run = simulate(Failing(interrupt, 0.5), 1.0, HHT(2.0**-5))
-    assert run.outcome.verdict is Verdict.INTERRUPTED
-    assert len(run.t) == 16
+@pytest.mark.parametrize("integrator", [HHT(2.0**-5), HHT(rtol=1e-3), Explicit(), IDA()])
+def test_an_interrupt_is_raised_with_what_was_computed(integrator):
+    for call in (simulate, differentiate):
+        with pytest.raises(Interrupted, match="interrupted at t = ") as caught:
+            call(Failing(interrupt, 0.5), 1.0, integrator)
+        run = caught.value.result
+        assert run.outcome.verdict is Verdict.INTERRUPTED
+        assert len(run.t) > 1
+        again = pickle.loads(pickle.dumps(caught.value))
+        assert str(again) == str(caught.value)
+        np.testing.assert_array_equal(again.result.q, run.q)
+
+
+def test_ctrl_c_ends_a_loop_of_runs():
+    pressed, done = Failing(lambda: signal.raise_signal(signal.SIGINT), 0.5), []
+
+    def loop():
+        for system in (CartesianPendulum(), pressed, CartesianPendulum()):
+            try:
+                done.append(simulate(system, 1.0, HHT(2.0**-5)))
+            except Exception:  # noqa: BLE001  # What people write around a run that may fail.
+                done.append(None)
+
+    with pytest.raises(Interrupted) as caught:
+        loop()
+    assert [len(run.t) for run in done] == [33]
+    assert len(caught.value.result.t) == 16
 
 
 def test_too_few_iterations_are_told_with_time_and_size():
@@ -180,9 +207,9 @@ def test_a_perturbed_run_that_ends_early_is_told_in_the_outcome():
 def test_an_interrupt_of_the_pass_back_keeps_the_run(monkeypatch):
     monkeypatch.setattr(CartesianPendulum, "start_b", lambda self: interrupt())
     objective = Integral(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
-    with pytest.raises(UnfinishedRun, match="interrupted") as caught:
+    with pytest.raises(Interrupted, match="interrupted") as caught:
         gradient(CartesianPendulum(), objective, 1.0, HHT(2.0**-5), method=Adjoint())
-    assert len(caught.value.solution.t) == 33
+    assert len(caught.value.result.t) == 33
 
 
 class FailingWhenComplex(CartesianPendulum):

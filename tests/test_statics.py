@@ -16,6 +16,7 @@ from ancfdae import (
     FiniteDifference,
     FollowerForce,
     FreeMechanism,
+    Interrupted,
     InvalidInput,
     LoadOutcome,
     Material,
@@ -474,16 +475,18 @@ def test_bars_in_line_carry_a_load_across_by_their_stretch():
 def test_an_interrupt_and_a_limit_of_steps_keep_what_converged():
     scene = arch(100.0)
 
-    class Interrupted(CartesianPendulum):
+    class Pressing(CartesianPendulum):
         calls = 0
 
         def force(self, q, v, t):
-            Interrupted.calls += 1
-            if Interrupted.calls > 60:
+            Pressing.calls += 1
+            if Pressing.calls > 60:
                 raise KeyboardInterrupt
             return super().force(q, v, t)
 
-    found = equilibrium(Interrupted(1.0))
+    with pytest.raises(Interrupted) as caught:
+        equilibrium(Pressing(1.0))
+    found = caught.value.result
     assert found.outcome.verdict is Verdict.INTERRUPTED
     assert np.all(np.isfinite(found.q))
     few = equilibrium(scene.with_values({"push.force_y": -1e4}), max_steps=9)

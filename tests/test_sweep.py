@@ -7,7 +7,6 @@ import pickle
 import signal
 import typing
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,11 +16,11 @@ from ancfdae import (
     AncfdaeError,
     DesignVariable,
     Evaluate,
+    Interrupted,
     InvalidInput,
     Setting,
     Solution,
     Terminal,
-    UnfinishedRun,
     Verdict,
     equilibrium,
     gradient,
@@ -120,7 +119,6 @@ def test_rows_stand_in_order_and_a_bad_design_is_one_of_them():
     assert list(done.failed) == [2]
     assert "InvalidInput" in done.failed[2]
     assert done.results[2] is None
-    assert not done.interrupted
     assert "4 designs, 1 without result" in repr(done)
 
 
@@ -229,39 +227,25 @@ def test_a_dask_cluster_gives_the_same_rows():
 
 
 def pressed(scene):
-    """Press Ctrl-C at one design, which its run makes an outcome."""
+    """Press Ctrl-C at one design."""
     if scene.value(VARIABLE) == 0.05:
-        try:
-            signal.raise_signal(signal.SIGINT)
-        except KeyboardInterrupt:
-            return "a part of the motion"
+        signal.raise_signal(signal.SIGINT)
     return VALUE(scene)
 
 
 def test_an_interrupt_keeps_what_is_done():
-    done = sweep(SCENE, DESIGNS, pressed)
-    assert done.interrupted
+    with pytest.raises(Interrupted, match="1 of 4 designs were done") as caught:
+        sweep(SCENE, DESIGNS, pressed)
+    done = caught.value.result
     assert done.rows[0] == sweep(SCENE, DESIGNS[:1], VALUE).rows[0]
     assert list(done.failed) == [1, 2, 3]
     assert set(done.failed.values()) == {"not computed: the sweep was interrupted"}
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_an_interrupted_worker_ends_the_sweep(pool):
-    done = sweep(SCENE, DESIGNS, pressed, executor=pool)
-    assert done.interrupted
-    assert 1 in done.failed
-
-
-def test_an_interrupted_run_is_no_row():
-    """The gradient of a run that was interrupted is an error, which must not be written."""
-    run = gradient(SCENE, DROP, T_END, HHT(2.0**-7), design=[HEIGHT]).solution
-    outcome = replace(run.outcome, verdict=Verdict.INTERRUPTED)
-
-    def interrupted(scene):
-        raise UnfinishedRun(replace(run, outcome=outcome))
-
-    assert sweep(SCENE, DESIGNS, interrupted).interrupted
+    with pytest.raises(Interrupted) as caught:
+        sweep(SCENE, DESIGNS, pressed, executor=pool)
+    assert 1 in caught.value.result.failed
 
 
 CALLS = []

@@ -18,6 +18,7 @@ from ancfdae import (
     Explicit,
     GivenSteps,
     Integral,
+    Interrupted,
     InvalidInput,
     Setting,
     TargetNotReached,
@@ -260,7 +261,10 @@ class Pressing(CartesianPendulum):
 
 
 def test_an_interrupt_keeps_the_rows():
-    table = tradeoff(Pressing(), X2, 1.0, [HHT(0.1), HHT(2.0**-4), HHT(0.05)], reference=HHT(0.02))
+    settings = [HHT(0.1), HHT(2.0**-4), HHT(0.05)]
+    with pytest.raises(Interrupted, match="1 of 3 settings were measured") as caught:
+        tradeoff(Pressing(), X2, 1.0, settings, reference=HHT(0.02))
+    table = caught.value.result
     (whole,) = tradeoff(CartesianPendulum(), X2, 1.0, [HHT(0.1)], reference=HHT(0.02)).rows
     assert table.rows[0].gradient == whole.gradient
     assert [row.finished for row in table.rows] == [True, False, False]

@@ -6,6 +6,7 @@ from ancfdae.api.error_bars import ErrorBars, error_bars
 from ancfdae.api.mass_properties import MassProperties, mass_properties
 from ancfdae.api.misfit import Fit, Misfit
 from ancfdae.api.modes import modes, suggest_step
+from ancfdae.api.responses import Response, Responses
 from ancfdae.api.statics import equilibrium, static_gradient
 from ancfdae.api.sweep import Evaluate, sweep
 from ancfdae.api.sweep_result import Sweep, SweepRow

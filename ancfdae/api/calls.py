@@ -4,10 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ancfdae.ancf import assemble
 from ancfdae.design import DesignVariable
-from ancfdae.errors import InvalidInput, require_kind, require_positive, require_sequence
+from ancfdae.errors import (
+    InvalidInput,
+    require_kind,
+    require_positive,
+    require_sequence,
+    uninterrupted,
+)
 from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
@@ -38,9 +47,11 @@ def simulate(
     ------
     InvalidInput
         If the input makes no sense; before anything is integrated.
+    Interrupted
+        At Ctrl-C; its `result` is the solution up to there.
     """
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
-    return integrator.integrate(as_system(model), t_end, progress=progress)
+    return uninterrupted(integrator.integrate(as_system(model), t_end, progress=progress))
 
 
 def differentiate(
@@ -71,13 +82,14 @@ def differentiate(
 
     Raises
     ------
-    InvalidInput
+    InvalidInput, Interrupted
         As `simulate`.
     """
     method = Direct() if method is None else method
     require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
-    return method.differentiate(Run(differentiable(model, design), t_end, integrator, progress))
+    run = Run(differentiable(model, design), t_end, integrator, progress)
+    return uninterrupted(method.differentiate(run))
 
 
 def gradient(
@@ -105,7 +117,7 @@ def gradient(
 
     Raises
     ------
-    InvalidInput
+    InvalidInput, Interrupted
         As `simulate`.
     UnfinishedRun
         If the run ends early; the error carries what was computed.
@@ -175,6 +187,16 @@ def differentiable(
             'For a scene write design=["rod.height"]; a mechanical system needs design_names.',
         )
     return system
+
+
+def design_bounds(
+    system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> tuple[Array, Array]:
+    """Return lower and upper bounds of the design values; infinite where there are none."""
+    known = {x.name: x.bounds for x in design or () if isinstance(x, DesignVariable)}
+    pairs = [known.get(name) or (-np.inf, np.inf) for name in system.design_names]
+    lower, upper = np.array(pairs, dtype=float).T
+    return lower, upper
 
 
 def as_system(

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import pickle
-import signal
 import threading
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
-from contextlib import contextmanager
-from types import FrameType
 from typing import Any, TypeVar, final
 
 from ancfdae.errors import InvalidInput
@@ -81,33 +78,6 @@ def require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
                 str(error),
                 "Define functions at the top of a module, or leave the executor out.",
             ) from error
-
-
-@contextmanager
-def no_interrupt_lost() -> Iterator[None]:
-    """Raise KeyboardInterrupt at the end if one came in between and became an outcome.
-
-    A run that is interrupted returns what it has, which must not pass for a finished row.
-    """
-    main = threading.current_thread() is threading.main_thread()
-    before = signal.getsignal(signal.SIGINT) if main else None
-    if before is not signal.default_int_handler:
-        yield
-        return
-    came = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal came
-        came = True
-        signal.default_int_handler(number, frame)
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
-        raise KeyboardInterrupt
 
 
 @final

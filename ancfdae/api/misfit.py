@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.api.calls import differentiable
+from ancfdae.api.calls import design_bounds, differentiable
 from ancfdae.design import DesignVariable
 from ancfdae.errors import (
     InvalidInput,
@@ -121,10 +121,7 @@ class Misfit:
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)
-        variables = [x for x in design or () if isinstance(x, DesignVariable)]
-        bounds = {variable.name: variable.bounds for variable in variables}
-        limits = tuple(bounds.get(name) for name in system.design_names)
-        return Fit(self, Run(system, float(t_end), integrator), limits)
+        return Fit(self, Run(system, float(t_end), integrator), design_bounds(system, design))
 
 
 @final
@@ -141,24 +138,19 @@ class Fit:
     misfit : Misfit
     run : Run
         The system, the end time and the integrator.
+    bounds : pair of arrays, shape (n_b,)
+        Lower and upper bounds of the design values; infinite where there are none.
     """
 
     misfit: Misfit
     run: Run
-    _bounds: tuple[tuple[float, float] | None, ...]
+    bounds: tuple[Array, Array]
     _last: _Evaluation | None = field(default=None, init=False, repr=False)
 
     @property
     def start(self) -> Array:
         """Design values of the model, shape (n_b,)."""
         return np.asarray(self.run.system.b, dtype=float)
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the design values; infinite where there are none."""
-        pairs = [(-np.inf, np.inf) if pair is None else pair for pair in self._bounds]
-        lower, upper = np.array(pairs, dtype=float).T
-        return lower, upper
 
     def residuals(self, b: Array) -> Array:
         """Return weight times (observable - data) of every measurement, row by row of the data.

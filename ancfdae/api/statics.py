@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ancfdae.api.calls import as_system, cheapest, differentiable
 from ancfdae.design import DesignVariable
-from ancfdae.errors import InvalidInput, require_count, require_kind
+from ancfdae.errors import InvalidInput, require_count, require_kind, uninterrupted
 from ancfdae.integrators import Static
 from ancfdae.objectives import Terminal
 from ancfdae.observables import Observable
@@ -53,6 +53,8 @@ def equilibrium(
         If nothing holds a motion; the message names it.
     InvalidInput
         If the input makes no sense.
+    Interrupted
+        At Ctrl-C; its `result` is what was found up to there.
     """
     require_count("max_steps", max_steps, _STEPS)
     system = as_system(model, design)
@@ -65,8 +67,8 @@ def equilibrium(
                 f"{len(start.q)} and {len(start.lam)}",
                 "Start from an equilibrium of the same beams and joints.",
             )
-    return find_equilibrium(
-        system, start=start, max_steps=max_steps, sensitivities=bool(system.n_b)
+    return uninterrupted(
+        find_equilibrium(system, start=start, max_steps=max_steps, sensitivities=bool(system.n_b))
     )
 
 

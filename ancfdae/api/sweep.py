@@ -14,18 +14,24 @@ import numpy as np
 from tqdm import tqdm
 
 from ancfdae.api.calls import as_system, gradient
-from ancfdae.api.jobs import answers, no_interrupt_lost, require_pickles
+from ancfdae.api.jobs import answers, require_pickles
 from ancfdae.api.sweep_file import SweepFile
 from ancfdae.api.sweep_result import Sweep, SweepRow
 from ancfdae.design import DesignVariable
-from ancfdae.errors import InvalidInput, UnknownName, Verdict, require_kind, require_sequence
+from ancfdae.errors import (
+    Interrupted,
+    InvalidInput,
+    UnknownName,
+    require_kind,
+    require_sequence,
+)
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.observables import Observable, observe, states_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.scene import Scene
-from ancfdae.sensitivity import GradientMethod, UnfinishedRun
+from ancfdae.sensitivity import GradientMethod
 from ancfdae.sensitivity.method import Run, finished
 
 Design = Mapping[str | DesignVariable, float]
@@ -120,13 +126,14 @@ def sweep(
     Returns
     -------
     Sweep
-        Rows in the order of the designs. One that fails is a row with its error; Ctrl-C ends the
-        sweep and leaves what is done.
+        Rows in the order of the designs. One that fails is a row with its error.
 
     Raises
     ------
     InvalidInput
         If the input makes no sense, cannot be sent to a worker, or the file is of another sweep.
+    Interrupted
+        At Ctrl-C; its `result` is the sweep with the rows that are done.
     """
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
     if not callable(what):
@@ -155,7 +162,10 @@ def sweep(
             interrupted = True
     left = "not computed: the sweep was interrupted"
     found = (rows.get(k) or SweepRow(x, None, left) for k, x in enumerate(values))
-    return Sweep(tuple(found), interrupted)
+    done = Sweep(tuple(found))
+    if interrupted:
+        raise Interrupted(done, f"{len(rows)} of {len(values)} designs were done")
+    return done
 
 
 @final
@@ -172,18 +182,9 @@ class _Task:
 def _row(task: _Task) -> SweepRow:
     """Compute a row; whatever goes wrong is its error."""
     try:
-        with no_interrupt_lost():
-            return SweepRow(task.values, task.what(_at(task.model, task.design)))
-    except UnfinishedRun as error:
-        if error.solution.outcome.verdict is Verdict.INTERRUPTED:
-            raise KeyboardInterrupt from error
-        return _failed(task, error)
+        return SweepRow(task.values, task.what(_at(task.model, task.design)))
     except Exception as error:  # noqa: BLE001  # `what` is the user's and may raise anything.
-        return _failed(task, error)
-
-
-def _failed(task: _Task, error: Exception) -> SweepRow:
-    return SweepRow(task.values, None, f"{type(error).__name__}: {error}")
+        return SweepRow(task.values, None, f"{type(error).__name__}: {error}")
 
 
 def _at(model: Scene | MechanicalSystem, design: Design) -> Scene | MechanicalSystem:

@@ -42,12 +42,10 @@ class Sweep:
     Attributes
     ----------
     rows : tuple of SweepRow
-    interrupted : bool
-        Whether Ctrl-C ended the sweep early; the rows not computed say so.
+        Those that Ctrl-C left out say so.
     """
 
     rows: tuple[SweepRow, ...]
-    interrupted: bool = False
 
     @property
     def results(self) -> list[Any]:

@@ -15,6 +15,7 @@ from ancfdae.api.tradeoff_result import Tradeoff, compared
 from ancfdae.api.tradeoff_run import Measurement, Results, Task, measure
 from ancfdae.design import DesignVariable
 from ancfdae.errors import (
+    Interrupted,
     InvalidInput,
     Verdict,
     require_count,
@@ -31,6 +32,7 @@ from ancfdae.sensitivity import GradientMethod
 # Of the reference by default: enough for scenes that it suits (the crank-slider of the paper takes
 # 29,410), few enough to tell a stiff one within minutes.
 _STEPS = 50_000
+_LEFT = Measurement(0.0, "not measured: the tradeoff was interrupted")
 
 
 def tradeoff(
@@ -72,12 +74,14 @@ def tradeoff(
     Returns
     -------
     Tradeoff
-        A setting that fails is a row with its message, and so is one that Ctrl-C left unmeasured.
+        A setting that fails is a row with its message.
 
     Raises
     ------
     InvalidInput
         If the input makes no sense, or the reference does not finish.
+    Interrupted
+        At Ctrl-C; its `result` is the table, with rows that say that they were not measured.
     KeyboardInterrupt
         If Ctrl-C comes before the reference is there.
     """
@@ -106,7 +110,11 @@ def tradeoff(
         measured = _measured(tasks, executor, bar)
     exact = _required(measured[0])
     rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, measured, strict=True)]
-    return Tradeoff(tuple(rows[1:]), rows[0])
+    done = Tradeoff(tuple(rows[1:]), rows[0])
+    left = sum(each is _LEFT for each in measured)
+    if left:
+        raise Interrupted(done, f"{len(settings) - left} of {len(settings)} settings were measured")
+    return done
 
 
 def _measured(tasks: Sequence[Task], executor: Executor | None, bar: Any) -> list[Measurement]:
@@ -130,8 +138,7 @@ def _measured(tasks: Sequence[Task], executor: Executor | None, bar: Any) -> lis
             # Without the reference nothing could be said of the others.
             if 0 not in found:
                 raise
-    left = Measurement(0.0, "not measured: the tradeoff was interrupted")
-    return [found.get(k, left) for k in range(len(tasks))]
+    return [found.get(k, _LEFT) for k in range(len(tasks))]
 
 
 def _required(reference: Measurement) -> Results:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.ancf import AncfSystem
 from ancfdae.api.calls import gradient
-from ancfdae.api.jobs import TimeLimit, no_interrupt_lost
+from ancfdae.api.jobs import TimeLimit
 from ancfdae.errors import AncfdaeError, Verdict
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
@@ -83,7 +83,7 @@ def measure(task: Task) -> Measurement:
     """Run one setting; a failure is a measurement without results."""
     clock, limit = time.process_time(), TimeLimit(task.time_limit)
     try:
-        with no_interrupt_lost(), limit:
+        with limit:
             return _repeated(task)
     except KeyboardInterrupt:
         if not limit.expired:
@@ -100,8 +100,6 @@ def _repeated(task: Task) -> Measurement:
             answer = _gradient(task)
         except UnfinishedRun as error:
             outcome, spent = error.solution.outcome, time.process_time() - clock
-            if outcome.verdict is Verdict.INTERRUPTED:
-                raise KeyboardInterrupt from error
             return Measurement(spent, str(outcome), verdict=outcome.verdict)
         except (AncfdaeError, ArithmeticError, ValueError, RuntimeError, MemoryError) as error:
             return Measurement(time.process_time() - clock, f"{type(error).__name__}: {error}")

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import final
 
-from ancfdae.errors import AncfdaeError, PassFailed, SingularMatrix, Verdict
+from ancfdae.errors import AncfdaeError, PassFailed, SingularMatrix, Verdict, uninterrupted
 from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
@@ -138,18 +138,18 @@ class Method(GradientMethod):
 
 @contextmanager
 def keeping(solution: Solution) -> Iterator[None]:
-    """Raise UnfinishedRun with the run and the reason where a pass back breaks off."""
+    """Raise UnfinishedRun, or Interrupted, with the run where a pass back breaks off."""
     try:
         yield
     except (KeyboardInterrupt, SingularMatrix, PassFailed) as error:
         verdict = Verdict.SINGULAR if isinstance(error, SingularMatrix) else Verdict.INTERRUPTED
         verdict = error.verdict if isinstance(error, PassFailed) else verdict
         outcome = replace(solution.outcome, verdict=verdict)
-        raise UnfinishedRun(replace(solution, outcome=outcome)) from error
+        raise UnfinishedRun(uninterrupted(replace(solution, outcome=outcome))) from error
 
 
 def finished(solution: Solution) -> Solution:
-    """Return a solution that reached its end time; raise UnfinishedRun for another."""
-    if not solution.outcome.success:
+    """Return a solution that reached its end time; raise UnfinishedRun, or Interrupted, else."""
+    if not uninterrupted(solution).outcome.success:
         raise UnfinishedRun(solution)
     return solution

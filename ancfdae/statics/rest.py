@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 from typing import final
 
+from ancfdae.errors import uninterrupted
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.statics.derivatives import Tangent
@@ -34,7 +35,7 @@ class RestingStart:
         NoEquilibrium
             If there is none under the full load; `FreeMechanism` if nothing holds a motion.
         """
-        found = find_equilibrium(self._system)
+        found = uninterrupted(find_equilibrium(self._system))
         if not found.outcome.success:
             raise NoEquilibrium(found)
         return found

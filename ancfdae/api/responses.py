@@ -1,0 +1,264 @@
+"""Several functions of a design from one run, as optimisers ask for them: one after the other.
+
+**Designs without values.** A line search may try a design whose run ends early. Infinity would make
+it step back only in some methods (in SciPy 1.17 L-BFGS-B stops and reports success, trust-constr
+gives up). So a function goes on from the last design x_0 that has a value, with d = x - x_0, as
+
+    f = f_0 + r,   f_x = 3 r d / |d|^2,   r = |f_x0| |d|,
+
+the slope along d of the parabola through f_0 that falls by r at first: line searches that fit one,
+or a cubic, step back to about a quarter. Constraints go on towards what they forbid. Residuals of
+least squares are infinite, which SciPy's methods for them know.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from scipy.optimize import Bounds, NonlinearConstraint
+
+from ancfdae.api.calls import cheapest, design_bounds, differentiable, require_objectives
+from ancfdae.api.sweep_result import Sweep, SweepRow
+from ancfdae.design import DesignVariable
+from ancfdae.errors import (
+    AncfdaeError,
+    FailedDesign,
+    InvalidInput,
+    UnknownName,
+    require_array,
+    require_flag,
+    require_kind,
+    require_text,
+)
+from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.objectives import Objective
+from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.solution import Solution
+from ancfdae.scene import Scene
+from ancfdae.sensitivity import Direct, GradientMethod
+from ancfdae.sensitivity.method import Run
+
+# Optimisers go back to the design before the last one where a step was too long.
+_KEPT = 4
+
+
+@final
+class Responses:
+    """Objective and constraints as functions of the design, with one run for each design.
+
+    ``r["mass"]`` is a function for SciPy's optimisers, ``r["mass"].gradient`` its gradient,
+    ``r.constraint("miss", upper=1.0)`` a `NonlinearConstraint`, and `values` and `jacobian` are
+    those of all functions, for `least_squares`. Whatever is asked for first runs the design; the
+    rest is remembered.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    functions : mapping of str to Objective
+        By names of your own.
+    t_end : float
+        End time; s.
+    integrator : Integrator
+    design : sequence of str or DesignVariable, optional
+        As in `gradient`.
+    method : GradientMethod, optional
+        As in `gradients`.
+    scale : float or array, shape (n_b,)
+        Functions take x = b / scale, the design values over it. Optimisers want variables of one
+        size: the values at the start are a good scale.
+    strict : bool
+        Whether a design without values, whose run ends early or which cannot be put together,
+        raises its error. By default a later one than the first is warned about (`FailedDesign`)
+        and made unattractive, so that the optimiser steps back: functions rise towards it,
+        constraints turn to what they forbid, `values` are infinite. Ask for `solution` at the
+        optimum, which raises the error if there is none.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If the input makes no sense.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the functions.
+    design_names : tuple of str
+    """
+
+    def __init__(
+        self,
+        model: Scene | MechanicalSystem,
+        functions: Mapping[str, Objective],
+        t_end: float,
+        integrator: Integrator,
+        *,
+        design: Sequence[str | DesignVariable] | None = None,
+        method: GradientMethod | None = None,
+        scale: float | Sequence[float] | Array = 1.0,
+        strict: bool = False,
+    ) -> None:
+        repair = 'For example {"mass": Terminal(mass("rod"))}.'
+        require_kind("functions", functions, (Mapping,), repair)
+        if not functions:
+            raise InvalidInput("functions", "must not be empty", "none", repair)
+        for name in functions:
+            require_text("functions", name)
+        require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
+        require_flag("strict", strict)
+        system = differentiable(model, design)
+        require_objectives(system, list(functions.values()), t_end)
+        if method is None:
+            adjoint = isinstance(integrator, AdjointIntegrator)
+            method = cheapest(system.n_b, len(functions)) if adjoint else Direct()
+        require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
+        self._run, self._method, self._strict = Run(system, t_end, integrator), method, strict
+        self._functions, self._scale = dict(functions), _scale(scale, system.n_b)
+        self._limits = design_bounds(system, design)
+        self._kept: dict[bytes, Evaluation] = {}
+        self._last: Evaluation | None = None
+        self._rows: list[SweepRow] = []
+        self.names, self.design_names = tuple(functions), tuple(system.design_names)
+
+    @property
+    def start(self) -> Array:
+        """The model as it stands, in x, shape (n_b,)."""
+        return np.asarray(self._run.system.b / self._scale, dtype=float)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the design variables, in x; infinite where there are none."""
+        return Bounds(*(limit / self._scale for limit in self._limits))
+
+    @property
+    def history(self) -> Sweep:
+        """Every design that was run, in that order, with its values by name or its error."""
+        return Sweep(tuple(self._rows))
+
+    def __getitem__(self, name: str) -> Response:
+        """Return one of the functions."""
+        if name not in self.names:
+            raise UnknownName("function of the design", name, self.names)
+        return Response(self, self.names.index(name))
+
+    def constraint(
+        self, name: str, lower: float = -np.inf, upper: float = np.inf
+    ) -> NonlinearConstraint:
+        """Return lower <= function <= upper for ``minimize(constraints=...)``."""
+        response = self[name]
+        if not lower <= upper or (lower, upper) == (-np.inf, np.inf):
+            rule, repair = "lower and upper must bound it", 'For example upper=1.0 for "at most 1".'
+            raise InvalidInput(f"constraint {name!r}", rule, f"{lower} and {upper}", repair)
+        fun = Response(self, response.index, 1.0 if upper < np.inf else -1.0)
+        return NonlinearConstraint(fun, lower, upper, jac=fun.gradient)
+
+    def values(self, x: Array) -> Array:
+        """Return the values of all functions, shape (m,); infinite where the design has none."""
+        return self.at(x).values.copy()
+
+    def jacobian(self, x: Array) -> Array:
+        """Return their derivatives in x, shape (m, n_b); NaN where the design has no values."""
+        return self.at(x).jacobian.copy()
+
+    def solution(self, x: Array) -> Solution:
+        """Return the run at x; raises the error of a design that has none."""
+        found = self.at(x)
+        if found.error is not None:
+            raise found.error
+        assert found.solution is not None
+        return found.solution
+
+    def __repr__(self) -> str:
+        """Return the functions and what was run."""
+        lines = f"Responses: {', '.join(self.names)}; {len(self._rows)} designs run"
+        return f"{lines}\n{self.history}" if self._rows else lines
+
+    def at(self, x: Array) -> Evaluation:
+        """Return what the run at x gave."""
+        x = require_array("x", x, (self._run.system.n_b,))
+        key = x.tobytes()
+        if key not in self._kept:
+            found = self._evaluated(x)
+            if len(self._kept) == _KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = found
+        return self._kept[key]
+
+    def _evaluated(self, x: Array) -> Evaluation:
+        """Run a design, and take note of it."""
+        b = x * self._scale
+        at = dict(zip(self.design_names, b.tolist(), strict=True))
+        try:
+            found = self._method.gradients(self._run.at(b), list(self._functions.values()))
+        except AncfdaeError as error:
+            self._rows.append(SweepRow(at, None, f"{type(error).__name__}: {error}"))
+            if self._strict or self._last is None:
+                raise
+            warnings.warn(f"the design {at} has no values: {error}", FailedDesign, stacklevel=5)
+            shape = (len(self.names), len(b))
+            none = np.full(shape[0], np.inf), np.full(shape, np.nan)
+            return Evaluation(x, *none, None, error, self._last)
+        values = np.array([each.value for each in found])
+        self._rows.append(SweepRow(at, dict(zip(self.names, values.tolist(), strict=True))))
+        jacobian = np.array([each.gradient for each in found]) * self._scale
+        self._last = Evaluation(x, values, jacobian, found[0].solution)
+        return self._last
+
+
+@final
+@dataclass(frozen=True)
+class Response:
+    """One function of the design: a call returns its value, `gradient` its gradient.
+
+    The sign is that of its change towards a design that has no value.
+    """
+
+    responses: Responses
+    index: int
+    sign: float = 1.0
+
+    def __call__(self, x: Array) -> float:
+        """Return the value at x."""
+        return self._pair(x)[0]
+
+    def gradient(self, x: Array) -> Array:
+        """Return the gradient in x, shape (n_b,)."""
+        return self._pair(x)[1]
+
+    def _pair(self, x: Array) -> tuple[float, Array]:
+        found, k = self.responses.at(x), self.index
+        near = found.near
+        if near is None:
+            return float(found.values[k]), found.jacobian[k].copy()
+        d = found.x - near.x
+        r = self.sign * np.linalg.norm(near.jacobian[k]) * np.linalg.norm(d)
+        return float(near.values[k] + r), 3 * r * d / (d @ d)
+
+
+@final
+@dataclass(frozen=True)
+class Evaluation:
+    """What one design gave: values, derivatives in x and the run.
+
+    A design that has none has the error, and the last design before that had values.
+    """
+
+    x: Array
+    values: Array
+    jacobian: Array
+    solution: Solution | None
+    error: AncfdaeError | None = None
+    near: Evaluation | None = None
+
+
+def _scale(scale: object, n_b: int) -> Array:
+    """Return the scales of all design variables, shape (n_b,)."""
+    given = require_array("scale", scale)
+    if given.shape not in ((), (n_b,)) or not np.all(given > 0):
+        rule = f"must be positive, one number or one for each of {n_b} design variables"
+        raise InvalidInput("scale", rule, repr(scale), "For example system.b.")
+    return np.broadcast_to(given, n_b)

@@ -1,0 +1,218 @@
+"""`Responses`: one run a design, for SciPy, OpenMDAO and JAX, also where runs end early."""
+
+import importlib
+import textwrap
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import check_grad, least_squares, minimize
+
+from ancfdae import (
+    HHT,
+    DesignVariable,
+    Direct,
+    FailedDesign,
+    InvalidInput,
+    Responses,
+    Terminal,
+    UnfinishedRun,
+    UnknownName,
+    custom,
+    gradients,
+    mass,
+    position,
+)
+from validation.scenes import pendulum
+
+from mechanisms import CartesianPendulum
+
+X = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "x"))
+Y = Terminal(custom(lambda t, q, v, lam, b: q[:, 1], "y"))
+MISS = (X - 1.2) ** 2 + 0.01 * Y**2
+STEPS = HHT(2.0**-4)
+
+
+class Short(CartesianPendulum):
+    """A pendulum whose runs end early where it is longer than the limit."""
+
+    runs = 0
+    limit = 1.26
+
+    def with_values(self, b):
+        return Short(self.angle, self.spin, b)
+
+    def start(self):
+        Short.runs += 1
+        return super().start()
+
+    def force(self, q, v, t):
+        force = super().force(q, v, t)
+        return force * np.nan if abs(self.b[0]) > self.limit and t > 0.1 else force
+
+
+SYSTEM = Short(-1.0, 2.0)
+
+
+def responses(**settings):
+    settings = {"scale": SYSTEM.b, "method": Direct()} | settings
+    return Responses(SYSTEM, {"miss": MISS, "y": Y}, 1.0, STEPS, **settings)
+
+
+def test_values_and_derivatives_are_those_of_gradients_in_scaled_variables():
+    r = responses()
+    x = np.array([0.9, 1.1])
+    found = gradients(SYSTEM.with_values(x * SYSTEM.b), [MISS, Y], 1.0, STEPS, method=Direct())
+    np.testing.assert_array_equal(r.values(x), [each.value for each in found])
+    assert r["y"](x) == found[1].value
+    np.testing.assert_array_equal(r["y"].gradient(x), SYSTEM.b * found[1].gradient)
+    np.testing.assert_array_equal(r.start, [1.0, 1.0])
+    # Forward differences with steps of 1.5e-8 err by that times the curvature, about one here.
+    assert check_grad(r["miss"], r["miss"].gradient, x) < 1e-6
+
+
+def test_whatever_is_asked_for_a_design_runs_once():
+    r = responses()
+    for x in ([1.0, 1.0], [0.9, 1.0], [1.0, 1.0]):
+        r["miss"](x), r["y"].gradient(x), r.values(x), r.jacobian(x), r.solution(x)
+        r.constraint("y", upper=0.0).fun(x)
+    assert [row.result["y"] for row in r.history.rows] == [r["y"](x) for x in ([1, 1], [0.9, 1])]
+    assert "2 designs run" in repr(r)
+
+
+@pytest.mark.parametrize("method", ["SLSQP", "trust-constr", "L-BFGS-B", "BFGS"])
+def test_optimisers_step_back_from_designs_without_values(method):
+    r = responses()
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = minimize(r["miss"], r.start, jac=r["miss"].gradient, method=method)
+    failed = [each for each in told if each.category is FailedDesign]
+    assert len(failed) == len(r.history.failed) > 0
+    assert r.solution(found.x).outcome.success
+    # It is an optimum: SciPy's tests of convergence leave 1e-3 of the gradient at most.
+    slope = [np.linalg.norm(r["miss"].gradient(x)) for x in (found.x, r.start)]
+    assert slope[0] < 1e-2 * slope[1]
+
+
+def test_a_constraint_holds_at_the_optimum():
+    system = CartesianPendulum(-1.0, 2.0)
+    r = Responses(system, {"x": X, "y": Y}, 0.5, STEPS, scale=system.b)
+    upper = float(r["y"](r.start)) + 0.1
+    found = minimize(
+        r["x"],
+        r.start,
+        jac=r["x"].gradient,
+        method="SLSQP",
+        bounds=[(0.5, 2.0)] * 2,
+        constraints=r.constraint("y", upper=upper),
+    )
+    assert found.success
+    assert r["y"](found.x) == pytest.approx(upper, abs=1e-5)  # Its tolerance is 1e-6.
+
+
+def test_least_squares_steps_back_too(monkeypatch):
+    monkeypatch.setattr(Short, "limit", 1.1)
+    r = Responses(SYSTEM, {"x": X - 1.2, "y": 0.1 * Y}, 1.0, STEPS, scale=SYSTEM.b)
+    with pytest.warns(FailedDesign, match="has no values: no gradient: the residual is not finite"):
+        found = least_squares(r.values, [0.7, 1.0], r.jacobian, max_nfev=12)
+    # The best fit is longer than the longest pendulum that runs.
+    assert 1.0 < found.x[0] <= 1.1
+    assert r.solution(found.x).outcome.success
+
+
+def test_a_design_without_values_is_an_error_where_nothing_else_can_be_said():
+    bad = [1.5, 1.0]
+    with pytest.raises(UnfinishedRun):
+        responses()["miss"](bad)
+    strict = responses(strict=True)
+    strict["miss"](strict.start)
+    with pytest.raises(UnfinishedRun):
+        strict["miss"](bad)
+    r = responses()
+    good = r["y"](r.start)
+    with pytest.warns(FailedDesign):
+        assert np.all(np.isinf(r.values(bad)))
+    assert np.all(np.isnan(r.jacobian(bad)))
+    # A constraint turns to what it forbids.
+    assert r.constraint("y", upper=0.0).fun(bad) > good > r.constraint("y", lower=0.0).fun(bad)
+    with pytest.raises(UnfinishedRun):
+        r.solution(bad)
+
+
+def test_bounds_come_from_the_design_variables():
+    design = [DesignVariable("h", {"pendulum.height": 1.0}, bounds=(0.02, 0.08)), "pendulum.width"]
+    r = Responses(
+        pendulum(elements=1), {"m": Terminal(mass())}, 0.25, STEPS, design=design, scale=2
+    )
+    np.testing.assert_array_equal(r.bounds.lb, [0.01, -np.inf])
+    np.testing.assert_array_equal(r.bounds.ub, [0.04, np.inf])
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda: responses(scale=0.0), "scale: must be positive"),
+        (lambda: responses(scale=[1.0]), "one for each of 2"),
+        (lambda: responses(strict=3), "strict: must be of type bool"),
+        (lambda: Responses(SYSTEM, {}, 1.0, STEPS), "functions: must not be empty"),
+        (lambda: Responses(SYSTEM, [X], 1.0, STEPS), "functions: must be of type Mapping"),
+        (lambda: Responses(SYSTEM, {1: X}, 1.0, STEPS), "functions: must be of type str"),
+        (lambda: Responses(SYSTEM, {"x": position}, 1.0, STEPS), "objective: must be of type"),
+        (lambda: responses().constraint("y"), "lower and upper must bound it"),
+        (lambda: responses().values([1.0]), r"x: must be an array .* of shape \(2,\)"),
+    ],
+)
+def test_nonsense_is_refused(call, match):
+    with pytest.raises(InvalidInput, match=match):
+        call()
+    with pytest.raises(UnknownName):
+        responses()["z"]
+
+
+def test_openmdao_finds_its_partials_right():
+    om = pytest.importorskip("openmdao.api", reason="needs openmdao: pip install ancfdae[openmdao]")
+    from openmdao.utils.assert_utils import assert_check_partials
+
+    from ancfdae.openmdao import ResponsesComponent
+
+    problem = om.Problem(reports=False)
+    problem.model.add_subsystem("rod", ResponsesComponent(responses=responses()), promotes=["*"])
+    problem.setup()
+    problem.run_model()
+    assert problem.get_val("y") == pytest.approx(SYSTEM_Y)
+    told = problem.check_partials(out_stream=None, method="fd", form="central", step=1e-5)
+    # Central differences err by a third derivative, of size ten at most, times step^2/6, and by
+    # round-off of the run, 1e-13, over the step.
+    assert_check_partials(told, atol=1e-7, rtol=1e-6)
+    problem.set_val("x", [1.5, 1.0])
+    with pytest.warns(FailedDesign), pytest.raises(om.AnalysisError, match="not finite"):
+        problem.run_model()
+
+
+SYSTEM_Y = gradients(SYSTEM, [Y], 1.0, STEPS, method=Direct())[0].value
+
+
+def test_openmdao_that_is_missing_is_named(monkeypatch):
+    import sys
+
+    from ancfdae import MissingPackage
+
+    monkeypatch.setitem(sys.modules, "openmdao", None)
+    monkeypatch.setitem(sys.modules, "openmdao.api", None)
+    monkeypatch.delitem(sys.modules, "ancfdae.openmdao", raising=False)
+    with pytest.raises(MissingPackage, match=r"pip install \"ancfdae\[openmdao\]\""):
+        importlib.import_module("ancfdae.openmdao")
+
+
+def test_the_wrapper_for_jax_in_the_documents_has_the_gradient_of_the_run():
+    pytest.importorskip("jax", reason="needs JAX: python3 -m pip install 'ancfdae[jax]'")
+    text = (Path(__file__).parents[1] / "docs" / "other-tools.md").read_text(encoding="utf-8")
+    code = text.split("<!-- test: jax -->")[1].split("\n\nValues")[0]
+    names = {"design": responses()}
+    exec(compile(textwrap.dedent(code), "docs/other-tools.md", "exec"), names)
+    r, x = responses(), np.ones(2)
+    weights = np.array([1.0, 2 * r["y"](x)])
+    # In double precision, whose round-off alone differs.
+    np.testing.assert_allclose(names["slope"], 0.1 * weights @ r.jacobian(x), rtol=1e-13)
+    assert float(names["value"]) == pytest.approx(r["miss"](x) + r["y"](x) ** 2, rel=1e-13)
