@@ -6,7 +6,8 @@ from pathlib import Path
 import ancfdae
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # For `pictures`.
+sys.path.insert(0, str(HERE))
+from pictures import FILMS  # noqa: E402
 
 project = "ancfdae"
 author = project_copyright = "ancfdae developers"
@@ -61,7 +62,8 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = "ancfdae"
-html_static_path = ["_static"]
+html_static_path = ["_static", "made/films"]
+FILMS.mkdir(parents=True, exist_ok=True)
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_theme_options = {

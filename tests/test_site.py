@@ -20,7 +20,8 @@ def public_names() -> list[str]:
     """Names that a person imports, in full."""
     names = [f"ancfdae.{name}" for name in ancfdae.__all__ if not name.startswith("__")]
     mine = (n for n in plotting.__all__ if plotting.__name__ in getattr(plotting, n).__module__)
-    return names + [f"{plotting.__name__}.{name}" for name in mine]
+    others = [f"{plotting.__name__}.{name}" for name in mine]
+    return [*names, *others, "ancfdae.openmdao.ResponsesComponent"]
 
 
 def entries(text: str) -> dict[str, str]:

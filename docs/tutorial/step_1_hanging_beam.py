@@ -10,7 +10,7 @@ m, kg, s, N, Pa.
 """
 
 from ancfdae import Beam, Clamp, Material, Rectangle, Scene, equilibrium, position, static_gradient
-from ancfdae.plotting import Panel, Series, draw, save
+from ancfdae.plotting import VonMisesStress, save, snapshots
 
 rubber = Material(density=1100, youngs_modulus=5e6, poisson_ratio=0.45)
 beam = Beam(
@@ -50,9 +50,9 @@ print(f"predicted {0.001 * found.gradient[0]:.4f} m, found {higher[1] - sag[1]:.
 
 # %%
 # The width has (almost) no effect: it makes the beam stiffer and heavier alike. What is predicted
-# and what is found differ by the curvature of the function, not by an error of the gradient. The
-# shape of the centre line:
+# and what is found differ by the curvature of the function, not by an error of the gradient.
+#
+# `snapshots` draws a scene at rest or in motion, `save` writes the picture as SVG and PNG.
 
-shape = [rest.solution.position(beam.at(s / 20))[0] for s in range(21)]
-line = Series("at rest", [p[0] for p in shape], [p[1] for p in shape])
-save(draw([Panel("A rubber beam under its weight", "x [m]", "y [m]", [line])]), "step_1")
+picture = snapshots(scene, rest.solution, colour=VonMisesStress(), title="A rubber beam at rest")
+save(picture, "step_1")

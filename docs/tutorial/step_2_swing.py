@@ -10,7 +10,7 @@ from ancfdae import (
     HHT, Beam, Material, Pin, Rectangle, Scene, assemble, kinetic_energy, observe, simulate,
     strain_energy,
 )
-from ancfdae.plotting import Panel, Series, draw, save
+from ancfdae.plotting import Panel, Series, Speed, draw, save, snapshots
 
 rubber = Material(density=1100, youngs_modulus=5e6, poisson_ratio=0.45)
 beam = Beam("beam", (0, 0), (0.4, 0), 4, Rectangle(0.02, 0.02), rubber)
@@ -27,6 +27,11 @@ force = solution.reaction("hinge")
 print(tip.shape, f"lowest point {tip[:, 1].min():.4f} m, largest force {abs(force).max():.3f} N")
 
 # %%
+# The motion in one picture; earlier instants are fainter.
+
+save(snapshots(scene, solution, colour=Speed(), title="A rubber pendulum"), "step_2_motion")
+
+# %%
 # What can be observed can be plotted: here the energies, which add up to the work of gravity.
 
 system = assemble(scene)
@@ -38,7 +43,7 @@ panels = [
     Panel("The tip falls", "time [s]", "place [m]", places),
     Panel("Energy of motion and of strain", "time [s]", "energy [J]", energies),
 ]
-save(draw(panels, columns=2), "step_2")
+save(draw(panels, columns=2), "step_2_energy")
 
 # %%
 # A solution is written to a file by ``solution.save("swing.npz")`` and read back by

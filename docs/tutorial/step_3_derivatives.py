@@ -9,10 +9,10 @@ How does the whole motion change with the design? `differentiate` answers for ev
 import numpy as np
 
 from ancfdae import (
-    HHT, Beam, Integral, Material, Pin, Rectangle, Scene, deflection, differentiate, gradient,
-    taylor_test,
+    HHT, Beam, Integral, Material, Pin, Rectangle, Scene, assemble, deflection, differentiate,
+    gradient, taylor_test,
 )
-from ancfdae.plotting import Panel, Series, draw, save
+from ancfdae.plotting import history, save
 
 rubber = Material(density=1100, youngs_modulus=5e6, poisson_ratio=0.45)
 beam = Beam("beam", (0, 0), (0.4, 0), 4, Rectangle(0.02, 0.02), rubber)
@@ -25,14 +25,16 @@ solution = differentiate(scene, 0.5, HHT(2**-9), design=design)
 # Times one per cent of the value, it says how far the tip moves if the height is one per cent
 # larger.
 
-y = solution.position(beam.at_end)[:, 1]
 y_b = solution.derivative(lambda run: run.position(beam.at_end)[:, 1])
 change = 0.01 * solution.sensitivities.values * y_b
 print(f"one per cent of height moves the tip by up to {1e3 * abs(change[:, 0]).max():.2f} mm")
-height = Panel("Height of the tip", "time [s]", "y [m]", [Series("y", solution.t, y)])
-curves = [Series(name, solution.t, change[:, i]) for i, name in enumerate(design)]
-changes = Panel("What one per cent changes", "time [s]", "change of y [m]", curves)
-save(draw([height, changes], columns=2), "step_3")
+
+# %%
+# `history` draws what can be observed with bands: what so many per cent of each variable change.
+
+system = assemble(scene, design)
+bending = {"deflection of the tip [m]": deflection(beam.at_end, beam.at_start)}
+save(history(system, solution, bending, percent=10), "step_3")
 
 # %%
 # An objective is one number of a run: here how much the beam bends, the root of the mean square

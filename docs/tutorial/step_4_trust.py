@@ -12,6 +12,7 @@ from ancfdae import (
     HHT, Beam, Integral, Material, Pin, Rectangle, Scene, deflection, error_bars, gradient,
     suggest_step,
 )
+from ancfdae.plotting import Panel, Series, draw, save
 
 rubber = Material(1100, 5e6, 0.45, damping_time=2e-3)  # s: rubber damps its own vibration
 
@@ -46,10 +47,22 @@ for step in (2**-7, 2**-9):
 # %%
 # Elements: double them and look.
 
-for elements in (1, 2, 4, 8):
+counts, values, slopes = [1, 2, 3, 4, 6, 8], [], []
+for elements in counts:
     scene, bent = pendulum(elements)
     found = gradient(scene, bent, 0.5, HHT(2**-9), design=["beam.height"])
+    values.append(found.value)
+    slopes.append(found.gradient[0])
     print(f"{elements} elements: {found.value:.6f} m, gradient {found.gradient[0]:.4f}")
+
+lines = [
+    Series(name, counts[:-1], np.abs(np.array(x[:-1]) / x[-1] - 1))
+    for name, x in (("value", values), ("gradient", slopes))
+]
+panel = Panel(
+    "Difference from 8 elements", "elements [-]", "relative difference [-]", lines, y_scale="log"
+)
+save(draw([panel]), "step_4")
 
 # %%
 # Four elements and 2\ :sup:`-9` s are good for three digits here. :doc:`/howto/elements` and

@@ -13,7 +13,7 @@ from ancfdae import (
     Rectangle, Scene, SmoothMaximum, Uniform, design_value, distribution, gradients,
     maximum_stress, position, time,
 )
-from ancfdae.plotting import Panel, Series, draw, save
+from ancfdae.plotting import gradient_bars, save
 
 nylon = Material(1150, 2.5e9, 0.4, damping_time=1e-4)
 crank = Beam("crank", (0, 0), (0.15, 0), 1, Rectangle(0.03, 0.02), nylon, rigid=True)
@@ -55,12 +55,8 @@ for name, value, a, b in zip(design, values, found[0].gradient, found[1].gradien
 
 heights = distribution("rod.height", 4)
 profile = gradients(scene, [stress], 0.105, HHT(5e-4), design=heights, method=Adjoint())
-places = (np.arange(4) + 0.5) / 4 * 0.4
-bars = Series("MPa per mm", places, 1e-3 * profile[0].gradient)
-panel = Panel(
-    "Where height helps against stress", "place along the rod [m]", "change [MPa/mm]", [bars]
-)
-save(draw([panel]), "step_6")
+title = "Where height raises the stress (up) and where it lowers it (down)"
+save(gradient_bars(scene, profile[0], "rod.height", time=0.03, title=title), "step_6")
 
 # %%
 # One variable may drive several numbers: a size that changes height and width together.
