@@ -1,7 +1,9 @@
 """Settings of the site: ``python -m sphinx -W docs out/site`` with the extra `docs`."""
 
+import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import ancfdae
 
@@ -77,3 +79,15 @@ html_theme_options = {
     "navbar_end": ["theme-switcher"],
 }
 html_sidebars = {"index": []}
+
+
+def plain_bars(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Keep bars as they are in docstrings: they are absolute values, and no substitutions."""
+    for k, line in enumerate(lines):
+        line = re.sub(r"(``.*?``)|\|", lambda found: found[1] or r"\|", line)
+        lines[k] = line.replace("``(", "`` (")  # Text beside a literal needs a space.
+
+
+def setup(app: Any) -> None:
+    """Register with Sphinx."""
+    app.connect("autodoc-process-docstring", plain_bars)

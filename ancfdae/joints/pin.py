@@ -18,7 +18,7 @@ class Pin(Joint):
     """Hold a point of a beam to ground or to a point of another beam.
 
     The constraint is r(point) - r(other) = 0, or r(point) - ground = 0. Design targets:
-    ``ground_x``, ``ground_y`` (, ``ground_z``) where `ground` is given.
+    ``ground_x``, ``ground_y``(, ``ground_z``) where `ground` is given.
 
     Parameters
     ----------

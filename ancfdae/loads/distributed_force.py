@@ -18,7 +18,7 @@ from ancfdae.parts import CentreLine, Vectors
 class DistributedForce(ConstantLoad):
     """A force fixed in direction per unit of reference length.
 
-    Design targets: ``force_x``, ``force_y`` (, ``force_z``).
+    Design targets: ``force_x``, ``force_y``(, ``force_z``).
 
     Parameters
     ----------

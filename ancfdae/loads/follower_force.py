@@ -21,8 +21,8 @@ from ancfdae.parts import Vectors
 class FollowerForce(Load):
     """A force with given components along the section's axes.
 
-    ``F = sum_k f_k r_k / |r_k|`` over the slope vectors r_k of the point. Design targets:
-    ``force_x`` (along the beam), ``force_y`` (, ``force_z``).
+    F = sum_k f_k r_k / |r_k| over the slope vectors r_k of the point. Design targets:
+    ``force_x`` (along the beam), ``force_y``(, ``force_z``).
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from ancfdae.parts import Vectors
 class PointForce(ConstantLoad):
     """A force on a point, fixed in direction (eq. 11).
 
-    Design targets: ``force_x``, ``force_y`` (, ``force_z``).
+    Design targets: ``force_x``, ``force_y``(, ``force_z``).
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from ancfdae.parts import Vectors
 class SpringDamper(Load):
     """Linear spring and damper along the line between two points.
 
-    With e = r(point) - r(other), ``l = |e|`` and n = e/l: F(point) = -(k (l - l_0) + c l') n, and
+    With e = r(point) - r(other), l = |e| and n = e/l: F(point) = -(k (l - l_0) + c l') n, and
     the opposite on the other point. Design targets: ``stiffness``, ``damping``,
     ``free_length``, and ``ground_x`` ... where `ground` is given.
 

@@ -26,7 +26,7 @@ class StepSuggestion:
     step : float
         Step that takes `per_period` steps in the period `resolved`.
     fastest, slowest : float
-        Shortest and longest period, ``2 pi / |s|``, of motions that vibrate or grow.
+        Shortest and longest period, 2 pi / |s|, of motions that vibrate or grow.
     resolved : float
         Period of the fastest motion that counts.
     per_period : float

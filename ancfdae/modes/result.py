@@ -93,12 +93,12 @@ class Modes:
 
     @property
     def natural_frequencies(self) -> Array:
-        """``|s|``, shape (count,); rad/s. Without damping the frequencies."""
+        """|s|, shape (count,); rad/s. Without damping the frequencies."""
         return np.abs(self.exponents)
 
     @property
     def damping_ratios(self) -> Array:
-        """``-Re s / |s|``, shape (count,); zero for rigid modes."""
+        """-Re s / |s|, shape (count,); zero for rigid modes."""
         size = np.abs(self.exponents)
         return np.asarray(0.0 - self.exponents.real / np.where(size == 0, 1.0, size))
 
