@@ -14,14 +14,17 @@ from test_readme import README, ROOT, python_blocks
 
 TUTORIAL = ROOT / "docs" / "tutorial"
 
-# Imports every module, so that none needs the checkout or an extra.
+# Imports every module: none needs the checkout, and one that needs an extra says how to get it.
 IMPORT_ALL = """
 import importlib, importlib.util, pathlib, pkgutil, sys
 import ancfdae
 assert pathlib.Path(ancfdae.__file__).is_relative_to(sys.prefix), ancfdae.__file__
 assert importlib.util.find_spec("validation") is None
 for module in pkgutil.walk_packages(ancfdae.__path__, "ancfdae."):
-    importlib.import_module(module.name)
+    try:
+        importlib.import_module(module.name)
+    except ancfdae.MissingPackage as error:
+        assert "pip install" in str(error), error
 """
 
 
