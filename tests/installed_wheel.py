@@ -6,6 +6,7 @@ so that a file missing there is missed here.
 
 import subprocess
 import sys
+import tarfile
 import tempfile
 import zipfile
 from pathlib import Path
@@ -42,12 +43,23 @@ def check_names(wheel: Path) -> None:
         assert any(name.endswith(needed) for name in names), f"the wheel lacks {needed}"
 
 
+def check_sdist(sdist: Path) -> None:
+    """Refuse an sdist that lacks a module or a text of the checkout."""
+    with tarfile.open(sdist) as file:
+        names = {name.partition("/")[2] for name in file.getnames()}
+    modules = (path.relative_to(ROOT).as_posix() for path in (ROOT / "ancfdae").rglob("*.py"))
+    missing = {*modules, "README.md", "LICENSE", "pyproject.toml"} - names
+    assert not missing, f"the sdist lacks {sorted(missing)}"
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run(sys.executable, "-m", "build", "--outdir", folder, ROOT, folder=folder)
         (wheel,) = folder.glob("*.whl")
         check_names(wheel)
+        (sdist,) = folder.glob("*.tar.gz")
+        check_sdist(sdist)
         run(sys.executable, "-m", "venv", "clean", folder=folder)
         python = folder / "clean" / "bin" / "python"
         run(python, "-m", "pip", "install", "--quiet", wheel, folder=folder)
@@ -56,6 +68,9 @@ def main() -> None:
         for program in (IMPORT_ALL, first, *tutorial):
             # Isolated: neither the checkout nor PYTHONPATH is seen.
             run(python, "-I", "-W", "error", "-c", program, folder=folder)
+        again = ("install", "--quiet", "--force-reinstall", "--no-deps", sdist)
+        run(python, "-m", "pip", *again, folder=folder)
+        run(python, "-I", "-W", "error", "-c", IMPORT_ALL, folder=folder)
 
 
 if __name__ == "__main__":

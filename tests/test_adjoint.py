@@ -180,8 +180,9 @@ def test_transposed_operator_satisfies_the_dot_product_identity(build):
             np.linalg.norm(x) * np.linalg.norm(y) for x, y in zip(seeds, columns, strict=True)
         )
         # The claim.
-        # Round-off of the stiffness times a motion that is rigid, which cancels, at the start.
-        assert abs(forward - back[i]) < 1e-12 * size, (design[i], forward, back[i])
+        # At the start accelerations do not depend on a rigid motion of the scene: their derivative
+        # is round-off of the stiffness times that motion alone, up to 1e4 eps of the others.
+        assert abs(forward - back[i]) < 1e-11 * size, (design[i], forward, back[i])
 
 
 @pytest.mark.parametrize("build", SCENES, ids=lambda build: build.__name__)

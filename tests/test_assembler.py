@@ -730,7 +730,7 @@ def test_design_derivatives_of_the_constraints_are_not_all_zero():
 def test_force_is_minus_the_gradient_of_the_energies(conservative):
     s, system = conservative, conservative.system
     gradient = s.by_coordinate(
-        lambda q: np.sum(system.strain_energy(q)) + system.gravity_potential(q)
+        lambda q: system.energies.strain(q[None])[0] + system.energies.gravity(q)
     )
     assert_close(system.force(s.q, s.v, s.t), -gradient, DERIVATIVE)
 
@@ -967,7 +967,7 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
     M = s.system.pattern.dense(s.system.mass(s.q))
     assert_close(M, expected, VALUE)
     assert_close(s.system.mass_times(s.q, s.a), M @ s.a, VALUE)
-    assert_close(s.system.kinetic_energies(s.v[None]), np.array([0.5 * s.v @ M @ s.v]), VALUE)
+    assert_close(s.system.energies.kinetic(s.v[None]), np.array([0.5 * s.v @ M @ s.v]), VALUE)
     translation = np.zeros((s.system.n_q // d, d))
     translation[:: s.system.element.n_s, 0] = 1.0
     total = translation.ravel() @ s.system.mass_times(s.q, translation.ravel())
@@ -1211,9 +1211,8 @@ def test_pattern_products_are_those_of_the_dense_matrix(shape):
 
 
 STORAGES = {
-    "dense": (10**9, 0, linear_solvers._DenseStorage),
-    "band": (0, 10**9, linear_solvers._BandStorage),
-    "sparse": (0, 0, linear_solvers._SparseStorage),
+    "band": (10**9, linear_solvers._BandStorage),
+    "sparse": (0, linear_solvers._SparseStorage),
 }
 
 
@@ -1221,8 +1220,7 @@ class Chain:
     """Two pinned chains of beams, a matrix on their pattern and the same matrix densely."""
 
     def __init__(self, kind, monkeypatch):
-        size, half_width, storage = STORAGES[kind]
-        monkeypatch.setattr(linear_solvers, "_DENSE_SIZE", size)
+        half_width, storage = STORAGES[kind]
         monkeypatch.setattr(linear_solvers, "_BAND_HALF_WIDTH", half_width)
         self.system = chain_system()
         system = self.system
@@ -1328,16 +1326,11 @@ def test_singular_matrix_is_refused(kind, is_complex, monkeypatch):
         chain.solver.factor(spoiled, chain.B)
 
 
-def test_storage_is_chosen_by_size_and_band():
+def test_chains_are_bands():
     system = chain_system()
     values = system.constraint_q(system.start()[0], 0.0)
     arguments = (system.pattern, system.constraint_pattern, system.weights, values)
-    # 32 nodes of 6 coordinates: too many for the dense form, in a narrow band of two nodes and
-    # the multipliers between them.
+    # A narrow band of two nodes and the multipliers between them.
     storage = SaddlePoint(*arguments)._storage
     assert isinstance(storage, linear_solvers._BandStorage)
     assert storage._half_width <= 20
-    small = assemble(one_planar_beam())
-    values = small.constraint_q(small.start()[0], 0.0)
-    storage = SaddlePoint(small.pattern, small.constraint_pattern, small.weights, values)._storage
-    assert isinstance(storage, linear_solvers._DenseStorage)

@@ -68,7 +68,7 @@ def test_the_energy_grows_by_the_work_of_the_drive(d):
     for h in (2**-9, 2**-10):
         solution, system = simulate(crank(d), 0.5, HHT(h, hht_alpha=-0.01)), assemble(crank(d))
         energy = observe(strain_energy() + kinetic_energy(), solution, system)
-        energy = energy + np.array([system.gravity_potential(q) for q in solution.q])
+        energy = energy + system.energies.gravity(solution.q)
         power = observe(joint_power("motor"), solution, system)
         work = np.concatenate([[0.0], np.cumsum(0.5 * h * (power[1:] + power[:-1]))])
         errors.append(np.max(np.abs(energy - energy[0] - work)) / np.max(np.abs(work)))

@@ -24,8 +24,8 @@ from ancfdae import (
 from ancfdae.errors import Verdict
 from ancfdae.integrators.hht.equations import Coefficients, Node
 from ancfdae.integrators.hht.small_steps import ConstraintRow, constraint_increment
-from validation.extremes_rows import Case, measure
-from validation.extremes_scenes import Rod, Units
+from validation.extremes.rows import Case, measure
+from validation.extremes.scenes import Rod, Units
 
 from mechanisms import CartesianPendulum, GuidedDoublePendulum, chain
 

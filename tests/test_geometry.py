@@ -487,7 +487,7 @@ def test_scenes_that_do_not_use_geometry_start_as_declared_to_the_last_digit():
     rod = Beam("rod", (0.2, 0.1), (1.1, 0.4), 2, STRIP, SOFT)
     system = assemble(Scene([rod], [Pin(rod.at_start)]), ["rod.height"])
     assert np.array_equal(system.start()[0], system._reference.q)
-    assert not system._start_along
+    assert not system._start.along
 
 
 def test_a_variable_that_strains_the_bodies_has_the_derivative_of_the_call():

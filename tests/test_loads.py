@@ -524,8 +524,8 @@ def test_damper_takes_the_energy_out_of_a_swinging_beam():
         e = solution.position(Point("rod", 0.5)) - [0.2, -0.5]
         l = np.linalg.norm(e, axis=1)
         rate = np.sum(e * solution.velocity(Point("rod", 0.5)), axis=1) / l
-        stored = 0.5 * 40.0 * (l - 0.3) ** 2 + system.strain_energies(solution.q)
-        energy = system.kinetic_energies(solution.v) + stored
+        stored = 0.5 * 40.0 * (l - 0.3) ** 2 + system.energies.strain(solution.q)
+        energy = system.energies.kinetic(solution.v) + stored
         power = damping * rate**2
         lost.append(np.sum(power[1:] + power[:-1]) / 2 * 2**-9)
         energies.append(energy)

@@ -189,9 +189,8 @@ def energies(scene, t_end):
     system = assemble(scene)
     run = simulate(system, t_end, Explicit(rtol=1e-11))
     assert run.outcome.success
-    kinetic = system.kinetic_energies(run.v)
-    potential = system.strain_energies(run.q)
-    return kinetic, potential + np.array([system.gravity_potential(q) for q in run.q])
+    energies = system.energies
+    return energies.kinetic(run.v), energies.strain(run.q) + energies.gravity(run.q)
 
 
 def test_chain_of_bodies_keeps_its_energy():
@@ -289,11 +288,11 @@ def test_point_mass_on_a_beam_weighs_its_position(element):
     bare = assemble(Scene([rod], gravity=(1.0, -G)))
     v = np.random.default_rng(0).uniform(-1, 1, system.n_q)
     moved = system.naming.vector(at, Quantity.POSITION).of(v, 2)
-    own = system.kinetic_energies(v[None], "m")
+    own = system.energies.kinetic(v[None], "m")
     assert_close(own, 0.35 * moved[None] @ moved)
-    both = system.kinetic_energies(v[None])
-    assert_close(both, own + bare.kinetic_energies(v[None]))
-    assert_close(system.kinetic_energies(v[None], "rod"), bare.kinetic_energies(v[None]))
+    both = system.energies.kinetic(v[None])
+    assert_close(both, own + bare.energies.kinetic(v[None]))
+    assert_close(system.energies.kinetic(v[None], "rod"), bare.energies.kinetic(v[None]))
     # Gravity works on it with 0.7 g . v.
     q = system.start()[0]
     power = (system.force(q, v, 0.0) - bare.force(q, v, 0.0)) @ v
@@ -665,10 +664,10 @@ def test_energies_of_all_parts_sum_to_that_of_the_scene():
     for name in RIGID:
         system = assemble(SCENES[name]())
         v = np.random.default_rng(0).uniform(-1, 1, (2, system.n_q))
-        parts = [system.kinetic_energies(v, owner) for owner in system.naming.layout.owners]
-        assert_close(np.sum(parts, axis=0), system.kinetic_energies(v))
+        parts = [system.energies.kinetic(v, owner) for owner in system.naming.layout.owners]
+        assert_close(np.sum(parts, axis=0), system.energies.kinetic(v))
         for body, rigid in zip(system.naming.layout.bodies, system._numbering.rigid, strict=True):
-            own = system.strain_energies(v, body.name)
+            own = system.energies.strain(v, body.name)
             assert np.all(own == 0) == rigid
 
 

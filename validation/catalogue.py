@@ -7,16 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from validation import (
-    crank_slider,
     elements,
     error_bars,
     external_dae,
-    extremes,
     integrators,
     pendulum,
     work_precision,
 )
+from validation.crank_slider import report as crank_slider
 from validation.design import report as design
+from validation.extremes import report as extremes
 from validation.literature import report as literature
 from validation.report import Report
 

@@ -163,9 +163,8 @@ def balance(system: AncfSystem, solution: Solution, length: float) -> tuple[floa
         float(np.max(np.abs(system.constraint(q, t))))
         for q, t in zip(solution.q, solution.t, strict=True)
     )
-    kinetic = system.kinetic_energies(solution.v)
-    gravity = np.array([float(system.gravity_potential(q)) for q in solution.q])
-    total = kinetic + system.strain_energies(solution.q) + gravity
+    kinetic = system.energies.kinetic(solution.v)
+    total = system.energies.total(solution.q, solution.v)
     return drift / length, float(np.max(np.abs(total - total[0])) / np.max(kinetic))
 
 

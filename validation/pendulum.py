@@ -306,7 +306,33 @@ def _step_halving(report: Report, coarse: _Curves, extent: _Extent) -> None:
         step = _STEP / 2 ** (k + 1)
         runs[step] = _scaled(differentiate(pendulum(), extent.t_end, HHT(step), design=_DESIGN))
     steps = list(runs)
-    rows = []
+    _table_at_one_second(report, runs)
+    changes = np.array([_changes(runs[a], runs[b]) for a, b in itertools.pairwise(steps)])
+    names = ("deflection", *(f"{symbol}-sensitivity" for symbol in _SYMBOLS))
+    for row_changes, step in zip(changes, steps[:-1], strict=True):
+        for name, value in zip(names, row_changes, strict=True):
+            report.figure(f"halving.2{int(np.log2(step))}.{name}", value)
+    _plot_halving(report, runs, changes, names)
+    last = changes[-1]
+    report.text(
+        f"From step {steps[-2]:.3g} s to {steps[-1]:.3g} s the deflection still changes by "
+        f"{last[0]:.1g}, its sensitivities by "
+        + ", ".join(f"{last[i + 1]:.1g} ({s})" for i, s in enumerate(_SYMBOLS))
+        + " (relative, norm over time). Gravity sets in suddenly and excites axial and thickness "
+        "waves that no such step resolves; a wave of amplitude A and frequency omega contributes "
+        "A omega t/2 to a sensitivity, so waves too small to be seen in the motion dominate it."
+    )
+    report.claim(
+        "The curves of Figs. 4 to 6 are the sensitivities of the pendulum",
+        "implied; one step (2^-7 s) is shown",
+        f"one halving of that step changes the E-sensitivity by {changes[0][3]:.2g} of its norm",
+        Agreement.DISAGREES if changes[0][3] > 0.2 else Agreement.PARTLY,
+    )
+
+
+def _table_at_one_second(report: Report, runs: dict[float, _Curves]) -> None:
+    """Add a table of values at t = 1 s, a row a step."""
+    rows: list[list[object]] = []
     for step, curves in runs.items():
         name = f"2^{int(np.log2(step))}"
         row: list[object] = [name]
@@ -325,11 +351,13 @@ def _step_halving(report: Report, coarse: _Curves, extent: _Extent) -> None:
         "index-reduced form, an independent code)."
     )
     report.table(["step [s]", "deflection [m]", "h · d/dh [m]", "E · d/dE [m]"], rows)
-    changes = np.array([_changes(runs[a], runs[b]) for a, b in itertools.pairwise(steps)])
-    names = ("deflection", *(f"{symbol}-sensitivity" for symbol in _SYMBOLS))
-    for row_changes, step in zip(changes, steps[:-1], strict=True):
-        for name, value in zip(names, row_changes, strict=True):
-            report.figure(f"halving.2{int(np.log2(step))}.{name}", value)
+
+
+def _plot_halving(
+    report: Report, runs: dict[float, _Curves], changes: Array, names: Sequence[str]
+) -> None:
+    """Plot the curves of the first and last step, and the changes by halving."""
+    steps = list(runs)
     report.plot(
         "step-halving",
         [
@@ -358,21 +386,6 @@ def _step_halving(report: Report, coarse: _Curves, extent: _Extent) -> None:
         title="Planar pendulum, E = 1e7 N/m²: what halving the step changes",
         caption="Left: the printed step against the smallest one. Right: relative change of the "
         "whole curve from one step to half of it.",
-    )
-    last = changes[-1]
-    report.text(
-        f"From step {steps[-2]:.3g} s to {steps[-1]:.3g} s the deflection still changes by "
-        f"{last[0]:.1g}, its sensitivities by "
-        + ", ".join(f"{last[i + 1]:.1g} ({s})" for i, s in enumerate(_SYMBOLS))
-        + " (relative, norm over time). Gravity sets in suddenly and excites axial and thickness "
-        "waves that no such step resolves; a wave of amplitude A and frequency omega contributes "
-        "A omega t/2 to a sensitivity, so waves too small to be seen in the motion dominate it."
-    )
-    report.claim(
-        "The curves of Figs. 4 to 6 are the sensitivities of the pendulum",
-        "implied; one step (2^-7 s) is shown",
-        f"one halving of that step changes the E-sensitivity by {changes[0][3]:.2g} of its norm",
-        Agreement.DISAGREES if changes[0][3] > 0.2 else Agreement.PARTLY,
     )
 
 

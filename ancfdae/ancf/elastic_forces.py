@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import final
 
 import numpy as np
-from scipy import sparse
 
 from ancfdae.ancf.block import ElementBlock
 from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.elements import elastic
-from ancfdae.elements.packing import packed_gram_direction
-from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.linear_map import LinearMap
+from ancfdae.kernels import (
+    Block,
+    forces,
+    forces_along,
+    gram,
+    lifted,
+    relative,
+    strain,
+    stressed,
+    tangents,
+)
+from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
-
-# Elements whose complex arrays are held at once.
-_TOGETHER = 300
 
 
 @final
@@ -47,15 +51,23 @@ class ElasticForces:
         n_b: int,
         pattern: Pattern,
     ) -> None:
-        self._block, self._numbering, self._n_b = block, numbering, n_b
-        self._shape = (len(numbering.vectors), numbering.element.n_y, numbering.element.d)
-        self._R = LinearMap(numbering.relative())
-        self._tangent_map = _tangent_map(numbering, pattern)
+        self._block, self._n_b, self._size = block, n_b, pattern.size
+        vectors, d = numbering.vectors, numbering.element.d
+        own = block.A, block.g_o, block.p_o, block.tau
+        self._elements = Block(*own, vectors, d, numbering.n_q)
+        n, size = len(vectors), vectors.shape[1] * d
+        self._coordinates = numbering.coordinates(vectors).reshape(n, size)
+        rows = np.broadcast_to(self._coordinates[:, :, None], (n, size, size))
+        index = pattern.index(rows.ravel(), rows.swapaxes(1, 2).ravel()).reshape(n, size**2)
+        self._index = index.astype(np.int32)
         pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
         self._stiff = len(block.stiffness_pairs)
         self._pair_element = mapping.elements[pairs]
         self._pair_variable = mapping.variables[pairs]
         self._pair_weight = mapping.weights[pairs]
+        # Whether no variable drives two parameters of one element.
+        stiff = self._pair_element * n_b + self._pair_variable
+        self._apart = len(np.unique(stiff[: self._stiff])) == self._stiff
 
     @property
     def damped(self) -> bool:
@@ -68,134 +80,123 @@ class ElasticForces:
         Relative node vectors carry eps |q| each, and forces the tangent times that; all terms
         by their magnitude, in the norm sqrt(sum Q^2 / weights).
         """
-        block = self._block
-        R = abs(self._numbering.relative())
-        Y = self._R(q.real).reshape(self._shape)
+        own, (n, size) = self._coordinates, self._coordinates.shape
+        apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
+        block = self._elements
         p_o = None if block.p_o is None else block.p_o.real
-        K = np.abs(elastic.tangent(block.A.real, block.g_o.real, Y, p_o=p_o))
-        F = np.matmul(K, (R @ np.abs(q.real)).reshape(*K.shape[:2], 1))
-        Q = np.finfo(float).eps * (R.T @ F.ravel())
+        real = block._replace(A=block.A.real, g_o=block.g_o.real, p_o=p_o, tau=None)
+        K = np.abs(tangents(real, q.real, None, False, apart, apart.size)).reshape(n, size, size)
+        F = np.matmul(K, np.abs(q)[own][..., None])
+        Q = np.finfo(float).eps * np.bincount(own.ravel(), F.ravel(), minlength=len(q))
         return float(np.sqrt(np.sum(Q * Q / weights)))
 
     def relative(self, q: Array) -> Array:
         """Relative node vectors of all elements, shape (k, n, n_y, d)."""
-        # In one piece for each element: matrix products of small strided blocks are slow.
-        return np.ascontiguousarray(self._R.rows(q)).reshape(len(q), *self._shape)
+        return relative(self._elements, q)
 
-    def force(self, q: Array, v: Array) -> Array:
-        """Q_s for one instant, shape (n_q,)."""
-        block = self._block
-        Y = self._R(q).reshape(self._shape)
-        V = None if block.tau is None else self._R(v).reshape(self._shape)
-        F = elastic.force(block.A, block.g_o, Y, V, block.tau, block.p_o)
-        return -self._R.transposed(F.ravel())
+    def internal(self, q: Array, v: Array) -> Array:
+        """-Q_s for one instant, shape (n_q,), or for rows."""
+        return forces(self._elements, q, v if self.damped else None)
 
-    def force_q(self, q: Array, v: Array) -> Array:
-        """Values of (Q_s)_q on the pattern, shape (k, nnz)."""
-        block, Y = self._block, self.relative(q)
-        V = None if block.tau is None else self.relative(v)
-        K = elastic.tangent(block.A, block.g_o, Y, V, block.tau, block.p_o)
-        # Instants as whole rows in memory, as they are read afterwards.
-        return np.negative(self._tangent_map.rows(K.reshape(len(q), -1)), order="C")
+    def internal_q(self, q: Array, v: Array) -> Array:
+        """Values of -(Q_s)_q on the pattern, shape (k, nnz)."""
+        v_or_none = v if self.damped else None
+        return tangents(self._elements, q, v_or_none, False, self._index, self._size)
+
+    def internal_v(self, q: Array) -> Array:
+        """Values of -(Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
+        return tangents(self._elements, q, None, True, self._index, self._size)
 
     def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q_s for one instant, shape (n_q, n_b)."""
-        block, tau, Y = self._block, self._block.tau, self._R(q).reshape(self._shape)
-        V = None if tau is None else self._R(v).reshape(self._shape)
-        shape = (len(Y), self._shape[1] * self._shape[2], self._n_b)
-        U = self._R.columns(q_b).reshape(shape)
-        VU = None if V is None else (V, self._R.columns(v_b).reshape(shape))
-        x = elastic.strain(block.g_o, Y, V, tau)
-        p_b = self._stresses_b(x, Y, V)
-        p = elastic.stress(block.A, x, block.p_o)
-        F_b = elastic.force_total(block.A, p, p_b, (Y, U), VU, tau)
-        return -self._R.transposed(F_b.reshape(Y.size, self._n_b))
+        p_b = self._stresses_b(relative(self._elements, q), v)
+        along = self._along((q, v), (q_b.T, v_b.T), p_b)
+        return -along.T
 
-    def _stresses_b(self, x: Array, Y: Array, V: Array | None) -> Array:
-        """Design partial of A (dg + tau g') at fixed Y and V, shape (n, n_g, n_b)."""
+    def _along(
+        self, states: tuple[Array, Array], rates: tuple[Array, Array], p_b: Array | None = None
+    ) -> Array:
+        """Return derivatives of -Q_s along rows of rates of q and v, shape (k, n_q)."""
+        (q, v), (u, z) = states, rates
+        if not self.damped:
+            return forces_along(self._elements, q, None, u, None, p_b)
+        return forces_along(self._elements, q, v, u, z, p_b)
+
+    def _stresses_b(self, Y: Array, v: Array) -> Array:
+        """Design partial of A (dg + tau g') at fixed Y and V, shape (n, n_b, n_g)."""
         block, element, variable = self._block, self._pair_element, self._pair_variable
+        V = relative(self._elements, v) if self.damped else None
+        x = strain(block.g_o, Y, V, block.tau)
         p_b = np.zeros((len(Y), self._n_b, x.shape[1]), dtype=np.result_type(x, block.A_b))
         stiff, damped = slice(self._stiff), slice(self._stiff, None)
         change = elastic.apply_invariant(block.A_b, x[element[stiff]]) - block.c_b
-        np.add.at(p_b, (element[stiff], variable[stiff]), change)
+        if self._apart:
+            p_b[element[stiff], variable[stiff]] = change
+        else:
+            np.add.at(p_b, (element[stiff], variable[stiff]), change)
         if V is not None and len(block.damping_pairs):
             at = element[damped]
-            rate = packed_gram_direction(Y[at], V[at]) * self._pair_weight[damped, None]
+            rate = gram(Y[at], V[at]) * self._pair_weight[damped, None]
             A = block.A if len(block.A) == 1 else block.A[at]
             np.add.at(p_b, (at, variable[damped]), elastic.apply_invariant(A, rate))
-        return np.swapaxes(p_b, 1, 2)
-
-    def force_v(self, q: Array) -> Array:
-        """Values of (Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
-        assert self._block.tau is not None
-        K = elastic.damping_tangent(self._block.A, self.relative(q), self._block.tau)
-        return -self._tangent_map.rows(K.reshape(len(q), -1))
+        return p_b
 
     def force_b(self, q: Array, v: Array) -> Array:
         """(Q_s)_b, shape (k, n_q, n_b)."""
-        F = self._pair_forces(q, v).reshape(len(q), -1)
-        return -self._pair_map.rows(F).reshape(len(q), self._numbering.n_q, self._n_b)
+        return -self._by_variable(self._pair_forces(q, v))
 
     def tangent_rates(
         self, q: Array, v: Array, rates: tuple[Array, Array]
     ) -> tuple[Array, Array | None]:
-        """Time derivatives of `force_q` and `force_v` of one instant along rates of q and v."""
+        """Time derivatives of (Q_s)_q and (Q_s)_v of one instant along rates of q and v."""
         moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
-        rate_q = self.force_q(moved[0], moved[1]).imag / STEP
-        return rate_q, self.force_v(moved[0]).imag / STEP if self.damped else None
+        rate_q = -self.internal_q(moved[0], moved[1]).imag / STEP
+        return rate_q, -self.internal_v(moved[0]).imag / STEP if self.damped else None
 
     def pull_back_rate(self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array) -> Array:
         """Time derivative of `pull_back` of one instant along rates of q and v, mu held."""
-        moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
-        rate = self._pair_forces(moved[0], moved[1]).imag / STEP
-        work = rate * self.relative(mu[None])[:, self._pair_element]
+        work = self._pair_rates(q, v, rates) * self.relative(mu[None])[:, self._pair_element]
         per_pair = -np.sum(work, axis=(0, 2, 3))
         return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
 
     def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
-        """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
-        work = self._pair_forces(q, v) * self.relative(mu)[:, self._pair_element]
-        per_pair = -np.sum(work, axis=(0, 2, 3))
-        return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+        """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q).
+
+        mu . W(p_b) Y is p_b . g'(Y, R mu): instants are summed before the invariants of pairs come
+        in.
+        """
+        if not len(self._pair_element):
+            return np.zeros(self._n_b)
+        block, Y = self._block, self.relative(q)
+        V = self.relative(v) if self.damped else None
+        x, r = strain(block.g_o, Y, V, block.tau), gram(Y, self.relative(mu))
+        stiff, damped = slice(self._stiff), slice(self._stiff, None)
+        products = np.matmul(r.transpose(1, 2, 0), x.transpose(1, 0, 2))[self._pair_element[stiff]]
+        per_pair = np.sum(block.A_b * products, axis=(1, 2))
+        per_pair -= np.sum(block.c_b * np.sum(r, axis=0)[self._pair_element[stiff]], axis=1)
+        if V is not None and len(block.damping_pairs):
+            rate = np.sum(elastic.apply_invariant(block.A, gram(Y, V)) * r, axis=(0, 2))
+            weighted = rate[self._pair_element[damped]] * self._pair_weight[damped]
+            per_pair = np.concatenate([per_pair, weighted])
+        return -np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
 
     def force_rate(self, q: Array, v: Array, a: Array) -> Array:
         """d(Q_s)/dt along the motion, shape (n_q,), for one instant."""
-        block = self._block
-        Y, V, Z = (self._R(x).reshape(self._shape) for x in (q, v, a))
-        F = elastic.force_rate(block.A, block.g_o, Y, V, Z, block.tau, block.p_o)
-        return -self._R.transposed(F.ravel())
+        return -only(self._along((q, v), (v[None], a[None])))
 
     def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
         """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
-        block, n_b = self._block, self._n_b
-        Y = [self._R(x).reshape(self._shape) for x in states]
-        total = self._pair_map(self._pair_rates(Y).ravel()).reshape(self._numbering.n_q, n_b)
-        Y_b = [self._R.columns(x).T.reshape(n_b, *self._shape) for x in states_b]
-        count = max(1, _TOGETHER // max(1, self._shape[0]))
-        for first in range(0, n_b, count):
-            some = slice(first, first + count)
-            y, v, z = (y + 1j * STEP * y_b[some] for y, y_b in zip(Y, Y_b, strict=True))
-            F_b = elastic.force_rate(block.A, block.g_o, y, v, z, block.tau, block.p_o).imag / STEP
-            total[:, some] += self._R.rows_transposed(F_b.reshape(len(F_b), -1)).T
-        return -total
+        q, v, a = states
+        own = self._pair_rates(q, v, (v, a))
+        total = only(self._by_variable(own))
+        q, v, a = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
+        along: Array = self._along((q, v), (v, a)).imag.T / STEP
+        return -(total + along)
 
-    def _pair_rates(self, Y: Sequence[Array]) -> Array:
-        """Partial of the rate of the element force for every pair, shape (n_pairs, n_y, d)."""
-        block, at, stiff = self._block, self._pair_element, slice(self._stiff)
-        A, g_o = (np.broadcast_to(x, (len(Y[0]), *x.shape[1:])) for x in (block.A, block.g_o))
-        A, g_o = A[at].astype(complex), g_o[at].astype(complex)
-        A[stiff] += 1j * STEP * block.A_b
-        g_o[stiff] += 1j * STEP * block.g_ob
-        p_o = None
-        if block.p_o is not None:
-            p_o = np.broadcast_to(block.p_o, (len(Y[0]), *block.p_o.shape[1:]))[at].astype(complex)
-            p_ob = elastic.apply_invariant(A[stiff].real, block.g_ob) - block.c_b
-            p_o[stiff] += 1j * STEP * p_ob
-        tau = None if block.tau is None else block.tau[at].astype(complex)
-        if tau is not None:
-            tau[self._stiff :] += 1j * STEP * self._pair_weight[self._stiff :]
-        y, v, z = (x[at] for x in Y)
-        return np.asarray(elastic.force_rate(A, g_o, y, v, z, tau, p_o).imag / STEP)
+    def _pair_rates(self, q: Array, v: Array, rates: tuple[Array, Array]) -> Array:
+        """Return derivatives of `_pair_forces` of one instant along rates of q and v."""
+        moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
+        return np.asarray(self._pair_forces(moved[0], moved[1]).imag / STEP)
 
     # -- energies ------------------------------------------------------------------------------
 
@@ -206,15 +207,15 @@ class ElasticForces:
 
     def energy_q(self, q: Array, chosen: Array) -> Array:
         """Gradient of the energy of the chosen elements, shape (k, n_q)."""
-        block = self._block
-        F = elastic.force(block.A, block.g_o, self.relative(q), p_o=block.p_o)
-        F = F * chosen[:, None, None]
-        return self._R.rows_transposed(F.reshape(len(q), -1))
+        block, Y = self._block, self.relative(q)
+        p = elastic.apply_invariant(block.A, strain(block.g_o, Y, None, None))
+        p = p if block.p_o is None else p + block.p_o
+        return lifted(self._elements, stressed(p * chosen[:, None], Y))
 
     def energy_b(self, q: Array, chosen: Array) -> Array:
         """Design partial of the energy of the chosen elements, shape (k, n_b)."""
         block, pairs = self._block, self._pair_element[: self._stiff]
-        dg = elastic.strain(block.g_o, self.relative(q))[:, pairs]
+        dg = strain(block.g_o, self.relative(q), None, None)[:, pairs]
         # d(1/2 dg^T A dg + p_o^T dg) = 1/2 dg^T A_b dg - dg^T c_b; the reference, which has no
         # energy whatever its length, has p_o^T g_ob = 0.
         per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(block.A_b, dg) - block.c_b), axis=2)
@@ -227,42 +228,21 @@ class ElasticForces:
         block, Y = self._block, self.relative(q)
         V = None if block.tau is None else self.relative(v)
         stiff = self._pair_element[: self._stiff]
-        x = elastic.strain(block.g_o, Y, V, block.tau)
+        x = strain(block.g_o, Y, V, block.tau)
         F = elastic.force_partial(block.A_b, block.c_b, x[:, stiff], Y[:, stiff])
         if V is None or len(block.damping_pairs) == 0:
             return F
         damped, weight = self._pair_element[self._stiff :], self._pair_weight[self._stiff :]
-        rate = packed_gram_direction(Y[:, damped], V[:, damped]) * weight[:, None]
+        rate = gram(Y[:, damped], V[:, damped]) * weight[:, None]
         A = block.A if len(block.A) == 1 else block.A[damped]
-        D = elastic.stressed(elastic.apply_invariant(A, rate), Y[:, damped])
+        D = stressed(elastic.apply_invariant(A, rate), Y[:, damped])
         return np.concatenate([F, D], axis=1)
 
-    @cached_property
-    def _pair_map(self) -> LinearMap:
-        """Map from the forces of all pairs to columns of a row-major (n_q, n_b) array."""
-        size = self._shape[1] * self._shape[2]
-        rows = (self._pair_element[:, None] * size + np.arange(size)).ravel()
-        R = self._numbering.relative()
-        shape = (R.shape[1] * self._n_b, len(rows))
-        if len(rows) == 0:
-            return LinearMap(sparse.csr_array(shape))
-        picked = R[rows].tocoo()
-        variable = np.repeat(self._pair_variable, size)[picked.row]
-        return LinearMap.of(picked.col * self._n_b + variable, picked.row, picked.data, shape)
-
-
-def _tangent_map(numbering: Numbering, pattern: Pattern) -> LinearMap:
-    """Constant map from the element tangents in Y to values on the pattern."""
-    n, size = len(numbering.vectors), numbering.element.n_y * numbering.element.d
-    rows, columns, signs = numbering.relative_entries()
-    by_row = np.argsort(rows, kind="stable")
-    rows, columns, signs = rows[by_row], columns[by_row], signs[by_row]
-    if n == 0:
-        return LinearMap(sparse.csr_array((pattern.size, 0)))
-    per_element = len(rows) // n
-    i, j = (x.ravel() for x in np.indices((per_element, per_element)))
-    offset = np.arange(n)[:, None] * per_element
-    I, J = (offset + i).ravel(), (offset + j).ravel()
-    raw = (rows[I] // size * size + rows[I] % size) * size + rows[J] % size
-    index = pattern.index(columns[I], columns[J])
-    return LinearMap.of(index, raw, signs[I] * signs[J], (pattern.size, n * size * size))
+    def _by_variable(self, F: Array) -> Array:
+        """Return R^T of the forces of all pairs by variable, shape (k, n_q, n_b)."""
+        n_q, n_b, d = self._elements.n_q, self._n_b, self._elements.d
+        # As if each variable had coordinates of its own.
+        vectors = self._elements.vectors[self._pair_element]
+        vectors = vectors + (n_q // d) * self._pair_variable[:, None]
+        apart = self._elements._replace(vectors=vectors, n_q=n_q * n_b)
+        return lifted(apart, F).reshape(len(F), n_b, n_q).swapaxes(1, 2)

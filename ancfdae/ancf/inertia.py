@@ -14,6 +14,9 @@ from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
+# Part of the largest moment of a rigid body that moments below it count as.
+_LEAST = 1e-12
+
 
 @final
 class Inertia:
@@ -35,7 +38,7 @@ class Inertia:
     values : array
         M on the pattern.
     weights : array, shape (n_q,)
-        Real diagonal of M.
+        Real diagonal of M, of rigid bodies a least part of their largest moment.
     places : array, shape (n_q / d,)
         One for vectors that are positions, zero for slopes.
     """
@@ -57,7 +60,12 @@ class Inertia:
         n_q, d = self._n_q, self._d
         rows, columns, values = self._entries([(x.vectors, x.m) for x in blocks])
         self._pattern, self.values = pattern, pattern.gather(rows, columns, values)
-        self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real
+        self.weights = self.values[pattern.index(np.arange(n_q), np.arange(n_q))].real.copy()
+        # A direction of a rigid body may have no inertia of its own: a straight cable has none
+        # across its axis, and what its integral leaves is round-off.
+        directions = numbering.coordinates(numbering.frames[:, 1:])
+        own = self.weights[directions]
+        self.weights[directions] = np.maximum(own, _LEAST * np.max(own, axis=1, keepdims=True))
         (field, field_b), shape = gravity, (n_q // d, d)
         positions = np.concatenate([body.positions for body in numbering.bodies])
         self.places = np.zeros(shape[0])

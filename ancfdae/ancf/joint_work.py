@@ -11,7 +11,8 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.ancf.constraints import JointConstraints, JointInput
+from ancfdae.ancf.constraints import JointConstraints
+from ancfdae.ancf.joint_input import JointInput
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.joints import DrivenJoint
 from ancfdae.laws import Law

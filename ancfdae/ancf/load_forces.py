@@ -180,13 +180,13 @@ class LoadForces:
             rate = rate + item.vectors.lift(item.force_rate(U, V, Z, t))
         return rate
 
-    def add_tangents(self, q: Array, v: Array, t: Array, Q_q: Array, Q_v: Array | None) -> None:
-        """Add Q_q, and Q_v where asked for, to values on the pattern, shape (k, nnz)."""
+    def subtract_tangents(self, q: Array, v: Array, t: Array, K: Array, D: Array | None) -> None:
+        """Subtract Q_q, and Q_v where asked for, from values on the pattern, shape (k, nnz)."""
         for item, to_values in zip(self._moving, self._maps, strict=True):
             U, V = item.vectors.of(q).real, item.vectors.of(v).real
-            Q_q += to_values.rows(_flat(_jacobian(_at(item, t), U, V, True)))
-            if Q_v is not None and item.uses_velocity:
-                Q_v += to_values.rows(_flat(_jacobian(_at(item, t), U, V, False)))
+            K -= to_values.rows(_flat(_jacobian(_at(item, t), U, V, True)))
+            if D is not None and item.uses_velocity:
+                D -= to_values.rows(_flat(_jacobian(_at(item, t), U, V, False)))
 
     def add_tangent_rates(
         self, states: tuple[Array, Array, Array], t: Array, Q_q: Array, Q_v: Array | None

@@ -72,6 +72,18 @@ class Numbering:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
         return vectors[..., None] * self.element.d + np.arange(self.element.d)
 
+    def couplings(self) -> tuple[Array, Array]:
+        """Return rows and columns that couple coordinates of an element, or of a rigid body."""
+        size = self.element.n_a * self.element.d
+        own = self.coordinates(self.vectors).reshape(-1, size)
+        frames = self.coordinates(self.frames)
+        elements = np.broadcast_arrays(own[:, :, None], own[:, None, :])
+        bodies = np.broadcast_arrays(frames[:, :, None], frames[:, None])
+        rows, columns = (
+            np.concatenate([a.ravel(), b.ravel()]) for a, b in zip(elements, bodies, strict=True)
+        )
+        return rows, columns
+
     def relative(self) -> sparse.csr_array:
         """Return R with Y.ravel() = R q for the relative node vectors Y of all elements."""
         rows, columns, signs = self.relative_entries()

@@ -35,6 +35,8 @@ class ParameterMap:
         The `Scene.numbers` of everything that is not an element, by the name of its owner.
     nominal : array, shape (n_b,)
         Values of the design variables as declared.
+    names : tuple of str
+        Of the design variables.
     slots : dict
         By owner, the tuples (place among its numbers, design variable, weight, offset).
     """
@@ -48,6 +50,7 @@ class ParameterMap:
     declared: dict[str, tuple[float, ...]]
     slots: dict[str, list[tuple[int, int, float, float]]]
     nominal: Array
+    names: tuple[str, ...]
 
     def numbers(self, owner: str, b: Array) -> tuple[Array, Array]:
         """Return the numbers p of an owner at design values b, and p_b."""
@@ -153,4 +156,5 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
         declared={owner: tuple(scene.numbers(owner).values()) for owner in scene.owners()},
         slots=slots,
         nominal=np.array([scene.value(variable) for variable in design], dtype=float),
+        names=tuple(variable.name for variable in design),
     )

@@ -10,10 +10,11 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf.beam_elements import BeamElements, StatePartials
-from ancfdae.elements import ElementParameter, elastic
+from ancfdae.elements import ElementParameter
 from ancfdae.elements.packing import packed_gram
 from ancfdae.elements.stresses import scaled, von_mises_form
 from ancfdae.elements.volume import change
+from ancfdae.kernels import strain, stressed
 from ancfdae.numerics.arrays import Array
 
 # Strain that stresses are taken together with, so that their norm has a derivative where they
@@ -126,8 +127,8 @@ class _Law:
         p = (flat @ self.D.reshape(n, n_p * n_v, n_g)).swapaxes(0, 1)
         tau = self._tau[:, None, None]
         Y, V = scaled(Y, self._l), scaled(V, self._l)
-        on_Y, on_V = elastic.stressed(p, Y), tau * elastic.stressed(p, Y)
-        return scaled(on_Y + tau * elastic.stressed(p, V), self._l), scaled(on_V, self._l)
+        on_Y, on_V = stressed(p, Y), tau * stressed(p, Y)
+        return scaled(on_Y + tau * stressed(p, V), self._l), scaled(on_V, self._l)
 
     @property
     def _l(self) -> Array:
@@ -140,7 +141,7 @@ class _Law:
     def _stresses(self, Y: Array, V: Array) -> Array:
         """S, shape (k, n, n_p, n_v)."""
         g_o = packed_gram(self.Y_unit)
-        x = elastic.strain(g_o, scaled(Y, self._l), scaled(V, self._l), self._tau)
+        x = strain(g_o, scaled(Y, self._l), scaled(V, self._l), self._tau)
         n, n_p, n_v, n_g = self.D.shape
         S = x.swapaxes(0, 1) @ self.D.reshape(n, n_p * n_v, n_g).swapaxes(1, 2)
         return S.swapaxes(0, 1).reshape(len(x), n, n_p, n_v)

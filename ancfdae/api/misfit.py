@@ -19,7 +19,7 @@ from ancfdae.errors import (
     require_sequence,
 )
 from ancfdae.integrators import Integrator
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.objectives import NonFiniteObjective
 from ancfdae.observables import Observable, States, states_of
 from ancfdae.protocol import MechanicalSystem
@@ -53,7 +53,7 @@ class Misfit:
     """
 
     observables: Sequence[Observable]
-    times: Sequence[float]
+    times: Numbers
     data: Array
     weights: Array | float = 1.0
 
@@ -239,7 +239,7 @@ def _along(
     return p.value, total
 
 
-def _interpolation(states: States, times: Sequence[float]) -> Array:
+def _interpolation(states: States, times: Numbers) -> Array:
     """Weights of the instants in the values at some times, shape (m, k)."""
     W = np.zeros((len(times), len(states.t)))
     for row, time in zip(W, times, strict=True):

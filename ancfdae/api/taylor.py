@@ -12,7 +12,7 @@ from ancfdae.api.calls import differentiable, gradient
 from ancfdae.design import DesignVariable
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import Integrator
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.objectives import Objective
 from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
@@ -72,8 +72,8 @@ def taylor_test(
     *,
     design: Sequence[str | DesignVariable] | None = None,
     method: GradientMethod | None = None,
-    direction: Sequence[float] | None = None,
-    sizes: Sequence[float] = (1e-3, 5e-4, 2.5e-4),
+    direction: Numbers | None = None,
+    sizes: Numbers = (1e-3, 5e-4, 2.5e-4),
 ) -> TaylorTest:
     """Check the gradient of an objective by runs at perturbed designs.
 

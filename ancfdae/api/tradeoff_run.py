@@ -118,7 +118,7 @@ def _gradient(task: Task) -> Gradient:
 def _results(system: MechanicalSystem, answer: Gradient) -> Results:
     solution = answer.solution
     # The end of a run with a fixed step may miss the end time by round-off.
-    common = solution.at(common_times(float(solution.t[-1])).tolist())
+    common = solution.at(common_times(float(solution.t[-1])))
     rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
     t, q = solution.t[rows], solution.q[rows]
     drift = np.array([system.constraint(x, s) for x, s in zip(q, t, strict=True)])
@@ -130,6 +130,5 @@ def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[
     """Return the energy of a scene, kinetic, strain and gravity's, and the largest kinetic one."""
     if not isinstance(system, AncfSystem):
         return np.zeros(0), 0.0
-    q, kinetic = solution.q[rows], system.kinetic_energies(solution.v[rows])
-    gravity = np.array([float(system.gravity_potential(x)) for x in q])
-    return kinetic + system.strain_energies(q) + gravity, float(np.max(kinetic))
+    q, v = solution.q[rows], solution.v[rows]
+    return system.energies.total(q, v), float(np.max(system.energies.kinetic(v)))

@@ -32,10 +32,11 @@ from ancfdae.elements.hermite import (
     slope_weights,
     slope_weights_xi,
 )
-from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
+from ancfdae.elements.packing import packed_gram, upper_triangle
 from ancfdae.elements.stresses import scaled, smoothing
 from ancfdae.elements.volume import change, shifted, step_of
 from ancfdae.errors import InvalidInput
+from ancfdae.kernels import gram
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
 from ancfdae.sections.section import central_moments
@@ -112,7 +113,7 @@ class Cable2D(BeamElement):
                     for x, k in zip((A, p_o, m), powers, strict=True)
                 )
                 Y_b = Y_l
-            g_ob = packed_gram_direction(Y_o, Y_b)
+            g_ob = gram(Y_o, Y_b)
             c = np.einsum("nij,nj->ni", A, g_ob) - p_b
             partials[which] = InvariantPartial(A_b, g_ob, c, m_b)
         return Invariants(A, packed_gram(Y_o), m, p_o, partials)

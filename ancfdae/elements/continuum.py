@@ -33,7 +33,7 @@ from ancfdae.elements.element import (
 )
 from ancfdae.elements.energy import EnhancedContinuum, StrainEnergy
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
-from ancfdae.elements.packing import packed_gram, packed_gram_direction, upper_triangle
+from ancfdae.elements.packing import packed_gram, upper_triangle
 from ancfdae.elements.strain_fields import turn_stiffness
 from ancfdae.elements.stresses import ContinuumSectionLaw, StressMap
 from ancfdae.elements.volume import (
@@ -46,6 +46,7 @@ from ancfdae.elements.volume import (
     shifted,
     step_of,
 )
+from ancfdae.kernels import gram
 from ancfdae.numerics.arrays import Array
 
 # Straight reference: the integrand of A has degree 8 in xi, that of m degree 6; 5 Gauss points are
@@ -133,7 +134,7 @@ class ContinuumBeam(BeamElement):
             if which is ElementParameter.LENGTH:
                 A_b, m_b = A_b + _scaled_partial(A, of_g, l), m_b + _scaled_partial(m, of_s, l)
                 Y_b = Y_l
-            g_ob = packed_gram_direction(Y_o, Y_b)
+            g_ob = gram(Y_o, Y_b)
             c_b = np.einsum("nij,nj->ni", A, g_ob)
             partials[which] = InvariantPartial(A=A_b, g_o=g_ob, c=c_b, m=m_b)
         return Invariants(A=A, g_o=packed_gram(Y_o), m=m, p_o=None, partials=partials)

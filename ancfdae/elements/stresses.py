@@ -20,12 +20,12 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements import elastic
 from ancfdae.elements.element import ElementParameter, ElementType, SectionLaw
 from ancfdae.elements.hermite import end_weight_xi
 from ancfdae.elements.packing import packed_gram
 from ancfdae.elements.strain_fields import components, frame_products, turn_stiffness
 from ancfdae.elements.volume import AXIS_POINTS, Fibres, Region, fibres, gauss_rule
+from ancfdae.kernels import strain
 from ancfdae.numerics.arrays import Array
 
 # Points along an element in its mean forces: of degree 4 times 2 where the reference is straight.
@@ -124,8 +124,8 @@ class ContinuumSectionLaw(SectionLaw):
 
     def forces(self, Y: Array, V: Array) -> Array:
         """Return integrals of tractions, and of tractions times arms."""
-        Y, V = scaled(Y, self._l), scaled(V, self._l)
-        x = elastic.strain(self._g_o, Y, V, self._tau)
+        Y, V = np.broadcast_arrays(scaled(Y, self._l), scaled(V, self._l))
+        x = strain(self._g_o, Y, V, self._tau)
         axial, shear, squares = (_applied(R, x) for R in self._maps)
         vectors = _in_section_axes(np.einsum("ijg,...g->...ij", self._frame, packed_gram(Y)))
         d, rates = self._frame.shape[0], _rates(vectors)

@@ -29,7 +29,8 @@ from ancfdae.integrators.index_1 import State, project
 from ancfdae.integrators.integrand import Points, Rule
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite
+from ancfdae.numerics.arrays import Array
 
 # SciPy raises smaller ones to 100 eps with a warning.
 _LEAST_RTOL = 3e-14
@@ -83,7 +84,7 @@ class _Step(NamedTuple):
 
 @final
 class _ExplicitMarch(March):
-    """One run; the vector y holds the columns (q, v) and (q_b, v_b) of every variable, scaled."""
+    """One run; the vector y holds q and all q_b as rows, then v and all v_b, scaled."""
 
     def __init__(
         self, settings: Explicit, problem: Problem, t_end: float, quadrature: Quadrature
@@ -93,8 +94,8 @@ class _ExplicitMarch(March):
         self._problem, self._trouble = problem, Verdict.ERROR_TEST
         system, s, b = problem.system, problem.scales, problem.derivative
         self._m = 0 if b is None else system.n_b
-        own = np.concatenate([s.q, s.v])[:, None]
-        self._size = np.concatenate([own, own / s.b[: self._m]], axis=1)
+        own = np.stack([s.q, s.v])[:, None]
+        self._size = np.concatenate([own, own / s.b[: self._m, None]], axis=1)
         first = problem.initial
         start = State(first.q, first.v, *(b or ())[:2])
         self._between: DenseOutput | None = None
@@ -180,29 +181,26 @@ class _ExplicitMarch(March):
         return 0.0  # An explicit step has no equations left over.
 
     def _vector(self, point: State) -> Array:
-        n_q = self._problem.system.n_q
-        columns = np.empty(self._size.shape)
-        columns[:n_q, 0], columns[n_q:, 0] = point.q, point.v
+        rows = np.empty(self._size.shape)
+        rows[0, 0], rows[1, 0] = point.q, point.v
         if point.q_b is not None and point.v_b is not None:
-            columns[:n_q, 1:], columns[n_q:, 1:] = point.q_b, point.v_b
-        return np.asarray((columns / self._size).ravel())
+            rows[0, 1:], rows[1, 1:] = point.q_b.T, point.v_b.T
+        rows /= self._size
+        return rows.ravel()
 
     def _point(self, y: Array) -> State:
-        n_q = self._problem.system.n_q
         x = y.reshape(self._size.shape) * self._size
-        if self._m == 0:
-            return State(x[:n_q, 0], x[n_q:, 0])
-        return State(x[:n_q, 0], x[n_q:, 0], x[:n_q, 1:], x[n_q:, 1:])
+        q, v = x[0, 0], x[1, 0]
+        return State(q, v) if self._m == 0 else State(q, v, x[0, 1:].T, x[1, 1:].T)
 
     def _points(self, rule: Rule, h: Array, s: Array, y: Array) -> Points:
-        n_q = self._problem.system.n_q
         x = y.reshape(-1, *self._size.shape) * self._size
-        q, v = x[:, :n_q], x[:, n_q:]
-        derivatives = (q[..., 1:], v[..., 1:]) if self._m else ()
-        return Points(rule, h, s * self._t_end, q[..., 0], v[..., 0], *derivatives)
+        q, v = x[:, 0], x[:, 1]
+        own = (q[:, 1:].swapaxes(1, 2), v[:, 1:].swapaxes(1, 2)) if self._m else ()
+        return Points(rule, h, s * self._t_end, q[:, 0], v[:, 0], *own)
 
     def _projected(self, s: float, y: Array) -> State:
-        if not is_finite(y):
+        if not finite(y):
             raise NotFinite
         problem, t = self._problem, s * self._t_end
         return project(problem.system, problem.accelerations, t, self._point(y))
@@ -219,7 +217,7 @@ class _ExplicitMarch(March):
         return np.full_like(y, np.nan)
 
     def _finite_rate(self, s: float, y: Array) -> Array:
-        if not is_finite(y):
+        if not finite(y):
             raise NotFinite
         t, x, accelerations = s * self._t_end, self._point(y), self._problem.accelerations
         a, lam = accelerations.solve(t, x.q, x.v)
@@ -228,7 +226,7 @@ class _ExplicitMarch(March):
             a_b, lam_b = accelerations.solve_b(t, (x.q, x.v, a, lam), x.q_b, x.v_b)
             rate = State(x.v, a, x.v_b, a_b)
         vector = self._vector(rate) * self._t_end
-        if not is_finite(vector):
+        if not finite(vector):
             raise NotFinite
         self._stages.append(_Stage(s, y, lam, lam_b))
         return vector

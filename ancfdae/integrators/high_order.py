@@ -23,7 +23,8 @@ from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
@@ -228,6 +229,6 @@ def _record(problem: Problem, recorder: Recorder, t: float, point: State) -> Non
     if q_b is not None and v_b is not None:
         found += problem.accelerations.solve_b(t, (q, v, a, lam), q_b, v_b)
         derivatives = (q_b, v_b, *found[2:])
-    if not all(is_finite(x) for x in found):
+    if not all(finite(x) for x in found):
         raise NotFinite
     recorder.record(t, q, v, a, lam, derivatives)

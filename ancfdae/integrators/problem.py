@@ -21,7 +21,8 @@ from ancfdae.integrators.start import (
     consistent_start,
     start_sensitivity,
 )
-from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point
@@ -63,10 +64,10 @@ class Scales:
         reaction = system.constraint_force(q, initial.lam, t)
         Q = system.force(q, initial.v, t)
         inverse = 1 / system.weights
-        load = max(real_norm(x, inverse) for x in (Q, reaction)) / count
-        load = max(load, real_norm(initial.a, system.weights) / count)
-        v_0 = real_norm(initial.v, system.weights) / count
-        position = real_norm(q, system.weights) / count
+        load = max(norm(x, inverse) for x in (Q, reaction)) / count
+        load = max(load, norm(initial.a, system.weights) / count)
+        v_0 = norm(initial.v, system.weights) / count
+        position = norm(q, system.weights) / count
         position = position or v_0 * t_end or load * t_end**2 or 1.0
         speed = max(v_0, min(load * t_end, np.sqrt(position * load))) or position / t_end
         load = load or speed / t_end
@@ -118,6 +119,6 @@ class Problem:
             ("accelerations", accelerations),
             ("design derivatives", self.derivative or ()),
         ):
-            if not all(is_finite(x) for x in arrays):
+            if not all(finite(x) for x in arrays):
                 rule, got = "must be finite", "NaN or infinity"
                 raise InvalidInput(f"{what} at the start", rule, got, "Check forces and start.")

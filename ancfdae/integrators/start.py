@@ -18,7 +18,8 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.errors import InconsistentStart, InvalidInput, SingularMatrix
-from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import refuse_redundant, solve, solve_transposed
@@ -62,7 +63,7 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
     if the projection does not converge; InvalidInput if it or the forces at it are not finite.
     """
     q, v = system.start()
-    if not (is_finite(q) and is_finite(v)):
+    if not (finite(q) and finite(v)):
         raise InvalidInput("start", "must be finite", "NaN or infinity", "Check the start.")
     if not system.project_start:
         _refuse_inconsistent(system, q, v, t)
@@ -81,7 +82,7 @@ def _solve_start(
     zero = np.zeros(system.n_lam)
     v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
     Q = system.force(q, v, t)
-    if not is_finite(Q):
+    if not finite(Q):
         raise InvalidInput(
             "forces at the start", "must be finite", "NaN or infinity", "Check forces and start."
         )
@@ -302,7 +303,7 @@ def _close_gap(
     The last correction is applied, so the error left is the square of the tolerance.
     """
     q, sigma_q = guess
-    scale, settled = real_norm(q_start, system.weights), 0
+    scale, settled = norm(q_start, system.weights), 0
     for _ in range(_PROJECTION_ITERATIONS):
         force = system.mass_times(q_start, q_start - q) - system.constraint_force(q, sigma_q, t)
         try:
@@ -312,9 +313,9 @@ def _close_gap(
             break
         dq, change = solve(factors, force, left - system.constraint(q, t))
         q, sigma_q = q + dq, sigma_q + change
-        if not is_finite(q):
+        if not finite(q):
             break
-        if real_norm(dq, system.weights) <= 1e-12 * scale:
+        if norm(dq, system.weights) <= 1e-12 * scale:
             # A complex perturbation lags the real part by one sweep.
             settled += 1
             if q.dtype.kind != "c" or settled == 3:
@@ -335,8 +336,8 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
     defect = pattern.dot(values, v) - system.velocity_side(q, t)
     rows = np.where(rows > 0, rows, 1.0)
     asked = np.max(np.abs(system.acceleration_side(q, v, t).real) / rows, initial=0.0)
-    place = real_norm(q, system.weights)
-    speed = max(real_norm(v, system.weights), float(np.sqrt(place * asked)))
+    place = norm(q, system.weights)
+    speed = max(norm(v, system.weights), float(np.sqrt(place * asked)))
     # The size of a body is as good a measure of its coordinates as their distance from the
     # origin; |q| in the norm of M contains both.
     for what, phi, size in (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, final
@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from ancfdae.design import require_numbers
 from ancfdae.errors import InvalidInput, require_positive
 from ancfdae.laws.law import Law
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import Array, Numbers
 
 # The least odd degree whose ends can have three given derivatives.
 _DEGREE = 7
@@ -40,8 +40,8 @@ class Spline(Law):
         Longer than from the first time to the last; s.
     """
 
-    times: Sequence[float]
-    values: Sequence[float]
+    times: Numbers
+    values: Numbers
     period: float | None = None
 
     design_fields = (("values", require_numbers),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.design import require_numbers
 from ancfdae.errors import InvalidInput
 from ancfdae.laws.law import Law
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.differentiable import FAILURES, require_derivative
 from ancfdae.numerics.jets import Jet
 
@@ -42,7 +42,7 @@ class UserLaw(Law):
     """
 
     function: Callable[..., Any]
-    values: Sequence[float] = ()
+    values: Numbers = ()
 
     design_fields = (("values", _require_values),)
     indexed_fields: ClassVar[Mapping[str, str]] = {"values": "value"}

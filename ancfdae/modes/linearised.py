@@ -18,8 +18,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, SingularMatrix
+from ancfdae.kernels import norm
 from ancfdae.modes.configuration import Configuration
-from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point
@@ -174,8 +175,11 @@ class Linearised:
 
     def solve(self, factors: Factorization, force: Array) -> Array:
         """Return x of a saddle-point solve that keeps Phi_q x = 0; vector or columns."""
-        none = np.zeros((self.system.n_lam, *force.shape[1:]))
-        return factors.solve(np.concatenate([force, none]))[: len(force)]
+        n, none = len(force), np.zeros((self.system.n_lam, *force.shape[1:]))
+        x = factors.solve(np.concatenate([force, none]))[:n]
+        # Of stiff bodies round-off of the forces is left in the constraints.
+        left = self.system.constraint_pattern.dot(self.Phi_q, x)
+        return np.asarray(x - factors.solve(np.concatenate([0 * force, left]))[:n])
 
     def multipliers(self, z: Array, X: Array) -> Array:
         """Return mu of F(z) x + Phi_q^T mu = 0 for modes, the columns of X."""
@@ -199,8 +203,8 @@ class Linearised:
         Q = system.force(at.q, np.zeros(system.n_q), at.t)
         reaction = system.constraint_force(at.q, at.lam, at.t)
         inverse = 1 / system.weights
-        left = real_norm(Q - reaction, inverse)
+        left = norm(Q - reaction, inverse)
         # Newton's method leaves some multiples of the round-off of the forces.
         if left <= 1e3 * system.force_round_off:
             return 0.0
-        return left / (real_norm(Q, inverse) + real_norm(reaction, inverse))
+        return left / (norm(Q, inverse) + norm(reaction, inverse))

@@ -7,25 +7,16 @@ convergence tests, must look at the real part only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-import numpy as np
 import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[Any]
+# Numbers as a user gives them.
+Numbers: TypeAlias = Sequence[float] | Array
 # Imaginary step of derivatives: its square vanishes, and as a power of two it adds no round-off.
 STEP = 2.0**-133
-
-
-def real_norm(x: Array, weights: Array) -> float:
-    """Weighted Euclidean norm of the real part, sqrt(sum(weights x^2)), for decisions only."""
-    x = x.real
-    return float(np.sqrt(np.dot(weights, x * x)))
-
-
-def is_finite(x: Array) -> bool:
-    """Whether every entry is finite, at the price of one reduction."""
-    return bool(np.isfinite(x.sum()))
 
 
 def only(batch: Array) -> Array:

@@ -5,76 +5,54 @@
 
 The matrix is scaled symmetrically before it is factorised, coordinates by
 1/sqrt(weight) and constraints so that their scaled rows have unit length:
-pivoting then does not depend on the units of the scene. Small systems are
-factorised densely; larger ones as a band after a reverse Cuthill-McKee
-numbering, which puts multipliers beside their nodes; SuperLU takes over where
-the band is wide (many closed loops meeting in one body).
+pivoting then does not depend on the units of the scene. It is factorised as a
+band after a reverse Cuthill-McKee numbering of the coordinates, multipliers
+behind their nodes; SuperLU takes over where the band is wide (many closed loops
+meeting in one body).
 """
 
 from __future__ import annotations
 
 import abc
 import warnings
-from collections.abc import Callable, Iterator
-from functools import lru_cache
-from typing import Any, TypeAlias, final
+from collections.abc import Iterator
+from typing import Any, final
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
 from ancfdae.errors import SingularMatrix
+from ancfdae.kernels import band_factor, band_solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
-# Measured on chains of spatial elements (docs/measurements.md, section 9): below this size dense
-# LU is as fast as the band.
-_DENSE_SIZE = 60
 # Band LU costs N k^2; at k = 25 it is 3.6 times faster than SuperLU, so they meet near here.
 _BAND_HALF_WIDTH = 64
 
 
-@lru_cache(maxsize=8)
-def _lapack(factor: str, solve: str, dtype: np.dtype) -> tuple[Any, Any]:
-    """LAPACK routines for a type; looking them up costs as much as a small solve."""
-    found = linalg.get_lapack_funcs((factor, solve), dtype=dtype)
-    return found[0], found[1]
-
-
-# Solves for a right side, or with the transposed (not conjugated) matrix.
-_Solver: TypeAlias = Callable[[Array, bool], Array]
-
-
-@final
-class Factorization:
+class Factorization(abc.ABC):
     """A factorised matrix; right-hand sides are vectors or columns of an array."""
 
-    def __init__(self, solver: _Solver, scale: Array, complex_matrix: bool) -> None:
-        self._solver, self._scale, self._complex = solver, scale, complex_matrix
-
+    @abc.abstractmethod
     def solve(self, right: Array) -> Array:
         """Solve with the matrix."""
-        return self._solved(right, False)
 
+    @abc.abstractmethod
     def solve_transposed(self, right: Array) -> Array:
         """Solve with the transposed (not conjugated) matrix."""
-        return self._solved(right, True)
-
-    def _solved(self, right: Array, transposed: bool) -> Array:
-        if right.dtype.kind == "c" and not self._complex:
-            return self._solved(right.real, transposed) + 1j * self._solved(right.imag, transposed)
-        # Undoes the symmetric scaling.
-        scale = self._scale if right.ndim == 1 else self._scale[:, None]
-        return scale * self._solver(scale * right, transposed)
 
 
 class _Storage(abc.ABC):
-    """Where the scaled values go, and how they are factorised."""
+    """Where values of K, of B and of B again go, and how they are factorised."""
 
     @abc.abstractmethod
-    def factor(self, values: Array) -> _Solver:
-        """Factorise the matrix of these values; raises SingularMatrix."""
+    def factor(self, K: Array, B: Array) -> Factorization:
+        """Factorise the matrix of these values.
+
+        Raises SingularMatrix if it is singular to working precision or not finite.
+        """
 
 
 @final
@@ -101,119 +79,124 @@ class SaddlePoint:
         r, c = constraint_pattern.rows + n, constraint_pattern.columns
         rows = np.concatenate([pattern.rows, r, c])
         columns = np.concatenate([pattern.columns, c, r])
-        self._factors = self.scale[rows] * self.scale[columns]
-        self._storage = _choose_storage(self.size, rows, columns)
+        self._storage = _choose_storage(self.scale, rows, columns, n)
 
     def factor(self, K: Array, B: Array) -> Factorization:
-        """Factorise for the given values of K and B; see `factor_each`."""
-        return next(self.factor_each(K[None], B[None]))
-
-    def factor_each(self, K: Array, B: Array) -> Iterator[Factorization]:
-        """Factorise matrices, given as rows of values, as they are asked for.
+        """Factorise for the given values of K and B.
 
         Raises SingularMatrix for one that is singular to working precision or not finite.
         """
-        # Written row by row: matrices may come as columns in memory.
-        n, m = K.shape[1], B.shape[1]
-        scaled = np.empty((len(K), n + 2 * m), dtype=np.result_type(K, B))
-        np.multiply(K, self._factors[:n], out=scaled[:, :n])
-        np.multiply(B, self._factors[n : n + m], out=scaled[:, n : n + m])
-        scaled[:, n + m :] = scaled[:, n : n + m]
-        for values, finite in zip(scaled, np.isfinite(scaled.sum(axis=1)), strict=True):
-            if not finite:
-                raise SingularMatrix("the saddle-point matrix is not finite")
-            yield Factorization(self._storage.factor(values), self.scale, values.dtype.kind == "c")
+        return self._storage.factor(K, B)
+
+    def factor_each(self, K: Array, B: Array) -> Iterator[Factorization]:
+        """Factorise matrices, given as rows of values, as they are asked for."""
+        return map(self.factor, K, B)
 
 
-def _choose_storage(size: int, rows: Array, columns: Array) -> _Storage:
-    if size <= _DENSE_SIZE:
-        return _DenseStorage(size, rows, columns)
-    graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
-    order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
+def _choose_storage(scale: Array, rows: Array, columns: Array, n: int) -> _Storage:
+    size = len(scale)
+    order = _numbered(rows, columns, n, size)
     place = np.empty(size, dtype=np.int64)
     place[order] = np.arange(size)
-    half_width = int(np.max(np.abs(place[rows] - place[columns])))
+    half_width = int(np.max(np.abs(place[rows] - place[columns]), initial=0))
     if half_width <= _BAND_HALF_WIDTH:
-        return _BandStorage(order, place, place[rows], place[columns], half_width)
-    return _SparseStorage(size, rows, columns)
+        return _BandStorage(scale, order, place[rows], place[columns], half_width)
+    return _SparseStorage(scale, rows, columns)
 
 
-@final
-class _DenseStorage(_Storage):
-    def __init__(self, size: int, rows: Array, columns: Array) -> None:
-        self._size = size
-        # The matrix is built transposed in C order, which is Fortran order of the matrix.
-        self._flat = columns * size + rows
+def _numbered(rows: Array, columns: Array, n: int, size: int) -> Array:
+    """Return the order of unknowns: a narrow band, and each multiplier behind its coordinates.
 
-    def factor(self, values: Array) -> _Solver:
-        matrix = np.zeros(self._size * self._size, dtype=values.dtype)
-        matrix[self._flat] = values
-        getrf, getrs = _lapack("getrf", "getrs", values.dtype)
-        lu, pivots, info = getrf(matrix.reshape(self._size, self._size).T, overwrite_a=True)
-        _require_pivots(info, self._size)
-
-        def solve(right: Array, transposed: bool) -> Array:
-            return np.asarray(getrs(lu, pivots, right, trans=transposed)[0])
-
-        return solve
+    These are eliminated first, by pivots of K; what a constraint asks is then met to the round-off
+    of its own row, and not to that of a stiff body's.
+    """
+    graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
+    B = graph[n:, :n]
+    coordinates = reverse_cuthill_mckee((graph[:n, :n] + B.T @ B).tocsr(), symmetric_mode=True)
+    place = np.zeros(size)
+    place[coordinates] = np.arange(n)
+    own = rows >= n
+    np.maximum.at(place, rows[own], place[columns[own]])
+    # Coordinates come before multipliers of the same place.
+    return np.argsort(place, kind="stable")
 
 
 @final
 class _BandStorage(_Storage):
     def __init__(
-        self, order: Array, place: Array, rows: Array, columns: Array, half_width: int
+        self, scale: Array, order: Array, rows: Array, columns: Array, half_width: int
     ) -> None:
-        self._order, self._place, self._half_width = order, place, half_width
-        size = len(order)
-        # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j; built
-        # transposed in C order as above.
-        self._shape = (size, 3 * half_width + 1)
-        self._flat = columns * self._shape[1] + 2 * half_width + rows - columns
+        self._scale, self._order, self._half_width = scale, order, half_width
+        # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j of column j.
+        self._flat = columns * (3 * half_width + 1) + 2 * half_width + rows - columns
+        numbered = scale[order]
+        self._factors = numbered[rows] * numbered[columns]
 
-    def factor(self, values: Array) -> _Solver:
-        k, order, place = self._half_width, self._order, self._place
-        band = np.zeros(self._shape[0] * self._shape[1], dtype=values.dtype)
-        band[self._flat] = values
-        gbtrf, gbtrs = _lapack("gbtrf", "gbtrs", values.dtype)
-        lu, pivots, info = gbtrf(band.reshape(self._shape).T, k, k, overwrite_ab=True)
-        _require_pivots(info, len(order))
+    def factor(self, K: Array, B: Array) -> Factorization:
+        size, half_width = len(self._order), self._half_width
+        lu, pivots, info = band_factor(K, B, self._factors, self._flat, size, half_width)
+        if info > 0:
+            raise SingularMatrix(f"zero pivot {info} of {size}")
+        if info < 0:
+            raise SingularMatrix("the saddle-point matrix is not finite")
+        return _BandFactorization(lu, pivots, half_width, self._order, self._scale)
 
-        def solve(right: Array, transposed: bool) -> Array:
-            # LAPACK takes right-hand sides one after the other in memory: as rows of an array.
-            rows = np.atleast_2d(right.T).take(order, axis=1)
-            x, _ = gbtrs(lu, k, k, rows.T, pivots, trans=transposed, overwrite_b=True)
-            result: Array = x.T.take(place, axis=1)
-            return result.T if right.ndim == 2 else result[0]
 
-        return solve
+@final
+class _BandFactorization(Factorization):
+    def __init__(
+        self, lu: Array, pivots: Array, half_width: int, order: Array, scale: Array
+    ) -> None:
+        self._factors = lu, pivots, half_width, order, scale
+
+    def solve(self, right: Array) -> Array:
+        # Right-hand sides as rows of an array, one after the other in memory.
+        return band_solve(*self._factors, right.T, False).T
+
+    def solve_transposed(self, right: Array) -> Array:
+        return band_solve(*self._factors, right.T, True).T
 
 
 @final
 class _SparseStorage(_Storage):
-    def __init__(self, size: int, rows: Array, columns: Array) -> None:
-        self._size = size
+    def __init__(self, scale: Array, rows: Array, columns: Array) -> None:
+        self._scale = scale
         self._order = np.lexsort((rows, columns))
         self._rows = rows[self._order]
-        self._indptr = np.searchsorted(columns[self._order], np.arange(size + 1))
+        self._indptr = np.searchsorted(columns[self._order], np.arange(len(scale) + 1))
+        self._factors = scale[rows] * scale[columns]
 
-    def factor(self, values: Array) -> _Solver:
+    def factor(self, K: Array, B: Array) -> Factorization:
+        values = self._factors * np.concatenate([K, B, B])
+        if not np.isfinite(values.sum()):
+            raise SingularMatrix("the saddle-point matrix is not finite")
+        size = len(self._scale)
         matrix = sparse.csc_array(
-            (values[self._order], self._rows, self._indptr), shape=(self._size, self._size)
+            (values[self._order], self._rows, self._indptr), shape=(size, size)
         )
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                lu = splu(matrix)
+                return _SparseFactorization(splu(matrix), values.dtype, self._scale)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
 
-        def solve(right: Array, transposed: bool) -> Array:
-            right = np.ascontiguousarray(right, dtype=values.dtype)
-            return np.asarray(lu.solve(right, "T" if transposed else "N"))
 
-        return solve
+@final
+class _SparseFactorization(Factorization):
+    def __init__(self, lu: Any, dtype: np.dtype, scale: Array) -> None:
+        self._lu, self._dtype, self._scale = lu, dtype, scale
 
+    def solve(self, right: Array) -> Array:
+        return self._solved(right, "N")
 
-def _require_pivots(info: int, size: int) -> None:
-    if info > 0:
-        raise SingularMatrix(f"zero pivot {info} of {size}")
+    def solve_transposed(self, right: Array) -> Array:
+        return self._solved(right, "T")
+
+    def _solved(self, right: Array, transposed: str) -> Array:
+        if right.dtype.kind == "c" and self._dtype.kind != "c":
+            return self._solved(right.real, transposed) + 1j * self._solved(right.imag, transposed)
+        # Undoes the symmetric scaling.
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        scaled = np.ascontiguousarray(scale * right, dtype=self._dtype)
+        return np.asarray(scale * self._lu.solve(scaled, transposed))

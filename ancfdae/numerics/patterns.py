@@ -12,11 +12,8 @@ from typing import final
 import numpy as np
 from scipy import sparse
 
+from ancfdae.kernels import csr_rows, csr_rows_transposed
 from ancfdae.numerics.arrays import Array
-
-# Up to this many entries a dense product beats a sparse one (measured: 84 x 84 dense times
-# 6 columns 5 us, sparse 20 us).
-_DENSE_ENTRIES = 40_000
 
 
 @final
@@ -29,7 +26,7 @@ class Pattern:
         self.rows = self._flat // max(shape[1], 1)
         self.columns = self._flat - self.rows * shape[1]
         self._indptr = np.searchsorted(self.rows, np.arange(shape[0] + 1))
-        self._dense = shape[0] * shape[1] <= _DENSE_ENTRIES
+        self._csr = self._indptr.astype(np.int32), self.columns.astype(np.int32)
 
     @staticmethod
     def full(shape: tuple[int, int]) -> Pattern:
@@ -66,36 +63,8 @@ class Pattern:
 
     def dot(self, values: Array, x: Array) -> Array:
         """Product of the matrix with a vector or with the columns of an array."""
-        if self._dense:
-            return self.dense(values) @ x
-        return np.asarray(self.csr(values) @ x)
+        return csr_rows(*self._csr, values, x.T).T
 
     def dot_transposed(self, values: Array, x: Array) -> Array:
         """Product of the transposed (not conjugated) matrix with a vector or columns."""
-        if self._dense:
-            return self.dense(values).T @ x
-        return np.asarray(self.csr(values).T @ x)
-
-
-@final
-class Stack:
-    """Two matrices with the same columns, one above the other, multiplied in one product."""
-
-    def __init__(self, upper: Pattern, lower: Pattern) -> None:
-        self._upper, self._lower = upper, lower
-        rows, columns = upper.shape[0] + lower.shape[0], upper.shape[1]
-        self._small = rows * columns <= _DENSE_ENTRIES
-        # Transposed; what is zero by the patterns is written once.
-        self._matrix = np.zeros((columns, rows) if self._small else (0, 0))
-        self._flat_upper = upper.columns * rows + upper.rows
-        self._flat_lower = lower.columns * rows + lower.rows + upper.shape[0]
-
-    def dot_rows(self, upper: Array, lower: Array, x: Array) -> Array:
-        """Multiply each row of an array, shape (k, n_columns) to (k, n_rows)."""
-        if not self._small:
-            products = [self._upper.dot(upper, x.T), self._lower.dot(lower, x.T)]
-            return np.concatenate(products).T
-        entries = self._matrix.reshape(-1)
-        entries[self._flat_upper], entries[self._flat_lower] = upper, lower
-        product: Array = x @ self._matrix
-        return product
+        return csr_rows_transposed(*self._csr, values, x.T, self.shape[1]).T

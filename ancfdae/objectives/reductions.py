@@ -9,14 +9,13 @@ them beside the motion (`totals`).
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast, final
 
 import numpy as np
 
 from ancfdae.errors import InvalidInput, require_finite, require_kind, require_positive
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.objectives.objective import (
     NO_TOTALS,
@@ -208,7 +207,7 @@ class AtTimes(AtInstants):
     """
 
     observable: Observable
-    times: float | Sequence[float]
+    times: float | Numbers
 
     def __post_init__(self) -> None:
         super().__post_init__()

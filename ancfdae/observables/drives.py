@@ -55,15 +55,15 @@ class LoadPower(Leaf):
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a load that does not exist."""
-        known_scene(system).load_work(self.load)
+        known_scene(system).works.of_load(self.load)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return F . V."""
-        return known_scene(system).load_work(self.load).value(states.t, states.q, states.v)
+        return known_scene(system).works.of_load(self.load).value(states.t, states.q, states.v)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Differentiate in q, v and b."""
-        own = known_scene(system).load_work(self.load)
+        own = known_scene(system).works.of_load(self.load)
         q, v, b = own.partials(states.t, states.q, states.v)
         return LeafGradient(q=Rows(slice(None), q), v=Rows(slice(None), v), b=b)
 
@@ -83,16 +83,16 @@ class Work(Leaf):
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a joint that does not exist or is not driven."""
-        known_scene(system).joint_work(self.joint, self.unit_rate)
+        known_scene(system).works.of_joint(self.joint, self.unit_rate)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return lam . Phi_t."""
-        own = known_scene(system).joint_work(self.joint, self.unit_rate)
+        own = known_scene(system).works.of_joint(self.joint, self.unit_rate)
         return own.value(states.t, states.q, states.lam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Differentiate in q, the multipliers of the joint and b."""
-        own = known_scene(system).joint_work(self.joint, self.unit_rate)
+        own = known_scene(system).works.of_joint(self.joint, self.unit_rate)
         q, lam, b = own.partials(states.t, states.q, states.lam)
         columns = np.arange(own.rows.start, own.rows.stop)
         return LeafGradient(q=Rows(slice(None), q), lam=Rows(columns, lam), b=b)

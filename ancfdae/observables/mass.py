@@ -134,7 +134,7 @@ class MassIntegral(Leaf):
         """a^T M b."""
         scene = known_scene(system)
         a, b = self._factors(scene, states)
-        value = np.sum(a * scene.kinetic_energies_v(b, self.beam), axis=1)
+        value = np.sum(a * scene.energies.momenta(b, self.beam), axis=1)
         return np.broadcast_to(value, (len(states.t),))
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
@@ -147,10 +147,10 @@ class MassIntegral(Leaf):
             (self.right, a, "v" if self.rate else "q"),
         ):
             if factor is not None:
-                along = self._in_slot(scene, scene.kinetic_energies_v(other, self.beam), factor)
+                along = self._in_slot(scene, scene.energies.momenta(other, self.beam), factor)
                 parts[name] = parts[name] + along if name in parts else along
         rows = {name: Rows(slice(None), part) for name, part in parts.items()}
-        both, own, others = (scene.kinetic_energies_b(x, self.beam) for x in (a + b, a, b))
+        both, own, others = (scene.energies.kinetic_b(x, self.beam) for x in (a + b, a, b))
         gradient = np.broadcast_to(both - own - others, (len(states.t), system.n_b))
         return LeafGradient(q=rows.get("q"), v=rows.get("v"), b=gradient)
 
@@ -161,8 +161,9 @@ class MassIntegral(Leaf):
 
     def _factor(self, scene: AncfSystem, x: Array, axis: int | None) -> Array:
         d = scene.naming.layout.d
-        component = scene.places[None] if axis is None else x.reshape(len(x), -1, d)[..., axis]
-        return _spread(component, 0, d)
+        if axis is None:
+            return _spread(scene.energies.places[None], 0, d)
+        return _spread(x.reshape(len(x), -1, d)[..., axis], 0, d)
 
     def _in_slot(self, scene: AncfSystem, x: Array, axis: int) -> Array:
         """Move what stands along the first axis to another one."""

@@ -118,19 +118,19 @@ class Energy(Leaf):
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """T (eq. 9) or U of every instant."""
-        scene = known_scene(system)
+        energies = known_scene(system).energies
         if self.kinetic:
-            return scene.kinetic_energies(states.v, beam=self.beam)
-        return scene.strain_energies(states.q, beam=self.beam)
+            return energies.kinetic(states.v, self.beam)
+        return energies.strain(states.q, self.beam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """T_v and T_b, or U_q and U_b."""
-        scene, q, v = known_scene(system), states.q, states.v
+        energies, q, v = known_scene(system).energies, states.q, states.v
         if self.kinetic:
-            rows = Rows(slice(None), scene.kinetic_energies_v(v, beam=self.beam))
-            return LeafGradient(v=rows, b=scene.kinetic_energies_b(v, beam=self.beam))
-        rows = Rows(slice(None), scene.strain_energies_q(q, beam=self.beam))
-        return LeafGradient(q=rows, b=scene.strain_energies_b(q, beam=self.beam))
+            rows = Rows(slice(None), energies.momenta(v, self.beam))
+            return LeafGradient(v=rows, b=energies.kinetic_b(v, self.beam))
+        rows = Rows(slice(None), energies.strain_q(q, self.beam))
+        return LeafGradient(q=rows, b=energies.strain_b(q, self.beam))
 
 
 @final

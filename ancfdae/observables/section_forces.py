@@ -111,16 +111,16 @@ class Section(Leaf):
                 self.component.name,
                 "Use one of these, or a spatial scene.",
             )
-        known_scene(system).section_forces(self.point)
+        known_scene(system).sections.forces(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Integral over the section."""
-        own = known_scene(system).section_forces(self.point)
+        own = known_scene(system).sections.forces(self.point)
         return own.value(self.component, states.q, states.v)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Complex steps of the element's coordinates and parameters."""
-        own = known_scene(system).section_forces(self.point)
+        own = known_scene(system).sections.forces(self.point)
         p = own.partials(self.component, states.q, states.v, system.n_b)
         v = Rows(p.columns, p.v) if np.any(p.v) else None
         return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)

@@ -59,8 +59,8 @@ class VonMises(Leaf):
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist or lies outside the section."""
-        scene = known_scene(system)
-        half = [extent * (1 + 1e-12) for extent in scene.half_extents(self.point)]
+        sections = known_scene(system).sections
+        half = [extent * (1 + 1e-12) for extent in sections.half_extents(self.point)]
         if abs(self.point.y) > half[0] or abs(self.point.z) > half[1]:
             raise InvalidInput(
                 "von_mises, point",
@@ -68,15 +68,15 @@ class VonMises(Leaf):
                 f"y = {self.point.y}, z = {self.point.z}",
                 "Move the point into the beam.",
             )
-        scene.stress_at(self.point)
+        sections.stress_at(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """One stress per instant."""
-        return known_scene(system).stress_at(self.point).value(states.q, states.v)[:, 0, 0]
+        return known_scene(system).sections.stress_at(self.point).value(states.q, states.v)[:, 0, 0]
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Pull back one stress."""
-        points = known_scene(system).stress_at(self.point)
+        points = known_scene(system).sections.stress_at(self.point)
         return _gradient(points, system, states, np.ones((len(states.t), 1, 1)))
 
 
@@ -94,18 +94,18 @@ class MaximumStress(Leaf):
 
     def check_leaf(self, system: Named) -> None:
         """Refuse a beam that does not exist or has no stresses."""
-        known_scene(system).stress_over(self.beam)
+        known_scene(system).sections.stress_over(self.beam)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Logarithm of the sum; the largest is split off, so that nothing overflows."""
-        stress = known_scene(system).stress_over(self.beam).value(states.q, states.v)
+        stress = known_scene(system).sections.stress_over(self.beam).value(states.q, states.v)
         largest = np.max(stress.real, axis=(1, 2), keepdims=True)
         total = np.sum(np.exp(self.sharpness * (stress - largest)), axis=(1, 2))
         return np.asarray(largest[:, 0, 0] + np.log(total) / self.sharpness)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Pull back the mean with the weights exp(k s)."""
-        points = known_scene(system).stress_over(self.beam)
+        points = known_scene(system).sections.stress_over(self.beam)
         stress = points.value(states.q, states.v)
         largest = np.max(stress, axis=(1, 2), keepdims=True)
         weights = np.exp(self.sharpness * (stress - largest))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import final
@@ -22,7 +22,7 @@ from ancfdae.errors import (
     require_kind,
 )
 from ancfdae.naming import Naming
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.protocol import solution_file
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
@@ -158,7 +158,7 @@ class Solution:
             columns.append(value.imag / _STEP)
         return np.stack(columns, axis=-1)
 
-    def at(self, times: Sequence[float]) -> Solution:
+    def at(self, times: Numbers) -> Solution:
         """Return the solution at asked times, by interpolation of the order of its integrator.
 
         The times increase and lie within the run; s. Between the steps of HHT: coordinates by the

@@ -29,6 +29,11 @@ _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 def write(path: Path, fields: Mapping[str, Any]) -> Path:
     """Write the fields of a solution to a temporary file, and move it to `path` when complete."""
     arrays, meta = _packed(fields)
+    for name, array in arrays.items():
+        # `np.savez` would pickle them, and knows how to refuse from NumPy 2.1 on only.
+        if array.dtype.hasobject:
+            rule, got = "must hold numbers to be saved", f"objects in {name}"
+            raise InvalidInput("solution", rule, got, "Give arrays of numbers.")
     # Settings may be numbers of NumPy, which JSON does not know.
     arrays["meta"] = np.array(json.dumps(meta, default=np.generic.item))
     # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
@@ -38,7 +43,7 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
     temporary = path.parent / f"{path.name}.{uuid.uuid4().hex}.part"
     try:
         with temporary.open("xb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, **arrays)  # type: ignore[arg-type]  # of a later NumPy: a flag
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)

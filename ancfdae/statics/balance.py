@@ -18,7 +18,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
-from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point, solve
@@ -97,7 +98,7 @@ class Balance:
         """
         balance = Balance(system, t, q_0, lam_0)
         with np.errstate(all="ignore"):
-            good = all(is_finite(x) for x in (q_0, balance.r_0, balance.Phi_0))
+            good = all(finite(x) for x in (q_0, balance.r_0, balance.Phi_0))
         if not good:
             raise InvalidInput(
                 "start of the equilibrium",
@@ -174,7 +175,7 @@ class Balance:
             with np.errstate(all="ignore"):
                 for iteration in range(1, _ITERATIONS + 1):
                     R, Phi = self._residual(s, q, lam, mu, anchor)
-                    if not (is_finite(R) and is_finite(Phi)):
+                    if not (finite(R) and finite(Phi)):
                         return Failure(Verdict.NOT_FINITE, test.size)
                     K = self.tangent(s, q, lam)
                     factors = self.factor(K if mu == 0.0 else K + mu * self.M_0, q)
@@ -208,7 +209,7 @@ class Balance:
 
     def length(self, dq: Array) -> float:
         """Return the size of a change of coordinates."""
-        return real_norm(dq, self.system.weights)
+        return norm(dq, self.system.weights)
 
     @cached_property
     def position(self) -> float:
@@ -222,7 +223,7 @@ class Balance:
 
     def strength(self, Q: Array) -> float:
         """Return the size of generalised forces."""
-        return real_norm(Q, 1 / self.system.weights)
+        return norm(Q, 1 / self.system.weights)
 
     @cached_property
     def load(self) -> float:

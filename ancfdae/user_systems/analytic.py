@@ -10,7 +10,8 @@ from typing import Any, Self, final
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.contour import circle_size
 from ancfdae.protocol.motion import Motion
 from ancfdae.protocol.system import MechanicalSystem
@@ -46,7 +47,7 @@ class Reach:
         w = system.weights
         q, v = system.start()
         direction = np.cos(0.7 + 1.3 * np.arange(system.n_q)) / np.sqrt(w * system.n_q)
-        sizes = [real_norm(x, w) or float(np.sqrt(np.max(w))) for x in (q, v)]
+        sizes = [norm(x, w) or float(np.sqrt(np.max(w))) for x in (q, v)]
 
         def along_q(s: complex) -> Array:
             x = q + s * direction
@@ -74,7 +75,7 @@ class Reach:
 
     def time(self, m: Motion) -> float:
         """Time for which the motion stays within reach."""
-        v, a = real_norm(m.v, self.weights), real_norm(m.a, self.weights)
+        v, a = norm(m.v, self.weights), norm(m.a, self.weights)
         limits = [self.t, _ratio(self.q, v), _ratio(self.v, a), np.sqrt(_ratio(2 * self.q, a))]
         return float(min(limits))
 
@@ -83,9 +84,9 @@ class Reach:
         moved = db != 0
         size = np.where(b == 0, 1.0, np.abs(b))[moved]
         limits = [
-            _ratio(self.q, real_norm(change.q, self.weights)),
-            _ratio(self.v, real_norm(change.v, self.weights)),
-            _ratio(self.q, s * real_norm(change.v, self.weights)),
+            _ratio(self.q, norm(change.q, self.weights)),
+            _ratio(self.v, norm(change.v, self.weights)),
+            _ratio(self.q, s * norm(change.v, self.weights)),
             _ratio(self.t, abs(change.t)),
             *(_DESIGN * size / np.abs(db[moved])),
         ]

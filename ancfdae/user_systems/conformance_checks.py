@@ -11,7 +11,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ancfdae.numerics.arrays import STEP, Array, real_norm
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.protocol.motion import Motion
 from ancfdae.protocol.system import MechanicalSystem
 from ancfdae.user_systems.conformance_members import Add, accepted, call, unasked
@@ -37,7 +38,7 @@ def start(add: Add, p: Probe) -> None:
         defect = pattern.dot(values, v) - s.velocity_side(q, 0.0)
         for what, phi, x in (("q", s.constraint(q, 0.0), q), ("v", defect, v)):
             # A velocity that vanishes leaves nothing to compare with but the time of motion.
-            size = real_norm(x, s.weights) or 1e-3 * real_norm(q, s.weights) / p.time or 1.0
+            size = norm(x, s.weights) or 1e-3 * norm(q, s.weights) / p.time or 1.0
             ratio = np.max(np.abs(phi) / lengths, initial=0.0) / size
             add(f"start, {what} on the constraints", ratio, _CONSISTENT)
     for k, name in enumerate("qv"):

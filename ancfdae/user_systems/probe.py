@@ -7,7 +7,8 @@ from typing import Any, final
 
 import numpy as np
 
-from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.extrapolation import real_derivative
 from ancfdae.protocol.motion import Motion
 from ancfdae.protocol.system import MechanicalSystem
@@ -96,9 +97,9 @@ class Probe:
         """Time in which the system moves by its size, and multipliers of the size of Q."""
         system, w = self.system, self.system.weights
         Q = system.force(q, v, 0.0)
-        size, pull = real_norm(q, w) or 1.0, real_norm(Q, 1 / w)
+        size, pull = norm(q, w) or 1.0, norm(Q, 1 / w)
         times = [np.sqrt(size / pull)] if pull > 0 else []
-        times += [size / real_norm(v, w)] if real_norm(v, w) > 0 else []
+        times += [size / norm(v, w)] if norm(v, w) > 0 else []
         slope = np.max(np.abs(system.constraint_q(q, 0.0)), initial=0.0)
         return float(min(times, default=1.0)), float((np.max(np.abs(Q)) or 1.0) / (slope or 1.0))
 
@@ -121,6 +122,6 @@ def gap(claimed: Array, found: Array, value: Array | float) -> float:
 
 def _sizes(x: Array, weights: Array) -> Array:
     """Size of every coordinate: its own, or where it vanishes that of the others."""
-    common = (real_norm(x, weights) or 1.0) / np.sqrt(weights * len(x))
+    common = (norm(x, weights) or 1.0) / np.sqrt(weights * len(x))
     largest = np.max(np.abs(x)) or 1.0
     return np.where(np.abs(x) > 1e-3 * largest, np.abs(x), np.minimum(common, largest))

@@ -105,7 +105,7 @@ def _integrator(step: float) -> HHT:
 
 def _tip(n: int, step: float, times: Array) -> Array:
     """Return the displacement of the tip in the frame of the hub, shape (2, k)."""
-    run = simulate(_scene(n), float(times[-1]), _integrator(step)).at(times.tolist())
+    run = simulate(_scene(n), float(times[-1]), _integrator(step)).at(times)
     psi = np.array([_turning(t)[0] for t in times])
     c, s, r = np.cos(psi), np.sin(psi), run.position(Point("beam", 1.0))
     return np.array([c * r[:, 0] + s * r[:, 1] - _L, -s * r[:, 0] + c * r[:, 1]])

@@ -27,11 +27,12 @@ order; this one stays second order.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from ancfdae.kernels import add_scaled
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import Linearisation, MechanicalSystem
@@ -44,16 +45,23 @@ class Coefficients:
 
     h: Any
     alpha: float
+    beta: float = field(init=False)
+    gamma: float = field(init=False)
+    in_q: Any = field(init=False)
+    in_v: Any = field(init=False)
+    in_A: float = field(init=False)
 
-    @property
-    def beta(self) -> float:
-        """(1 - alpha)^2/4."""
-        return (1 - self.alpha) ** 2 / 4
-
-    @property
-    def gamma(self) -> float:
-        """(1 - 2 alpha)/2."""
-        return (1 - 2 * self.alpha) / 2
+    def __post_init__(self) -> None:
+        """Derive the coefficients, and what a adds to q, v and A."""
+        beta, gamma = (1 - self.alpha) ** 2 / 4, (1 - 2 * self.alpha) / 2
+        for name, value in (
+            ("beta", beta),
+            ("gamma", gamma),
+            ("in_q", beta * self.h**2),
+            ("in_v", gamma * self.h),
+            ("in_A", 1 / (1 + self.alpha)),
+        ):
+            object.__setattr__(self, name, value)
 
 
 @final
@@ -116,10 +124,9 @@ def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array
 
 def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array]:
     """q~ - q_n, without the round-off of q_n, and v~."""
-    v_p = v + (c.h * (1 - c.gamma)) * a
+    v_p = add_scaled(v, c.h * (1 - c.gamma), a)
     # h v + h^2 (1/2 - beta) a = h v~ + h^2 (gamma - 1/2 - beta) a
-    dq_p = (c.h**2 * (c.gamma - 0.5 - c.beta)) * a
-    dq_p += c.h * v_p
+    dq_p = add_scaled(c.h * v_p, c.h**2 * (c.gamma - 0.5 - c.beta), a)
     return dq_p, v_p
 
 
@@ -130,7 +137,7 @@ def increment_from_velocities(c: Coefficients, v: Array, v_p: Array) -> Array:
 
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
     """Q and v of eqs. (2) and (3) from their predictors and a_{n+1}."""
-    return q_p + (c.beta * c.h**2) * a, v_p + (c.gamma * c.h) * a
+    return add_scaled(q_p, c.in_q, a), add_scaled(v_p, c.in_v, a)
 
 
 def rescaled(node: Node, ratio: float) -> Node:
@@ -150,22 +157,20 @@ def rescaled_sensitivity(node: NodeSensitivity, ratio: float) -> NodeSensitivity
 
 def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
     """Return A at t_{n+1} from the algorithm's a and the A before, also for derivatives."""
-    return (a + c.alpha * A_n) / (1 + c.alpha)
+    return add_scaled((c.alpha * c.in_A) * A_n, c.in_A, a)
 
 
 def residual(
     system: MechanicalSystem, c: Coefficients, q: Array, A: Array, force: Array, Phi: Array
 ) -> Array:
     """Eqs. (4) and (5), shape (n_q + n_lam,); the force is Phi_q^T lam - Q."""
-    return np.concatenate([system.mass_times(q, A) + force, Phi / (c.beta * c.h**2)])
+    return np.concatenate([system.mass_times(q, A) + force, Phi * (1 / c.in_q)])
 
 
 def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
     """Upper left block of eq. (6) for k instants, shape (k, nnz)."""
-    K = local.M / (1 + c.alpha) + (c.beta * c.h**2) * local.f_q
-    if local.f_v is not None:
-        K = K + (c.gamma * c.h) * local.f_v
-    return np.asarray(K)
+    K = c.in_q * local.f_q + c.in_A * local.M
+    return np.asarray(K if local.f_v is None else K + c.in_v * local.f_v)
 
 
 def factor_jacobian(

@@ -43,12 +43,11 @@ from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.numerics.patterns import Stack
 from ancfdae.protocol import DesignPartials, Linearisation, MechanicalSystem
 
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).
-_CHUNK_NUMBERS = 350_000
+_CHUNK_NUMBERS = 200_000
 # q, v, A and lam, instants as rows.
 States: TypeAlias = tuple[Array, Array, Array, Array]
 
@@ -96,7 +95,6 @@ class LinearSteps:
         jacobian: Factorization,
         right: Array,
         z: Array,
-        stacked: Stack,
         side: Array | None,
     ) -> tuple[Array, Array]:
         """Return a_b and lam_b of step k, design variables as rows; `right` is overwritten.
@@ -104,7 +102,8 @@ class LinearSteps:
         The side is that of the constraints over a small step.
         """
         system, n_q = self.system, self.system.n_q
-        right -= stacked.dot_rows(self.local.f_q[k], self.constraints_q[k], z[0])
+        right[:, :n_q] -= system.pattern.dot(self.local.f_q[k], z[0].T).T
+        right[:, n_q:] -= system.constraint_pattern.dot(self.constraints_q[k], z[0].T).T
         right[:, :n_q] -= system.mass_times(self.q[k], z[2].T).T
         if self.local.f_v is not None:
             right[:, :n_q] -= system.pattern.dot(self.local.f_v[k], z[1].T).T
@@ -166,7 +165,7 @@ def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) 
     system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
     z = np.zeros((4, n_b, n_q))  # q~_b, v~_b, A~_b, a_b of a step
     z[:3] = _predicted(all_steps.first, start)
-    matrix, stacked = step_matrices(all_steps), Stack(system.pattern, system.constraint_pattern)
+    matrix = step_matrices(all_steps)
     for steps in _chunks(system, n_t, 2 * n_b * (n_q + system.n_lam)):
         t, rows, linear = _linearised(nodes, steps)
         given = linear.given(system.design_partials(t, *rows))
@@ -177,7 +176,7 @@ def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) 
             if row is not None:
                 Phi_q, before = linear.local.Phi_q[k], states[n - 1]
                 side = _small_side(system, all_steps.of(n), Phi_q, row, before, z[1])
-            z[3], lam_b[n] = linear.solve(k, jacobian, given[k], z, stacked, side)
+            z[3], lam_b[n] = linear.solve(k, jacobian, given[k], z, side)
             after = (matrix[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
             states[n], z[:3] = after[:3], after[3:]
             yield
@@ -202,8 +201,7 @@ def advance(
         known = np.array([before.q_b.T, before.v_b.T])
         side = _small_side(system, c, linear.local.Phi_q[0], row, known, z[1])
     (jacobian,) = linear.factorised(matrices, range(1))
-    stacked = Stack(system.pattern, system.constraint_pattern)
-    a_b, lam_b = linear.solve(0, jacobian, right, z, stacked, side)
+    a_b, lam_b = linear.solve(0, jacobian, right, z, side)
     one = step_matrices(Steps(np.array([c.h]), c.alpha))[0, :3]
     q_b, v_b, A_b = np.tensordot(one, np.array([*z, a_b]), axes=1)
     return NodeSensitivity(q_b.T, v_b.T, a_b.T, lam_b.T, A_b.T)
@@ -238,19 +236,20 @@ def pull_back(
             before[3:], mu[k], zeta[k] = linear.solve_transposed(
                 k, jacobian, on_step, on_lam, row is not None
             )
-            on_dq = np.zeros(n_q)
+            if defects is not None:
+                change += before[3] @ defects.q[n] + before[4] @ defects.v[n]
+                change += before[5] @ defects.A[n]
             if row is not None:
                 pattern, w = system.constraint_pattern, zeta[k].copy()
-                on_dq -= pattern.dot_transposed(linear.local.Phi_q[k], w)
+                on_dq = -pattern.dot_transposed(linear.local.Phi_q[k], w)
                 before[0] = -pattern.dot_transposed(row.G, w)
                 gradient -= w @ row.g
                 zeta[k] = 0.0  # Phi_b has had its part.
-            if defects is not None:
-                change += (before[3] + on_dq) @ defects.q[n]
-                change += before[4] @ defects.v[n] + before[5] @ defects.A[n]
-            # dq_b as a combination of v_b before the step and v~_b: `increment_from_velocities`.
-            by_v, by_predicted = increment_from_velocities(all_steps.of(n), *np.eye(2))
-            before[1], before[4] = by_v * on_dq, before[4] + by_predicted * on_dq
+                if defects is not None:
+                    change += on_dq @ defects.q[n]
+                # dq_b combines v_b before the step and v~_b: `increment_from_velocities`.
+                by_v, by_predicted = increment_from_velocities(all_steps.of(n), *np.eye(2))
+                before[1], before[4] = by_v * on_dq, before[4] + by_predicted * on_dq
             on = before
         gradient -= system.pull_back(t, rows, (mu, zeta))
     return gradient, _start_covectors(all_steps.first, on), float(change)

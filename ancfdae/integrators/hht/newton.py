@@ -19,7 +19,8 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.hht.small_steps import constraint_increment, motion_size, share_of_defect
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.numerics.arrays import Array, is_finite, real_norm
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 
@@ -77,6 +78,7 @@ class StepSolver:
         self._inverse_weights = 1 / system.weights
         # The round-off of elastic forces, times 1e7.
         self._blur = system.force_round_off / (0.1 * _ROUND_OFF)
+        self._least = max(self._blur, float(np.finfo(float).tiny))
         self._last_motion = math.inf
         self.verdict = Verdict.NO_CONVERGENCE
         self.correction = math.inf
@@ -148,7 +150,7 @@ class StepSolver:
             R = residual(system, c, q, A, reaction - Q, Phi)
             self._recorder.residuals += 1
             self._recorder.iterations += 1
-            if not is_finite(R):
+            if not finite(R):
                 self.verdict = Verdict.NOT_FINITE
                 return None
             fresh = jacobian is None
@@ -173,7 +175,7 @@ class StepSolver:
             stuck = fresh and rate > 0.5 and size <= _ROUND_OFF
             # Of stiff bodies far from balance corrections are small too: forces must balance.
             if stuck:
-                stuck = real_norm(R[: system.n_q], self._inverse_weights) <= _ROUND_OFF * now
+                stuck = norm(R[: system.n_q], self._inverse_weights) <= _ROUND_OFF * now
             if left <= tolerance or size <= tolerance or stuck:
                 settled += 1
                 if settled == 1:
@@ -199,16 +201,14 @@ class StepSolver:
         """Size of a correction: of the accelerations and of the reactions, in units of force."""
         system = self._system
         reaction = system.constraint_force(q, x[system.n_q :], t)
-        return real_norm(x[: system.n_q], system.weights) + real_norm(
-            reaction, self._inverse_weights
-        )
+        return norm(x[: system.n_q], system.weights) + norm(reaction, self._inverse_weights)
 
     def _blurred(self, t: float, q: Array, a: Array, lam: Array) -> bool:
         """Whether round-off of the elastic forces leaves less than seven digits of the motion."""
-        if real_norm(a, self._system.weights) >= self._blur:
+        if norm(a, self._system.weights) >= self._blur:
             return False
         reaction = self._system.constraint_force(q, lam, t)
-        return real_norm(reaction, self._inverse_weights) < self._blur
+        return norm(reaction, self._inverse_weights) < self._blur
 
     def _motion_before(self, before: Node) -> float:
         """Motion at the last accepted step, or at the start."""
@@ -221,5 +221,5 @@ class StepSolver:
 
     def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
         """Size of the motion; in a body at rest corrections are compared with round-off."""
-        size = motion_size(self._system, a, reaction, Q)
-        return max(size, self._blur, float(np.finfo(float).tiny))
+        size = motion_size(self._system, self._inverse_weights, a, reaction, Q)
+        return max(size, self._least)

@@ -26,7 +26,8 @@ import numpy as np
 
 from ancfdae.integrators.hht.equations import Coefficients, Node, Steps, predict_increment, rescaled
 from ancfdae.integrators.problem import Problem
-from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 
@@ -38,16 +39,20 @@ _QUIET, _QUIET_DERIVATIVES = 1e-9, 1e-8
 _EPS = float(np.finfo(float).eps)
 
 
-def motion_size(system: MechanicalSystem, a: Array, reaction: Array, Q: Array) -> float:
-    """Size of inertia, reactions and forces in one norm, a force per square root of a mass."""
-    inverse = 1 / system.weights
-    size = real_norm(a, system.weights)
-    return size + real_norm(reaction, inverse) + real_norm(Q, inverse)
+def motion_size(
+    system: MechanicalSystem, inverse: Array, a: Array, reaction: Array, Q: Array
+) -> float:
+    """Size of inertia, reactions and forces in one norm, a force per square root of a mass.
+
+    `inverse` is one over the weights of the system.
+    """
+    size = norm(a, system.weights)
+    return size + norm(reaction, inverse) + norm(Q, inverse)
 
 
 def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion: float) -> float:
     """Return chi: 1, or less where Phi_n is round-off that would disturb a step of size h."""
-    noise = _EPS * real_norm(q, system.weights)
+    noise = _EPS * norm(q, system.weights)
     allowed = _QUIET * motion * c.beta * c.h**2
     return 1.0 if noise <= allowed else allowed / noise
 
@@ -65,14 +70,15 @@ class ConstraintRow:
         system: MechanicalSystem, c: Coefficients, before: Node, after: Node
     ) -> ConstraintRow | None:
         """Return the row; None where the step is not small, so that eq. (23) is accurate."""
-        floor = _EPS * real_norm(before.q, system.weights)
+        floor = _EPS * norm(before.q, system.weights)
         unit = _QUIET_DERIVATIVES * c.beta * c.h**2
         # The inertia alone mostly decides; that of both ends, since it may pass through zero.
-        if floor <= unit * max(real_norm(x.A, system.weights) for x in (before, after)):
+        if floor <= unit * max(norm(x.A, system.weights) for x in (before, after)):
             return None
         q, t = before.q, before.t
         reaction = system.constraint_force(q, before.lam, t)
-        motion = motion_size(system, before.A, reaction, system.force(q, before.v, t))
+        Q = system.force(q, before.v, t)
+        motion = motion_size(system, 1 / system.weights, before.A, reaction, Q)
         if floor <= unit * motion:
             return None
         chi = share_of_defect(system, c, q, motion)

@@ -35,7 +35,8 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
-from ancfdae.numerics.arrays import Array, real_norm
+from ancfdae.kernels import norm
+from ancfdae.numerics.arrays import Array
 
 # Where the branch of solutions could be followed over more than this part of a step, and then was
 # lost in round-off, as many iterations as this times the usual ones are spent on the full step.
@@ -66,6 +67,7 @@ class Stepper(OneStepMethod[State]):
         self._problem, self._alpha = problem, alpha
         self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
         self._tolerance, self._recorder, self._remedy = tolerance, recorder, ""
+        self._coefficients = Coefficients(0.0, alpha)
 
     def consistent(self) -> Record:
         """Return what a solution keeps of the start, which is the consistent one."""
@@ -84,7 +86,9 @@ class Stepper(OneStepMethod[State]):
 
     def advance(self, h: float, before: State, t: float) -> State | None:
         """Solve the equations at t; None if Newton's method fails."""
-        (last, node_b), c = before, Coefficients(h, self._alpha)
+        (last, node_b), c = before, self._coefficients
+        if c.h != h:
+            c = self._coefficients = Coefficients(h, self._alpha)
         self._remedy, node = "", self._solver.advance(c, last, t)
         # Where steps are controlled a smaller one is the better cure.
         if node is None and self._tolerance is None:
@@ -109,7 +113,7 @@ class Stepper(OneStepMethod[State]):
             return None
         ahead, _ = predict_increment(c, last.v, last.a)
         weights = self._problem.system.weights
-        near = real_norm(node.q - last.q - ahead, weights) <= real_norm(ahead, weights)
+        near = norm(node.q - last.q - ahead, weights) <= norm(ahead, weights)
         return node if near else None
 
     def failure(self) -> Failure:
@@ -126,6 +130,8 @@ class Stepper(OneStepMethod[State]):
 
     def error(self, h: float, before: State, after: State) -> float:
         """Return e of a step; zero where there is no tolerance."""
+        if self._tolerance is None:
+            return 0.0
         (old, old_b), (new, new_b) = before, after
         size = np.maximum(np.abs(old.q.real), np.abs(new.q.real))
         if old_b is None or new_b is None:

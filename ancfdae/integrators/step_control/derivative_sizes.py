@@ -48,10 +48,15 @@ def derivative_sizes(scales: Scales, q_b: Array) -> Array:
     Infinite if they are not finite, and zero if they are round-off.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        relative = q_b / scales.q[:, None]
-        sizes = np.sqrt(np.max(np.mean(relative * relative, axis=1), axis=0, initial=0.0))
+        squares = mean_squares(q_b / scales.q[:, None])
+        sizes = np.sqrt(np.max(squares, axis=0, initial=0.0))
     sizes = np.where(np.isfinite(sizes), sizes, np.inf)
     return np.where(sizes * scales.b > _ROUND_OFF, sizes, 0.0)
+
+
+def mean_squares(x: Array) -> Array:
+    """Return means of squares over coordinates, shape (n, n_q, ...) to (n, ...)."""
+    return np.asarray(np.einsum("kq...,kq...->k...", x, x) / x.shape[1])
 
 
 def sizes_hold(assumed: Array, found: Array) -> bool:

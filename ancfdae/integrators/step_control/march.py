@@ -24,7 +24,9 @@ def march(
     recorder.record(*method.consistent())
     with tqdm(total=t_end, disable=not progress, unit="s") as bar:
         try:
-            verdict = _to_end(method, controller, recorder, bar)
+            # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                verdict = _to_end(method, controller, recorder, bar)
         except SingularMatrix:
             verdict = Verdict.SINGULAR
         except KeyboardInterrupt:
@@ -42,12 +44,10 @@ def _to_end(
     n, t, last, now = 0, 0.0, 0.0, None
     while not isinstance(planned := controller.plan(n, t), Verdict):
         h, t_next = planned
-        # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            before = method.start(h) if now is None else method.resized(now, h / last)
-            after = method.advance(h, before, t_next)
-            error = None if after is None else method.error(h, before, after)
-            found = controller.judge(n, t, h, error)
+        before = method.start(h) if now is None else method.resized(now, h / last)
+        after = method.advance(h, before, t_next)
+        error = None if after is None else method.error(h, before, after)
+        found = controller.judge(n, t, h, error)
         if isinstance(found, int) and found > n:
             n, t, last, now = found, t_next, h, after
             recorder.record(*method.recorded(after))

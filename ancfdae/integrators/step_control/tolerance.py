@@ -26,7 +26,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.problem import Scales
-from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes
+from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes, mean_squares
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import EstimatedErrors, Sensitivities
 
@@ -81,5 +81,5 @@ def estimated_errors(
 
 def _added_up(errors: Array) -> Array:
     """Add up, over steps, root mean squares over coordinates; infinite where that is no number."""
-    total = np.sum(np.sqrt(np.mean(errors * errors, axis=1)), axis=0)
+    total = np.sum(np.sqrt(mean_squares(errors)), axis=0)
     return np.where(np.isfinite(total), total, np.inf)

@@ -34,7 +34,8 @@ from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import verdict
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage, IndexReduction
 from ancfdae.integrators.sundials.step_points import StepPoints
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite
+from ancfdae.numerics.arrays import Array
 
 # How scikit-sundae begins what it prints.
 _MESSAGE = "\n[IDA"
@@ -153,7 +154,7 @@ class _IdaMarch(March):
         y = self._y
         if self._t != t:
             y = self._solver.step(t, "normal", self._t_end).y.copy()
-        if not is_finite(y):
+        if not finite(y):
             raise NotFinite
         states, blocks = self._split(y)
         derivatives = self._form.coordinates_b(blocks) if self._m else ()
@@ -197,7 +198,7 @@ class _IdaMarch(March):
         R[:n] = self._form.residual(t, x, xp)
         if self._m:
             R[n:] = self._form.residual_b(t, x, xp, Y, Yp).T.ravel()
-        if not is_finite(R):
+        if not finite(R):
             raise NotFinite
         self._last = float(np.max(np.abs(R[:n])))
 
@@ -216,7 +217,7 @@ class _IdaMarch(March):
             for i in range(self._m)
         ]
         values = self._storage.values(own, below)
-        if not is_finite(values):
+        if not finite(values):
             raise NotFinite
         if J.ndim == 1:
             J[:] = values

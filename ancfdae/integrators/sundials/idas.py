@@ -23,7 +23,8 @@ from ancfdae.integrators.sundials.idas_adjoint import BackwardRun
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.integrators.sundials.step_points import StepPoints
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite
+from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 
@@ -102,7 +103,7 @@ class _IdasMarch(March):
     def _state(self, t: float) -> State:
         self._bindings.check(self._bindings.idas.IDAGetDky(self._memory, t, 0, self._out))
         y = self._bindings.array(self._out)
-        if not is_finite(y):
+        if not finite(y):
             raise NotFinite
         q, v = self._form.coordinates(y)
         if self._m == 0:
@@ -153,7 +154,7 @@ class _IdasMarch(March):
         array = self._bindings.array
         columns, rates = (np.stack([array(x) for x in X], axis=1) for X in (Y, Yp))
         values = self._form.residual_b(t, array(y), array(yp), columns, rates)
-        if not is_finite(values):
+        if not finite(values):
             raise NotFinite
         for i, vector in enumerate(RY):
             array(vector)[:] = values[:, i]

@@ -28,7 +28,8 @@ from ancfdae.integrators.start import AccelerationsAdjoint, InitialState
 from ancfdae.integrators.sundials.bindings import Bindings, verdict
 from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.protocol.solution import Solution
 
@@ -202,7 +203,7 @@ class BackwardRun:
         array = self._bindings.array
         rates, _ = self._rates(t, *self._form.coordinates(array(y)), array(z) / self._scale)
         value = array(zp) - rates * self._scale
-        if not is_finite(value):
+        if not finite(value):
             raise NotFinite
         array(R)[:] = value
 

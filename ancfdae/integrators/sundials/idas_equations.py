@@ -10,7 +10,8 @@ from ancfdae.errors import InvalidInput
 from ancfdae.integrators.high_order import NotFinite
 from ancfdae.integrators.sundials.bindings import Bindings, Guard
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
-from ancfdae.numerics.arrays import Array, is_finite
+from ancfdae.kernels import finite
+from ancfdae.numerics.arrays import Array
 
 # The bindings offer dense matrices only; this many unknowns take 200 MB.
 _MOST_UNKNOWNS = 5000
@@ -62,7 +63,7 @@ class IdasEquations:
     def _residual(self, t: float, y: Any, yp: Any, R: Any, _: Any) -> None:
         array = self._bindings.array
         value = self._form.residual(t, array(y), array(yp))
-        if not is_finite(value):
+        if not finite(value):
             raise NotFinite
         self.last = float(np.max(np.abs(value)))
         array(R)[:] = value
@@ -70,7 +71,7 @@ class IdasEquations:
     def _jacobian(self, t: float, c_j: float, y: Any, yp: Any, R: Any, J: Any, *_: Any) -> None:
         array, form = self._bindings.array, self._form
         values = form.jacobian(t, array(y), array(yp), c_j)
-        if not is_finite(values):
+        if not finite(values):
             raise NotFinite
         dense = self._bindings.core.SUNDenseMatrix_Data(J)
         flat = np.bincount(form.columns * form.n + form.rows, values, minlength=form.n**2)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ancfdae import HHT, Point, Solution, differentiate
 from ancfdae.plotting import Panel, Series
-from validation.extremes_scenes import SI, Rod, Units
+from validation.extremes.scenes import SI, Rod, Units
 from validation.report import Report
 
 __all__ = ["scaling"]

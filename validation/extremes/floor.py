@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from ancfdae import HHT, Explicit, Point, Solution, differentiate, simulate
 from ancfdae.plotting import Panel, Series
 from validation.external.rods import cartesian_pendulum
-from validation.extremes_scenes import SI, Crank, Rod
+from validation.extremes.scenes import SI, Crank, Rod
 from validation.report import Report
 
 __all__ = ["round_off"]

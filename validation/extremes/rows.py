@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import HHT, Scene, Solution, StabilityWarning, assemble, simulate
+from ancfdae import HHT, Point, Scene, Solution, StabilityWarning, assemble, simulate
 from ancfdae.errors import AncfdaeError
 from ancfdae.integrators.hht.equations import Coefficients, iteration_matrices
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point
 from validation.report import Report
 
-__all__ = ["HEADER", "Case", "Row", "add_table", "measure"]
+__all__ = ["HEADER", "Case", "Row", "add_table", "against_sixteenth", "measure"]
 
 Array = npt.NDArray[np.float64]
 
@@ -235,3 +235,18 @@ def _condition(system: MechanicalSystem, case: Case) -> float | None:
     scale = saddle_point(system, 0.0).scale
     matrix = np.block([[K, B.T], [B, np.zeros((m, m))]]) * np.outer(scale, scale)
     return float(np.linalg.cond(matrix))
+
+
+def against_sixteenth(
+    label: str, scene: Scene, beam: str, step: float, steps: int, at: float = 1.0
+) -> Case:
+    """Case whose error is that of a point, relative to its travel, to sixteen times the steps."""
+
+    def error(run: Solution) -> float:
+        fine = simulate(scene, step * steps, HHT(step / 16))
+        if not fine.outcome.success:
+            return np.inf
+        place, exact = (x.position(Point(beam, at)) for x in (run, fine))
+        return float(np.max(np.abs(place - exact[::16])) / np.max(np.abs(exact - exact[0])))
+
+    return Case(label, lambda: scene, step, steps, error=error)

@@ -1,10 +1,10 @@
 """Report on where the numerics end: each row of its tables is measured."""
 
-from validation.extremes_cases import GROUPS
-from validation.extremes_floor import round_off
-from validation.extremes_long import Long, long_runs
-from validation.extremes_rows import Row, add_table, measure
-from validation.extremes_scaling import scaling
+from validation.extremes.floor import round_off
+from validation.extremes.groups import GROUPS
+from validation.extremes.long import Long, long_runs
+from validation.extremes.rows import Row, add_table, measure
+from validation.extremes.scaling import scaling
 from validation.report import Agreement, Report
 
 __all__ = ["run"]

@@ -1,0 +1,96 @@
+"""Forces and stresses in the sections of beams, prepared when they are first asked for."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import final
+
+import numpy as np
+
+from ancfdae.ancf.beam_elements import BeamElements
+from ancfdae.ancf.numbering import Numbering
+from ancfdae.ancf.parameters import ParameterMap
+from ancfdae.ancf.section_force import SectionForces
+from ancfdae.ancf.stress_points import StressPoints
+from ancfdae.bodies import Point
+from ancfdae.errors import InvalidInput
+from ancfdae.naming import Layout
+from ancfdae.numerics.arrays import Array
+from ancfdae.scene import Scene
+
+# Places along every element where the largest stress is looked for: bending moments are linear in
+# them, or nearly.
+_STRESS_PLACES = np.array([0.0, 0.5, 1.0])
+
+
+@final
+class BeamSections:
+    """What observables ask of the sections of a scene's beams.
+
+    Parameters
+    ----------
+    scene : Scene
+    layout : Layout
+    numbering : Numbering
+    mapping : ParameterMap
+    b : array, shape (n_b,)
+    """
+
+    def __init__(
+        self, scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array
+    ) -> None:
+        self._scene, self._layout = scene, layout
+        self._numbering, self._mapping, self._b = numbering, mapping, b
+        self._forces: dict[Point, SectionForces] = {}
+        self._stresses: dict[Point | str, StressPoints] = {}
+
+    def forces(self, point: Point) -> SectionForces:
+        """Return what gives the forces in the section at a point of a beam."""
+        if point not in self._forces:
+            self._forces[point] = SectionForces(*self._element(point))
+        return self._forces[point]
+
+    def half_extents(self, point: Point) -> tuple[float, float]:
+        """Return half of the height and of the width of the section at a point of a beam."""
+        own, _ = self._element(point)
+        section, sizes = own.kind.section, own.kind.sizes(own.parameters)[0].real.tolist()
+        names = section.size_names()
+        return section.with_sizes(dict(zip(names, sizes, strict=True))).half_extents
+
+    def stress_at(self, point: Point) -> StressPoints:
+        """Return what gives the stress at a point of a beam."""
+        if point not in self._stresses:
+            own, xi = self._element(point)
+            y, z = np.full((1, 1), point.y), np.full((1, 1), point.z)
+            places = partial(_held, (y, z))
+            self._stresses[point] = StressPoints(own, np.array([xi]), places)
+        return self._stresses[point]
+
+    def stress_over(self, beam: str) -> StressPoints:
+        """Return what gives stresses at the outer points of all sections of a beam."""
+        if beam not in self._stresses:
+            own = self._elements(beam, slice(None))
+            self._stresses[beam] = StressPoints(own, _STRESS_PLACES, own.outline)
+        return self._stresses[beam]
+
+    def _element(self, point: Point) -> tuple[BeamElements, float]:
+        """Return the element that a point lies in, and where."""
+        element, xi = self._layout.beam(point.beam).locate(point.fraction)
+        return self._elements(point.beam, slice(element, element + 1)), xi
+
+    def _elements(self, beam: str, elements: slice) -> BeamElements:
+        place, values = self._layout.beam(beam), self._mapping.values(self._b)
+        body, mapping = self._scene.beam(beam), self._mapping
+        if body.rigid:
+            raise InvalidInput(
+                f"beam {beam!r}",
+                "must deform to have section forces and stresses",
+                "a rigid one, which has no strain",
+                "Leave out rigid=True, or ask for the reactions of its joints.",
+            )
+        return BeamElements(body, place, self._numbering, mapping, values, elements)
+
+
+def _held(places: tuple[Array, Array], parameters: Array) -> tuple[Array, Array]:
+    """Places in a section that no parameter moves."""
+    return places

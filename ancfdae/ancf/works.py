@@ -1,0 +1,61 @@
+"""Power of driven joints and of loads, prepared when it is first asked for."""
+
+from __future__ import annotations
+
+from typing import final
+
+from ancfdae.ancf.joint_work import JointWork, at_unit_rate
+from ancfdae.ancf.load_work import LoadWork
+from ancfdae.ancf.part_inputs import PartInputs
+from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.joints import DrivenJoint
+from ancfdae.naming import Layout
+from ancfdae.scene import Scene
+
+
+@final
+class Works:
+    """What does work in a scene, by name.
+
+    Parameters
+    ----------
+    scene : Scene
+    inputs : PartInputs
+    layout : Layout
+        Knows the rows of the joints.
+    n_b : int
+        Number of design variables.
+    """
+
+    def __init__(self, scene: Scene, inputs: PartInputs, layout: Layout, n_b: int) -> None:
+        self._scene, self._inputs, self._layout, self._n_b = scene, inputs, layout, n_b
+        self._joints: dict[tuple[str, bool], JointWork] = {}
+        self._loads: dict[str, LoadWork] = {}
+
+    def of_joint(self, name: str, unit_rate: bool) -> JointWork:
+        """Return what gives the power of a driven joint, or at a unit rate its torque or force.
+
+        Raises
+        ------
+        InvalidInput
+            If the joint is not driven: it does no work.
+        """
+        key = name, unit_rate
+        if key not in self._joints:
+            place = self._layout.joint(name)
+            found = [joint for joint in self._scene.joints if joint.name == name]
+            if not found or not isinstance(found[0], DrivenJoint):
+                rule, repair = "must be driven: others do no work", "Name a Drive or a Guide."
+                raise InvalidInput(f"work of joint {name!r}", rule, "one that is not", repair)
+            item = self._inputs.joint(at_unit_rate(found[0]) if unit_rate else found[0])
+            self._joints[key] = JointWork(*item, place.first_row, self._n_b, self._layout.d)
+        return self._joints[key]
+
+    def of_load(self, name: str) -> LoadWork:
+        """Return what gives the power of a load, or raise UnknownName."""
+        if name not in self._loads:
+            loads = {load.name: load for load in self._scene.loads}
+            if name not in loads:
+                raise UnknownName("load", name, loads)
+            self._loads[name] = LoadWork(self._inputs.load(loads[name]), self._n_b)
+        return self._loads[name]

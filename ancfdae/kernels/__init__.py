@@ -1,0 +1,53 @@
+"""Compiled inner loops: element forces and tangents, sparse products, banded solutions.
+
+Real and complex numbers go through the same formulas, each of which stands once, in C: those of
+elements in `elements.h`, their sums over a scene in `blocks.h`. `_kernels.pyi` says what each
+function computes. Why this is compiled, and by what: docs/measurements.md, section 10.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy.typing as npt
+
+try:
+    from ancfdae.kernels import _kernels
+except ImportError as error:  # a checkout that was updated since it was installed
+    raise ImportError(
+        "the kernels of ancfdae are not compiled; run `python -m pip install -e .` in the checkout"
+    ) from error
+
+Array = npt.NDArray[Any]
+
+
+class Block(NamedTuple):
+    """Elements of one kind: their law, (n or 1, ...), and their node vectors, (n, n_a).
+
+    Vector k has the coordinates d k to d k + d - 1 of n_q; tau, (n,), is None without damping.
+    """
+
+    A: Array
+    g_o: Array
+    p_o: Array | None
+    tau: Array | None
+    vectors: Array
+    d: int
+    n_q: int
+
+
+add_scaled = _kernels.add_scaled
+band_factor = _kernels.band_factor
+band_solve = _kernels.band_solve
+csr_rows = _kernels.csr_rows
+csr_rows_transposed = _kernels.csr_rows_transposed
+finite = _kernels.finite
+forces = _kernels.forces
+forces_along = _kernels.forces_along
+gram = _kernels.gram
+lifted = _kernels.lifted
+norm = _kernels.norm
+relative = _kernels.relative
+strain = _kernels.strain
+stressed = _kernels.stressed
+tangents = _kernels.tangents

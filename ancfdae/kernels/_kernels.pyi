@@ -1,0 +1,91 @@
+"""Functions of `kernels.c`: arrays are double or complex, and converted where they are neither.
+
+States are rows, (..., n_q), leading axes are instants. Relative node vectors Y = R q have the
+shape (..., n, n_y, d), packed matrices (..., n, n_g).
+"""
+
+from typing import Any
+
+from ancfdae.kernels import Array, Block
+
+def relative(block: Block, q: Array, /) -> Array:
+    """Return Y = R q."""
+
+def lifted(block: Block, F: Array, /) -> Array:
+    """Return R^T F, the transpose of `relative`."""
+
+def forces(block: Block, q: Array, v: Array | None, /) -> Array:
+    """Return R^T of the internal forces (eqs. 13, 17); v is None without damping."""
+
+def forces_along(
+    block: Block,
+    q: Array,
+    v: Array | None,
+    u: Array,
+    z: Array | None,
+    p_b: Array | None,
+    /,
+) -> Array:
+    """Return derivatives of `forces` along rows of u and z, directions of q and v.
+
+    At one state for all rows, shape (1, n_q) or (n_q,), or at one for each. With p_b, shape
+    (n, k, n_g), the stresses change too.
+    """
+
+def tangents(
+    block: Block, q: Array, v: Array | None, damping: bool, index: Array, size: int, /
+) -> Array:
+    """Return derivatives of `forces` in q (eq. 19), or in v, as values that are summed.
+
+    `index`, (n, (n_a d)^2), holds the place among `size` values of each entry of an element.
+    """
+
+def gram(Y: Array, U: Array, /) -> Array:
+    """Return Y U^T + U Y^T, packed: the derivative of Y Y^T at Y in direction U."""
+
+def strain(g_o: Array, Y: Array, V: Array | None, tau: Array | None, /) -> Array:
+    """Return g(Y) - g_o + tau g', what stresses are proportional to."""
+
+def stressed(p: Array, Y: Array, /) -> Array:
+    """Return W(p) Y, the gradient of p . g(Y)."""
+
+def csr_rows(first: Array, columns: Array, values: Array, x: Array, /) -> Array:
+    """Return M x for rows of x; M in compressed sparse rows."""
+
+def csr_rows_transposed(
+    first: Array, columns: Array, values: Array, x: Array, size: int, /
+) -> Array:
+    """Return M^T x for rows of x; M has `size` columns."""
+
+def norm(x: Array, weights: Array, /) -> float:
+    """Return sqrt(sum(weights x^2)) of the real part."""
+
+def band_factor(
+    K: Array, B: Array, factors: Array, flat: Array, n: int, half: int, /
+) -> tuple[Array, Array, int]:
+    """Return LU factors in band form, (n, 3 half + 1), pivots, and LAPACK's info or -1.
+
+    Values of K, of B and of B again are multiplied with factors and written to places `flat` of
+    the band; -1 tells that a value is not finite.
+    """
+
+def band_solve(
+    lu: Array,
+    pivots: Array,
+    half: int,
+    order: Array,
+    scale: Array,
+    right: Array,
+    transposed: bool,
+    /,
+) -> Array:
+    """Return scale P^T (LU)^-1 P scale x for right sides x along the last axis.
+
+    P numbers the rows: row i of the band is row order[i] of x.
+    """
+
+def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
+    """Return x + s y for arrays of one shape, or whatever NumPy makes of it."""
+
+def finite(x: Array, /) -> bool:
+    """Tell whether every entry is finite."""

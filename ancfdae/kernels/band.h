@@ -1,0 +1,41 @@
+/* Banded factorisation by LAPACK, for one scalar type of the matrix.
+ *
+ * The band has room for fill-in: entry (i, j) stands at row 2 half + i - j of column j, and a
+ * column holds 3 half + 1 numbers. LAPACK's routines are those of SciPy.
+ */
+
+typedef void (*NAME(gbtrf_t))(int *, int *, int *, int *, T *, int *, int *, int *);
+typedef void (*NAME(gbtrs_t))(char *, int *, int *, int *, int *, T *, int *, int *, T *, int *,
+                              int *);
+
+/* Scale values, write them where `flat` says, and factorise. Returns LAPACK's info, or -1 where a
+ * value is not finite. The values of B come twice, for B and its transpose. */
+static int NAME(band_factor)(NAME(gbtrf_t) gbtrf, int n, int half, npy_intp n_K, npy_intp n_B,
+                             const T *K, const T *B, const double *factors, const npy_int64 *flat,
+                             T *band, int *pivots)
+{
+    int width = 3 * half + 1, info = 0;
+    T sum = 0;
+    for (npy_intp i = 0; i < n_K; i++) {
+        T value = K[i] * factors[i];
+        sum += value;
+        band[flat[i]] = value;
+    }
+    for (npy_intp i = 0; i < n_B; i++) {
+        T value = B[i] * factors[n_K + i];
+        sum += value;
+        band[flat[n_K + i]] = band[flat[n_K + n_B + i]] = value;
+    }
+    if (!isfinite(creal(sum)) || !isfinite(cimag(sum)))
+        return -1;
+    gbtrf(&n, &n, &half, &half, band, &width, pivots, &info);
+    return info;
+}
+
+/* Solve for rows of right sides that are numbered and scaled already. */
+static void NAME(band_solve)(NAME(gbtrs_t) gbtrs, char transposed, int n, int half, int rows,
+                             T *lu, int *pivots, T *right)
+{
+    int width = 3 * half + 1, info = 0;
+    gbtrs(&transposed, &n, &half, &half, &rows, lu, &width, pivots, right, &n, &info);
+}

@@ -1,0 +1,177 @@
+/* Element forces and tangents for one scalar type: included with T and NAME(x) defined.
+ *
+ * Y and U are relative node vectors of one element, n_y rows of d numbers. g is the packed upper
+ * triangle of a symmetric n_y x n_y matrix, row by row; A is symmetric, n_g x n_g
+ * (docs/theory.md, section 2). n_y and d are constants where these are called, so that the
+ * compiler unrolls the loops.
+ */
+
+typedef struct {
+    const T *A, *g_o, *p_o; /* p_o is NULL where the energy has no linear term. */
+    T tau;
+} NAME(element);
+
+/* g = Y U^T + U Y^T, the derivative of Y Y^T in direction U. */
+INLINE void NAME(gram)(int n_y, int d, const T *Y, const T *U, T *g)
+{
+    for (int i = 0, k = 0; i < n_y; i++)
+        for (int j = i; j < n_y; j++, k++) {
+            T sum = 0;
+            for (int c = 0; c < d; c++)
+                sum += Y[i * d + c] * U[j * d + c] + U[i * d + c] * Y[j * d + c];
+            g[k] = sum;
+        }
+}
+
+/* p += A x. */
+INLINE void NAME(apply)(int n_g, const T *A, const T *x, T *p)
+{
+    for (int k = 0; k < n_g; k++)
+        for (int l = 0; l < n_g; l++)
+            p[l] += A[k * n_g + l] * x[k];
+}
+
+/* Packed place of entry (i, j). */
+INLINE int NAME(place)(int n_y, int i, int j)
+{
+    int least = i < j ? i : j, most = i < j ? j : i;
+    return least * n_y - least * (least - 1) / 2 + most - least;
+}
+
+/* F += W(p) Y: the gradient of p . g(Y). */
+INLINE void NAME(stressed)(int n_y, int d, const T *p, const T *Y, T *F)
+{
+    for (int i = 0; i < n_y; i++) {
+        T sum[4] = {0, 0, 0, 0};
+        for (int j = 0; j < n_y; j++) {
+            T W = (i == j ? 2 : 1) * p[NAME(place)(n_y, i, j)];
+            for (int c = 0; c < d; c++)
+                sum[c] += W * Y[j * d + c];
+        }
+        for (int c = 0; c < d; c++)
+            F[i * d + c] += sum[c];
+    }
+}
+
+/* x = g(Y) - g_o + tau g'(Y, V), what stresses are proportional to. */
+INLINE void NAME(strain)(int n_y, int d, const T *g_o, const T *Y, T tau, const T *V, T *x)
+{
+    int n_g = n_y * (n_y + 1) / 2;
+    T rate[MOST_G];
+    NAME(gram)(n_y, d, Y, Y, x);
+    for (int k = 0; k < n_g; k++)
+        x[k] = x[k] / 2 - g_o[k];
+    if (V == NULL)
+        return;
+    NAME(gram)(n_y, d, Y, V, rate);
+    for (int k = 0; k < n_g; k++)
+        x[k] += tau * rate[k];
+}
+
+/* p = A x + p_o. */
+INLINE void NAME(stress)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *p)
+{
+    int n_g = n_y * (n_y + 1) / 2;
+    T x[MOST_G];
+    NAME(strain)(n_y, d, e->g_o, Y, e->tau, V, x);
+    for (int k = 0; k < n_g; k++)
+        p[k] = e->p_o ? e->p_o[k] : 0;
+    NAME(apply)(n_g, e->A, x, p);
+}
+
+/* F += W(p) Y with p = A x + p_o (eqs. 13, 17). */
+INLINE void NAME(force)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *F)
+{
+    T p[MOST_G];
+    NAME(stress)(n_y, d, e, Y, V, p);
+    NAME(stressed)(n_y, d, p, Y, F);
+}
+
+/* F += derivative of the force along (U, Z) of (Y, V), and along p_b of p at held Y and V:
+ * W(A x') Y + W(p_b) Y + W(p) U with x' = g'(Y, U) + tau (g'(U, V) + g'(Y, Z)). */
+INLINE void NAME(force_along)(int n_y, int d, const NAME(element) *e, const T *p, const T *Y,
+                              const T *V, const T *U, const T *Z, const T *p_b, T *F)
+{
+    int n_g = n_y * (n_y + 1) / 2;
+    T x[MOST_G], rate[MOST_G], change[MOST_G];
+    NAME(gram)(n_y, d, Y, U, x);
+    if (V != NULL) {
+        NAME(gram)(n_y, d, U, V, rate);
+        for (int k = 0; k < n_g; k++)
+            x[k] += e->tau * rate[k];
+        NAME(gram)(n_y, d, Y, Z, rate);
+        for (int k = 0; k < n_g; k++)
+            x[k] += e->tau * rate[k];
+    }
+    for (int k = 0; k < n_g; k++)
+        change[k] = p_b ? p_b[k] : 0;
+    NAME(apply)(n_g, e->A, x, change);
+    NAME(stressed)(n_y, d, change, Y, F);
+    NAME(stressed)(n_y, d, p, U, F);
+}
+
+/* K^T += (G(Y)^T A G(X))^T, column by column: A g'(X, U) of each unit vector U, times W(.) Y.
+ *
+ * Rows of d numbers have room for `wide`, so that they are vectors of the processor; those of Y
+ * are filled with zeros.
+ */
+INLINE void NAME(add_stress_columns)(int n_y, int d, int wide, const T *A, const T *X, const T *Y,
+                                     T *K)
+{
+    int n_g = n_y * (n_y + 1) / 2;
+    T p[MOST_G];
+    for (int i = 0; i < n_y; i++)
+        for (int c = 0; c < d; c++, K += n_y * wide) {
+            for (int l = 0; l < n_g; l++)
+                p[l] = 0;
+            for (int j = 0; j < n_y; j++) {
+                const T *A_k = A + NAME(place)(n_y, i, j) * n_g;
+                T x = (i == j ? 2 : 1) * X[j * wide + c];
+                for (int l = 0; l < n_g; l++)
+                    p[l] += A_k[l] * x;
+            }
+            NAME(stressed)(n_y, wide, p, Y, K);
+        }
+}
+
+/* Copy rows of d numbers, scaled, into rows of `wide`. */
+INLINE void NAME(widened)(int n_y, int d, int wide, T scale, const T *Y, T *wide_Y)
+{
+    for (int i = 0; i < n_y; i++)
+        for (int c = 0; c < wide; c++)
+            wide_Y[i * wide + c] = c < d ? scale * Y[i * d + c] : 0;
+}
+
+/* K^T of K = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V)) (eq. 19): m rows of n_y times `wide`. */
+INLINE void NAME(tangent)(int n_y, int d, int wide, const NAME(element) *e, const T *Y, const T *V,
+                          T *K)
+{
+    int row = n_y * wide;
+    T p[MOST_G], X[MOST_WIDE], wide_Y[MOST_WIDE];
+    for (int k = 0; k < n_y * d * row; k++)
+        K[k] = 0;
+    NAME(stress)(n_y, d, e, Y, V, p);
+    for (int i = 0, k = 0; i < n_y; i++)
+        for (int j = i; j < n_y; j++, k++)
+            for (int c = 0; c < d; c++) {
+                K[(i * d + c) * row + j * wide + c] += p[k];
+                K[(j * d + c) * row + i * wide + c] += p[k];
+            }
+    NAME(widened)(n_y, d, wide, 1, Y, wide_Y);
+    NAME(widened)(n_y, d, wide, 1, Y, X);
+    for (int i = 0; V && i < n_y; i++)
+        for (int c = 0; c < d; c++)
+            X[i * wide + c] += e->tau * V[i * d + c];
+    NAME(add_stress_columns)(n_y, d, wide, e->A, X, wide_Y, K);
+}
+
+/* K^T of K = tau G(Y)^T A G(Y), the derivative of the force in V. */
+INLINE void NAME(damping_tangent)(int n_y, int d, int wide, const NAME(element) *e, const T *Y, T *K)
+{
+    T X[MOST_WIDE], wide_Y[MOST_WIDE];
+    for (int k = 0; k < n_y * d * n_y * wide; k++)
+        K[k] = 0;
+    NAME(widened)(n_y, d, wide, 1, Y, wide_Y);
+    NAME(widened)(n_y, d, wide, e->tau, Y, X);
+    NAME(add_stress_columns)(n_y, d, wide, e->A, X, wide_Y, K);
+}

@@ -1,0 +1,35 @@
+"""Runs chosen tests with the oldest dependencies that are declared, or on a newer Python.
+
+Run as ``python tests/other_versions.py oldest`` or ``... newest`` from the checkout.
+"""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+FILES = ("readme", "plotting", "solution", "high_order", "modes")
+
+
+def oldest() -> list[str]:
+    """Return the least versions in pyproject.toml: numpy>=2.0 means numpy 2.0.*."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    return [f"{x.replace('>=', '==')}.*" for x in project["dependencies"] if ";" not in x]
+
+
+def main(which: str, python: str) -> None:
+    folder = ROOT / f".venv-{which}"
+    subprocess.run([python, "-m", "venv", folder], check=True)
+    versions = oldest() if which == "oldest" else []
+    own = folder / "bin" / "python"
+    needed = [*versions, "-e", ROOT, "pytest", "hypothesis"]
+    subprocess.run([own, "-m", "pip", "install", "--quiet", *needed], check=True)
+    tests = [f"tests/test_{name}.py" for name in FILES]
+    # Old versions of other packages warn of each other; the tests of .ci/run run elsewhere.
+    options = ["-q", "-W", "ignore::DeprecationWarning", "-k", "not spatial and not test_ci"]
+    subprocess.run([own, "-m", "pytest", *options, *tests], cwd=ROOT, check=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,170 @@
+"""Figures 8 and 9 of the paper: sensitivities of the slider's position and of the objective."""
+
+import numpy as np
+import numpy.typing as npt
+
+from ancfdae import (
+    HHT,
+    Adjoint,
+    ContinuousAdjoint,
+    FiniteDifference,
+    Solution,
+    differentiate,
+    simulate,
+)
+from ancfdae.plotting import Panel, Series
+from validation.crank_slider.case import (
+    DESIGN,
+    STEP,
+    SYMBOLS,
+    Extent,
+    relative,
+    scaled,
+    scaled_gradient,
+    slider,
+)
+from validation.report import Agreement, Report
+from validation.scenes import crank_slider
+
+Array = npt.NDArray[np.float64]
+
+
+def position_sensitivities(report: Report, solution: Solution, extent: Extent) -> None:
+    """Repeat Fig. 8."""
+    report.heading("Slider position and its sensitivities (paper, Fig. 8)")
+    check = differentiate(
+        crank_slider(), extent.t_end, HHT(STEP), design=DESIGN, method=FiniteDifference(0.01)
+    )
+    report.plot(
+        "slider",
+        [
+            Panel(
+                "Slider position",
+                "time t [s]",
+                "x [m]",
+                [Series("slider", solution.t, slider(solution).real)],
+            )
+        ],
+        title="Crank-slider of Table 1, HHT-I3, step 2⁻⁸ s",
+    )
+    ours, theirs = scaled(solution), scaled(check)
+    panels: list[Panel] = []
+    difference: dict[str, float] = {}
+    for i, symbol in enumerate(SYMBOLS):
+        panels.append(
+            Panel(
+                f"Sensitivity to {symbol}",
+                "time t [s]",
+                f"{symbol} · dx/d{symbol} [m]",
+                [
+                    Series("direct differentiation", solution.t, ours[:, i]),
+                    Series("forward difference, 1 %", check.t, theirs[:, i]),
+                ],
+            )
+        )
+        error = relative(theirs[:, i], ours[:, i])
+        difference[symbol] = report.figure(f"fig8.difference.{symbol}", error)
+    report.plot(
+        "position-sensitivities",
+        panels,
+        columns=3,
+        title="Sensitivities of the slider position",
+        caption="Both differentiate the same discrete motion.",
+    )
+    report.table(
+        ["variable", "1 % difference against direct (norm over time)"], list(difference.items())
+    )
+    far = [symbol for symbol, value in difference.items() if value > 0.2]
+    report.claim(
+        "Direct and 1 % finite-difference sensitivities of x differ much for E_1 and h_2 only",
+        "a big difference for E_1 and h_2 (Fig. 8)",
+        "more than a fifth of the norm apart: " + (", ".join(far) or "none"),
+        Agreement.AGREES
+        if set(far) == {"E_1", "h_2"}
+        else (Agreement.PARTLY if {"E_1", "h_2"} & set(far) else Agreement.DISAGREES),
+    )
+
+
+def objective_over_time(report: Report, solution: Solution, extent: Extent) -> None:
+    """Repeat Fig. 9."""
+    report.heading("dΨ/db over time by all methods (paper, Fig. 9)")
+    direct, difference = _over_time(solution, extent)
+    times = np.linspace(0, extent.t_end, extent.adjoint_times + 1)[1:]
+    discrete, continuous = (
+        np.array([scaled_gradient(float(t), HHT(STEP), method) for t in times])
+        for method in (Adjoint(), ContinuousAdjoint())
+    )
+    lines = {"direct differentiation": direct, "forward difference, 1 %": difference}
+    markers = {"discrete adjoint": discrete, "continuous adjoint": continuous}
+    _plot_objective(report, (solution.t, lines), (times, markers))
+    rows = [
+        [symbol, direct[-1, i], discrete[-1, i], continuous[-1, i], difference[-1, i]]
+        for i, symbol in enumerate(SYMBOLS)
+    ]
+    report.text(f"At t = {extent.t_end:g} s, b · dΨ/db in m² s:")
+    report.table(
+        ["variable", "direct", "discrete adjoint", "continuous adjoint", "1 % difference"], rows
+    )
+    for i, symbol in enumerate(SYMBOLS):
+        report.figure(f"fig9.direct.{symbol}", direct[-1, i])
+        report.figure(f"fig9.finite_difference.{symbol}", difference[-1, i])
+    agreement = report.figure("fig9.adjoint_direct", relative(discrete, direct[_rows(times)]))
+    also = report.figure("fig9.continuous_direct", relative(continuous, direct[_rows(times)]))
+    report.claim(
+        "Direct differentiation and adjoint variable method agree",
+        "good agreement (Fig. 9)",
+        f"discrete adjoint to {agreement:.1g}, continuous adjoint to {also:.1g} (relative norm)",
+        Agreement.AGREES if max(agreement, also) < 0.05 else Agreement.DISAGREES,
+    )
+
+
+def _over_time(solution: Solution, extent: Extent) -> tuple[Array, Array]:
+    """Return b dPsi/db for every upper limit, directly and by 1 % differences."""
+    sensitivities = solution.sensitivities
+    assert sensitivities is not None
+    b, x = sensitivities.values, slider(solution).real
+    density = 2 * (x - 1.8)[:, None] * scaled(solution)
+    runs = [
+        slider(simulate(crank_slider().with_values({name: 1.01 * value}), extent.t_end, HHT(STEP)))
+        for name, value in zip(DESIGN, b, strict=True)
+    ]
+    change = np.stack([((run.real - 1.8) ** 2 - (x - 1.8) ** 2) / 0.01 for run in runs], axis=1)
+    return _cumulative(density, STEP), _cumulative(change, STEP)
+
+
+def _plot_objective(
+    report: Report,
+    lines: tuple[Array, dict[str, Array]],
+    markers: tuple[Array, dict[str, Array]],
+) -> None:
+    """Plot times and, by label, values of shape (n_t, 6)."""
+    report.plot(
+        "objective-sensitivities",
+        [
+            Panel(
+                f"Sensitivity to {symbol}",
+                "upper limit t [s]",
+                f"{symbol} · dΨ/d{symbol} [m² s]",
+                [Series(label, lines[0], y[:, i]) for label, y in lines[1].items()]
+                + [
+                    Series(label, markers[0], y[:, i], line=False, marker=True)
+                    for label, y in markers[1].items()
+                ],
+            )
+            for i, symbol in enumerate(SYMBOLS)
+        ],
+        columns=3,
+        title="Ψ(t) = ∫₀ᵗ (x - 1.8)² dt",
+        caption="An adjoint yields one upper limit per run: markers.",
+    )
+
+
+def _rows(times: Array) -> npt.NDArray[np.int64]:
+    return np.rint(times / STEP).astype(np.int64)
+
+
+def _cumulative(values: Array, step: float) -> Array:
+    """Return the running trapezoidal integral over time, starting at zero."""
+    total = np.zeros_like(values)
+    total[1:] = np.cumsum(0.5 * step * (values[1:] + values[:-1]), axis=0)
+    return total
