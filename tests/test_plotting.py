@@ -213,3 +213,72 @@ def test_path_with_suffix_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(InvalidInput, match="without suffix"):
         save(two_panels(), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+def faces(figure: Figure) -> dict[str, tuple[object, ...]]:
+    lines = [line for axes in figure.axes for line in axes.lines]
+    handles = dict(zip([t.get_text() for t in figure.legends[0].get_texts()], lines, strict=False))
+    return {
+        label: (line.get_color(), line.get_marker(), line.get_markerfacecolor())
+        for label, line in handles.items()
+    }
+
+
+def test_a_method_looks_the_same_in_every_figure_and_panel() -> None:
+    names = ["IDA", "HHT fixed, alpha = -0.3", "something else", "Explicit"]
+    some = [Series(name, T, T, marker=True) for name in names]
+    first = draw([panel(*some), panel(*some)])
+    other = draw([panel(*reversed(some[:2]), Series("IDAS", T, T, marker=True))])
+    assert faces(first)["IDA"] == faces(other)["IDA"]
+    alpha = r"HHT fixed, $\alpha$ = -0.3"
+    assert faces(first)[alpha] == faces(other)[alpha]
+    assert len({look[:2] for look in faces(first).values()}) == 4
+    colours = [[line.get_color() for line in axes.lines] for axes in first.axes]
+    assert colours[0] == colours[1]
+
+
+def test_two_variants_of_a_method_share_its_colour_and_are_told_apart() -> None:
+    names = ["HHT fixed, alpha = -0.3", "HHT fixed, alpha = -0.05"]
+    one, two = faces(draw([panel(*(Series(n, T, T, marker=True) for n in names))])).values()
+    assert one[0] == two[0]
+    assert one[2] != two[2]
+
+
+def test_points_at_one_place_are_all_seen_over_the_lines() -> None:
+    series = [
+        Series("discrete adjoint", T, T, line=False, marker=True),
+        Series("continuous adjoint", T, T, line=False, marker=True),
+        Series("direct differentiation", T, T),
+    ]
+    discrete, continuous, line = draw([panel(*series)]).axes[0].lines
+    assert line.get_zorder() < discrete.get_zorder() < continuous.get_zorder()
+    assert discrete.get_markersize() > continuous.get_markersize() + 2
+    (single,) = draw([panel(Series("truth", [1], [1], line=False, marker=True))]).axes[0].lines
+    assert single.get_markersize() > 10
+
+
+def test_letters_of_three_panels_are_as_large_as_those_of_one_at_the_same_width() -> None:
+    def size(columns: int) -> float:
+        figure = draw([panel(Series("a", T, T)) for _ in range(columns)], columns=columns)
+        return figure.axes[0].title.get_fontsize() / figure.get_size_inches()[0]
+
+    # At the width of one panel, letters of three are more than half as large.
+    assert size(3) > 0.55 * size(1)
+
+
+@pytest.mark.parametrize(
+    ("plain", "set_"),
+    [
+        ("rho_1 · dΨ/drho_1 [m² s]", r"$\rho_{1}$ · dΨ/$d\rho_{1}$ [m² s]"),
+        ("step 2^-7 s, E = 1e7 N/m²", "step $2^{-7}$ s, E = $10^{7}$ N/m²"),
+        ("3.5e-04, 1e+07", r"$3.5\times 10^{-4}$, $10^{7}$"),
+        ("accelerations, hht_alpha = -0.3", r"accelerations, $\alpha$ = -0.3"),
+        ("omega²/omega²(0) [-]", r"$\omega$²/$\omega$²(0) [-]"),
+        ("dx/dE_1 of the Deltas, alphabet, rod_a", "dx/$dE_{1}$ of the Deltas, alphabet, rod_a"),
+        ("$x_1$ and rho", "$x_1$ and rho"),
+    ],
+)
+def test_symbols_are_set_as_mathematics(plain: str, set_: str) -> None:
+    drawn = draw([Panel(plain, "t [s]", "x [m]", [Series("a", T, T)])])
+    assert drawn.axes[0].get_title() == set_
+    drawn.draw_without_rendering()

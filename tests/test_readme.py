@@ -8,6 +8,7 @@ import sys
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -199,3 +200,14 @@ def test_ci_refuses_a_python_that_is_too_old_in_a_sentence(tmp_path: Path) -> No
 def test_warning_from_a_document_is_an_error() -> None:
     with pytest.raises(UserWarning, match="old"):
         run_block(Block("x.md", 1, "import warnings\nwarnings.warn('old')"))
+
+
+def test_the_film_at_the_top_is_made_by_its_script_and_small(tmp_path: Path) -> None:
+    kept = ROOT / "docs" / "moving-mechanism.gif"
+    assert f"({kept.relative_to(ROOT)})" in README.read_text(encoding="utf-8")
+    assert kept.stat().st_size < 600_000
+    source = (ROOT / "docs" / "moving_mechanism.py").read_text(encoding="utf-8")
+    script: dict[str, Any] = {"__name__": "film"}
+    exec(compile(source, "moving_mechanism.py", "exec"), script)
+    run = script["derivatives"](8 / 512)
+    assert script["film"](tmp_path / "film.gif", run, frames=2).stat().st_size > 5_000

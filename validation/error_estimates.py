@@ -207,7 +207,7 @@ def _plot(report: Report, found: Sequence[_Pairs]) -> None:
         "estimates",
         panels,
         columns=2,
-        title="What runs of HHT-I3 say about their errors",
+        title="Errors that runs of HHT-I3 estimate themselves, against the true ones",
         caption="One point per run (and design variable).",
     )
 

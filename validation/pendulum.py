@@ -174,7 +174,7 @@ def _against_finite_differences(report: Report, hard: _Curves, extent: _Extent) 
             for i, symbol in enumerate(_SYMBOLS)
         ],
         columns=3,
-        title="E = 1e7 N/m², step 2⁻⁷ s",
+        title="Sensitivities directly and by finite differences, E = 1e7 N/m², step 2⁻⁷ s",
         caption="The same discrete motion differentiated in two ways.",
     )
     report.claim(
@@ -213,7 +213,7 @@ def _planar_and_spatial(report: Report, planar: _Curves, extent: _Extent) -> Non
             for i, symbol in enumerate(_SYMBOLS)
         ],
         columns=3,
-        title="E = 1e7 N/m², step 2⁻⁷ s",
+        title="Sensitivities of the planar and the spatial model, E = 1e7 N/m², step 2⁻⁷ s",
         caption="Sensitivities of the deflection by both elements.",
     )
     report.claim(

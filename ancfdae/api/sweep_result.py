@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
+from ancfdae.protocol.tables import pandas
+from ancfdae.sensitivity import Gradient
 from ancfdae.text import columns, listed
 
 
@@ -57,6 +59,15 @@ class Sweep:
         """The errors, by number of the row."""
         return {k: row.error for k, row in enumerate(self.rows) if not row.finished}
 
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each design: its values, the result, the error.
+
+        Of a gradient the columns are ``objective`` and ``d/d rod.height`` ...; of anything else
+        ``result``.
+        """
+        rows = [dict(row.values) | _cells(row.result) | {"error": row.error} for row in self.rows]
+        return pandas().DataFrame(rows)
+
     def __repr__(self) -> str:
         """Return the first rows, and how many failed."""
         cells = [
@@ -69,3 +80,10 @@ class Sweep:
         ]
         head = f"Sweep: {len(self.rows)} designs, {len(self.failed)} without result"
         return "\n".join([head, columns([("row", "design", "result"), *cells])])
+
+
+def _cells(result: Any) -> dict[str, Any]:
+    if not isinstance(result, Gradient):
+        return {} if result is None else {"result": result}
+    slopes = zip(result.names, result.gradient.tolist(), strict=True)
+    return {"objective": result.value} | {f"d/d {name}": slope for name, slope in slopes}

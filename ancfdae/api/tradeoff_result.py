@@ -23,7 +23,7 @@ from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.integrators import HHT, ControlledSteps, Integrator, StepControl
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting import Panel, Series
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, tables
 from ancfdae.text import columns
 
 ErrorKind = Literal["states", "multipliers", "objective", "gradient"]
@@ -161,6 +161,14 @@ class Tradeoff:
     def table(self) -> str:
         """Return all settings as a table in plain text, the reference last."""
         return columns(self._lines(), shorten=False)
+
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each setting, the reference last."""
+        names = ("family", "label", "seconds", *_KINDS, "drift", "energy", "outcome")
+        rows = [
+            {name: getattr(row, name) for name in names} for row in (*self.rows, self.reference)
+        ]
+        return tables.pandas().DataFrame(rows)
 
     def __repr__(self) -> str:
         """Return the reference and the first settings as a table."""

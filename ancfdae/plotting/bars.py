@@ -14,7 +14,7 @@ from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_text
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import settings
 from ancfdae.plotting.mechanism import Mechanism, mechanism
-from ancfdae.plotting.painters import painter
+from ancfdae.plotting.painters import canvas
 from ancfdae.plotting.shapes import BeamMesh
 from ancfdae.scene import Scene
 from ancfdae.sensitivity import Gradient
@@ -56,10 +56,8 @@ def gradient_bars(
         own = mechanism(scene, gradient.solution, [time], None)
     number, values = _distribution(own, gradient, target)
     with settings():
-        figure = Figure(figsize=(7.5, 5.0), layout="constrained")
-        brush = painter(figure, own)
+        figure, brush = canvas(own, title or f"Derivatives in {target} by element")
         brush.bodies(0, 0.5)
-        brush.axes.set_title(title or f"Derivatives in {target} by element")
         bars = bar_places(own, number, values, brush.extent)
         colours = [_RAISES if value > 0 else _LOWERS for value in values.tolist()]
         style: dict[str, Any] = {"facecolors": colours, "edgecolors": "black", "linewidths": 0.5}
@@ -76,14 +74,14 @@ def gradient_bars(
     return figure
 
 
-def bar_places(own: Mechanism, number: int, values: Array, extent: float) -> Array:
-    """Return the corners of a bar on each element, along its centre line, shape (n, n_c, d)."""
+def bar_places(own: Mechanism, number: int, values: Array, extent: float, k: int = 0) -> Array:
+    """Return the corners of a bar on each element at instant k, shape (n, n_c, d).
+
+    They stand on the centre line of the mesh of this number; the longest is a share of the extent.
+    """
     mesh = own.meshes[number]
     assert isinstance(mesh, BeamMesh)
-    x, up = (part[0] for part in mesh.axis(own.motion.q[:1]))
-    # A gap between bars; the stations lie on the bent centre line.
-    share = slice(1, -1) if len(mesh.xi) > 4 else slice(None)
-    x, up = x[:, share], up[:, share]
+    x, up = (part[0] for part in mesh.axis(own.motion.q[[k]]))
     longest = float(np.max(np.abs(values))) or 1.0
     tips = x + _LONGEST * extent * (values / longest)[:, None, None] * up
     return np.concatenate([x, tips[:, ::-1]], axis=1)

@@ -5,8 +5,10 @@ uses pyplot, so no figure stays open and no backend is chosen for the rest of th
 
 A label stands for one thing in the whole figure: series with the same label share colour, line and
 marker in every panel and one entry in the legend, which stands below the panels and thus never on
-the data. Later series are drawn thinner and over earlier ones, so that two curves which coincide
-show both of their colours.
+the data. Methods keep theirs in all figures (`looks`). Later series are drawn thinner and over
+earlier ones, so that two curves which coincide show both of their colours; series that are points
+alone stand over all lines, later ones smaller. Symbols in labels, such as ``rho_1`` and ``2^-7``,
+are set as mathematics (`mathematics`).
 """
 
 import math
@@ -27,35 +29,36 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ancfdae.errors import InvalidInput
+from ancfdae.plotting.looks import Look, looks
+from ancfdae.plotting.mathematics import set_as_mathematics
 
 __all__ = ["Figure", "Panel", "Scale", "Series", "draw", "save"]
 
 Scale = Literal["linear", "log"]
 
-# Okabe and Ito (2008), without the yellow: it is too faint for a line on white.
-COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
-_DASHES: Final = ((5.0, 2.0), (1.2, 1.0), (5.0, 2.5, 1.2, 2.5))
-_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
 _PANEL_SIZE: Final = (6.4, 4.0)  # inches
+# Of three and more beside each other: as they are shown at the same width, letters are larger.
+_NARROW_SIZE: Final = (4.3, 3.5)
+_LARGER: Final = 1.2
 _LEGEND_CHARACTER: Final = 0.085  # inches, a little above the mean at the legend's font size
 _LEGEND_HANDLE: Final = 0.75  # inches: line sample and gaps beside each label
 _LEGEND_ROW: Final = 0.25  # inches
 _MARKERS_ON_LINE: Final = 15
 _UNIT: Final = re.compile(r"\S.*\[[^\[\]]+\]$")
 _SETTINGS: Final[dict[str, object]] = {
-    "font.size": 11.0,
-    "axes.titlesize": 12.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "grid.color": "#dddddd",
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
-    "legend.fontsize": 10.0,
     "legend.frameon": False,
     "lines.markersize": 5.5,
     "svg.hashsalt": "ancfdae",
 }
+
+
+_SIZES: Final = {"font.size": 11.0, "axes.titlesize": 12.0, "legend.fontsize": 10.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,19 +184,22 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
             f"{len(panels)} panels, {columns} columns",
             "Pass a panel; leave columns out to stack the panels.",
         )
-    places = _places(panels)
+    _check_looks(panels)
+    own = looks(series.label for panel in panels for series in panel.series)
     columns = min(columns, len(panels))
     rows = math.ceil(len(panels) / columns)
-    width, height = _PANEL_SIZE[0] * columns, _PANEL_SIZE[1] * rows
-    with settings():
+    many = columns > 2
+    width, height = _NARROW_SIZE if many else _PANEL_SIZE
+    width, height = width * columns, height * rows
+    with settings(_LARGER if many else 1.0):
         figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
         entries: dict[str, Line2D] = {}
         for number, panel in enumerate(panels, start=1):
             axes = figure.add_subplot(rows, columns, number)
-            _draw_panel(axes, panel, places, entries)
-        _add_legend(figure, {label: entries[label] for label in places})
+            _draw_panel(axes, panel, own, entries)
+        _add_legend(figure, {label: entries[label] for label in own})
         if title:
-            figure.suptitle(title)
+            figure.suptitle(set_as_mathematics(title))
     return figure
 
 
@@ -230,25 +236,25 @@ def require_unit(where: str, label: object) -> None:
         )
 
 
-def settings() -> AbstractContextManager[None]:
+def settings(larger: float = 1.0) -> AbstractContextManager[None]:
     """Shield a figure from the user's matplotlibrc, and the user's settings from the figure."""
-    return matplotlib.style.context(["default", _SETTINGS])
+    sizes = {name: larger * size for name, size in _SIZES.items()}
+    return matplotlib.style.context(["default", _SETTINGS | sizes])
 
 
-def _places(panels: Sequence[Panel]) -> dict[str, int]:
-    """Give each label its place in the order of appearance, and check that it has one look."""
-    looks: dict[str, tuple[bool, bool, bool | None]] = {}
+def _check_looks(panels: Sequence[Panel]) -> None:
+    """Refuse a label that is asked to look differently in two panels."""
+    asked: dict[str, tuple[bool, bool, bool | None]] = {}
     for panel in panels:
         for series in panel.series:
             look = (series.line, series.marker, series.dashed)
-            if looks.setdefault(series.label, look) != look:
+            if asked.setdefault(series.label, look) != look:
                 raise InvalidInput(
                     f"draw, series {series.label!r}",
                     "(line, marker, dashed) must be the same in every panel",
-                    f"{looks[series.label]} and {look}",
+                    f"{asked[series.label]} and {look}",
                     "Make them alike or use another label.",
                 )
-    return {label: place for place, label in enumerate(looks)}
 
 
 def _add_legend(figure: Figure, entries: dict[str, Line2D]) -> None:
@@ -257,14 +263,14 @@ def _add_legend(figure: Figure, entries: dict[str, Line2D]) -> None:
     entry_width = _LEGEND_HANDLE + _LEGEND_CHARACTER * max(len(label) for label in entries)
     columns = max(1, min(len(entries), int(width / entry_width)))
     figure.set_size_inches(width, height + _LEGEND_ROW * math.ceil(len(entries) / columns))
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
+    labels = [set_as_mathematics(label) for label in entries]
+    figure.legend(list(entries.values()), labels, loc="outside lower center", ncols=columns)
 
 
-def _draw_panel(
-    axes: Axes, panel: Panel, places: dict[str, int], entries: dict[str, Line2D]
-) -> None:
+def _draw_panel(axes: Axes, panel: Panel, own: dict[str, Look], entries: dict[str, Line2D]) -> None:
     """Draw one panel; note in `entries` the first line of each label for the legend."""
-    axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
+    texts = {"title": panel.title, "xlabel": panel.x_label, "ylabel": panel.y_label}
+    axes.set(**{name: set_as_mathematics(text) for name, text in texts.items()})
     # A logarithmic axis leaves out what it cannot show instead of moving it.
     if panel.x_scale == "log":
         axes.set_xscale("log", nonpositive="mask")
@@ -272,8 +278,13 @@ def _draw_panel(
     if panel.y_scale == "log":
         axes.set_yscale("log", nonpositive="mask")
         axes.yaxis.set_minor_formatter(partial(_between_powers, axes.yaxis))
+    places = {label: place for place, label in enumerate(own)}
     for series in panel.series:
-        entries.setdefault(series.label, _draw_series(axes, series, places[series.label]))
+        line = _draw_series(axes, series, own[series.label], places[series.label])
+        entries.setdefault(series.label, line)
+    alone = [series for series in panel.series if not series.line]
+    for number, series in enumerate(alone):
+        _tell_apart(axes.lines[list(panel.series).index(series)], number)
 
 
 def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
@@ -286,25 +297,29 @@ def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
     return rf"$\mathdefault{{{digit}\times10^{{{exponent}}}}}$"
 
 
-def _draw_series(axes: Axes, series: Series, place: int) -> Line2D:
+def _draw_series(axes: Axes, series: Series, look: Look, place: int) -> Line2D:
     x, y = series.points()
+    dashed = look.dashes is not None if series.dashed is None else series.dashed
     (line,) = axes.plot(
         x,
         y,
-        color=COLOURS[place % len(COLOURS)],
+        color=look.colour,
         linewidth=max(1.2, 3.0 * 0.85**place),
-        linestyle=_line_style(series, place),
+        linestyle=(0.0, look.dashes or (5.0, 2.0)) if dashed else "solid",
         zorder=2.0 + 0.01 * place,
     )
+    if not series.line:
+        line.set_linestyle("none")
     if series.marker:
         every = max(1, x.size // _MARKERS_ON_LINE) if series.line else 1
-        line.set(marker=_MARKERS[place % len(_MARKERS)], markerfacecolor="white", markevery=every)
+        face = look.colour if look.filled else "white"
+        line.set(marker=look.marker, markerfacecolor=face, markevery=every)
     return line
 
 
-def _line_style(series: Series, place: int) -> str | tuple[float, tuple[float, ...]]:
-    if not series.line:
-        return "none"
-    position = place % (1 + len(_DASHES))
-    dashed = position > 0 if series.dashed is None else series.dashed
-    return (0.0, _DASHES[(position - 1) % len(_DASHES)]) if dashed else "solid"
+def _tell_apart(points: Line2D, number: int) -> None:
+    """Put points over all lines, later ones smaller: those at one place are all seen."""
+    points.set(zorder=3.0 + 0.01 * number, markersize=max(4.5, 10.0 - 4.0 * number))
+    points.set_markeredgewidth(1.5)
+    if np.size(points.get_xdata()) == 1:
+        points.set(markersize=max(7.0, 13.0 - 3.0 * number))

@@ -11,7 +11,8 @@ from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_posi
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables import Observable
 from ancfdae.observables.states import states_of
-from ancfdae.plotting.charts import COLOURS, require_unit, settings
+from ancfdae.plotting.charts import require_unit, settings
+from ancfdae.plotting.looks import COLOURS
 from ancfdae.protocol import MechanicalSystem, Solution
 
 _SIZE = (7.5, 2.7)  # inches, of each observable

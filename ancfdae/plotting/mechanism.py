@@ -8,14 +8,14 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf import assemble
 from ancfdae.ancf.beam_elements import BeamElements
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
 from ancfdae.ancf.reference import Reference
 from ancfdae.bodies import RigidBody
+from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput, Outcome, Verdict, require_kind
-from ancfdae.naming import Naming
+from ancfdae.naming import Layout, Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.fields import Field
 from ancfdae.plotting.shapes import BeamMesh, Mesh, RigidMesh
@@ -94,7 +94,7 @@ def mechanism(
     require_kind("picture, scene", scene, (Scene,), "Give the Scene that was integrated.")
     if field is not None:
         require_kind("picture, colour", field, (Field,), "For example VonMisesStress().")
-    mapping, own = parameter_map(scene, ()), assemble(scene).naming
+    mapping, own = parameter_map(scene, ()), _naming(scene)
     reference = Reference(scene, mapping, mapping.nominal, own)
     if motion is None:
         if times is not None or field is not None:
@@ -117,6 +117,14 @@ def mechanism(
         tuple(symbols.arrows(motion)),
         field,
     )
+
+
+def _naming(scene: Scene) -> Naming:
+    """Return where bodies stand in the coordinates; assembling the scene would cost far more."""
+    numbering, masses = number(scene), tuple(mass.name for mass in scene.point_masses)
+    layout = Layout(scene.element.name, numbering.bodies, numbering.beams, masses, ())
+    lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
+    return Naming(layout, lengths, np.zeros((len(lengths), 0)))
 
 
 def _meshes(scene: Scene, mapping: ParameterMap, naming: Naming, n_q: int) -> tuple[Mesh, ...]:

@@ -45,6 +45,8 @@ SIGNS: Final[dict[str, tuple[str, str]]] = {
 }
 _OTHER: Final = ("*", "joint")
 _FILLED: Final = ("clamp", "weld", "mass", "base")
+_WIDTH: Final = 7.5  # inches
+_NARROW, _WIDE = 0.15, 1.1  # height of the axes over their width
 # Of the extent of the picture: height of thin beams, and margin.
 _THIN, _MARGIN = 0.008, 0.12
 _LIGHT: Final = np.array([-0.35, -0.55, 0.75])
@@ -283,6 +285,25 @@ def painter(
     """Return the painter for the space of a mechanism."""
     kind = PlanePainter if mechanism.d == 2 else SpacePainter
     return kind(figure, mechanism, place)
+
+
+def canvas(own: Mechanism, title: str, signs: bool = False) -> tuple[Figure, Painter]:
+    """Make a figure as high as the mechanism needs, with colour bar and a legend of signs."""
+    span = np.ptp(own.bounds, axis=0) + 0.24 * np.ptp(own.bounds, axis=0).max()
+    ratio = 0.65 if own.d == 3 else span[1] / span[0]
+    height = _WIDTH * float(np.clip(0.9 * ratio, _NARROW, _WIDE)) + 1.2
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    brush = painter(figure, own)
+    brush.axes.set_title(title)
+    entries = brush.legend() if signs else []
+    if entries:
+        figure.legend(handles=entries, loc="outside lower center", ncols=min(4, len(entries)))
+    if own.field is not None:
+        bar = figure.colorbar(
+            brush.colours, ax=brush.axes, shrink=0.8, pad=0.03 + 0.07 * (own.d == 3)
+        )
+        bar.set_label(own.field.label)
+    return figure, brush
 
 
 def face_values(mechanism: Mechanism, mesh: int, k: int) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from matplotlib import animation
@@ -24,14 +24,12 @@ from ancfdae.plotting.charts import settings
 from ancfdae.plotting.fields import Field
 from ancfdae.plotting.mechanism import Mechanism, frames_of, mechanism
 from ancfdae.plotting.page import write_page
-from ancfdae.plotting.painters import Painter, painter
+from ancfdae.plotting.painters import Painter, canvas
 from ancfdae.protocol import Solution
 from ancfdae.scene import Scene
 
 # Instants of a picture where none are asked for, and the faintest of them.
 _INSTANTS, _FAINT = 5, 0.22
-_WIDTH: Final = 7.5  # inches
-_NARROW, _WIDE = 0.15, 1.1  # height of the axes over their width
 
 
 def snapshots(
@@ -76,7 +74,7 @@ def snapshots(
         times = frames_of(solution, _INSTANTS).tolist()
     own = mechanism(scene, solution, times, colour)
     with settings():
-        figure, brush = _figure(own, title)
+        figure, brush = canvas(own, title, signs=True)
         count = len(own.motion.t)
         for k in range(count):
             share = (k + 1) / count
@@ -158,7 +156,7 @@ def checked_path(where: str, path: str | os.PathLike[str], suffixes: tuple[str, 
 
 def _film(own: Mechanism, file: Path, rate: float, title: str, dpi: int) -> None:
     writers: dict[str, Any] = {".gif": animation.PillowWriter, ".mp4": animation.FFMpegWriter}
-    figure, brush = _figure(own, title)
+    figure, brush = canvas(own, title, signs=True)
     # Found once: it takes longer than all the rest of a frame.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
@@ -171,25 +169,6 @@ def _film(own: Mechanism, file: Path, rate: float, title: str, dpi: int) -> None
             writer.grab_frame()
             for artist in artists:
                 artist.remove()
-
-
-def _figure(own: Mechanism, title: str) -> tuple[Figure, Painter]:
-    """Make a figure as high as the mechanism needs, with legend and colour bar."""
-    span = np.ptp(own.bounds, axis=0) + 0.24 * np.ptp(own.bounds, axis=0).max()
-    ratio = 0.65 if own.d == 3 else span[1] / span[0]
-    height = _WIDTH * float(np.clip(0.9 * ratio, _NARROW, _WIDE)) + 1.2
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    brush = painter(figure, own)
-    brush.axes.set_title(title)
-    entries = brush.legend()
-    if entries:
-        figure.legend(handles=entries, loc="outside lower center", ncols=min(4, len(entries)))
-    if own.field is not None:
-        bar = figure.colorbar(
-            brush.colours, ax=brush.axes, shrink=0.8, pad=0.03 + 0.07 * (own.d == 3)
-        )
-        bar.set_label(own.field.label)
-    return figure, brush
 
 
 def _label_instants(brush: Painter, own: Mechanism) -> None:

@@ -97,9 +97,11 @@ class BeamMesh(Mesh):
         n, d = body.element_count, body.dimension
         self.xi = np.linspace(0.0, 1.0, max(2, -(-_STATIONS // n)) + 1)
         kind = body.element_type()
-        y, z = kind.section.contour(kind.sizes(body.element_parameters()))
+        sizes = kind.sizes(body.element_parameters())
+        y, z = kind.section.contour(sizes)
         if d == 2:
-            low, high = y.min(axis=1), y.max(axis=1)
+            outer, _ = kind.section.outline(sizes)
+            low, high = outer.min(axis=1), outer.max(axis=1)
             y = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _ROWS + 1)
             z = np.zeros_like(y)
         self.y, self.z = y, z

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from ancfdae.bodies import Point, Quantity, require_point
@@ -24,7 +25,7 @@ from ancfdae.errors import (
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.protocol import solution_file
+from ancfdae.protocol import solution_file, tables
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 from ancfdae.text import listed
 
@@ -259,6 +260,35 @@ class Solution:
     def load(path: str | os.PathLike[str]) -> Solution:
         """Read a solution written by `save`; InvalidInput if the file is no such solution."""
         return Solution(**solution_file.read(_path(path)))
+
+    def to_dataframe(
+        self, columns: Mapping[str, ArrayLike] | None = None, *, derivatives: bool = False
+    ) -> Any:
+        """Return the coordinates over time as a table of pandas, with t as its index.
+
+        Columns are named ``rod[2].y`` (node 2, counted from 0), ``rod[2].slope_x.y``, ``box.y`` or
+        ``box.axis_1.y``.
+
+        Parameters
+        ----------
+        columns : mapping of str to array, shape (n_t,)
+            More columns: ``{"tip [m]": observe(position(rod.at_end, 1), solution)}``.
+        derivatives : bool
+            Whether each coordinate has a column for each design variable beside it,
+            ``d rod[2].y/d rod.height``.
+
+        Raises
+        ------
+        MissingPackage
+            Without pandas, which ``pip install "ancfdae[pandas]"`` brings.
+        InvalidInput
+            If a column is not as long as the solution or has the name of another, or there are no
+            derivatives.
+        """
+        own = self._known_sensitivities() if derivatives else None
+        q_b, variables = (None, ()) if own is None else (own.q_b, own.names)
+        names = tables.coordinate_names(self.naming, self.q.shape[1])
+        return tables.states_table(self.t, self.q, q_b, names, variables, columns or {})
 
     def __repr__(self) -> str:
         own, errors = self.sensitivities, self.estimated_errors

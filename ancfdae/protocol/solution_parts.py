@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import tables
 from ancfdae.text import columns, listed
 
 
@@ -91,6 +92,13 @@ class Sensitivities:
     v_b: Array
     a_b: Array
     lam_b: Array
+
+    def to_dataframe(self) -> Any:
+        """Return q_b as a table of pandas: rows (instant, coordinate), a column per variable.
+
+        With names and times in `Solution.to_dataframe`.
+        """
+        return tables.sensitivity_table(self.q_b, self.names)
 
     def __repr__(self) -> str:
         largest = np.max(np.abs(self.q_b), axis=(0, 1), initial=0.0)

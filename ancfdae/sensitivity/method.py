@@ -6,7 +6,7 @@ import abc
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 from ancfdae.errors import AncfdaeError, PassFailed, SingularMatrix, Verdict, uninterrupted
 from ancfdae.integrators import Integrator, QuadratureIntegrator
@@ -16,6 +16,7 @@ from ancfdae.objectives.objective import NO_TOTALS, Totals
 from ancfdae.objectives.totals import totals_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
+from ancfdae.protocol.tables import pandas
 from ancfdae.text import columns
 
 
@@ -58,6 +59,16 @@ class Gradient:
     def pair(self) -> tuple[float, Array]:
         """Value and gradient, as ``scipy.optimize.minimize(jac=True)`` wants them."""
         return self.value, self.gradient
+
+    def to_dataframe(self) -> Any:
+        """Return the derivatives as a table of pandas, a row for each design variable.
+
+        The value of the objective is in its ``attrs``.
+        """
+        index = pandas().Index(self.names, name="design variable")
+        table = pandas().DataFrame({"derivative": self.gradient}, index=index)
+        table.attrs["objective"] = self.value
+        return table
 
     def __repr__(self) -> str:
         """Return value, method, derivatives by name and outcome."""

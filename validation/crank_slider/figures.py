@@ -154,7 +154,7 @@ def _plot_objective(
             for i, symbol in enumerate(SYMBOLS)
         ],
         columns=3,
-        title="Ψ(t) = ∫₀ᵗ (x - 1.8)² dt",
+        title="Sensitivities of Ψ(t) = ∫₀ᵗ (x - 1.8)² dt by every method",
         caption="An adjoint yields one upper limit per run: markers.",
     )
 

@@ -72,7 +72,7 @@ def _one_percent(report: Report, exact: Array, extent: Extent) -> Array:
             for i, symbol in enumerate(SYMBOLS)
         ],
         columns=3,
-        title="Against the exact gradient of the same discrete run, step 2⁻⁸ s",
+        title="Error of finite differences against the exact gradient of the same run, step 2⁻⁸ s",
         caption="To the right truncation, to the left round-off.",
     )
     found: Array = errors["forward difference"][list(extent.perturbations).index(1e-2)]

@@ -177,7 +177,7 @@ def _plots(report: Report, runs: Sequence[_Run], table: Array) -> None:
         "cartesian-pendulum",
         panels,
         columns=2,
-        title="Cartesian pendulum",
+        title="Cartesian pendulum: sensitivities, published and computed, and cost",
         caption="Left: the sensitivities grow because a change of L or g changes the period.",
     )
 

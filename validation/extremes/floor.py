@@ -70,8 +70,9 @@ def round_off(report: Report, quick: bool) -> float:
         "floor",
         panels,
         columns=3,
-        title=f"Errors over {steps} steps, of the flexible systems {min(steps, 200)}",
-        caption="Left against the exact motion: truncation falls with the step, the floor is flat. "
+        title="The floor of round-off: accelerations and multipliers as the step goes to zero",
+        caption=f"Largest errors over {steps} steps, of the flexible systems {min(steps, 200)}. "
+        "Left against the exact motion: truncation falls with the step, the floor is flat. "
         "In the middle the difference to the same scene in other units, right to the same "
         "mechanism turned by 1 rad: round-off alone. The last line is what a step that takes "
         "Phi(q) from q itself costs, where L = 1 m.",

@@ -1,0 +1,69 @@
+"""Which colour, dashes and marker a label has: the same method the same ones in every figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+# Okabe and Ito (2008), without the yellow: it is too faint for a line on white.
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#E69F00", "#56B4E9")
+_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h")
+_DASHES: Final = (None, (5.0, 2.0), (1.2, 1.0), (5.0, 2.5, 1.2, 2.5))
+
+
+@final
+@dataclass(frozen=True)
+class Look:
+    """Colour, marker, dashes (None for a solid line), and whether the marker is filled."""
+
+    colour: str
+    marker: str
+    dashes: tuple[float, ...] | None
+    filled: bool = False
+
+
+def _look(place: int, dashes: int = 0) -> Look:
+    marker = _MARKERS[place % len(_MARKERS)]
+    return Look(COLOURS[place % len(COLOURS)], marker, _DASHES[dashes % len(_DASHES)])
+
+
+# By how a label begins, the longest that fits.
+_METHODS: Final[dict[str, Look]] = {
+    "HHT": _look(0),
+    "HHT controlled": _look(6),
+    "HHT, controlled": _look(6),
+    "HHT both controlled": _look(2),
+    "IDA": _look(1),
+    "IDAS": _look(4),
+    "Explicit": _look(3),
+    "direct differentiation": _look(0),
+    "forward difference": _look(1, 1),
+    "central difference": _look(5, 2),
+    "discrete adjoint": _look(3),
+    "continuous adjoint": _look(2),
+}
+# How labels end that stand beside another one of the same method.
+_SECOND: Final = ("alpha = -0.05", "index 1", ", 3 levels", ", adjoint")
+
+
+def looks(labels: Iterable[str]) -> dict[str, Look]:
+    """Return the look of each label of a figure: that of its method, or the first one free."""
+    found: dict[str, Look] = {}
+    for label in dict.fromkeys(labels):
+        known = max((name for name in _METHODS if label.startswith(name)), key=len, default="")
+        look = _METHODS[known] if known else _free(found)
+        if known and label.endswith(_SECOND):
+            look = replace(look, dashes=_DASHES[1], filled=True)
+        if look in found.values():
+            look = _free(found)
+        found[label] = look
+    return found
+
+
+def _free(found: dict[str, Look]) -> Look:
+    """Return a look of a colour that is free, or of the next in their round."""
+    taken = {look.colour for look in found.values()}
+    places = (k for k, colour in enumerate(COLOURS) if colour not in taken)
+    place = next(places, len(found))
+    return _look(place, place)
