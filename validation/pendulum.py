@@ -424,7 +424,7 @@ def _valley(report: Report, direct: _Curves, extent: _Extent) -> None:
             Panel(
                 f"Error in the sensitivity to {symbol}",
                 "relative perturbation [-]",
-                "relative error, norm over time [-]",
+                "relative error [-]",
                 series,
                 x_scale="log",
                 y_scale="log",
