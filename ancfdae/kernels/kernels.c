@@ -23,6 +23,13 @@
 #else
 #define INLINE static inline
 #endif
+/* Products of complex numbers without tests for infinities; where the compiler knows neither of
+ * these, the tests cost time only. */
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("cx-limited-range")
+#elif defined(__clang__) && __clang_major__ >= 18
+#pragma STDC CX_LIMITED_RANGE ON
+#endif
 /* A second copy for processors with wide vectors, chosen when the module is loaded: by glibc, and
  * GCC knows that name of a processor here from version 12 on. */
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) &&   \
