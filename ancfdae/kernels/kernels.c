@@ -573,16 +573,18 @@ static PyObject *py_finite(PyObject *const *args)
     return PyBool_FromLong(sum[0] == 0);
 }
 
-/* A LAPACK routine of SciPy, whose capsule is named after its arguments: they must begin so. */
-static void *lapack(const char *name, const char *beginning)
+/* A LAPACK routine of SciPy, kept once it is found. The capsule that holds it is named after its
+ * arguments: they must begin so. */
+static void *lapack(void **kept, const char *name, const char *beginning)
 {
-    void *found = NULL;
+    if (*kept)
+        return *kept;
     PyObject *module = PyImport_ImportModule("scipy.linalg.cython_lapack");
     PyObject *routines = module ? PyObject_GetAttrString(module, "__pyx_capi__") : NULL;
     PyObject *capsule = routines ? PyMapping_GetItemString(routines, name) : NULL;
     const char *arguments = capsule ? PyCapsule_GetName(capsule) : NULL;
     if (arguments && strncmp(arguments, beginning, strlen(beginning)) == 0)
-        found = PyCapsule_GetPointer(capsule, arguments);
+        *kept = PyCapsule_GetPointer(capsule, arguments);
     else if (!PyErr_Occurred())
         PyErr_Format(PyExc_ImportError,
                      "%s of this SciPy is not LAPACK's with 32-bit integers, but %s", name,
@@ -590,7 +592,7 @@ static void *lapack(const char *name, const char *beginning)
     Py_XDECREF(capsule);
     Py_XDECREF(routines);
     Py_XDECREF(module);
-    return found;
+    return *kept;
 }
 
 /* band_factor(K, B, factors, flat, n, half): the factors, (n, 3 half + 1), pivots, and info. */
@@ -601,11 +603,10 @@ static PyObject *py_band_factor(PyObject *const *args)
     npy_intp n, half;
     PyArrayObject *K = NULL, *B = NULL, *factors = NULL, *flat = NULL, *lu = NULL, *pivots = NULL;
     PyObject *result = NULL;
-    void **routine = &routines[type == NPY_CDOUBLE];
-    if (!*routine)
-        *routine = lapack(type == NPY_CDOUBLE ? "zgbtrf" : "dgbtrf",
-                          "void (int *, int *, int *, int *, ");
-    if (!*routine || !taken_number(args[4], INT_MAX, &n) ||
+    void *routine = lapack(&routines[type == NPY_CDOUBLE],
+                           type == NPY_CDOUBLE ? "zgbtrf" : "dgbtrf",
+                           "void (int *, int *, int *, int *, ");
+    if (!routine || !taken_number(args[4], INT_MAX, &n) ||
         !taken_number(args[5], (INT_MAX - 1) / 3, &half))
         return NULL;
     npy_intp shape[] = {n, 3 * half + 1};
@@ -618,14 +619,15 @@ static PyObject *py_band_factor(PyObject *const *args)
             !within_64(flat, PyArray_SIZE(lu) - 1))
             wrong("there must be a place in the band and a factor for each value");
         else {
+            void *to = PyArray_DATA(lu), *exchanged = PyArray_DATA(pivots);
             if (type == NPY_DOUBLE)
-                info = band_factor_real((gbtrf_t_real)*routine, (int)n, (int)half, n_K, n_B,
+                info = band_factor_real((gbtrf_t_real)routine, (int)n, (int)half, n_K, n_B,
                                         data_of(K), data_of(B), data_of(factors), data_of(flat),
-                                        PyArray_DATA(lu), PyArray_DATA(pivots));
+                                        to, exchanged);
             else
-                info = band_factor_complex((gbtrf_t_complex)*routine, (int)n, (int)half, n_K, n_B,
-                                           data_of(K), data_of(B), data_of(factors), data_of(flat),
-                                           PyArray_DATA(lu), PyArray_DATA(pivots));
+                info = band_factor_complex((gbtrf_t_complex)routine, (int)n, (int)half, n_K, n_B,
+                                           data_of(K), data_of(B), data_of(factors),
+                                           data_of(flat), to, exchanged);
             result = Py_BuildValue("OOi", lu, pivots, info);
         }
     }
@@ -667,63 +669,88 @@ static void numbered_complex(npy_intp rows, npy_intp n, const npy_int64 *order,
                 to[r * n + i] = scale[order[i]] * from[r * n + order[i]];
 }
 
-/* Whether these are factors of a band matrix, with its pivots, order and scale. */
-static int is_band(PyArrayObject *lu, PyArrayObject *pivots, npy_intp half, PyArrayObject *order,
-                   PyArrayObject *scale)
+/* A factorised band matrix and the routine that solves with it. */
+typedef struct {
+    PyArrayObject *lu, *pivots, *order, *scale;
+    void *routine;
+    npy_intp n, half;
+    int is_complex;
+} Band;
+
+/* Take a band matrix from the first arguments of band_solve. */
+static int band_taken(PyObject *const *args, Band *b)
 {
-    npy_intp n = PyArray_SIZE(order), shape[] = {n, 3 * half + 1};
-    return (n <= INT_MAX && PyArray_NDIM(lu) == 2 && ends_with(lu, 2, shape) &&
-            PyArray_SIZE(pivots) == n && within_32(pivots, 1, n) && within_64(order, n - 1) &&
-            PyArray_SIZE(scale) == n) ||
+    static void *routines[2];
+    int type = is_complex(args[0]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    memset(b, 0, sizeof *b);
+    b->is_complex = type == NPY_CDOUBLE;
+    b->routine = lapack(&routines[b->is_complex], b->is_complex ? "zgbtrs" : "dgbtrs",
+                        "void (char *, int *, int *, int *, int *, ");
+    if (!b->routine || !taken(args[0], type, 2, &b->lu) ||
+        !taken(args[1], NPY_INT, 0, &b->pivots) ||
+        !taken_number(args[2], (INT_MAX - 1) / 3, &b->half) ||
+        !taken(args[3], NPY_INT64, 0, &b->order) || !taken(args[4], NPY_DOUBLE, 0, &b->scale))
+        return 0;
+    b->n = PyArray_SIZE(b->order);
+    npy_intp shape[] = {b->n, 3 * b->half + 1};
+    return (b->n <= INT_MAX && PyArray_NDIM(b->lu) == 2 && ends_with(b->lu, 2, shape) &&
+            PyArray_SIZE(b->pivots) == b->n && within_32(b->pivots, 1, b->n) &&
+            within_64(b->order, b->n - 1) && PyArray_SIZE(b->scale) == b->n) ||
            wrong("factors, pivots, order and scale must be those of one band matrix");
+}
+
+static void band_dropped(Band *b)
+{
+    Py_XDECREF(b->lu);
+    Py_XDECREF(b->pivots);
+    Py_XDECREF(b->order);
+    Py_XDECREF(b->scale);
+}
+
+/* Solve for rows of right sides; each is two of the matrix's type where `parts` is 2. */
+static void solved(const Band *b, char how, npy_intp rows, int parts, const void *right,
+                   void *work, void *out)
+{
+    const npy_int64 *order = data_of(b->order);
+    const double *scale = data_of(b->scale);
+    void *lu = PyArray_DATA(b->lu), *pivots = PyArray_DATA(b->pivots);
+    int n = (int)b->n, half = (int)b->half;
+    if (b->is_complex) {
+        numbered_complex(rows, n, order, scale, right, work, 0);
+        band_solve_complex((gbtrs_t_complex)b->routine, how, n, half, (int)rows, lu, pivots, work);
+        numbered_complex(rows, n, order, scale, work, out, 1);
+    } else {
+        numbered(rows, n, parts, order, scale, right, work, 0);
+        band_solve_real((gbtrs_t_real)b->routine, how, n, half, (int)rows * parts, lu, pivots,
+                        work);
+        numbered(rows, n, parts, order, scale, work, out, 1);
+    }
 }
 
 /* band_solve(lu, pivots, half, order, scale, right, transposed): right sides are the last axis. */
 static PyObject *py_band_solve(PyObject *const *args)
 {
-    static void *routines[2];
-    int complex_matrix = is_complex(args[0]), type = complex_matrix ? NPY_CDOUBLE : NPY_DOUBLE;
-    int right_type = complex_matrix || is_complex(args[5]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    Band b;
+    PyArrayObject *right = NULL, *out = NULL;
+    int type = is_complex(args[0]) || is_complex(args[5]) ? NPY_CDOUBLE : NPY_DOUBLE;
     int transposed = PyObject_IsTrue(args[6]);
-    npy_intp half;
-    PyArrayObject *lu = NULL, *pivots = NULL, *order = NULL, *scale = NULL, *right = NULL;
-    PyArrayObject *out = NULL;
-    void **routine = &routines[complex_matrix], *work = NULL;
-    if (!*routine)
-        *routine = lapack(complex_matrix ? "zgbtrs" : "dgbtrs",
-                          "void (char *, int *, int *, int *, int *, ");
-    if (!*routine || transposed < 0 || !taken_number(args[2], (INT_MAX - 1) / 3, &half))
+    void *work = NULL;
+    if (transposed < 0)
         return NULL;
-    if (taken(args[0], type, 2, &lu) && taken(args[1], NPY_INT, 0, &pivots) &&
-        taken(args[3], NPY_INT64, 0, &order) && taken(args[4], NPY_DOUBLE, 0, &scale) &&
-        taken(args[5], right_type, 1, &right) && is_band(lu, pivots, half, order, scale)) {
-        npy_intp n = PyArray_SIZE(order), rows = leading_size(right, 1);
-        int parts = right_type == NPY_CDOUBLE && !complex_matrix ? 2 : 1;
-        char how = transposed ? 'T' : 'N';
-        if (!ends_with(right, 1, &n) || rows > INT_MAX / 2)
+    if (band_taken(args, &b) && taken(args[5], type, 1, &right)) {
+        npy_intp rows = leading_size(right, 1);
+        int parts = type == NPY_CDOUBLE && !b.is_complex ? 2 : 1;
+        if (!ends_with(right, 1, &b.n) || rows > INT_MAX / 2)
             wrong("a right side must have one number for each row of the matrix");
         else if (!(work = PyMem_Malloc(PyArray_NBYTES(right) + 1)))
             PyErr_NoMemory();
-        else
-            out = zeros_like(right, 0, 0, NULL, right_type);
-        if (out && complex_matrix) {
-            numbered_complex(rows, n, data_of(order), data_of(scale), data_of(right), work, 0);
-            band_solve_complex((gbtrs_t_complex)*routine, how, (int)n, (int)half, (int)rows,
-                               PyArray_DATA(lu), PyArray_DATA(pivots), work);
-            numbered_complex(rows, n, data_of(order), data_of(scale), work, PyArray_DATA(out), 1);
-        } else if (out) {
-            numbered(rows, n, parts, data_of(order), data_of(scale), data_of(right), work, 0);
-            band_solve_real((gbtrs_t_real)*routine, how, (int)n, (int)half, (int)rows * parts,
-                            PyArray_DATA(lu), PyArray_DATA(pivots), work);
-            numbered(rows, n, parts, data_of(order), data_of(scale), work, PyArray_DATA(out), 1);
-        }
+        else if ((out = zeros_like(right, 0, 0, NULL, type)))
+            solved(&b, transposed ? 'T' : 'N', rows, parts, data_of(right), work,
+                   PyArray_DATA(out));
     }
     PyMem_Free(work);
-    Py_XDECREF(lu);
-    Py_XDECREF(pivots);
-    Py_XDECREF(order);
-    Py_XDECREF(scale);
     Py_XDECREF(right);
+    band_dropped(&b);
     return (PyObject *)out;
 }
 
