@@ -120,6 +120,7 @@ from ancfdae.objectives import (
     Objective,
     SmoothMaximum,
     Terminal,
+    UpperMaximum,
 )
 from ancfdae.observables import (
     Observable,
@@ -315,6 +316,7 @@ __all__ = [
     "Uniform",
     "Universal",
     "UnknownName",
+    "UpperMaximum",
     "UserLaw",
     "Verdict",
     "Weld",

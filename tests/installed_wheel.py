@@ -1,4 +1,4 @@
-"""Builds sdist and wheel and uses the wheel alone, in an environment of its own.
+"""Builds sdist and wheel and uses the wheel alone: README's program and the tutorial.
 
 Run as ``python tests/installed_wheel.py`` from the checkout. The wheel is built from the sdist,
 so that a file missing there is missed here.
@@ -13,14 +13,19 @@ from pathlib import Path
 
 from test_readme import README, ROOT, python_blocks
 
-# Imports every module, so that none needs the checkout or an extra.
+TUTORIAL = ROOT / "docs" / "tutorial"
+
+# Imports every module: none needs the checkout, and one that needs an extra says how to get it.
 IMPORT_ALL = """
 import importlib, importlib.util, pathlib, pkgutil, sys
 import ancfdae
 assert pathlib.Path(ancfdae.__file__).is_relative_to(sys.prefix), ancfdae.__file__
 assert importlib.util.find_spec("validation") is None
 for module in pkgutil.walk_packages(ancfdae.__path__, "ancfdae."):
-    importlib.import_module(module.name)
+    try:
+        importlib.import_module(module.name)
+    except ancfdae.MissingPackage as error:
+        assert "pip install" in str(error), error
 """
 
 
@@ -58,7 +63,9 @@ def main() -> None:
         run(sys.executable, "-m", "venv", "clean", folder=folder)
         python = folder / "clean" / "bin" / "python"
         run(python, "-m", "pip", "install", "--quiet", wheel, folder=folder)
-        for program in (IMPORT_ALL, python_blocks("README.md", README.read_text())[0].code):
+        first = python_blocks("README.md", README.read_text())[0].code
+        tutorial = [path.read_text() for path in sorted(TUTORIAL.glob("step_*.py"))]
+        for program in (IMPORT_ALL, first, *tutorial):
             # Isolated: neither the checkout nor PYTHONPATH is seen.
             run(python, "-I", "-W", "error", "-c", program, folder=folder)
         again = ("install", "--quiet", "--force-reinstall", "--no-deps", sdist)

@@ -1050,7 +1050,7 @@ def test_rigid_motion_turns_positions_and_slopes():
         omega = np.zeros(3)
         omega[-1 if d == 2 else slice(None)] = motion.angular_velocity
         expected = np.zeros(system.n_q).reshape(-1, d + 1, d)
-        place = system.naming.layout.body(motion.beam)
+        place = system.naming.layout.body(motion.body)
         first, count = place.first_vector // place.stride, place.count // place.stride
         nodes = slice(first, first + count)
         arms = system.start()[0].reshape(-1, d + 1, d)[nodes].copy()

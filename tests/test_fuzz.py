@@ -154,7 +154,7 @@ def test_constructors_of_every_kind_are_found() -> None:
 @example((ancfdae.Scene, {"beams": (ROD,), "project_start": "no"}))
 @example((ancfdae.Scene, {"beams": (ROD,), "assemble": "no"}))
 @example((ancfdae.Point, {"beam": ROD}))
-@example((ancfdae.RigidMotion, {"beam": ROD, "angular_velocity": 1.0, "about": (0.0, 0.0)}))
+@example((ancfdae.RigidMotion, {"body": ROD, "angular_velocity": 1.0, "about": (0.0, 0.0)}))
 @example((ancfdae.DistributedForce, {"beam": ROD, "force_per_length": (0.0, 1.0)}))
 @example((ancfdae.FiniteDifference, {"central": "yes"}))
 @example((ancfdae.Moment, {"point": ROD.at_end, "moment": 1.0, "follower": "no"}))

@@ -19,6 +19,7 @@ from ancfdae import (
     FiniteDifference,
     IndexReduction,
     Integral,
+    Interrupted,
     InvalidInput,
     Material,
     MissingPackage,
@@ -270,7 +271,9 @@ def test_interrupt_keeps_what_was_computed(kind):
             raise KeyboardInterrupt
         return np.zeros(2)
 
-    run = simulate(Disturbed(stop), 1.0, kind(1e-6))
+    with pytest.raises(Interrupted) as stopped:
+        simulate(Disturbed(stop), 1.0, kind(1e-6))
+    run = stopped.value.result
     assert run.outcome.verdict is Verdict.INTERRUPTED
     assert 0.2 < run.t[-1] <= 0.35
 

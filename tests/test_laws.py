@@ -218,3 +218,11 @@ def test_control_values_are_design_targets_by_their_index():
     # The curve at the middle of the first interval depends on all of them.
     Phi_b = system.constraint_b(system.start()[0], 0.5)
     assert np.all(np.max(np.abs(Phi_b), axis=0) > 1e-3)
+
+
+def test_user_law_that_treats_series_unlike_numbers_is_refused():
+    def twice(t):
+        return t * (1.0 if isinstance(t, np.ndarray) else 2.0)
+
+    with pytest.raises(InvalidInput, match="same values for numbers and for Taylor series"):
+        UserLaw(twice).check()

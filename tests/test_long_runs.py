@@ -6,6 +6,7 @@ import pytest
 from ancfdae import (
     HHT,
     IDA,
+    Interrupted,
     InvalidInput,
     Verdict,
     custom,
@@ -90,10 +91,14 @@ class Stopping(CartesianPendulum):
 
 def test_a_run_that_ends_early_keeps_what_it_has(tmp_path):
     given = 1.0, HHT(2.0**-4)
-    thin = simulate_thinned(Stopping(), *given, every=2)
+    with pytest.raises(Interrupted) as stopped:
+        simulate_thinned(Stopping(), *given, every=2)
+    thin = stopped.value.result
     assert thin.outcome.verdict is Verdict.INTERRUPTED
     np.testing.assert_array_equal(thin.t, [0, 0.125, 0.25, 0.375, 0.5])
-    seen = observations(Stopping(), [custom(own)], *given, every=2, file=tmp_path / "run.npy")
+    with pytest.raises(Interrupted) as stopped:
+        observations(Stopping(), [custom(own)], *given, every=2, file=tmp_path / "run.npy")
+    seen = stopped.value.result
     np.testing.assert_array_equal(seen.values[:, 0], thin.q[:, 0])
     stored = np.load(tmp_path / "run.npy")
     np.testing.assert_array_equal(stored[:5, 1], thin.q[:, 0])

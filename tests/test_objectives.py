@@ -26,6 +26,7 @@ from ancfdae.objectives import (
     Objective,
     SmoothMaximum,
     Terminal,
+    UpperMaximum,
 )
 from ancfdae.observables import (
     States,
@@ -96,6 +97,7 @@ OBJECTIVES = {
     "between instants": AtTimes(np.sin(X) * V, [0.05, 0.4, 0.41, 0.5]),
     "smooth maximum": SmoothMaximum(deflection(ROD.at_end, ROD.at_start), 30.0),
     "smooth minimum": -SmoothMaximum(-X * V, 2.0),
+    "upper maximum": UpperMaximum(deflection(ROD.at_end, ROD.at_start), 30.0),
     "ratio": Integral(X) / Integral(1.0 + V**2),
     "product in the same coordinates": Integral(X) * Terminal(X * V) - AtTimes(V, 0.1),
     "function of objectives": np.sqrt(1.0 + Terminal(X) ** 2) * np.exp(-Integral(V)) + 3.0,
@@ -276,6 +278,20 @@ def test_smooth_maximum_never_overflows(system, states, sharpness):
         # Raising the observable everywhere raises the maximum by as much.
         raised = SmoothMaximum(scale * X + 1.0, sharpness).value(system, states)
         assert np.isclose(raised - partials.value, 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("sharpness", [1.0, 30.0, 1e3, 1e300])
+def test_upper_maximum_bounds_every_instant(system, states, sharpness):
+    for scale in (1.0, -1e6):
+        objective = UpperMaximum(scale * X, sharpness)
+        values = scale * X.value(system, states)
+        found = objective.partials(system, states)
+        above = found.value - np.max(values)
+        # The largest of n terms is one; all of them together are n at most. Round-off of the value.
+        room = 1e-15 * np.abs(np.max(values))
+        assert -room <= above <= np.log(len(values)) / sharpness + room
+        assert np.isclose(objective.slopes(values, np.ones(len(values))).sum(), 1.0, rtol=1e-12)
+        assert np.all(np.isfinite(found.q))
 
 
 def test_smooth_maximum_of_one_instant_is_its_value(system, states):

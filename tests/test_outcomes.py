@@ -192,7 +192,8 @@ def test_a_gap_too_wide_to_project_ends_cleanly():
 
 def test_a_start_that_cannot_be_projected_is_refused():
     rod = Beam("x", (0, 0), (0.3, 0), 2, Rectangle(0.05, 0.04), Material(4000.0, 1e7, 0.3))
-    joints = [PointOnLine(rod.at_end, (1, 0)), Distance(rod.at_end, 0.4, ground=(0.5, 0.4))]
+    # The line is 0.4 m from the ground of the rod.
+    joints = [PointOnLine(rod.at_end, (1, 0)), Distance(rod.at_end, 0.39, ground=(0.5, 0.4))]
     with pytest.raises(InvalidInput, match="start"):
         simulate(Scene([rod], joints, project_start=True), 0.125, HHT(2.0**-7))
 

@@ -23,6 +23,7 @@ from ancfdae import (
     ComplexStep,
     Direct,
     DistributedForce,
+    Drive,
     Explicit,
     FreeMechanism,
     Integral,
@@ -33,6 +34,7 @@ from ancfdae import (
     Point,
     PointForce,
     PointMass,
+    Ramp,
     Rectangle,
     RigidBody,
     RigidBox,
@@ -824,3 +826,16 @@ def test_solution_names_bodies(tmp_path):
         again.position(Point("body", 0.5))
     with pytest.raises(UnknownName, match="body"):
         again.position(Point("boddy"))
+
+
+def test_a_rigid_rod_is_driven_from_rest_where_nothing_pulls():
+    # No force at all at the start: nothing tells what size of motion is large.
+    rod = Beam(
+        "rod", (0, 0), (1, 0), 2, Rectangle(0.02, 0.02), Material(2700, 7e10, 0.3), rigid=True
+    )
+    drive = Drive(rod.at_start, Ramp(0.0, 1.0, 1.0))
+    run = simulate(Scene([rod], [Pin(rod.at_start), drive]), 0.5, HHT(2.0**-8))
+    assert run.outcome.success
+    end = run.position(rod.at_end)[-1]
+    # Half way the ramp stands at 1/2; constraints are met to Newton's accuracy.
+    np.testing.assert_allclose(end, [np.cos(0.5), np.sin(0.5)], atol=1e-10)

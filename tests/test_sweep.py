@@ -225,8 +225,9 @@ class Immediate(Executor):
 
 
 def test_an_interrupt_keeps_what_workers_have_done():
-    done = sweep(SYSTEM, MANY, length_until_interrupted, design=["L"], executor=Immediate())
-    assert done.interrupted
+    with pytest.raises(Interrupted) as stopped:
+        sweep(SYSTEM, MANY, length_until_interrupted, design=["L"], executor=Immediate())
+    done = stopped.value.result
     # The one that was interrupted, and what travelled with it and was not begun.
     assert list(done.failed) == [*range(200, 208)]
     whole = sweep(SYSTEM, MANY, length, design=["L"]).results

@@ -224,7 +224,7 @@ def require_objectives(
 ) -> None:
     """Refuse objectives that a run of this system cannot have."""
     require_positive("t_end", t_end)
-    repair = "Wrap an observable in Integral, Terminal, AtTimes or SmoothMaximum."
+    repair = "Wrap an observable in Integral, Terminal, AtTimes, SmoothMaximum or UpperMaximum."
     for objective in objectives:
         require_kind("objective", objective, (Objective,), repair)
     for objective in objectives:

@@ -22,6 +22,7 @@ from ancfdae.errors import (
     require_count,
     require_kind,
     require_sequence,
+    uninterrupted,
 )
 from ancfdae.integrators import HHT, Integrator
 from ancfdae.numerics.arrays import Array
@@ -90,6 +91,8 @@ def simulate_thinned(
     ------
     InvalidInput
         If the input makes no sense; before anything is integrated.
+    Interrupted
+        At Ctrl-C, with the instants so far.
     """
     run = _LongRun(as_system(model), t_end, integrator, every, at)
     kept, parts = list[Solution](), list[Solution]()
@@ -103,7 +106,9 @@ def simulate_thinned(
         each.name: sum(getattr(part.statistics, each.name) for part in parts)
         for each in fields(Statistics)
     }
-    return replace(parts[-1], **arrays, statistics=Statistics(**counts))
+    # Without the steps in between nothing can go on from its end.
+    thin = replace(parts[-1], **arrays, statistics=Statistics(**counts), control=())
+    return uninterrupted(thin)
 
 
 def observations(
@@ -129,7 +134,7 @@ def observations(
 
     Raises
     ------
-    InvalidInput
+    InvalidInput, Interrupted
         As `simulate_thinned`.
     """
     system = as_system(model)
@@ -148,7 +153,7 @@ def observations(
         done, steps = done + len(some.t), steps + part.statistics.steps
         if isinstance(rows, np.memmap):
             rows.flush()
-    return Observations(rows[:done, 0], rows[:done, 1:], steps, part.outcome)
+    return uninterrupted(Observations(rows[:done, 0], rows[:done, 1:], steps, part.outcome))
 
 
 def _on_disk(file: Path, shape: tuple[int, int]) -> Array:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.optimize import Bounds, NonlinearConstraint
+import scipy
 
 from ancfdae.api.calls import cheapest, design_bounds, differentiable, require_objectives
 from ancfdae.api.sweep_result import Sweep, SweepRow
@@ -130,9 +130,9 @@ class Responses:
         return np.asarray(self._run.system.b / self._scale, dtype=float)
 
     @property
-    def bounds(self) -> Bounds:
+    def bounds(self) -> scipy.optimize.Bounds:
         """Bounds of the design variables, in x; infinite where there are none."""
-        return Bounds(*(limit / self._scale for limit in self._limits))
+        return scipy.optimize.Bounds(*(limit / self._scale for limit in self._limits))
 
     @property
     def history(self) -> Sweep:
@@ -147,14 +147,14 @@ class Responses:
 
     def constraint(
         self, name: str, lower: float = -np.inf, upper: float = np.inf
-    ) -> NonlinearConstraint:
+    ) -> scipy.optimize.NonlinearConstraint:
         """Return lower <= function <= upper for ``minimize(constraints=...)``."""
         response = self[name]
         if not lower <= upper or (lower, upper) == (-np.inf, np.inf):
             rule, repair = "lower and upper must bound it", 'For example upper=1.0 for "at most 1".'
             raise InvalidInput(f"constraint {name!r}", rule, f"{lower} and {upper}", repair)
         fun = Response(self, response.index, 1.0 if upper < np.inf else -1.0)
-        return NonlinearConstraint(fun, lower, upper, jac=fun.gradient)
+        return scipy.optimize.NonlinearConstraint(fun, lower, upper, jac=fun.gradient)
 
     def values(self, x: Array) -> Array:
         """Return the values of all functions, shape (m,); infinite where the design has none."""

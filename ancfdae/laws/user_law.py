@@ -64,7 +64,9 @@ class UserLaw(Law):
         p = np.array(self.values, dtype=float)
         with np.errstate(all="ignore"):
             try:
+                own = self.derivative(p, _TRIED, 0)
                 self.derivatives(p, _TRIED)
+                plain = self.function(_TRIED, *p) + 0 * _TRIED
             except FAILURES as error:
                 if isinstance(error, InvalidInput):
                     raise
@@ -74,6 +76,13 @@ class UserLaw(Law):
                     f"{type(error).__name__}: {error}",
                     "Write it for arrays, with arithmetic and NumPy's elementary functions.",
                 ) from error
+            if not np.allclose(own, plain, rtol=1e-9, atol=0.0, equal_nan=True):
+                raise InvalidInput(
+                    where,
+                    "must have the same values for numbers and for Taylor series",
+                    f"{plain} and {own}",
+                    "Write it with arithmetic and NumPy's elementary functions only.",
+                )
             for order in range(4 if len(p) else 0):
                 self._check_parameters(where, p, order)
 

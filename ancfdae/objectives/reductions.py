@@ -282,3 +282,46 @@ class SmoothMaximum(OverTime):
     def integrand(self, x: Array, near: float) -> Array:
         """exp(k (x - near)) / k: at the smooth maximum the mean of its slope is one."""
         return np.asarray(np.exp(self.sharpness * (x - near)) / self.sharpness)
+
+
+@final
+@dataclass(frozen=True)
+class UpperMaximum(Reduction):
+    """Smooth bound of the values at all instants, (1/k) log(sum of exp(k x_n)).
+
+    It lies above the largest by log(n)/k at most, n the number of instants: what it keeps below a
+    limit is below it at every instant of the run. With `maximum_stress` it bounds a stress over
+    place and time. It grows with the number of instants, so runs with other steps have another
+    value, and `error_bars` says nothing of it; `SmoothMaximum`, which lies below the maximum,
+    does not.
+
+    Parameters
+    ----------
+    observable : Observable
+    sharpness : float
+        k, in the inverse unit of the observable; positive.
+    """
+
+    observable: Observable
+    sharpness: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive("UpperMaximum, sharpness", self.sharpness)
+
+    def check_times(self, t_end: float) -> None:
+        """Accept every run."""
+
+    def weights(self, grid: TimeGrid) -> Array:
+        """One for every instant."""
+        return np.ones(len(grid.t))
+
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Logarithm of the sum; the largest x is split off, so that nothing overflows."""
+        k, largest = self.sharpness, np.max(x.real)
+        return np.asarray(largest + np.log(np.sum(np.exp(k * (x - largest)))) / k)
+
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Shares of the values in the sum."""
+        shares = np.exp(self.sharpness * (x - np.max(x)))
+        return np.asarray(shares / np.sum(shares))

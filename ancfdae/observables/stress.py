@@ -35,7 +35,7 @@ def maximum_stress(beam: str, sharpness: float) -> Observable:
     section at both ends and in the middle of every element, log(sum exp(k s))/k: it exceeds the
     largest stress s by at most log(n)/k.
 
-    For the largest over time too, take ``SmoothMaximum(maximum_stress("rod", k), k)``.
+    For the largest over time too, take ``UpperMaximum(maximum_stress("rod", k), k)``, a bound.
 
     Parameters
     ----------

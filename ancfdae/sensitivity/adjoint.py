@@ -40,6 +40,10 @@ class Adjoint(GradientMethod):
         if self.memory is not None:
             size_of(self.memory)
 
+    def __repr__(self) -> str:
+        """Return a short form that can be typed back."""
+        return f"Adjoint(memory={self.memory!r})" if self.memory is not None else "Adjoint()"
+
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """One run for all objectives, one transposed pass for each."""
         system, integrator = run.system, run.integrator

@@ -169,7 +169,7 @@ class StepSolver:
         (c, before, t), system, n_q = step, self._system, self._system.n_q
         equations = _Equations(system, step, self._motion_before(before))
         a, lam = guess
-        last, settled, motion = math.inf, 0, _JUMP * self._motion_before(before)
+        last, settled, motion = math.inf, 0, self._most(before)
         slowest, round_off, kept = 0.0, False, jacobian
         # The imaginary part of a complex step lags the real part by one iteration, and one is
         # for its round-off; as a guess it serves as it is. The real part goes its own way.
@@ -248,6 +248,11 @@ class StepSolver:
             Q = system.force(before.q, before.v, t)
             self._last_motion = self._motion(before.a, reaction, Q)
         return self._last_motion
+
+    def _most(self, before: Node) -> float:
+        """Motion that counts at most in a step; any after a rest that knows no round-off."""
+        motion = self._motion_before(before)
+        return _JUMP * motion if motion > float(np.finfo(float).tiny) else math.inf
 
     def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
         """Size of the motion; in a body at rest corrections are compared with round-off."""
