@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-FILES = ("readme", "plotting", "solution", "high_order", "modes")
+FILES = ("kernels", "readme", "plotting", "solution", "high_order", "modes")
 
 
 def oldest() -> list[str]:

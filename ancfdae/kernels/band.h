@@ -37,5 +37,7 @@ static void NAME(band_solve)(NAME(gbtrs_t) gbtrs, char transposed, int n, int ha
                              T *lu, int *pivots, T *right)
 {
     int width = 3 * half + 1, info = 0;
+    if (n == 0) /* LAPACK would complain about the rows of nothing. */
+        return;
     gbtrs(&transposed, &n, &half, &half, &rows, lu, &width, pivots, right, &n, &info);
 }

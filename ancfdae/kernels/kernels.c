@@ -11,15 +11,29 @@
 #include <numpy/arrayobject.h>
 
 #include <complex.h>
+#include <limits.h>
 #include <math.h>
+#include <string.h>
 
+#if defined(_MSC_VER) && !defined(__clang__)
+#error "MSVC has no complex numbers of C; build with clang-cl or MinGW"
+#endif
 #if defined(__GNUC__)
 #define INLINE static inline __attribute__((always_inline))
 #else
 #define INLINE static inline
 #endif
-/* A second copy for processors with wide vectors, chosen when the module is loaded. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__)
+/* Products of complex numbers without tests for infinities; where the compiler knows neither of
+ * these, the tests cost time only. */
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("cx-limited-range")
+#elif defined(__clang__) && __clang_major__ >= 18
+#pragma STDC CX_LIMITED_RANGE ON
+#endif
+/* A second copy for processors with wide vectors, chosen when the module is loaded: by glibc, and
+ * GCC knows that name of a processor here from version 12 on. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) &&   \
+    __GNUC__ >= 12
 #define WITH_WIDE_VECTORS __attribute__((target_clones("arch=x86-64-v3", "default")))
 #else
 #define WITH_WIDE_VECTORS
@@ -51,26 +65,43 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
 /* ---- arguments ---------------------------------------------------------------------------- */
 
-/* An array of a type, in one piece; NULL stays NULL, and None becomes it. */
-static int taken(PyObject *object, int type, PyArrayObject **array)
-{
-    *array = NULL;
-    if (object == NULL || object == Py_None)
-        return 1;
-    *array = (PyArrayObject *)PyArray_FROM_OTF(object, type, NPY_ARRAY_IN_ARRAY);
-    return *array != NULL;
-}
-
-static int is_complex(PyObject *object)
-{
-    return object != NULL && PyArray_Check(object) &&
-           PyArray_ISCOMPLEX((PyArrayObject *)object);
-}
-
 static int wrong(const char *what)
 {
     PyErr_SetString(PyExc_ValueError, what);
     return 0;
+}
+
+/* An array of a type, in one piece, with so many axes at least. */
+static int taken(PyObject *object, int type, int axes, PyArrayObject **array)
+{
+    *array = NULL;
+    if (object == Py_None)
+        return wrong("an array is missing");
+    *array = (PyArrayObject *)PyArray_FROM_OTF(object, type, NPY_ARRAY_IN_ARRAY);
+    if (*array == NULL)
+        return 0;
+    return PyArray_NDIM(*array) >= axes || wrong("an array has too few axes");
+}
+
+/* The same, or NULL for None. */
+static int taken_or_none(PyObject *object, int type, int axes, PyArrayObject **array)
+{
+    *array = NULL;
+    return object == Py_None || taken(object, type, axes, array);
+}
+
+/* A whole number from 0 to `most`. */
+static int taken_number(PyObject *object, npy_intp most, npy_intp *number)
+{
+    *number = PyNumber_AsSsize_t(object, PyExc_ValueError);
+    if (PyErr_Occurred())
+        return 0;
+    return (*number >= 0 && *number <= most) || wrong("a number is negative or too large");
+}
+
+static int is_complex(PyObject *object)
+{
+    return PyArray_Check(object) && PyArray_ISCOMPLEX((PyArrayObject *)object);
 }
 
 static const void *data_of(PyArrayObject *array)
@@ -84,6 +115,10 @@ static PyArrayObject *zeros_like(PyArrayObject *model, int dropped, int count,
 {
     npy_intp shape[NPY_MAXDIMS];
     int leading = PyArray_NDIM(model) - dropped;
+    if (leading + count > NPY_MAXDIMS) {
+        wrong("an array has too many axes");
+        return NULL;
+    }
     for (int i = 0; i < leading; i++)
         shape[i] = PyArray_DIM(model, i);
     for (int i = 0; i < count; i++)
@@ -97,6 +132,37 @@ static npy_intp leading_size(PyArrayObject *array, int dropped)
     for (int i = 0; i < PyArray_NDIM(array) - dropped; i++)
         size *= PyArray_DIM(array, i);
     return size;
+}
+
+/* Whether the last axes of an array are these. */
+static int ends_with(PyArrayObject *array, int count, const npy_intp *shape)
+{
+    int leading = PyArray_NDIM(array) - count;
+    for (int i = 0; i < count; i++)
+        if (leading < 0 || PyArray_DIM(array, leading + i) != shape[i])
+            return 0;
+    return 1;
+}
+
+/* Whether all of `size` numbers lie from `least` to `most`: else x - least or most - x has the bit
+ * of the sign. Without branches this costs next to nothing. */
+static int within_32(PyArrayObject *array, npy_intp least, npy_intp most)
+{
+    const npy_uint32 *x = PyArray_DATA(array), low = (npy_uint32)least;
+    const npy_uint32 high = (npy_uint32)(most < NPY_MAX_INT32 ? most : NPY_MAX_INT32);
+    npy_uint32 bits = 0;
+    for (npy_intp i = 0, size = PyArray_SIZE(array); i < size; i++)
+        bits |= (x[i] - low) | (high - x[i]);
+    return bits >> 31 == 0;
+}
+
+static int within_64(PyArrayObject *array, npy_intp most)
+{
+    const npy_uint64 *x = PyArray_DATA(array), high = (npy_uint64)most;
+    npy_uint64 bits = 0;
+    for (npy_intp i = 0, size = PyArray_SIZE(array); i < size; i++)
+        bits |= x[i] | (high - x[i]);
+    return bits >> 63 == 0;
 }
 
 /* ---- blocks of elements -------------------------------------------------------------------- */
@@ -121,12 +187,21 @@ static void dropped(Arguments *a)
         Py_XDECREF(a->states[i]);
 }
 
+static int sized(Arguments *a, npy_intp n_y, npy_intp d)
+{
+    a->n_y = (int)n_y;
+    a->d = (int)d;
+    return (n_y >= 1 && n_y <= MOST_Y && d >= 1 && d <= 3) ||
+           wrong("an element has at most 8 relative node vectors of 3 numbers");
+}
+
 static int filled(Arguments *a, PyObject *block, PyObject *const *states, int count)
 {
     memset(a, 0, sizeof *a);
     if (!PyTuple_Check(block) || PyTuple_GET_SIZE(block) != BLOCK_ITEMS)
         return wrong("a block is (A, g_o, p_o, tau, vectors, d, n_q)");
     PyObject *items[BLOCK_ITEMS];
+    npy_intp d;
     a->type = NPY_DOUBLE;
     for (int i = 0; i < BLOCK_ITEMS; i++)
         items[i] = PyTuple_GET_ITEM(block, i);
@@ -136,34 +211,45 @@ static int filled(Arguments *a, PyObject *block, PyObject *const *states, int co
     for (int i = 0; i < count; i++)
         if (is_complex(states[i]))
             a->type = NPY_CDOUBLE;
-    if (!taken(items[0], a->type, &a->A) || !taken(items[1], a->type, &a->g_o) ||
-        !taken(items[2], a->type, &a->p_o) || !taken(items[3], a->type, &a->tau) ||
-        !taken(items[4], NPY_INT64, &a->vectors))
+    if (!taken(items[0], a->type, 3, &a->A) || !taken(items[1], a->type, 2, &a->g_o) ||
+        !taken_or_none(items[2], a->type, 2, &a->p_o) ||
+        !taken_or_none(items[3], a->type, 1, &a->tau) ||
+        !taken(items[4], NPY_INT64, 2, &a->vectors) || !taken_number(items[5], 3, &d) ||
+        !taken_number(items[6], NPY_MAX_INTP, &a->n_q))
         return 0;
     for (int i = 0; i < count; i++)
-        if (!taken(states[i], a->type, &a->states[i]))
+        if (!taken_or_none(states[i], a->type, 1, &a->states[i]))
             return 0;
-    a->d = (int)PyLong_AsLong(items[5]);
-    a->n_q = PyLong_AsSsize_t(items[6]);
-    if (PyErr_Occurred())
+    a->n = leading_size(a->vectors, 1);
+    if (!sized(a, PyArray_DIM(a->vectors, PyArray_NDIM(a->vectors) - 1) - 1, d))
         return 0;
-    if (PyArray_NDIM(a->vectors) != 2)
-        return wrong("vectors must have two axes");
-    a->n = PyArray_DIM(a->vectors, 0);
-    a->n_y = (int)PyArray_DIM(a->vectors, 1) - 1;
-    if (a->n_y < 1 || a->n_y > MOST_Y || a->d < 1 || a->d > 3)
-        return wrong("an element has at most 8 relative node vectors of 3 numbers");
-    return 1;
+    return within_64(a->vectors, a->n_q / d - 1) || wrong("a node vector is not among n_q numbers");
 }
 
-/* Whether the states have n_q numbers in their last axis, where there are any. */
+/* Whether states come in pairs of one shape, with n_q numbers in the last axis; the second of a
+ * pair may be missing. */
 static int fitting(const Arguments *a, int count)
 {
     for (int i = 0; i < count; i++) {
-        PyArrayObject *x = a->states[i];
-        if (x && PyArray_DIM(x, PyArray_NDIM(x) - 1) != a->n_q)
-            return wrong("states must have n_q numbers");
+        PyArrayObject *x = a->states[i], *first = a->states[i - i % 2];
+        if (!x && i % 2)
+            continue;
+        if (!x || !ends_with(x, 1, &a->n_q) || !PyArray_SAMESHAPE(x, first))
+            return wrong("states must have n_q numbers, and velocities the shape of coordinates");
     }
+    return 1;
+}
+
+/* Whether the law is that of all n elements, or one for all. */
+static int lawful(const Arguments *a)
+{
+    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g};
+    npy_intp laws = leading_size(a->A, 2);
+    if (!ends_with(a->A, 2, shape) || !ends_with(a->g_o, 1, shape) ||
+        leading_size(a->g_o, 1) != laws || (laws != 1 && laws != a->n) ||
+        (a->p_o && (!ends_with(a->p_o, 1, shape) || leading_size(a->p_o, 1) != laws)) ||
+        (a->tau && PyArray_SIZE(a->tau) != a->n))
+        return wrong("A, g_o and p_o must be those of one element or of all, and tau of all");
     return 1;
 }
 
@@ -171,7 +257,7 @@ static int fitting(const Arguments *a, int count)
 #define BLOCK_OF_TYPE(kind)                                                                        \
     block_##kind b = {a.n,                                                                         \
                       a.n_q,                                                                       \
-                      a.A && PyArray_DIM(a.A, 0) == 1,                                             \
+                      a.A && leading_size(a.A, 2) == 1,                                            \
                       k,                                                                           \
                       data_of(a.vectors),                                                          \
                       data_of(a.A),                                                                \
@@ -189,7 +275,7 @@ static int fitting(const Arguments *a, int count)
         }                                                                                          \
     } while (0)
 
-static PyObject *py_relative(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_relative(PyObject *const *args)
 {
     Arguments a;
     PyArrayObject *out = NULL;
@@ -203,25 +289,30 @@ static PyObject *py_relative(PyObject *self, PyObject *const *args, Py_ssize_t c
     return (PyObject *)out;
 }
 
-static PyObject *py_lifted(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_lifted(PyObject *const *args)
 {
     Arguments a;
     PyArrayObject *out = NULL;
     if (filled(&a, args[0], args + 1, 1)) {
-        npy_intp k = leading_size(a.states[0], 3);
-        out = zeros_like(a.states[0], 3, 1, &a.n_q, a.type);
-        if (out)
-            FOR_TYPE(lifted, data_of(a.states[0]), PyArray_DATA(out));
+        npy_intp shape[] = {a.n, a.n_y, a.d};
+        if (!a.states[0] || !ends_with(a.states[0], 3, shape))
+            wrong("forces must have the shape of relative node vectors");
+        else {
+            npy_intp k = leading_size(a.states[0], 3);
+            out = zeros_like(a.states[0], 3, 1, &a.n_q, a.type);
+            if (out)
+                FOR_TYPE(lifted, data_of(a.states[0]), PyArray_DATA(out));
+        }
     }
     dropped(&a);
     return (PyObject *)out;
 }
 
-static PyObject *py_forces(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_forces(PyObject *const *args)
 {
     Arguments a;
     PyArrayObject *out = NULL;
-    if (filled(&a, args[0], args + 1, 2) && fitting(&a, 2)) {
+    if (filled(&a, args[0], args + 1, 2) && fitting(&a, 2) && lawful(&a)) {
         npy_intp k = leading_size(a.states[0], 1);
         out = zeros_like(a.states[0], 1, 1, &a.n_q, a.type);
         if (out)
@@ -231,98 +322,127 @@ static PyObject *py_forces(PyObject *self, PyObject *const *args, Py_ssize_t cou
     return (PyObject *)out;
 }
 
-static PyObject *py_forces_along(PyObject *self, PyObject *const *args, Py_ssize_t count)
+/* Whether k directions belong to one state or to k, with velocities of both or of none. */
+static int directed(const Arguments *a, npy_intp k)
+{
+    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {a->n, k, n_g};
+    npy_intp states = leading_size(a->states[0], 1);
+    if ((states != 1 && states != k) || (a->states[1] && !a->states[3]))
+        return wrong("there must be one state for all directions or one for each");
+    return !a->states[4] || ends_with(a->states[4], 3, shape) ||
+           wrong("stresses must be those of all elements in all directions");
+}
+
+static PyObject *py_forces_along(PyObject *const *args)
 {
     Arguments a;
     PyArrayObject *out = NULL;
-    if (filled(&a, args[0], args + 1, 5) && fitting(&a, 4)) {
+    if (filled(&a, args[0], args + 1, 5) && fitting(&a, 4) && lawful(&a)) {
         npy_intp k = leading_size(a.states[2], 1);
-        out = zeros_like(a.states[2], 1, 1, &a.n_q, a.type);
+        if (directed(&a, k))
+            out = zeros_like(a.states[2], 1, 1, &a.n_q, a.type);
         if (out)
-            FOR_TYPE(forces_along, leading_size(a.states[0], 1) == 1, data_of(a.states[0]), data_of(a.states[1]),
-                     data_of(a.states[2]), data_of(a.states[3]), data_of(a.states[4]),
-                     PyArray_DATA(out));
+            FOR_TYPE(forces_along, leading_size(a.states[0], 1) == 1, data_of(a.states[0]),
+                     data_of(a.states[1]), data_of(a.states[2]), data_of(a.states[3]),
+                     data_of(a.states[4]), PyArray_DATA(out));
     }
     dropped(&a);
     return (PyObject *)out;
 }
 
-static PyObject *py_tangents(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_tangents(PyObject *const *args)
 {
     Arguments a;
     PyArrayObject *out = NULL, *index = NULL;
     int damping = PyObject_IsTrue(args[3]);
-    npy_intp nnz = PyLong_AsSsize_t(args[5]);
-    if (filled(&a, args[0], args + 1, 2) && fitting(&a, 2) &&
-        taken(args[4], NPY_INT32, &index) && !PyErr_Occurred()) {
-        npy_intp k = leading_size(a.states[0], 1);
-        out = zeros_like(a.states[0], 1, 1, &nnz, a.type);
+    npy_intp nnz;
+    if (damping < 0 || !taken_number(args[5], NPY_MAX_INTP, &nnz) ||
+        !taken(args[4], NPY_INT32, 1, &index)) {
+        Py_XDECREF(index);
+        return NULL;
+    }
+    if (filled(&a, args[0], args + 1, 2) && fitting(&a, 2) && lawful(&a)) {
+        npy_intp k = leading_size(a.states[0], 1), size = (npy_intp)(a.n_y + 1) * a.d;
+        if (PyArray_SIZE(index) != a.n * size * size || !within_32(index, 0, nnz - 1))
+            wrong("index must hold a place among the values for each entry of each element");
+        else
+            out = zeros_like(a.states[0], 1, 1, &nnz, a.type);
         if (out)
             FOR_TYPE(tangents, data_of(a.states[0]), data_of(a.states[1]), damping,
                      data_of(index), nnz, PyArray_DATA(out));
     }
-    Py_XDECREF(index);
+    Py_DECREF(index);
     dropped(&a);
     return (PyObject *)out;
 }
 
 /* ---- packed matrices ----------------------------------------------------------------------- */
 
-/* gram(Y, U), and strain(g_o, tau, Y, V) where all four are given; Y has shape (..., n, n_y, d). */
-static PyObject *packed(PyObject *g_o, PyObject *tau, PyObject *Y, PyObject *U)
+/* Whether there is one g_o for all elements or one for each, and a tau for each. */
+static int referred(const Arguments *a, npy_intp n_g)
+{
+    if ((a->g_o && (!ends_with(a->g_o, 1, &n_g) ||
+                    (leading_size(a->g_o, 1) != 1 && leading_size(a->g_o, 1) != a->n))) ||
+        (a->tau && PyArray_SIZE(a->tau) != a->n))
+        return wrong("g_o must be that of one element or of all, and tau of all");
+    return 1;
+}
+
+/* gram(Y, U) where g_o is NULL, else strain(g_o, Y, U, tau); Y has shape (..., n, n_y, d). */
+static PyObject *packed(PyObject *g_o, PyObject *Y, PyObject *U, PyObject *tau)
 {
     Arguments a;
     PyArrayObject *out = NULL;
-    PyObject *items[] = {Y, U};
     memset(&a, 0, sizeof a);
-    a.type = is_complex(g_o) || is_complex(tau) || is_complex(Y) || is_complex(U) ? NPY_CDOUBLE
-                                                                                  : NPY_DOUBLE;
-    if (taken(items[0], a.type, &a.states[0]) && taken(items[1], a.type, &a.states[1]) &&
-        taken(g_o, a.type, &a.g_o) && taken(tau, a.type, &a.tau)) {
+    a.type = (g_o && is_complex(g_o)) || is_complex(Y) || is_complex(U) || is_complex(tau)
+                 ? NPY_CDOUBLE
+                 : NPY_DOUBLE;
+    if (taken(Y, a.type, 2, &a.states[0]) && taken_or_none(U, a.type, 2, &a.states[1]) &&
+        (g_o ? taken(g_o, a.type, 1, &a.g_o) : a.states[1] || wrong("an array is missing")) &&
+        taken_or_none(tau, a.type, 1, &a.tau)) {
         int axes = PyArray_NDIM(a.states[0]);
-        a.n_y = (int)PyArray_DIM(a.states[0], axes - 2);
-        a.d = (int)PyArray_DIM(a.states[0], axes - 1);
+        npy_intp n_y = PyArray_DIM(a.states[0], axes - 2), n_g = n_y * (n_y + 1) / 2;
         a.n = axes > 2 ? PyArray_DIM(a.states[0], axes - 3) : 1;
         npy_intp k = a.n ? leading_size(a.states[0], 2) / a.n : 0;
-        npy_intp n_g = (npy_intp)a.n_y * (a.n_y + 1) / 2;
-        if (a.n_y > MOST_Y || (a.states[1] && !PyArray_SAMESHAPE(a.states[0], a.states[1])))
-            wrong("node vectors must have one shape, and be at most 8");
-        else
+        if (a.states[1] && !PyArray_SAMESHAPE(a.states[0], a.states[1]))
+            wrong("node vectors must have one shape");
+        else if (sized(&a, n_y, PyArray_DIM(a.states[0], axes - 1)) && referred(&a, n_g))
             out = zeros_like(a.states[0], 2, 1, &n_g, a.type);
         if (out)
-            FOR_TYPE(packed, a.g_o && PyArray_DIM(a.g_o, 0) == 1, data_of(a.states[0]),
+            FOR_TYPE(packed, a.g_o && leading_size(a.g_o, 1) == 1, data_of(a.states[0]),
                      data_of(a.states[1]), PyArray_DATA(out));
     }
     dropped(&a);
     return (PyObject *)out;
 }
 
-static PyObject *py_gram(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_gram(PyObject *const *args)
 {
-    return packed(NULL, NULL, args[0], args[1]);
+    return packed(NULL, args[0], args[1], Py_None);
 }
 
-static PyObject *py_strain(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_strain(PyObject *const *args)
 {
-    return packed(args[0], args[3], args[1], args[2]);
+    return packed(args[0], args[1], args[2], args[3]);
 }
 
-static PyObject *py_stressed(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_stressed(PyObject *const *args)
 {
     int type = is_complex(args[0]) || is_complex(args[1]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    Arguments a;
     PyArrayObject *p = NULL, *Y = NULL, *out = NULL;
-    if (taken(args[0], type, &p) && taken(args[1], type, &Y)) {
-        int axes = PyArray_NDIM(Y), n_y = (int)PyArray_DIM(Y, axes - 2);
-        int d = (int)PyArray_DIM(Y, axes - 1);
+    if (taken(args[0], type, 1, &p) && taken(args[1], type, 2, &Y)) {
+        int axes = PyArray_NDIM(Y);
+        npy_intp n_y = PyArray_DIM(Y, axes - 2), n_g = n_y * (n_y + 1) / 2;
         npy_intp n = leading_size(Y, 2);
-        if (n_y > MOST_Y || leading_size(p, 1) != n)
+        if (leading_size(p, 1) != n || !ends_with(p, 1, &n_g))
             wrong("there must be one p for each set of node vectors");
-        else
+        else if (sized(&a, n_y, PyArray_DIM(Y, axes - 1)))
             out = zeros_like(Y, 0, 0, NULL, type);
         if (out && type == NPY_DOUBLE)
-            stressed_each_real(n_y, d, n, data_of(p), data_of(Y), PyArray_DATA(out));
+            stressed_each_real(a.n_y, a.d, n, data_of(p), data_of(Y), PyArray_DATA(out));
         else if (out)
-            stressed_each_complex(n_y, d, n, data_of(p), data_of(Y), PyArray_DATA(out));
+            stressed_each_complex(a.n_y, a.d, n, data_of(p), data_of(Y), PyArray_DATA(out));
     }
     Py_XDECREF(p);
     Py_XDECREF(Y);
@@ -331,18 +451,31 @@ static PyObject *py_stressed(PyObject *self, PyObject *const *args, Py_ssize_t c
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
-/* Rows of x times the matrix (transposed) or its transpose; the last axis then has `size` numbers. */
+/* Whether rows are in order, and entries in a matrix with so many columns. */
+static int is_csr(PyArrayObject *first, PyArrayObject *columns, PyArrayObject *values,
+                  npy_intp n_columns)
+{
+    const npy_int32 *at = PyArray_DATA(first);
+    npy_intp n = PyArray_SIZE(first) - 1, size = PyArray_SIZE(columns);
+    int out_of_order = n < 0 || at[0] < 0 || at[n] > size || PyArray_SIZE(values) != size;
+    for (npy_intp i = 0; i < n; i++)
+        out_of_order |= at[i + 1] < at[i];
+    return (!out_of_order && within_32(columns, 0, n_columns - 1)) ||
+           wrong("these are not the compressed sparse rows of a matrix of this size");
+}
+
+/* Rows of x times the matrix (transposed), or times its transpose, with `size` numbers then. */
 static PyObject *csr(PyObject *const *args, npy_intp size, int transposed)
 {
     int type = is_complex(args[2]) || is_complex(args[3]) ? NPY_CDOUBLE : NPY_DOUBLE;
     PyArrayObject *first = NULL, *columns = NULL, *values = NULL, *x = NULL, *out = NULL;
-    if (taken(args[0], NPY_INT32, &first) && taken(args[1], NPY_INT32, &columns) &&
-        taken(args[2], type, &values) && taken(args[3], type, &x)) {
+    if (taken(args[0], NPY_INT32, 1, &first) && taken(args[1], NPY_INT32, 1, &columns) &&
+        taken(args[2], type, 1, &values) && taken(args[3], type, 1, &x)) {
         npy_intp k = leading_size(x, 1), n = PyArray_SIZE(first) - 1;
         npy_intp width = PyArray_DIM(x, PyArray_NDIM(x) - 1);
         if (transposed && width != n)
             wrong("x must have one number for each row of the matrix");
-        else
+        else if (is_csr(first, columns, values, transposed ? size : width))
             out = zeros_like(x, 1, 1, transposed ? &size : &n, type);
         if (out && type == NPY_DOUBLE)
             (transposed ? csr_rows_transposed_real : csr_rows_real)(
@@ -360,24 +493,25 @@ static PyObject *csr(PyObject *const *args, npy_intp size, int transposed)
     return (PyObject *)out;
 }
 
-static PyObject *py_csr_rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_csr_rows(PyObject *const *args)
 {
     return csr(args, 0, 0);
 }
 
-static PyObject *py_csr_rows_transposed(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_csr_rows_transposed(PyObject *const *args)
 {
-    return csr(args, PyLong_AsSsize_t(args[4]), 1);
+    npy_intp size;
+    return taken_number(args[4], NPY_MAX_INTP, &size) ? csr(args, size, 1) : NULL;
 }
 
 /* norm(x, weights): sqrt(sum(weights x^2)) of the real part. */
-static PyObject *py_norm(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_norm(PyObject *const *args)
 {
     int stride = is_complex(args[0]) ? 2 : 1;
     PyArrayObject *x = NULL, *weights = NULL;
     PyObject *result = NULL;
-    if (taken(args[0], stride == 2 ? NPY_CDOUBLE : NPY_DOUBLE, &x) &&
-        taken(args[1], NPY_DOUBLE, &weights)) {
+    if (taken(args[0], stride == 2 ? NPY_CDOUBLE : NPY_DOUBLE, 0, &x) &&
+        taken(args[1], NPY_DOUBLE, 0, &weights)) {
         const double *from = data_of(x), *w = data_of(weights);
         double sum = 0;
         if (PyArray_SIZE(x) != PyArray_SIZE(weights))
@@ -394,7 +528,7 @@ static PyObject *py_norm(PyObject *self, PyObject *const *args, Py_ssize_t count
 }
 
 /* add_scaled(x, s, y): x + s y; NumPy's own operators where these are not real arrays alike. */
-static PyObject *py_add_scaled(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_add_scaled(PyObject *const *args)
 {
     PyArrayObject *x = (PyArrayObject *)args[0], *y = (PyArrayObject *)args[2], *out;
     if (!PyFloat_Check(args[1]) || !PyArray_Check(x) || !PyArray_Check(y) ||
@@ -418,11 +552,11 @@ static PyObject *py_add_scaled(PyObject *self, PyObject *const *args, Py_ssize_t
 }
 
 /* finite(x): whether every number is. */
-static PyObject *py_finite(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_finite(PyObject *const *args)
 {
     int is_c = is_complex(args[0]);
     PyArrayObject *x = NULL;
-    if (!taken(args[0], is_c ? NPY_CDOUBLE : NPY_DOUBLE, &x))
+    if (!taken(args[0], is_c ? NPY_CDOUBLE : NPY_DOUBLE, 0, &x))
         return NULL;
     const double *from = data_of(x);
     npy_intp size = PyArray_SIZE(x) * (is_c ? 2 : 1), i = 0;
@@ -439,50 +573,61 @@ static PyObject *py_finite(PyObject *self, PyObject *const *args, Py_ssize_t cou
     return PyBool_FromLong(sum[0] == 0);
 }
 
-/* A LAPACK routine of SciPy for 32-bit integers. */
-static void *lapack(const char *name)
+/* A LAPACK routine of SciPy, kept once it is found. The capsule that holds it is named after its
+ * arguments: they must begin so. */
+static void *lapack(void **kept, const char *name, const char *beginning)
 {
-    void *found = NULL;
+    if (*kept)
+        return *kept;
     PyObject *module = PyImport_ImportModule("scipy.linalg.cython_lapack");
     PyObject *routines = module ? PyObject_GetAttrString(module, "__pyx_capi__") : NULL;
-    PyObject *capsule = routines ? PyDict_GetItemString(routines, name) : NULL;
-    if (capsule)
-        found = PyCapsule_GetPointer(capsule, PyCapsule_GetName(capsule));
+    PyObject *capsule = routines ? PyMapping_GetItemString(routines, name) : NULL;
+    const char *arguments = capsule ? PyCapsule_GetName(capsule) : NULL;
+    if (arguments && strncmp(arguments, beginning, strlen(beginning)) == 0)
+        *kept = PyCapsule_GetPointer(capsule, arguments);
     else if (!PyErr_Occurred())
-        PyErr_Format(PyExc_ImportError, "SciPy has no routine %s", name);
+        PyErr_Format(PyExc_ImportError,
+                     "%s of this SciPy is not LAPACK's with 32-bit integers, but %s", name,
+                     arguments ? arguments : "nameless");
+    Py_XDECREF(capsule);
     Py_XDECREF(routines);
     Py_XDECREF(module);
-    return found;
+    return *kept;
 }
 
 /* band_factor(K, B, factors, flat, n, half): the factors, (n, 3 half + 1), pivots, and info. */
-static PyObject *py_band_factor(PyObject *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *py_band_factor(PyObject *const *args)
 {
     static void *routines[2];
     int type = is_complex(args[0]) || is_complex(args[1]) ? NPY_CDOUBLE : NPY_DOUBLE, info = 0;
-    npy_intp n = PyLong_AsSsize_t(args[4]), half = PyLong_AsSsize_t(args[5]);
-    npy_intp shape[] = {n, 3 * half + 1};
+    npy_intp n, half;
     PyArrayObject *K = NULL, *B = NULL, *factors = NULL, *flat = NULL, *lu = NULL, *pivots = NULL;
     PyObject *result = NULL;
-    void **routine = &routines[type == NPY_CDOUBLE];
-    if (!*routine)
-        *routine = lapack(type == NPY_CDOUBLE ? "zgbtrf" : "dgbtrf");
-    if (*routine && !PyErr_Occurred() && taken(args[0], type, &K) && taken(args[1], type, &B) &&
-        taken(args[2], NPY_DOUBLE, &factors) && taken(args[3], NPY_INT64, &flat) &&
+    void *routine = lapack(&routines[type == NPY_CDOUBLE],
+                           type == NPY_CDOUBLE ? "zgbtrf" : "dgbtrf",
+                           "void (int *, int *, int *, int *, ");
+    if (!routine || !taken_number(args[4], INT_MAX, &n) ||
+        !taken_number(args[5], (INT_MAX - 1) / 3, &half))
+        return NULL;
+    npy_intp shape[] = {n, 3 * half + 1};
+    if (taken(args[0], type, 0, &K) && taken(args[1], type, 0, &B) &&
+        taken(args[2], NPY_DOUBLE, 0, &factors) && taken(args[3], NPY_INT64, 0, &flat) &&
         (lu = (PyArrayObject *)PyArray_ZEROS(2, shape, type, 0)) &&
         (pivots = (PyArrayObject *)PyArray_EMPTY(1, shape, NPY_INT, 0))) {
         npy_intp n_K = PyArray_SIZE(K), n_B = PyArray_SIZE(B);
-        if (PyArray_SIZE(flat) != n_K + 2 * n_B || PyArray_SIZE(factors) != n_K + 2 * n_B)
-            wrong("there must be a place and a factor for each value");
+        if (PyArray_SIZE(flat) != n_K + 2 * n_B || PyArray_SIZE(factors) != n_K + 2 * n_B ||
+            !within_64(flat, PyArray_SIZE(lu) - 1))
+            wrong("there must be a place in the band and a factor for each value");
         else {
+            void *to = PyArray_DATA(lu), *exchanged = PyArray_DATA(pivots);
             if (type == NPY_DOUBLE)
-                info = band_factor_real((gbtrf_t_real)*routine, (int)n, (int)half, n_K, n_B,
+                info = band_factor_real((gbtrf_t_real)routine, (int)n, (int)half, n_K, n_B,
                                         data_of(K), data_of(B), data_of(factors), data_of(flat),
-                                        PyArray_DATA(lu), PyArray_DATA(pivots));
+                                        to, exchanged);
             else
-                info = band_factor_complex((gbtrf_t_complex)*routine, (int)n, (int)half, n_K, n_B,
-                                           data_of(K), data_of(B), data_of(factors), data_of(flat),
-                                           PyArray_DATA(lu), PyArray_DATA(pivots));
+                info = band_factor_complex((gbtrf_t_complex)routine, (int)n, (int)half, n_K, n_B,
+                                           data_of(K), data_of(B), data_of(factors),
+                                           data_of(flat), to, exchanged);
             result = Py_BuildValue("OOi", lu, pivots, info);
         }
     }
@@ -524,49 +669,88 @@ static void numbered_complex(npy_intp rows, npy_intp n, const npy_int64 *order,
                 to[r * n + i] = scale[order[i]] * from[r * n + order[i]];
 }
 
-/* band_solve(lu, pivots, half, order, scale, right, transposed): right sides are the last axis. */
-static PyObject *py_band_solve(PyObject *self, PyObject *const *args, Py_ssize_t count)
+/* A factorised band matrix and the routine that solves with it. */
+typedef struct {
+    PyArrayObject *lu, *pivots, *order, *scale;
+    void *routine;
+    npy_intp n, half;
+    int is_complex;
+} Band;
+
+/* Take a band matrix from the first arguments of band_solve. */
+static int band_taken(PyObject *const *args, Band *b)
 {
     static void *routines[2];
-    int complex_matrix = is_complex(args[0]), type = complex_matrix ? NPY_CDOUBLE : NPY_DOUBLE;
-    int right_type = complex_matrix || is_complex(args[5]) ? NPY_CDOUBLE : NPY_DOUBLE;
-    int half = (int)PyLong_AsLong(args[2]), transposed = PyObject_IsTrue(args[6]);
-    PyArrayObject *lu = NULL, *pivots = NULL, *order = NULL, *scale = NULL, *right = NULL;
-    PyArrayObject *out = NULL;
-    void **routine = &routines[complex_matrix], *work = NULL;
-    if (!*routine)
-        *routine = lapack(complex_matrix ? "zgbtrs" : "dgbtrs");
-    if (*routine && !PyErr_Occurred() && taken(args[0], type, &lu) &&
-        taken(args[1], NPY_INT, &pivots) && taken(args[3], NPY_INT64, &order) &&
-        taken(args[4], NPY_DOUBLE, &scale) && taken(args[5], right_type, &right)) {
-        npy_intp n = PyArray_SIZE(order), rows = leading_size(right, 1);
-        int parts = right_type == NPY_CDOUBLE && !complex_matrix ? 2 : 1;
-        char how = transposed ? 'T' : 'N';
-        if (PyArray_DIM(right, PyArray_NDIM(right) - 1) != n)
-            wrong("a right side must have one number for each row of the matrix");
-        else if ((out = zeros_like(right, 0, 0, NULL, right_type)) &&
-                 (work = PyMem_Malloc(PyArray_NBYTES(out) + 1))) {
-            if (complex_matrix) {
-                numbered_complex(rows, n, data_of(order), data_of(scale), data_of(right), work, 0);
-                band_solve_complex((gbtrs_t_complex)*routine, how, (int)n, half, (int)rows,
-                                   PyArray_DATA(lu), PyArray_DATA(pivots), work);
-                numbered_complex(rows, n, data_of(order), data_of(scale), work, PyArray_DATA(out),
-                                 1);
-            } else {
-                numbered(rows, n, parts, data_of(order), data_of(scale), data_of(right), work, 0);
-                band_solve_real((gbtrs_t_real)*routine, how, (int)n, half, (int)rows * parts,
-                                PyArray_DATA(lu), PyArray_DATA(pivots), work);
-                numbered(rows, n, parts, data_of(order), data_of(scale), work, PyArray_DATA(out),
-                         1);
-            }
-            PyMem_Free(work);
-        }
+    int type = is_complex(args[0]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    memset(b, 0, sizeof *b);
+    b->is_complex = type == NPY_CDOUBLE;
+    b->routine = lapack(&routines[b->is_complex], b->is_complex ? "zgbtrs" : "dgbtrs",
+                        "void (char *, int *, int *, int *, int *, ");
+    if (!b->routine || !taken(args[0], type, 2, &b->lu) ||
+        !taken(args[1], NPY_INT, 0, &b->pivots) ||
+        !taken_number(args[2], (INT_MAX - 1) / 3, &b->half) ||
+        !taken(args[3], NPY_INT64, 0, &b->order) || !taken(args[4], NPY_DOUBLE, 0, &b->scale))
+        return 0;
+    b->n = PyArray_SIZE(b->order);
+    npy_intp shape[] = {b->n, 3 * b->half + 1};
+    return (b->n <= INT_MAX && PyArray_NDIM(b->lu) == 2 && ends_with(b->lu, 2, shape) &&
+            PyArray_SIZE(b->pivots) == b->n && within_32(b->pivots, 1, b->n) &&
+            within_64(b->order, b->n - 1) && PyArray_SIZE(b->scale) == b->n) ||
+           wrong("factors, pivots, order and scale must be those of one band matrix");
+}
+
+static void band_dropped(Band *b)
+{
+    Py_XDECREF(b->lu);
+    Py_XDECREF(b->pivots);
+    Py_XDECREF(b->order);
+    Py_XDECREF(b->scale);
+}
+
+/* Solve for rows of right sides; each is two of the matrix's type where `parts` is 2. */
+static void solved(const Band *b, char how, npy_intp rows, int parts, const void *right,
+                   void *work, void *out)
+{
+    const npy_int64 *order = data_of(b->order);
+    const double *scale = data_of(b->scale);
+    void *lu = PyArray_DATA(b->lu), *pivots = PyArray_DATA(b->pivots);
+    int n = (int)b->n, half = (int)b->half;
+    if (b->is_complex) {
+        numbered_complex(rows, n, order, scale, right, work, 0);
+        band_solve_complex((gbtrs_t_complex)b->routine, how, n, half, (int)rows, lu, pivots, work);
+        numbered_complex(rows, n, order, scale, work, out, 1);
+    } else {
+        numbered(rows, n, parts, order, scale, right, work, 0);
+        band_solve_real((gbtrs_t_real)b->routine, how, n, half, (int)rows * parts, lu, pivots,
+                        work);
+        numbered(rows, n, parts, order, scale, work, out, 1);
     }
-    Py_XDECREF(lu);
-    Py_XDECREF(pivots);
-    Py_XDECREF(order);
-    Py_XDECREF(scale);
+}
+
+/* band_solve(lu, pivots, half, order, scale, right, transposed): right sides are the last axis. */
+static PyObject *py_band_solve(PyObject *const *args)
+{
+    Band b;
+    PyArrayObject *right = NULL, *out = NULL;
+    int type = is_complex(args[0]) || is_complex(args[5]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    int transposed = PyObject_IsTrue(args[6]);
+    void *work = NULL;
+    if (transposed < 0)
+        return NULL;
+    if (band_taken(args, &b) && taken(args[5], type, 1, &right)) {
+        npy_intp rows = leading_size(right, 1);
+        int parts = type == NPY_CDOUBLE && !b.is_complex ? 2 : 1;
+        if (!ends_with(right, 1, &b.n) || rows > INT_MAX / 2)
+            wrong("a right side must have one number for each row of the matrix");
+        else if (!(work = PyMem_Malloc(PyArray_NBYTES(right) + 1)))
+            PyErr_NoMemory();
+        else if ((out = zeros_like(right, 0, 0, NULL, type)))
+            solved(&b, transposed ? 'T' : 'N', rows, parts, data_of(right), work,
+                   PyArray_DATA(out));
+    }
+    PyMem_Free(work);
     Py_XDECREF(right);
+    band_dropped(&b);
     return (PyObject *)out;
 }
 
@@ -578,7 +762,8 @@ static PyObject *py_band_solve(PyObject *self, PyObject *const *args, Py_ssize_t
     {                                                                                              \
         if (count != (arguments))                                                                  \
             return wrong(#name " takes " #arguments " arguments"), NULL;                           \
-        return py_##name(self, args, count);                                                       \
+        (void)self;                                                                                \
+        return py_##name(args);                                                                    \
     }
 FUNCTION(add_scaled, 3)
 FUNCTION(finite, 1)
