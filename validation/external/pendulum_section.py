@@ -31,7 +31,7 @@ __all__ = ["pendulum", "speed"]
 
 _LIMIT: Final = 1e-8
 # See `_NOTES`.
-_TIGHTEST_IDA: Final = 3e-13
+_TIGHTEST_IDA: Final = 5e-13
 # Which columns of the table belong together.
 _GROUPS: Final = {
     "position, velocity": slice(0, 4),
@@ -59,7 +59,7 @@ def speed(t: Array, q: Array, v: Array, lam: Array, b: Array) -> Array:
 def pendulum(report: Report, quick: bool) -> list[Requirement]:
     """Fill the section and return what was required of it."""
     table = published.PENDULUM[:3] if quick else published.PENDULUM
-    rtols = (1e-4, 1e-6) if quick else (1e-8, 1e-10, 1e-12)
+    rtols = (1e-4, 1e-6) if quick else (1e-8, 1e-10, 1.5e-12)
     tightest = 1e-7 if quick else _TIGHTEST_IDA
     steps = (0.01, 0.005) if quick else (0.01, 0.005, 0.0025, 0.00125)
     report.heading("Cartesian pendulum (IFToMM library, A01)")
@@ -214,6 +214,7 @@ IDA has one setting more, for a margin: at 3e-12 round-off decides on which side
 at t = 10 s falls (3e-9 in one build, 2e-8 in another), since what Newton's iteration leaves behind
 is in proportion to the tolerance and adds up over the steps. IDAS is given a tighter test of that
 iteration (`_NEWTON` in `ancfdae/integrators/sundials/idas_equations.py`), IDA does not offer one.
+From about 3e-13 on (IDA) and 1.2e-12 (IDAS) round-off ends the iteration at some tolerances.
 """
 
 _METHODS = """
