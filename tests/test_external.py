@@ -322,10 +322,13 @@ def test_adjoint_of_idas_ends_cleanly_at_the_singular_configuration(rtol):
     # The motion goes through; the covectors become infinite there, and steps of the pass back fall
     # before and behind it only by chance (at 1e-4 they may).
     place = custom(lambda t, q, v, lam, b: q[:, 0] ** 2, "place")
+    found, told = None, ""
     try:
         found = gradient(double_four_bar(), Integral(place), 2.0, IDAS(rtol), method=Adjoint())
     except UnfinishedRun as error:
-        assert "no gradient" in str(error)
+        told = str(error)
+    if found is None:
+        assert "no gradient" in told
     else:
         # What direct differentiation gives at 3e-5; a pass that gets through keeps two digits.
         np.testing.assert_allclose(found.gradient, [1.8159, -0.0340], rtol=0.05)
