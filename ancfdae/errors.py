@@ -239,7 +239,8 @@ def require_text(where: str, value: object) -> None:
 
 def require_flag(where: str, value: object) -> None:
     """Raise InvalidInput for what is neither True nor False."""
-    require_kind(where, value, (bool, np.bool_), "Give True or False.")
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidInput(where, "must be True or False", repr(value), "Give one of both.")
 
 
 def require_function(where: str, value: object) -> None:

@@ -60,8 +60,11 @@ CALLS = {
     "apply number": (lambda s: apply(3, TIP), "apply, function: must be a function; got 3"),
     "count as text": (lambda s: distribution("rod.height", "3"), "count: must be a positive int"),
     "count below one": (lambda s: distribution("rod.height", -2), "count: must be a positive int"),
-    "project_start": (lambda s: Scene([ROD], project_start="no"), "Scene.project_start: .* bool"),
-    "assemble": (lambda s: Scene([ROD], assemble="no"), "Scene.assemble: must be of type bool"),
+    "project_start": (
+        lambda s: Scene([ROD], project_start="no"),
+        "Scene.project_start: must be True or False",
+    ),
+    "assemble": (lambda s: Scene([ROD], assemble="no"), "Scene.assemble: must be True or False"),
 }
 
 

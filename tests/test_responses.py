@@ -154,7 +154,7 @@ def test_bounds_come_from_the_design_variables():
     [
         (lambda: responses(scale=0.0), "scale: must be positive"),
         (lambda: responses(scale=[1.0]), "one for each of 2"),
-        (lambda: responses(strict=3), "strict: must be of type bool"),
+        (lambda: responses(strict=3), "strict: must be True or False"),
         (lambda: Responses(SYSTEM, {}, 1.0, STEPS), "functions: must not be empty"),
         (lambda: Responses(SYSTEM, [X], 1.0, STEPS), "functions: must be of type Mapping"),
         (lambda: Responses(SYSTEM, {1: X}, 1.0, STEPS), "functions: must be of type str"),
