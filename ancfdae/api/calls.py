@@ -143,14 +143,17 @@ def gradient(
     NonFiniteObjective
         If the objective is not finite; the message names the time.
     """
-    own = {
-        "design": design,
-        "method": method,
-        "memory": memory,
-        "after": after,
-        "progress": progress,
-    }
-    return gradients(model, [objective], t_end, integrator, **own)[0]  # type: ignore[arg-type]
+    return gradients(
+        model,
+        [objective],
+        t_end,
+        integrator,
+        design=design,
+        method=method,
+        memory=memory,
+        after=after,
+        progress=progress,
+    )[0]
 
 
 def gradients(

@@ -271,9 +271,8 @@ class SmoothMaximum(OverTime):
         require_positive("SmoothMaximum, sharpness", self.sharpness)
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Logarithm of the mean; the largest x is split off, so that nothing overflows."""
-        k, largest = self.sharpness, np.max(x.real)
-        return np.asarray(largest + np.log(w @ np.exp(k * (x - largest))) / k)
+        """Logarithm of the mean."""
+        return _soft_maximum(self.sharpness, x, w)
 
     def factor(self, duration: float) -> float:
         """One over the duration."""
@@ -317,11 +316,16 @@ class UpperMaximum(Reduction):
         return np.ones(len(grid.t))
 
     def reduce(self, x: Array, w: Array) -> Array:
-        """Logarithm of the sum; the largest x is split off, so that nothing overflows."""
-        k, largest = self.sharpness, np.max(x.real)
-        return np.asarray(largest + np.log(np.sum(np.exp(k * (x - largest)))) / k)
+        """Logarithm of the sum."""
+        return _soft_maximum(self.sharpness, x, w)
 
     def slopes(self, x: Array, w: Array) -> Array:
         """Shares of the values in the sum."""
         shares = np.exp(self.sharpness * (x - np.max(x)))
         return np.asarray(shares / np.sum(shares))
+
+
+def _soft_maximum(k: float, x: Array, w: Array) -> Array:
+    """(1/k) log(sum of w exp(k x)); the largest x is split off, so that nothing overflows."""
+    largest = np.max(x.real)
+    return np.asarray(largest + np.log(w @ np.exp(k * (x - largest))) / k)

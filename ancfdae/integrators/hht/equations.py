@@ -136,7 +136,7 @@ def increment_from_velocities(c: Coefficients, v: Array, v_p: Array) -> Array:
 
 
 def correct(c: Coefficients, q_p: Array, v_p: Array, a: Array) -> tuple[Array, Array]:
-    """Q and v of eqs. (2) and (3) from their predictors and a_{n+1}."""
+    """Coordinates and velocities of eqs. (2) and (3) from their predictors and a_{n+1}."""
     return add_scaled(q_p, c.in_q, a), add_scaled(v_p, c.in_v, a)
 
 
