@@ -183,12 +183,17 @@ class NoVelocityForces(Declared):
     velocity_forces = False
 
 
+class Symmetric(Declared):
+    symmetric = True
+
+
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
         (ConstantMass, "constant_mass"),
         (LinearConstraints, "linear_constraints"),
         (NoVelocityForces, "velocity_forces"),
+        (Symmetric, "symmetric"),
     ],
 )
 def test_false_declarations_are_found(kind, name):

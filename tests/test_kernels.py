@@ -349,6 +349,67 @@ def test_zero_pivot_is_told():
     assert band.factor()[2] == 1
 
 
+class EnvelopeMatrix:
+    """A symmetric matrix of eight rows with two multipliers behind their coordinates."""
+
+    first = np.cumsum([0, 3, 3, 3, 3, 3, 3, 2, 1]).astype(np.int32)
+
+    def __init__(self, dtype):
+        rng = np.random.default_rng(4)
+        self.order, self.signs = rng.permutation(8), np.array([1, 1, 1, -1.0, 1, 1, 1, -1])
+        columns = np.repeat(np.arange(8), np.diff(self.first))
+        rows = columns + np.arange(21) - self.first[columns]
+        values = numbers(rng, 21, dtype) * 0.3
+        if dtype is complex:  # almost real, as in a complex step
+            values.imag *= 0.1
+        diagonal = rows == columns
+        values[diagonal] = np.where(self.signs > 0, 2.0 + values[diagonal].real, 0.0)
+        own = np.isin(rows, [3, 7]) | np.isin(columns, [3, 7])
+        # Values of K in another order, those of B behind them, and a value that is not taken.
+        shuffled = rng.permutation(np.flatnonzero(~own))
+        self.K, self.B = np.append(np.nan, values[shuffled]), values[own]
+        self.chosen = np.arange(1, 1 + len(shuffled), dtype=np.int32)
+        self.places = np.concatenate([shuffled, np.flatnonzero(own)]).astype(np.int32)
+        dense = np.zeros((8, 8), dtype=dtype)
+        dense[rows, columns] = dense[columns, rows] = values
+        self.dense = np.empty_like(dense)
+        self.dense[np.ix_(self.order, self.order)] = dense
+
+    def factor(self):
+        arrays = self.K, self.B, self.chosen, self.places, self.first, self.signs
+        return kernels.ldl_factor(*arrays)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("right_dtype", DTYPES)
+def test_solutions_of_symmetric_matrices(dtype, right_dtype):
+    matrix = EnvelopeMatrix(dtype)
+    factors, failed = matrix.factor()
+    assert failed == 0
+    for rows in (1, 2, 3, 4, 5, 8, 9, 13):
+        right = numbers(np.random.default_rng(rows), (rows, 8), right_dtype)
+        expected = np.linalg.solve(matrix.dense, right.T).T
+        for other in (right, right[0], *odd_layouts(right)):
+            x = kernels.ldl_solve(factors, matrix.first, matrix.order, other)
+            known = expected if other.ndim == 2 else expected[0]
+            assert np.allclose(x, known, rtol=1e-11, atol=1e-11)  # its condition is 30
+            assert x.dtype == np.result_type(dtype, right_dtype)
+
+
+def test_pivots_without_their_sign_are_told():
+    for k in range(8):
+        matrix = EnvelopeMatrix(float)
+        matrix.signs[k] *= -1
+        assert matrix.factor()[1] == k + 1
+    for name in ("K", "B"):
+        matrix = EnvelopeMatrix(float)
+        getattr(matrix, name)[-1] = np.nan
+        assert matrix.factor()[1] > 0
+    matrix = EnvelopeMatrix(float)
+    matrix.K[:] = matrix.B[:] = 0
+    assert matrix.factor()[1] == 1
+
+
 # ---------------------------------------------------------------- what is refused
 
 
@@ -474,6 +535,7 @@ def _refused_in_linear_algebra():
     yield "count", kernels.finite, ()
     yield "none", kernels.add_scaled, (None, 1.0, None)
     yield from _refused_in_bands()
+    yield from _refused_in_envelopes()
 
 
 def _refused_in_bands():
@@ -506,6 +568,43 @@ def _refused_in_bands():
         ("none", 5, None),
     ):
         yield name, kernels.band_solve, (*right_call[:at], bad, *right_call[at + 1 :])
+
+
+def _refused_in_envelopes():
+    m = EnvelopeMatrix(float)
+    call = (m.K, m.B, m.chosen, m.places, m.first, m.signs)
+    late = m.first + 1
+    for name, at, bad in (
+        ("fewer K", 0, m.K[:-1]),
+        ("more B", 1, np.append(m.B, 1.0)),
+        ("chosen beyond", 2, m.chosen + 1),
+        ("chosen below", 2, m.chosen - 2),
+        ("places beyond", 3, m.places + 1),
+        ("places below", 3, m.places - 1),
+        ("places few", 3, m.places[1:]),
+        ("first late", 4, late),
+        ("first falls", 4, m.first[::-1]),
+        ("columns in disorder", 4, np.array([0, 7, 8, 11, 14, 17, 19, 20, 21], np.int32)),
+        ("column too long", 4, np.array([0, 3, 6, 9, 12, 15, 18, 20, 22], np.int32)),
+        ("first empty", 4, m.first[:0]),
+        ("first a table", 4, m.first[None]),
+        ("signs few", 5, m.signs[1:]),
+        ("none", 0, None),
+    ):
+        yield name, kernels.ldl_factor, (*call[:at], bad, *call[at + 1 :])
+    factors, _ = m.factor()
+    call = (factors, m.first, m.order, np.ones((2, 8)))
+    for name, at, bad in (
+        ("factors few", 0, factors[1:]),
+        ("first", 1, late),
+        ("order beyond", 2, m.order + 1),
+        ("order below", 2, m.order - 1),
+        ("order few", 2, m.order[1:]),
+        ("right", 3, np.ones((2, 7))),
+        ("a number", 3, np.array(1.0)),
+        ("none", 3, None),
+    ):
+        yield name, kernels.ldl_solve, (*call[:at], bad, *call[at + 1 :])
 
 
 def refused(function, arguments):

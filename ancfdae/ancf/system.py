@@ -144,6 +144,8 @@ class AncfSystem(MechanicalSystem):
         self.constant_mass = True
         self.linear_constraints = self._constraints.linear
         self.velocity_forces = self._elastic.damped or self._loads.uses_velocity
+        # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that move.
+        self.symmetric = not (self._elastic.damped or self._loads.moving)
         self.weights = self._inertia.weights
         self.force_round_off = self._elastic.round_off(self._reference.Z.ravel(), self.weights)
         joints = self._constraints.joints

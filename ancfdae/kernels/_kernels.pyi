@@ -84,6 +84,18 @@ def band_solve(
     P numbers the rows: row i of the band is row order[i] of x.
     """
 
+def ldl_factor(
+    K: Array, B: Array, chosen: Array, places: Array, first: Array, signs: Array, /
+) -> tuple[Array, int]:
+    """Return L D L^T in an envelope, and 0 or the number of the pivot without its sign.
+
+    Values `chosen` of K and all of B are written to `places`; column k of the envelope begins at
+    first[k], with its diagonal. Nothing is exchanged.
+    """
+
+def ldl_solve(factors: Array, first: Array, order: Array, right: Array, /) -> Array:
+    """Return P^T (L D L^T)^-1 P x for right sides x along the last axis; P as in `band_solve`."""
+
 def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
     """Return x + s y for arrays of one shape, or whatever NumPy makes of it."""
 

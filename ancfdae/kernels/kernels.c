@@ -38,6 +38,13 @@
 #else
 #define WITH_WIDE_VECTORS
 #endif
+/* Before a short loop that is to become one of vectors; GCC would unroll it first, and then take
+ * the loop around it (measured: five times slower). */
+#if defined(__GNUC__) && !defined(__clang__)
+#define UNROLL_NOT _Pragma("GCC unroll 1")
+#else
+#define UNROLL_NOT
+#endif
 
 /* The largest element: 8 relative node vectors of 3 numbers. */
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
@@ -49,6 +56,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "blocks.h"
 #include "sparse.h"
 #include "band.h"
+#include "symmetric.h"
 #undef T
 #undef NAME
 #undef CLONES
@@ -59,6 +67,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "blocks.h"
 #include "sparse.h"
 #include "band.h"
+#include "symmetric.h"
 #undef T
 #undef NAME
 #undef CLONES
@@ -754,6 +763,101 @@ static PyObject *py_band_solve(PyObject *const *args)
     return (PyObject *)out;
 }
 
+/* An envelope (symmetric.h): where its columns begin, and how many numbers it has. */
+typedef struct {
+    PyArrayObject *first;
+    npy_intp n, size;
+} Envelope;
+
+static int envelope_taken(PyObject *object, Envelope *e)
+{
+    if (!taken(object, NPY_INT32, 1, &e->first))
+        return 0;
+    const npy_int32 *first = PyArray_DATA(e->first);
+    e->n = PyArray_SIZE(e->first) - 1;
+    e->size = e->n < 0 ? 0 : first[e->n];
+    int good = PyArray_NDIM(e->first) == 1 && e->n >= 0 && first[0] == 0;
+    npy_int64 last = 0;
+    for (npy_intp k = 0; good && k < e->n; k++) {
+        npy_int64 height = (npy_int64)first[k + 1] - first[k], end = k + height;
+        good = height >= 1 && end >= last && end <= e->n;
+        last = end;
+    }
+    return good || wrong("columns of an envelope begin at their diagonal and end in order");
+}
+
+/* ldl_factor(K, B, taken, places, first, signs): factors in their envelope, and the pivot that
+ * fails. The numbers `taken` of the values of K, then all of B, go to `places`. */
+static PyObject *py_ldl_factor(PyObject *const *args)
+{
+    int type = is_complex(args[0]) || is_complex(args[1]) ? NPY_CDOUBLE : NPY_DOUBLE, info;
+    Envelope e = {NULL, 0, 0};
+    PyArrayObject *K = NULL, *B = NULL, *chosen = NULL, *places = NULL, *signs = NULL, *a = NULL;
+    PyObject *result = NULL;
+    if (taken(args[0], type, 0, &K) && taken(args[1], type, 0, &B) &&
+        taken(args[2], NPY_INT32, 1, &chosen) && taken(args[3], NPY_INT32, 1, &places) &&
+        envelope_taken(args[4], &e) && taken(args[5], NPY_DOUBLE, 1, &signs) &&
+        (a = (PyArrayObject *)PyArray_ZEROS(1, &e.size, type, 0))) {
+        npy_intp n_K = PyArray_SIZE(chosen), n_B = PyArray_SIZE(B);
+        if (PyArray_SIZE(places) != n_K + n_B || PyArray_SIZE(signs) != e.n ||
+            !within_32(chosen, 0, PyArray_SIZE(K) - 1) || !within_32(places, 0, e.size - 1))
+            wrong("there must be a place in the envelope for each value, and a sign for each row");
+        else {
+            const npy_int32 *from = data_of(chosen), *to = data_of(places);
+            if (type == NPY_DOUBLE) {
+                ldl_placed_real(n_K, n_B, from, to, data_of(K), data_of(B), PyArray_DATA(a));
+                info = ldl_factor_real(e.n, data_of(e.first), data_of(signs), PyArray_DATA(a));
+            } else {
+                ldl_placed_complex(n_K, n_B, from, to, data_of(K), data_of(B), PyArray_DATA(a));
+                info = ldl_factor_complex(e.n, data_of(e.first), data_of(signs), PyArray_DATA(a));
+            }
+            result = Py_BuildValue("Oi", a, info);
+        }
+    }
+    Py_XDECREF(K);
+    Py_XDECREF(B);
+    Py_XDECREF(chosen);
+    Py_XDECREF(places);
+    Py_XDECREF(e.first);
+    Py_XDECREF(signs);
+    Py_XDECREF(a);
+    return result;
+}
+
+/* ldl_solve(factors, first, order, right): right sides are the last axis. */
+static PyObject *py_ldl_solve(PyObject *const *args)
+{
+    int own = is_complex(args[0]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    int type = own == NPY_CDOUBLE || is_complex(args[3]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    Envelope e = {NULL, 0, 0};
+    PyArrayObject *a = NULL, *order = NULL, *right = NULL, *out = NULL;
+    void *work = NULL;
+    if (taken(args[0], own, 1, &a) && envelope_taken(args[1], &e) &&
+        taken(args[2], NPY_INT64, 1, &order) && taken(args[3], type, 1, &right)) {
+        int parts = type == own ? 1 : 2;
+        npy_intp columns = leading_size(right, 1) * parts;
+        if (PyArray_SIZE(a) != e.size || PyArray_SIZE(order) != e.n ||
+            !within_64(order, e.n - 1) || !ends_with(right, 1, &e.n))
+            wrong("factors, order and right sides must be those of one matrix");
+        else if (!(work = PyMem_Malloc(8 * (size_t)e.n * sizeof(double complex) + 1)))
+            PyErr_NoMemory();
+        else if ((out = zeros_like(right, 0, 0, NULL, type))) {
+            if (own == NPY_DOUBLE)
+                ldl_solve_real(e.n, data_of(e.first), data_of(a), data_of(order), columns, parts,
+                               data_of(right), work, PyArray_DATA(out));
+            else
+                ldl_solve_complex(e.n, data_of(e.first), data_of(a), data_of(order), columns,
+                                  parts, data_of(right), work, PyArray_DATA(out));
+        }
+    }
+    PyMem_Free(work);
+    Py_XDECREF(a);
+    Py_XDECREF(e.first);
+    Py_XDECREF(order);
+    Py_XDECREF(right);
+    return (PyObject *)out;
+}
+
 /* ---- module -------------------------------------------------------------------------------- */
 
 /* Each function takes exactly this many arguments; see `__init__.py`. */
@@ -780,6 +884,8 @@ FUNCTION(csr_rows_transposed, 5)
 FUNCTION(norm, 2)
 FUNCTION(band_factor, 6)
 FUNCTION(band_solve, 7)
+FUNCTION(ldl_factor, 6)
+FUNCTION(ldl_solve, 4)
 
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))counted_##name, METH_FASTCALL, NULL}
 static PyMethodDef methods[] = {
@@ -798,6 +904,8 @@ static PyMethodDef methods[] = {
     METHOD(norm),
     METHOD(band_factor),
     METHOD(band_solve),
+    METHOD(ldl_factor),
+    METHOD(ldl_solve),
     {NULL, NULL, 0, NULL},
 };
 

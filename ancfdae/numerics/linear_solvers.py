@@ -3,12 +3,15 @@
     [ K      B^T ]     K on the system's pattern (n x n),
     [ B      0   ]     B on its constraint pattern (m x n).
 
-The matrix is scaled symmetrically before it is factorised, coordinates by
-1/sqrt(weight) and constraints so that their scaled rows have unit length:
-pivoting then does not depend on the units of the scene. It is factorised as a
-band after a reverse Cuthill-McKee numbering of the coordinates, multipliers
-behind their nodes; SuperLU takes over where the band is wide (many closed loops
-meeting in one body).
+Unknowns are numbered by reverse Cuthill-McKee, multipliers behind their coordinates. Where K is
+symmetric and positive definite, L D L^T then needs no exchange of rows: the pivots of coordinates
+are positive, those of multipliers negative. Signs do not depend on the units of the scene; a pivot
+that has not its sign tells that K is not positive definite.
+
+Such a matrix, and one that is not symmetric, is scaled symmetrically, coordinates by
+1/sqrt(weight) and constraints so that their scaled rows have unit length (pivoting then does not
+depend on the units either), and factorised with exchanges, as a band; SuperLU takes over where the
+band is wide (many closed loops meeting in one body).
 """
 
 from __future__ import annotations
@@ -16,13 +19,14 @@ from __future__ import annotations
 import abc
 import warnings
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 import scipy
 
 from ancfdae.errors import SingularMatrix
-from ancfdae.kernels import band_factor, band_solve
+from ancfdae.kernels import band_factor, band_solve, ldl_factor, ldl_solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
@@ -58,7 +62,8 @@ class SaddlePoint:
     """Saddle-point matrices of one system: constant patterns of K and B, numbering and scaling.
 
     The weights of the coordinates, (n,), are positive, usually the diagonal of the mass matrix;
-    the rows of constraints are scaled by the values of B at the start.
+    the rows of constraints are scaled by the values of B at the start. K is symmetric where that
+    is said.
     """
 
     def __init__(
@@ -67,58 +72,123 @@ class SaddlePoint:
         constraint_pattern: Pattern,
         weights: Array,
         constraint_values: Array,
+        symmetric: bool = False,
     ) -> None:
-        n, m = pattern.shape[0], constraint_pattern.shape[0]
-        self.size = n + m
+        self._patterns, m = (pattern, constraint_pattern), constraint_pattern.shape[0]
         scale = 1.0 / np.sqrt(weights)
         squared = (constraint_values.real * scale[constraint_pattern.columns]) ** 2
         length = np.sqrt(np.bincount(constraint_pattern.rows, squared, minlength=m))
         self.scale = np.concatenate([scale, 1.0 / np.where(length > 0, length, 1.0)])
-        r, c = constraint_pattern.rows + n, constraint_pattern.columns
-        rows = np.concatenate([pattern.rows, r, c])
-        columns = np.concatenate([pattern.columns, c, r])
-        self._storage = _choose_storage(self.scale, rows, columns, n)
+        self._order, self._place, self._half_width = _numbered(*self._patterns)
+        self._envelope = None
+        if symmetric and self._half_width <= _BAND_HALF_WIDTH:
+            self._envelope = _Envelope(*self._patterns, self._order, self._place)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return len(self.scale)
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.
 
         Raises SingularMatrix for one that is singular to working precision or not finite.
         """
-        return self._storage.factor(K, B)
+        factors = self._envelope and self._envelope.factor(K, B)
+        return factors or self._storage.factor(K, B)
 
     def factor_each(self, K: Array, B: Array) -> Iterator[Factorization]:
         """Factorise matrices, given as rows of values, as they are asked for."""
         return map(self.factor, K, B)
 
-
-def _choose_storage(scale: Array, rows: Array, columns: Array, n: int) -> _Storage:
-    size = len(scale)
-    order = _numbered(rows, columns, n, size)
-    place = np.empty(size, dtype=np.int64)
-    place[order] = np.arange(size)
-    half_width = int(np.max(np.abs(place[rows] - place[columns]), initial=0))
-    if half_width <= _BAND_HALF_WIDTH:
-        return _BandStorage(scale, order, place[rows], place[columns], half_width)
-    return _SparseStorage(scale, rows, columns)
+    @cached_property
+    def _storage(self) -> _Storage:
+        """What factorises with exchanges."""
+        rows, columns = _entries(*self._patterns)
+        if self._half_width > _BAND_HALF_WIDTH:
+            return _SparseStorage(self.scale, rows, columns)
+        at = self._place[rows], self._place[columns]
+        return _BandStorage(self.scale, self._order, *at, self._half_width)
 
 
-def _numbered(rows: Array, columns: Array, n: int, size: int) -> Array:
-    """Return the order of unknowns: a narrow band, and each multiplier behind its coordinates.
+def _entries(pattern: Pattern, constraint_pattern: Pattern) -> tuple[Array, Array]:
+    """Return rows and columns of all entries: of K, of B, and of B^T."""
+    r, c = constraint_pattern.rows + pattern.shape[0], constraint_pattern.columns
+    rows = np.concatenate([pattern.rows, r, c])
+    return rows, np.concatenate([pattern.columns, c, r])
 
-    These are eliminated first, by pivots of K; what a constraint asks is then met to the round-off
-    of its own row, and not to that of a stiff body's.
+
+def _numbered(pattern: Pattern, constraint_pattern: Pattern) -> tuple[Array, Array, int]:
+    """Return the order of unknowns, their places in it, and the half width of the band.
+
+    The band is narrow, and each multiplier stands behind its coordinates. These are eliminated
+    first, by pivots of K; what a constraint asks is then met to the round-off of its own row, and
+    not to that of a stiff body's.
     """
+    n = pattern.shape[0]
+    size = n + constraint_pattern.shape[0]
+    rows, columns = _entries(pattern, constraint_pattern)
     graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
     B = graph[n:, :n]
     coordinates = scipy.sparse.csgraph.reverse_cuthill_mckee(
         (graph[:n, :n] + B.T @ B).tocsr(), symmetric_mode=True
     )
-    place = np.zeros(size)
-    place[coordinates] = np.arange(n)
+    key = np.zeros(size)
+    key[coordinates] = np.arange(n)
     own = rows >= n
-    np.maximum.at(place, rows[own], place[columns[own]])
+    np.maximum.at(key, rows[own], key[columns[own]])
     # Coordinates come before multipliers of the same place.
-    return np.argsort(place, kind="stable")
+    order = np.argsort(key, kind="stable")
+    place = np.empty(size, dtype=np.int64)
+    place[order] = np.arange(size)
+    return order, place, int(np.max(np.abs(place[rows] - place[columns]), initial=0))
+
+
+@final
+class _Envelope:
+    """L D L^T of symmetric K: the lower triangle, each column from its diagonal to its end.
+
+    A column ends with its last entry, but not before the one to its left, so that the factors fill
+    the same places.
+    """
+
+    def __init__(
+        self, pattern: Pattern, constraint_pattern: Pattern, order: Array, place: Array
+    ) -> None:
+        n, size = pattern.shape[0], len(order)
+        row, column = place[pattern.rows], place[pattern.columns]
+        chosen = np.flatnonzero(row >= column)
+        row, column = (
+            np.concatenate([own[chosen], place[constraints]])
+            for own, constraints in (
+                (row, constraint_pattern.rows + n),
+                (column, constraint_pattern.columns),
+            )
+        )
+        end = np.arange(size)
+        np.maximum.at(end, column, row)
+        first = np.append(0, np.cumsum(np.maximum.accumulate(end) - np.arange(size) + 1))
+        signs = np.where(order < n, 1.0, -1.0)
+        self._order, self._first, self._signs = order, first.astype(np.int32), signs
+        self._chosen = chosen.astype(np.int32)
+        self._places = (first[column] + row - column).astype(np.int32)
+
+    def factor(self, K: Array, B: Array) -> Factorization | None:
+        """Factorise; None where a pivot has not its sign."""
+        factors, failed = ldl_factor(K, B, self._chosen, self._places, self._first, self._signs)
+        return None if failed else _SymmetricFactorization(factors, self._first, self._order)
+
+
+@final
+class _SymmetricFactorization(Factorization):
+    def __init__(self, factors: Array, first: Array, order: Array) -> None:
+        self._factors = factors, first, order
+
+    def solve(self, right: Array) -> Array:
+        return ldl_solve(*self._factors, right.T).T
+
+    def solve_transposed(self, right: Array) -> Array:
+        return self.solve(right)
 
 
 @final

@@ -32,7 +32,8 @@ def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> 
     """
     values = system.constraint_q(system.start()[0] if q is None else q, t)
     refuse_redundant(system, values)
-    return SaddlePoint(system.pattern, system.constraint_pattern, system.weights, values)
+    patterns = system.pattern, system.constraint_pattern
+    return SaddlePoint(*patterns, system.weights, values, system.symmetric)
 
 
 def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:

@@ -85,6 +85,9 @@ class MechanicalSystem(abc.ABC):
         Whether Phi is linear in q, so that (Phi_q^T lam)_q vanishes.
     velocity_forces : bool
         Whether Q depends on v.
+    symmetric : bool
+        Whether M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q are symmetric matrices; systems of
+        equations then take less than half the time.
     force_round_off : float
         Size of the round-off in Q in the norm sqrt(sum Q^2 / weights); zero where it is that of
         Q itself. Newton corrections that stop shrinking at this size are accepted.
@@ -101,6 +104,7 @@ class MechanicalSystem(abc.ABC):
     constant_mass: bool = False
     linear_constraints: bool = False
     velocity_forces: bool = True
+    symmetric: bool = False
     force_round_off: float = 0.0
     project_start: bool = False
     naming: Naming | None = None

@@ -80,6 +80,16 @@ def declarations(add: Add, p: Probe) -> None:
     if not s.velocity_forces:
         Q = s.force(m.q, m.v, m.t)
         add("velocity_forces", gap(s.force(m.q, m.v + d.v, m.t), Q, 0.0), _SAME)
+    if s.symmetric:
+        matrices = [s.force_q(m.q, m.v, m.t)]
+        if s.velocity_forces:
+            matrices.append(s.force_v(m.q, m.v, m.t))
+        if not s.linear_constraints:
+            matrices.append(s.constraint_force_q(m.q, m.lam, m.t))
+        if not s.constant_mass:
+            matrices.append(s.inertia_q(m.q, m.a))
+        error = max(gap(K, K.T, 0.0) for K in map(s.pattern.dense, matrices))
+        add("symmetric", error, _SAME)
 
 
 def products(add: Add, p: Probe) -> None:
