@@ -61,8 +61,9 @@ INLINE void NAME(spread_tangent)(int n_y, int d, int wide, const npy_int32 *inde
             for (int b = 0; b < n_a; b++) {
                 int column = b == 0 || b == n_s ? 0 : b < n_s ? b : b - 1;
                 T sign = (a == 0) != (b == 0) ? -1 : 1;
+                const T *from = K + (column * d * n_y + row) * wide + i;
                 for (int j = 0; j < d; j++, index++)
-                    values[*index] += sign * K[((column * d + j) * n_y + row) * wide + i];
+                    values[*index] += sign * from[j * n_y * wide];
             }
     }
 }
