@@ -38,6 +38,7 @@ class Block(NamedTuple):
 
 
 add_scaled = _kernels.add_scaled
+balance = _kernels.balance
 band_factor = _kernels.band_factor
 band_solve = _kernels.band_solve
 csr_rows = _kernels.csr_rows

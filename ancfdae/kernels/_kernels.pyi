@@ -57,8 +57,11 @@ def csr_rows_transposed(
 ) -> Array:
     """Return M^T x for rows of x; M has `size` columns."""
 
-def norm(x: Array, weights: Array, /) -> float:
-    """Return sqrt(sum(weights x^2)) of the real part."""
+def norm(*pairs: Array) -> float:
+    """Return sqrt(sum(weights x^2)) of the real part, the sum over pairs (x, weights)."""
+
+def balance(inertia: Array, reaction: Array, force: Array, constraint: Array, s: float, /) -> Array:
+    """Return inertia + reaction - force, and behind it s times the constraint."""
 
 def band_factor(
     K: Array, B: Array, factors: Array, flat: Array, n: int, half: int, /

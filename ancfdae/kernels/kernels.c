@@ -513,27 +513,31 @@ static PyObject *py_csr_rows_transposed(PyObject *const *args)
     return taken_number(args[4], NPY_MAX_INTP, &size) ? csr(args, size, 1) : NULL;
 }
 
-/* norm(x, weights): sqrt(sum(weights x^2)) of the real part. */
-static PyObject *py_norm(PyObject *const *args)
+/* norm(x, weights, ...): sqrt(sum(weights x^2)) of the real part, added up over pairs. */
+static PyObject *py_norm(PyObject *const *args, Py_ssize_t count)
 {
-    int stride = is_complex(args[0]) ? 2 : 1;
-    PyArrayObject *x = NULL, *weights = NULL;
-    PyObject *result = NULL;
-    if (taken(args[0], stride == 2 ? NPY_CDOUBLE : NPY_DOUBLE, 0, &x) &&
-        taken(args[1], NPY_DOUBLE, 0, &weights)) {
-        const double *from = data_of(x), *w = data_of(weights);
-        double sum = 0;
-        if (PyArray_SIZE(x) != PyArray_SIZE(weights))
-            wrong("there must be one weight for each number");
-        else {
+    double total = 0;
+    int good = count > 0 && count % 2 == 0;
+    if (!good)
+        wrong("norm takes pairs of arguments");
+    for (Py_ssize_t k = 0; good && k < count; k += 2) {
+        int stride = is_complex(args[k]) ? 2 : 1;
+        PyArrayObject *x = NULL, *weights = NULL;
+        good = taken(args[k], stride == 2 ? NPY_CDOUBLE : NPY_DOUBLE, 0, &x) &&
+               taken(args[k + 1], NPY_DOUBLE, 0, &weights) &&
+               (PyArray_SIZE(x) == PyArray_SIZE(weights) ||
+                wrong("there must be one weight for each number"));
+        if (good) {
+            const double *from = data_of(x), *w = data_of(weights);
+            double sum = 0;
             for (npy_intp i = 0; i < PyArray_SIZE(x); i++)
                 sum += w[i] * from[i * stride] * from[i * stride];
-            result = PyFloat_FromDouble(sqrt(sum));
+            total += sqrt(sum);
         }
+        Py_XDECREF(x);
+        Py_XDECREF(weights);
     }
-    Py_XDECREF(x);
-    Py_XDECREF(weights);
-    return result;
+    return good ? PyFloat_FromDouble(total) : NULL;
 }
 
 /* add_scaled(x, s, y): x + s y; NumPy's own operators where these are not real arrays alike. */
@@ -557,6 +561,40 @@ static PyObject *py_add_scaled(PyObject *const *args)
         for (npy_intp i = 0; i < PyArray_SIZE(x); i++)
             to[i] = from[i] + s * added[i];
     }
+    return (PyObject *)out;
+}
+
+/* balance(inertia, reaction, force, constraint, s): inertia + reaction - force, and behind it
+ * s times the constraint. */
+static PyObject *py_balance(PyObject *const *args)
+{
+    int type = NPY_DOUBLE;
+    PyArrayObject *x[4] = {NULL}, *out = NULL;
+    double s = PyFloat_AsDouble(args[4]);
+    int good = !PyErr_Occurred();
+    for (int k = 0; k < 4; k++)
+        if (is_complex(args[k]))
+            type = NPY_CDOUBLE;
+    for (int k = 0; good && k < 4; k++)
+        good = taken(args[k], type, 1, &x[k]);
+    if (good && (PyArray_SIZE(x[0]) != PyArray_SIZE(x[1]) || PyArray_SIZE(x[0]) != PyArray_SIZE(x[2])))
+        good = wrong("forces must have one size");
+    if (good) {
+        npy_intp n = PyArray_SIZE(x[0]), size = n + PyArray_SIZE(x[3]);
+        out = (PyArrayObject *)PyArray_SimpleNew(1, &size, type);
+        if (out) {
+            /* Real and imaginary parts go the same way. */
+            int parts = type == NPY_CDOUBLE ? 2 : 1;
+            const double *a = data_of(x[0]), *b = data_of(x[1]), *c = data_of(x[2]), *d = data_of(x[3]);
+            double *to = PyArray_DATA(out);
+            for (npy_intp i = 0; i < n * parts; i++)
+                to[i] = a[i] + b[i] - c[i];
+            for (npy_intp i = 0; i < (size - n) * parts; i++)
+                to[n * parts + i] = s * d[i];
+        }
+    }
+    for (int k = 0; k < 4; k++)
+        Py_XDECREF(x[k]);
     return (PyObject *)out;
 }
 
@@ -881,15 +919,22 @@ FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
 FUNCTION(csr_rows, 4)
 FUNCTION(csr_rows_transposed, 5)
-FUNCTION(norm, 2)
+FUNCTION(balance, 5)
 FUNCTION(band_factor, 6)
 FUNCTION(band_solve, 7)
 FUNCTION(ldl_factor, 6)
 FUNCTION(ldl_solve, 4)
 
+static PyObject *any_norm(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    (void)self;
+    return py_norm(args, count);
+}
+
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))counted_##name, METH_FASTCALL, NULL}
 static PyMethodDef methods[] = {
     METHOD(add_scaled),
+    {"norm", (PyCFunction)(void (*)(void))any_norm, METH_FASTCALL, NULL},
     METHOD(finite),
     METHOD(relative),
     METHOD(lifted),
@@ -901,7 +946,7 @@ static PyMethodDef methods[] = {
     METHOD(stressed),
     METHOD(csr_rows),
     METHOD(csr_rows_transposed),
-    METHOD(norm),
+    METHOD(balance),
     METHOD(band_factor),
     METHOD(band_solve),
     METHOD(ldl_factor),

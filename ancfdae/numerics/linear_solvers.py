@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import abc
 import warnings
-from collections.abc import Iterator
 from functools import cached_property
 from typing import Any, final
 
@@ -96,10 +95,6 @@ class SaddlePoint:
         """
         factors = self._envelope and self._envelope.factor(K, B)
         return factors or self._storage.factor(K, B)
-
-    def factor_each(self, K: Array, B: Array) -> Iterator[Factorization]:
-        """Factorise matrices, given as rows of values, as they are asked for."""
-        return map(self.factor, K, B)
 
     @cached_property
     def _storage(self) -> _Storage:

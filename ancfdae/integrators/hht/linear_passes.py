@@ -36,7 +36,7 @@ from ancfdae.integrators.hht.equations import (
     Steps,
     correct,
     increment_from_velocities,
-    iteration_matrices,
+    iteration_matrix,
     predict,
 )
 from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes
@@ -76,9 +76,12 @@ class LinearSteps:
 
     def factorised(self, matrices: SaddlePoint, order: range) -> Iterator[Factorization]:
         """Factorise eq. (6) step by step, forward or backward."""
-        forward = slice(None) if order.step > 0 else slice(None, None, -1)
-        K = iteration_matrices(self.c, self.local)[forward]
-        return matrices.factor_each(K, self.local.Phi_q[forward])
+        c = Coefficients(0.0, self.c.alpha)
+        for k in order:
+            h = float(self.c.h[k, 0])
+            c = c if c.h == h else Coefficients(h, c.alpha)
+            K = iteration_matrix(c, self.local, k)
+            yield matrices.factor(K, self.local.Phi_q[k])
 
     def given(self, partials: DesignPartials) -> Array:
         """Return the part of the right sides that is known before the pass, (k, n_b, n)."""

@@ -19,7 +19,7 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.hht.small_steps import constraint_increment, motion_size, share_of_defect
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.kernels import finite, norm
+from ancfdae.kernels import add_scaled, finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
@@ -38,6 +38,8 @@ _JUMP = 100.0
 # Corrections from a guess close to the solution shrink by this factor at least.
 _CLOSE = 0.5
 
+
+_TINY = float(np.finfo(float).tiny)
 
 # Coefficients, the state before the step, and the instant at its end.
 _Step: TypeAlias = tuple[Coefficients, Node, float]
@@ -60,7 +62,7 @@ class _Equations:
         system, t, state = self._system, self._t, self._state(a)
         q, v, A = state
         reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
-        R = residual(system, self._c, q, A, reaction - Q, self._constraint(q, a))
+        R = residual(system, self._c, q, A, (reaction, Q), self._constraint(q, a))
         return state, (R, reaction, Q)
 
     def node(self, a: Array, lam: Array) -> Node:
@@ -81,7 +83,9 @@ class _Equations:
 
 def _ahead(c: Coefficients, before: Node) -> Array:
     """Return a guess of a: a stands for q'' at t + alpha h, A at t."""
-    return before.a + min(-1 / c.alpha, _AHEAD) * (before.A - before.a) if c.alpha else before.a
+    if not c.alpha:
+        return before.a
+    return add_scaled(before.a, min(-1 / c.alpha, _AHEAD), before.A - before.a)
 
 
 def _left(size: float, rate: float, fresh: bool) -> float:
@@ -121,7 +125,7 @@ class StepSolver:
         self._inverse_weights = 1 / system.weights
         # The round-off of elastic forces, times 1e7.
         self._blur = system.force_round_off / (0.1 * _ROUND_OFF)
-        self._least = max(self._blur, float(np.finfo(float).tiny))
+        self._least = max(self._blur, _TINY)
         self._last_motion = math.inf
         self.verdict = Verdict.NO_CONVERGENCE
         self.correction = math.inf
@@ -182,7 +186,7 @@ class StepSolver:
                 return None
             fresh = jacobian is None
             if jacobian is None:
-                jacobian = self._factor(c, Node(t, q.real, v.real, a.real, lam.real, A.real))
+                jacobian = self._factor(c, Node(t, q, v, a, lam, A))
             x = jacobian.solve(R)
             a, lam = a - x[:n_q], lam - x[n_q:]
             now = self._motion(a, reaction, Q)
@@ -221,14 +225,17 @@ class StepSolver:
         return norm(R[: self._system.n_q], self._inverse_weights) <= _ROUND_OFF * motion
 
     def _factor(self, c: Coefficients, state: Node) -> Factorization:
+        """Factorise eq. (6) at the real part of a state."""
         self._recorder.factorisations += 1
+        if state.q.dtype.kind == "c":
+            state = Node(state.t, *(x.real for x in state[1:]))
         return factor_jacobian(self._system, self._matrices, c, state)
 
     def _size(self, t: float, q: Array, x: Array) -> float:
         """Size of a correction: of the accelerations and of the reactions, in units of force."""
         system = self._system
         reaction = system.constraint_force(q, x[system.n_q :], t)
-        return norm(x[: system.n_q], system.weights) + norm(reaction, self._inverse_weights)
+        return norm(x[: system.n_q], system.weights, reaction, self._inverse_weights)
 
     def _blurred(self, t: float, q: Array, a: Array, lam: Array) -> bool:
         """Whether round-off of the elastic forces leaves less than seven digits of the motion."""
@@ -249,7 +256,7 @@ class StepSolver:
     def _most(self, before: Node) -> float:
         """Motion that counts at most in a step; any after a rest that knows no round-off."""
         motion = self._motion_before(before)
-        return _JUMP * motion if motion > float(np.finfo(float).tiny) else math.inf
+        return _JUMP * motion if motion > _TINY else math.inf
 
     def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
         """Size of the motion; in a body at rest corrections are compared with round-off."""
