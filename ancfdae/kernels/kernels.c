@@ -46,6 +46,8 @@
 #define UNROLL_NOT
 #endif
 
+/* A pivot this small against the diagonal has no digit left. */
+#define ROUND_OFF 1e-13
 /* The largest element: 8 relative node vectors of 3 numbers. */
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
@@ -832,6 +834,7 @@ static PyObject *py_ldl_factor(PyObject *const *args)
     Envelope e = {NULL, 0, 0};
     PyArrayObject *K = NULL, *B = NULL, *chosen = NULL, *places = NULL, *signs = NULL, *a = NULL;
     PyObject *result = NULL;
+    double *least = NULL;
     if (taken(args[0], type, 0, &K) && taken(args[1], type, 0, &B) &&
         taken(args[2], NPY_INT32, 1, &chosen) && taken(args[3], NPY_INT32, 1, &places) &&
         envelope_taken(args[4], &e) && taken(args[5], NPY_DOUBLE, 1, &signs) &&
@@ -840,18 +843,23 @@ static PyObject *py_ldl_factor(PyObject *const *args)
         if (PyArray_SIZE(places) != n_K + n_B || PyArray_SIZE(signs) != e.n ||
             !within_32(chosen, 0, PyArray_SIZE(K) - 1) || !within_32(places, 0, e.size - 1))
             wrong("there must be a place in the envelope for each value, and a sign for each row");
+        else if (!(least = PyMem_Malloc((size_t)e.n * sizeof(double) + 1)))
+            PyErr_NoMemory();
         else {
             const npy_int32 *from = data_of(chosen), *to = data_of(places);
             if (type == NPY_DOUBLE) {
                 ldl_placed_real(n_K, n_B, from, to, data_of(K), data_of(B), PyArray_DATA(a));
-                info = ldl_factor_real(e.n, data_of(e.first), data_of(signs), PyArray_DATA(a));
+                info = ldl_factor_real(e.n, data_of(e.first), data_of(signs), PyArray_DATA(a),
+                                       least);
             } else {
                 ldl_placed_complex(n_K, n_B, from, to, data_of(K), data_of(B), PyArray_DATA(a));
-                info = ldl_factor_complex(e.n, data_of(e.first), data_of(signs), PyArray_DATA(a));
+                info = ldl_factor_complex(e.n, data_of(e.first), data_of(signs), PyArray_DATA(a),
+                                          least);
             }
             result = Py_BuildValue("Oi", a, info);
         }
     }
+    PyMem_Free(least);
     Py_XDECREF(K);
     Py_XDECREF(B);
     Py_XDECREF(chosen);

@@ -17,14 +17,17 @@ static void NAME(ldl_placed)(npy_intp n_K, npy_intp n_B, const npy_int32 *chosen
 }
 
 /* Factorise in place, 1/D on the diagonal. Returns 0, or the number of the first pivot that has
- * not its sign. */
+ * not its sign, or is the round-off of the diagonal; `least` has room for n. */
 CLONES static int NAME(ldl_factor)(npy_intp n, const npy_int32 *restrict first,
-                                   const double *restrict signs, T *restrict a)
+                                   const double *restrict signs, T *restrict a,
+                                   double *restrict least)
 {
+    for (npy_intp k = 0; k < n; k++)
+        least[k] = ROUND_OFF * fabs(creal(a[first[k]]));
     for (npy_intp k = 0; k < n; k++) {
         T *column = a + first[k];
         int height = first[k + 1] - first[k] - 1;
-        if (!(creal(column[0]) * signs[k] > 0))
+        if (!(creal(column[0]) * signs[k] > least[k]))
             return (int)k + 1;
         T inverse = 1 / column[0];
         for (int j = 1; j <= height; j++) {

@@ -236,8 +236,9 @@ class HHT(AdjointIntegrator):
     def _rough(self) -> HHT:
         """Return the integrator of the run from which the sizes of the derivatives are read."""
         assert isinstance(self.steps, ControlledSteps)
-        tolerance = max(self.newton_tolerance, _LOOSEST)
-        return self._changed(steps=self.steps.rough(), newton_tolerance=tolerance)
+        # What Newton's method leaves of the forces must not pass for the derivative in a variable
+        # that scales masses and forces alike.
+        return self._changed(steps=self.steps.rough(), newton_tolerance=_EXACT)
 
     def _changed(self, **changes: Any) -> HHT:
         """Return a copy with other settings, without repeating their warnings."""

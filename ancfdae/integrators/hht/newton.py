@@ -24,11 +24,13 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 
-# A matrix is replaced when an iteration shrinks the correction by less than this factor.
+# A matrix is replaced when an iteration shrinks the correction by less than this factor, or the
+# first correction is larger than this part of the motion.
 _SLOW = 0.2
-# The guess looks ahead along the line through a and A by a step, at most over this multiple of the
-# time between them, which amplifies what oscillates.
-_AHEAD = 20.0
+# The guess looks a step ahead along the line through a and A, over this multiple of the time
+# between them at most, and where that changes a by less than this part of the forces: else they
+# oscillate.
+_AHEAD, _SMOOTH = 20.0, 0.1
 # Corrections that stop shrinking are round-off if they are this small against the motion.
 _ROUND_OFF = 1e-6
 # Forces may grow by this factor from one step to the next before the Newton test gets stricter.
@@ -81,11 +83,9 @@ class _Equations:
         return self._defect + constraint_increment(self._system, self._c, self._before, dq)
 
 
-def _ahead(c: Coefficients, before: Node) -> Array:
-    """Return a guess of a: a stands for q'' at t + alpha h, A at t."""
-    if not c.alpha:
-        return before.a
-    return add_scaled(before.a, min(-1 / c.alpha, _AHEAD), before.A - before.a)
+def _slow(size: float, rate: float, tolerance: float) -> bool:
+    """Whether the matrix would take more than two iterations; another one costs as much as one."""
+    return rate > _SLOW or size * rate**3 > tolerance
 
 
 def _left(size: float, rate: float, fresh: bool) -> float:
@@ -140,9 +140,18 @@ class StepSolver:
 
         It takes `patience` times as many iterations as are usual.
         """
-        guess = _ahead(c, before), before.lam
+        guess = self._ahead(c, before), before.lam
         found = self._solve((c, before, t), guess, self._tolerance, math.inf, patience)
         return found and self.accept(found)
+
+    def _ahead(self, c: Coefficients, before: Node) -> Array:
+        """Return a guess of a: a stands for q'' at t + alpha h, A at t."""
+        if not c.alpha:
+            return before.a
+        times, rise = min(-1 / c.alpha, _AHEAD), before.A - before.a
+        if times * norm(rise, self._system.weights) > _SMOOTH * self._motion_before(before):
+            return before.a
+        return add_scaled(before.a, times, rise)
 
     def follow(self, step: _Step, guess: tuple[Array, Array], rough: float) -> Found | None:
         """Solve them from a guess that is close to the solution; None if it is not.
@@ -209,7 +218,7 @@ class StepSolver:
                     return Found(equations.node(a, lam), now, round_off, slowest)
             # The matrix of the guess serves as long as it converges quickly (measured: 2 iterations
             # per step at 1e-14; with that of the step before 5, and 3 where it serves one only).
-            if (rate > _SLOW and last < math.inf) or settled:
+            if settled or (_slow(size, rate, tolerance) if last < math.inf else size > _SLOW):
                 jacobian = None
             last = size
         self.verdict = Verdict.NO_CONVERGENCE
