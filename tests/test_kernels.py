@@ -376,7 +376,14 @@ class EnvelopeMatrix:
         self.dense[np.ix_(self.order, self.order)] = dense
 
     def factor(self):
-        arrays = self.K, self.B, self.chosen, self.places, self.first, self.signs
+        arrays = (
+            ((0.25, self.K), (0.75, self.K)),
+            self.B,
+            self.chosen,
+            self.places,
+            self.first,
+            self.signs,
+        )
         return kernels.ldl_factor(*arrays)
 
 
@@ -572,10 +579,15 @@ def _refused_in_bands():
 
 def _refused_in_envelopes():
     m = EnvelopeMatrix(float)
-    call = (m.K, m.B, m.chosen, m.places, m.first, m.signs)
+    call = (((1.0, m.K),), m.B, m.chosen, m.places, m.first, m.signs)
     late = m.first + 1
     for name, at, bad in (
-        ("fewer K", 0, m.K[:-1]),
+        ("fewer K", 0, ((1.0, m.K[:-1]),)),
+        ("terms of two sizes", 0, ((1.0, m.K), (1.0, m.K[1:]))),
+        ("no terms", 0, ()),
+        ("four terms", 0, 4 * ((1.0, m.K),)),
+        ("no number", 0, ((m.K, 1.0),)),
+        ("a list", 0, [(1.0, m.K)]),
         ("more B", 1, np.append(m.B, 1.0)),
         ("chosen beyond", 2, m.chosen + 1),
         ("chosen below", 2, m.chosen - 2),

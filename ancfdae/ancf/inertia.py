@@ -78,7 +78,9 @@ class Inertia:
 
     @cached_property
     def _M(self) -> LinearMap:
-        return LinearMap(self._pattern.csr(self.values))
+        M = self._pattern.csr(self.values).copy()
+        M.eliminate_zeros()  # two thirds in space: m (x) I_3
+        return LinearMap(M)
 
     @cached_property
     def _M_b(self) -> LinearMap:
@@ -118,8 +120,14 @@ class Inertia:
         """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""
         a = a - self._field.ravel() if gravity else a
         total = np.zeros(self._n_b, dtype=np.result_type(a, x))
-        for block, products in self._pair_products(a, x):
-            np.add.at(total, block.pair_variable, np.sum(products, axis=0))
+        A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
+        for block in self._blocks:
+            # Sums over instants and axes first: x^T M_b a = M_b : (x a^T).
+            at = block.vectors[block.pair_block]
+            left, right = X[:, at].transpose(1, 2, 0, 3), A[:, at].transpose(1, 0, 3, 2)
+            (n_pairs, n_a), inner = at.shape, len(a) * self._d
+            sums = left.reshape(n_pairs, n_a, inner) @ right.reshape(n_pairs, inner, n_a)
+            np.add.at(total, block.pair_variable, np.sum(block.m_b * sums, axis=(1, 2)))
         if gravity and len(self._field_active):
             fields = self._field_b.reshape(len(self._field_b), -1)
             total[self._field_active] -= fields @ self.times(np.sum(x, axis=0))

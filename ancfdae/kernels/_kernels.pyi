@@ -57,6 +57,17 @@ def csr_rows_transposed(
 ) -> Array:
     """Return M^T x for rows of x; M has `size` columns."""
 
+def csr_subtract(
+    first: Array, columns: Array, values: Array, x: Array, out: Array, offset: int, /
+) -> None:
+    """Take M x, for rows of x, from rows of `out`, in place, at numbers from the offset on."""
+
+def recombine(matrix: Array, z: Array, after: Array, ahead: Array, /) -> None:
+    """Write matrix z, 6 x 4 times four rows, to three rows of `after` and three of `ahead`.
+
+    These may be rows of z.
+    """
+
 def norm(*pairs: Array) -> float:
     """Return sqrt(sum(weights x^2)) of the real part, the sum over pairs (x, weights)."""
 
@@ -88,12 +99,18 @@ def band_solve(
     """
 
 def ldl_factor(
-    K: Array, B: Array, chosen: Array, places: Array, first: Array, signs: Array, /
+    terms: tuple[tuple[float, Array], ...],
+    B: Array,
+    chosen: Array,
+    places: Array,
+    first: Array,
+    signs: Array,
+    /,
 ) -> tuple[Array, int]:
     """Return L D L^T in an envelope, and 0 or the number of the pivot without its sign.
 
-    Values `chosen` of K and all of B are written to `places`; column k of the envelope begins at
-    first[k], with its diagonal. Nothing is exchanged.
+    K is a sum of numbers times values. Its values `chosen` and all of B are written to `places`;
+    column k of the envelope begins at first[k], with its diagonal. Nothing is exchanged.
     """
 
 def ldl_solve(factors: Array, first: Array, order: Array, right: Array, /) -> Array:

@@ -476,31 +476,75 @@ static int is_csr(PyArrayObject *first, PyArrayObject *columns, PyArrayObject *v
 }
 
 /* Rows of x times the matrix (transposed), or times its transpose, with `size` numbers then. */
+/* A matrix in compressed sparse rows with rows x, all of one type. */
+typedef struct {
+    PyArrayObject *first, *columns, *values, *x;
+    npy_intp n, k, width;
+    int type;
+} Csr;
+
+static int csr_taken(PyObject *const *args, Csr *m, PyObject *x)
+{
+    memset(m, 0, sizeof *m);
+    m->type = is_complex(args[2]) || is_complex(x) ? NPY_CDOUBLE : NPY_DOUBLE;
+    if (!taken(args[0], NPY_INT32, 1, &m->first) || !taken(args[1], NPY_INT32, 1, &m->columns) ||
+        !taken(args[2], m->type, 1, &m->values) || !taken(x, m->type, 1, &m->x))
+        return 0;
+    m->k = leading_size(m->x, 1);
+    m->n = PyArray_SIZE(m->first) - 1;
+    m->width = PyArray_DIM(m->x, PyArray_NDIM(m->x) - 1);
+    return 1;
+}
+
+static void csr_dropped(Csr *m)
+{
+    Py_XDECREF(m->first);
+    Py_XDECREF(m->columns);
+    Py_XDECREF(m->values);
+    Py_XDECREF(m->x);
+}
+
+/* Add s M x, or s M^T x, to rows of `width` numbers. */
+static int csr_added(const Csr *m, int transposed, double s, npy_intp width, void *out)
+{
+    const npy_int32 *first = data_of(m->first), *columns = data_of(m->columns);
+    int is_c = m->type == NPY_CDOUBLE;
+    if (transposed) {
+        if (is_c)
+            csr_rows_transposed_complex(m->n, first, columns, data_of(m->values), m->k,
+                                        data_of(m->x), s, width, out);
+        else
+            csr_rows_transposed_real(m->n, first, columns, data_of(m->values), m->k,
+                                     data_of(m->x), s, width, out);
+        return 1;
+    }
+    void *work = m->k > 1 ? PyMem_Malloc(8 * (size_t)m->width * (is_c ? 16 : 8) + 1) : NULL;
+    if (m->k > 1 && !work)
+        return PyErr_NoMemory(), 0;
+    if (is_c)
+        csr_rows_complex(m->n, first, columns, data_of(m->values), m->k, m->width, data_of(m->x),
+                         work, s, width, out);
+    else
+        csr_rows_real(m->n, first, columns, data_of(m->values), m->k, m->width, data_of(m->x),
+                      work, s, width, out);
+    PyMem_Free(work);
+    return 1;
+}
+
 static PyObject *csr(PyObject *const *args, npy_intp size, int transposed)
 {
-    int type = is_complex(args[2]) || is_complex(args[3]) ? NPY_CDOUBLE : NPY_DOUBLE;
-    PyArrayObject *first = NULL, *columns = NULL, *values = NULL, *x = NULL, *out = NULL;
-    if (taken(args[0], NPY_INT32, 1, &first) && taken(args[1], NPY_INT32, 1, &columns) &&
-        taken(args[2], type, 1, &values) && taken(args[3], type, 1, &x)) {
-        npy_intp k = leading_size(x, 1), n = PyArray_SIZE(first) - 1;
-        npy_intp width = PyArray_DIM(x, PyArray_NDIM(x) - 1);
-        if (transposed && width != n)
+    Csr m;
+    PyArrayObject *out = NULL;
+    if (csr_taken(args, &m, args[3])) {
+        npy_intp of_x = transposed ? size : m.width, of_out = transposed ? size : m.n;
+        if (transposed && m.width != m.n)
             wrong("x must have one number for each row of the matrix");
-        else if (is_csr(first, columns, values, transposed ? size : width))
-            out = zeros_like(x, 1, 1, transposed ? &size : &n, type);
-        if (out && type == NPY_DOUBLE)
-            (transposed ? csr_rows_transposed_real : csr_rows_real)(
-                n, data_of(first), data_of(columns), data_of(values), k, transposed ? size : width,
-                data_of(x), PyArray_DATA(out));
-        else if (out)
-            (transposed ? csr_rows_transposed_complex : csr_rows_complex)(
-                n, data_of(first), data_of(columns), data_of(values), k, transposed ? size : width,
-                data_of(x), PyArray_DATA(out));
+        else if (is_csr(m.first, m.columns, m.values, of_x))
+            out = zeros_like(m.x, 1, 1, &of_out, m.type);
+        if (out && !csr_added(&m, transposed, 1, of_out, PyArray_DATA(out)))
+            Py_CLEAR(out);
     }
-    Py_XDECREF(first);
-    Py_XDECREF(columns);
-    Py_XDECREF(values);
-    Py_XDECREF(x);
+    csr_dropped(&m);
     return (PyObject *)out;
 }
 
@@ -513,6 +557,72 @@ static PyObject *py_csr_rows_transposed(PyObject *const *args)
 {
     npy_intp size;
     return taken_number(args[4], NPY_MAX_INTP, &size) ? csr(args, size, 1) : NULL;
+}
+
+/* csr_subtract(first, columns, values, x, out, offset): takes M x from rows of out, in place, at
+ * the numbers from the offset on. */
+static PyObject *py_csr_subtract(PyObject *const *args)
+{
+    Csr m;
+    npy_intp offset;
+    int done = 0;
+    PyArrayObject *out = (PyArrayObject *)args[4];
+    if (csr_taken(args, &m, args[3]) && taken_number(args[5], NPY_MAX_INTP, &offset)) {
+        if (!PyArray_Check(args[4]) || !PyArray_ISCARRAY(out) || PyArray_TYPE(out) != m.type ||
+            PyArray_NDIM(out) < 1 || leading_size(out, 1) != m.k ||
+            offset > PyArray_DIM(out, PyArray_NDIM(out) - 1) - m.n)
+            wrong("out must be rows of the type of the product, one for each of x");
+        else if (is_csr(m.first, m.columns, m.values, m.width)) {
+            npy_intp width = PyArray_DIM(out, PyArray_NDIM(out) - 1);
+            char *to = PyArray_BYTES(out) + offset * PyArray_ITEMSIZE(out);
+            done = csr_added(&m, 0, -1, width, to);
+        }
+    }
+    csr_dropped(&m);
+    return done ? Py_NewRef(Py_None) : NULL;
+}
+
+/* recombine(matrix, z, after, ahead): rows of matrix times z; three of them to `after`, and three
+ * to `ahead`, in place, which may be rows of z. */
+static PyObject *py_recombine(PyObject *const *args)
+{
+    enum { BLOCK = 64, ROWS = 6, FROM = 4 };
+    PyArrayObject *matrix = NULL, *z = (PyArrayObject *)args[1], *to[2];
+    for (int k = 0; k < 2; k++)
+        to[k] = (PyArrayObject *)args[2 + k];
+    if (!taken(args[0], NPY_DOUBLE, 2, &matrix))
+        return Py_XDECREF(matrix), NULL;
+    npy_intp shape[] = {ROWS, FROM}, size = 0;
+    int good = PyArray_NDIM(matrix) == 2 && ends_with(matrix, 2, shape);
+    for (int k = 0; good && k < 3; k++) {
+        PyArrayObject *x = (PyArrayObject *)args[1 + k];
+        good = PyArray_Check(args[1 + k]) && PyArray_ISCARRAY(x) &&
+               PyArray_TYPE(x) == NPY_DOUBLE && PyArray_NDIM(x) > 0 &&
+               PyArray_DIM(x, 0) == (k ? 3 : FROM);
+        if (good && k == 0)
+            size = PyArray_SIZE(x) / FROM;
+        good = good && PyArray_SIZE(x) == (k ? 3 : FROM) * size;
+    }
+    if (!good)
+        wrong("there must be a matrix of 6 x 4, four rows in place and twice three");
+    else {
+        const double *m = data_of(matrix), *from = data_of(z);
+        for (npy_intp at = 0; at < size; at += BLOCK) {
+            int count = size - at < BLOCK ? (int)(size - at) : BLOCK;
+            double own[FROM][BLOCK];
+            for (int j = 0; j < FROM; j++)
+                memcpy(own[j], from + j * size + at, (size_t)count * sizeof(double));
+            for (int i = 0; i < ROWS; i++) {
+                double *row = (double *)PyArray_DATA(to[i / 3]) + i % 3 * size + at;
+                const double *c = m + i * FROM;
+                for (int k = 0; k < count; k++)
+                    row[k] = c[0] * own[0][k] + c[1] * own[1][k] + c[2] * own[2][k] +
+                             c[3] * own[3][k];
+            }
+        }
+    }
+    Py_DECREF(matrix);
+    return good ? Py_NewRef(Py_None) : NULL;
 }
 
 /* norm(x, weights, ...): sqrt(sum(weights x^2)) of the real part, added up over pairs. */
@@ -826,41 +936,78 @@ static int envelope_taken(PyObject *object, Envelope *e)
     return good || wrong("columns of an envelope begin at their diagonal and end in order");
 }
 
-/* ldl_factor(K, B, taken, places, first, signs): factors in their envelope, and the pivot that
- * fails. The numbers `taken` of the values of K, then all of B, go to `places`. */
+enum { MOST_TERMS = 3 };
+
+/* Take terms (number, values) of a sum, all of one size. */
+static int terms_taken(PyObject *terms, int type, int *count, double *s, PyArrayObject **K)
+{
+    if (!PyTuple_Check(terms) || PyTuple_GET_SIZE(terms) < 1 || PyTuple_GET_SIZE(terms) > MOST_TERMS)
+        return wrong("a sum is a tuple of at most three terms");
+    *count = (int)PyTuple_GET_SIZE(terms);
+    for (int i = 0; i < *count; i++) {
+        PyObject *term = PyTuple_GET_ITEM(terms, i);
+        if (!PyTuple_Check(term) || PyTuple_GET_SIZE(term) != 2)
+            return wrong("a term is a number with values");
+        s[i] = PyFloat_AsDouble(PyTuple_GET_ITEM(term, 0));
+        if (PyErr_Occurred() || !taken(PyTuple_GET_ITEM(term, 1), type, 0, &K[i]))
+            return 0;
+        if (PyArray_SIZE(K[i]) != PyArray_SIZE(K[0]))
+            return wrong("terms must have one size");
+    }
+    return 1;
+}
+
+static int terms_type(PyObject *terms)
+{
+    for (Py_ssize_t i = 0; PyTuple_Check(terms) && i < PyTuple_GET_SIZE(terms); i++) {
+        PyObject *term = PyTuple_GET_ITEM(terms, i);
+        if (PyTuple_Check(term) && PyTuple_GET_SIZE(term) == 2 &&
+            is_complex(PyTuple_GET_ITEM(term, 1)))
+            return NPY_CDOUBLE;
+    }
+    return NPY_DOUBLE;
+}
+
+/* ldl_factor(terms, B, chosen, places, first, signs): factors in their envelope, and the pivot
+ * that fails. The numbers `chosen` of the values of K, a sum, then all of B, go to `places`. */
 static PyObject *py_ldl_factor(PyObject *const *args)
 {
-    int type = is_complex(args[0]) || is_complex(args[1]) ? NPY_CDOUBLE : NPY_DOUBLE, info;
+    int type = is_complex(args[1]) ? NPY_CDOUBLE : terms_type(args[0]), count = 0, info;
     Envelope e = {NULL, 0, 0};
-    PyArrayObject *K = NULL, *B = NULL, *chosen = NULL, *places = NULL, *signs = NULL, *a = NULL;
+    PyArrayObject *K[MOST_TERMS] = {NULL}, *B = NULL, *chosen = NULL, *places = NULL;
+    PyArrayObject *signs = NULL, *a = NULL;
     PyObject *result = NULL;
-    double *least = NULL;
-    if (taken(args[0], type, 0, &K) && taken(args[1], type, 0, &B) &&
+    double s[MOST_TERMS], *least = NULL;
+    if (terms_taken(args[0], type, &count, s, K) && taken(args[1], type, 0, &B) &&
         taken(args[2], NPY_INT32, 1, &chosen) && taken(args[3], NPY_INT32, 1, &places) &&
         envelope_taken(args[4], &e) && taken(args[5], NPY_DOUBLE, 1, &signs) &&
         (a = (PyArrayObject *)PyArray_ZEROS(1, &e.size, type, 0))) {
         npy_intp n_K = PyArray_SIZE(chosen), n_B = PyArray_SIZE(B);
         if (PyArray_SIZE(places) != n_K + n_B || PyArray_SIZE(signs) != e.n ||
-            !within_32(chosen, 0, PyArray_SIZE(K) - 1) || !within_32(places, 0, e.size - 1))
+            !within_32(chosen, 0, PyArray_SIZE(K[0]) - 1) || !within_32(places, 0, e.size - 1))
             wrong("there must be a place in the envelope for each value, and a sign for each row");
         else if (!(least = PyMem_Malloc((size_t)e.n * sizeof(double) + 1)))
             PyErr_NoMemory();
         else {
             const npy_int32 *from = data_of(chosen), *to = data_of(places);
+            void *own = PyArray_DATA(a);
             if (type == NPY_DOUBLE) {
-                ldl_placed_real(n_K, n_B, from, to, data_of(K), data_of(B), PyArray_DATA(a));
-                info = ldl_factor_real(e.n, data_of(e.first), data_of(signs), PyArray_DATA(a),
-                                       least);
+                for (int i = 0; i < count; i++)
+                    ldl_placed_real(n_K, from, to, s[i], data_of(K[i]), own);
+                ldl_placed_real(n_B, NULL, to + n_K, 1, data_of(B), own);
+                info = ldl_factor_real(e.n, data_of(e.first), data_of(signs), own, least);
             } else {
-                ldl_placed_complex(n_K, n_B, from, to, data_of(K), data_of(B), PyArray_DATA(a));
-                info = ldl_factor_complex(e.n, data_of(e.first), data_of(signs), PyArray_DATA(a),
-                                          least);
+                for (int i = 0; i < count; i++)
+                    ldl_placed_complex(n_K, from, to, s[i], data_of(K[i]), own);
+                ldl_placed_complex(n_B, NULL, to + n_K, 1, data_of(B), own);
+                info = ldl_factor_complex(e.n, data_of(e.first), data_of(signs), own, least);
             }
             result = Py_BuildValue("Oi", a, info);
         }
     }
     PyMem_Free(least);
-    Py_XDECREF(K);
+    for (int i = 0; i < MOST_TERMS; i++)
+        Py_XDECREF(K[i]);
     Py_XDECREF(B);
     Py_XDECREF(chosen);
     Py_XDECREF(places);
@@ -927,6 +1074,8 @@ FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
 FUNCTION(csr_rows, 4)
 FUNCTION(csr_rows_transposed, 5)
+FUNCTION(csr_subtract, 6)
+FUNCTION(recombine, 4)
 FUNCTION(balance, 5)
 FUNCTION(band_factor, 6)
 FUNCTION(band_solve, 7)
@@ -954,6 +1103,8 @@ static PyMethodDef methods[] = {
     METHOD(stressed),
     METHOD(csr_rows),
     METHOD(csr_rows_transposed),
+    METHOD(csr_subtract),
+    METHOD(recombine),
     METHOD(balance),
     METHOD(band_factor),
     METHOD(band_solve),

@@ -6,14 +6,13 @@
  * negative: then no exchange is needed (docs/theory.md, section 9).
  */
 
-/* Write chosen values of K, and all of B, to their places. */
-static void NAME(ldl_placed)(npy_intp n_K, npy_intp n_B, const npy_int32 *chosen,
-                             const npy_int32 *places, const T *K, const T *B, T *a)
+/* Add s times chosen values, or all of them, at their places. */
+static void NAME(ldl_placed)(npy_intp n, const npy_int32 *restrict chosen,
+                             const npy_int32 *restrict places, double s, const T *restrict values,
+                             T *restrict a)
 {
-    for (npy_intp i = 0; i < n_K; i++)
-        a[places[i]] = K[chosen[i]];
-    for (npy_intp i = 0; i < n_B; i++)
-        a[places[n_K + i]] = B[i];
+    for (npy_intp i = 0; i < n; i++)
+        a[places[i]] += s * values[chosen ? chosen[i] : i];
 }
 
 /* Factorise in place, 1/D on the diagonal. Returns 0, or the number of the first pivot that has

@@ -19,18 +19,21 @@ from __future__ import annotations
 import abc
 import warnings
 from functools import cached_property
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
 
 from ancfdae.errors import SingularMatrix
-from ancfdae.kernels import band_factor, band_solve, ldl_factor, ldl_solve
+from ancfdae.kernels import add_scaled, band_factor, band_solve, ldl_factor, ldl_solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
 # Band LU costs N k^2; at k = 25 it is 3.6 times faster than SuperLU, so they meet near here.
 _BAND_HALF_WIDTH = 64
+
+# Terms of a sum of matrices: numbers and values on the pattern.
+Terms: TypeAlias = tuple[tuple[float, Array], ...]
 
 
 class Factorization(abc.ABC):
@@ -93,8 +96,21 @@ class SaddlePoint:
 
         Raises SingularMatrix for one that is singular to working precision or not finite.
         """
-        factors = self._envelope and self._envelope.factor(K, B)
-        return factors or self._storage.factor(K, B)
+        return self.factor_sum(((1.0, K),), B)
+
+    def factor_sum(self, terms: Terms, B: Array) -> Factorization:
+        """Factorise for a sum K of at most three terms, each a number and values.
+
+        Raises SingularMatrix as `factor`.
+        """
+        factors = self._envelope and self._envelope.factor(terms, B)
+        if factors:
+            return factors
+        (s, K), *more = terms
+        K = K if s == 1.0 else s * K
+        for s, values in more:
+            K = add_scaled(K, s, values)
+        return self._storage.factor(K, B)
 
     @cached_property
     def _storage(self) -> _Storage:
@@ -168,9 +184,9 @@ class _Envelope:
         self._chosen = chosen.astype(np.int32)
         self._places = (first[column] + row - column).astype(np.int32)
 
-    def factor(self, K: Array, B: Array) -> Factorization | None:
+    def factor(self, terms: Terms, B: Array) -> Factorization | None:
         """Factorise; None where a pivot has not its sign."""
-        factors, failed = ldl_factor(K, B, self._chosen, self._places, self._first, self._signs)
+        factors, failed = ldl_factor(terms, B, self._chosen, self._places, self._first, self._signs)
         return None if failed else _SymmetricFactorization(factors, self._first, self._order)
 
 

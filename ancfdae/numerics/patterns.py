@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 import scipy
 
-from ancfdae.kernels import csr_rows, csr_rows_transposed
+from ancfdae.kernels import csr_rows, csr_rows_transposed, csr_subtract
 from ancfdae.numerics.arrays import Array
 
 
@@ -67,6 +67,10 @@ class Pattern:
     def dot(self, values: Array, x: Array) -> Array:
         """Product of the matrix with a vector or with the columns of an array."""
         return csr_rows(*self._csr, values, x.T).T
+
+    def subtract_dot(self, values: Array, x: Array, out: Array, offset: int = 0) -> None:
+        """Take the matrix times rows of x from rows of `out`, in place, from the offset on."""
+        csr_subtract(*self._csr, values, x, out, offset)
 
     def dot_transposed(self, values: Array, x: Array) -> Array:
         """Product of the transposed (not conjugated) matrix with a vector or columns."""

@@ -34,7 +34,7 @@ import numpy as np
 
 from ancfdae.kernels import add_scaled, balance
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint, Terms
 from ancfdae.protocol import Linearisation, MechanicalSystem
 
 
@@ -172,11 +172,10 @@ def residual(
     return balance(system.mass_times(q, A), *forces, Phi, 1 / c.in_q)
 
 
-def iteration_matrix(c: Coefficients, local: Linearisation, k: int) -> Array:
-    """Upper left block of eq. (6) at instant k, values on the pattern; h is that of one step."""
-    M = local.M[k if len(local.M) > 1 else 0]
-    K = add_scaled(c.in_A * M, c.in_q, local.f_q[k])
-    return K if local.f_v is None else add_scaled(K, c.in_v, local.f_v[k])
+def iteration_terms(c: Coefficients, local: Linearisation, k: int) -> Terms:
+    """Upper left block of eq. (6) at instant k, a sum; h is that of one step."""
+    terms = (c.in_A, local.M[k if len(local.M) > 1 else 0]), (c.in_q, local.f_q[k])
+    return terms if local.f_v is None else (*terms, (c.in_v, local.f_v[k]))
 
 
 def factor_jacobian(
@@ -185,7 +184,7 @@ def factor_jacobian(
     """Factorise eq. (6) at a state."""
     _, q, v, _, lam, A = node
     local = system.linearise(np.array([node.t]), q[None], v[None], A[None], lam[None])
-    return matrices.factor(iteration_matrix(c, local, 0), local.Phi_q[0])
+    return matrices.factor_sum(iteration_terms(c, local, 0), local.Phi_q[0])
 
 
 def constraint_error(c: Coefficients) -> float:

@@ -36,11 +36,12 @@ from ancfdae.integrators.hht.equations import (
     Steps,
     correct,
     increment_from_velocities,
-    iteration_matrix,
+    iteration_terms,
     predict,
 )
 from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes
 from ancfdae.integrators.integrator import Seeds
+from ancfdae.kernels import recombine
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import DesignPartials, Linearisation, MechanicalSystem
@@ -80,8 +81,7 @@ class LinearSteps:
         for k in order:
             h = float(self.c.h[k, 0])
             c = c if c.h == h else Coefficients(h, c.alpha)
-            K = iteration_matrix(c, self.local, k)
-            yield matrices.factor(K, self.local.Phi_q[k])
+            yield matrices.factor_sum(iteration_terms(c, self.local, k), self.local.Phi_q[k])
 
     def given(self, partials: DesignPartials) -> Array:
         """Return the part of the right sides that is known before the pass, (k, n_b, n)."""
@@ -105,11 +105,11 @@ class LinearSteps:
         The side is that of the constraints over a small step.
         """
         system, n_q = self.system, self.system.n_q
-        right[:, :n_q] -= system.pattern.dot(self.local.f_q[k], z[0].T).T
-        right[:, n_q:] -= system.constraint_pattern.dot(self.constraints_q[k], z[0].T).T
+        system.pattern.subtract_dot(self.local.f_q[k], z[0], right)
+        system.constraint_pattern.subtract_dot(self.constraints_q[k], z[0], right, n_q)
         right[:, :n_q] -= system.mass_times(self.q[k], z[2].T).T
         if self.local.f_v is not None:
-            right[:, :n_q] -= system.pattern.dot(self.local.f_v[k], z[1].T).T
+            system.pattern.subtract_dot(self.local.f_v[k], z[1], right)
         if side is not None:
             right[:, n_q:] = side
         x = jacobian.solve(right.T).T
@@ -185,8 +185,7 @@ def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) 
                 Phi_q, before = linear.local.Phi_q[k], states[n - 1]
                 side = _small_side(system, all_steps.of(n), Phi_q, row, before, z[1])
             z[3], lam_b[n] = linear.solve(k, jacobian, given[k], z, side)
-            after = (matrix[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
-            states[n], z[:3] = after[:3], after[3:]
+            recombine(matrix[n - 1], z, states[n], z[:3])
             yield
 
 
