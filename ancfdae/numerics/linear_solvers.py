@@ -6,9 +6,8 @@
 The matrix is scaled symmetrically before it is factorised, coordinates by
 1/sqrt(weight) and constraints so that their scaled rows have unit length:
 pivoting then does not depend on the units of the scene. It is factorised as a
-band after a reverse Cuthill-McKee numbering of the coordinates, multipliers
-behind their nodes; SuperLU takes over where the band is wide (many closed loops
-meeting in one body).
+band after a reverse Cuthill-McKee numbering, or by SuperLU after one of minimum
+degree where the band is wide (trees and grids of bodies); see `orders`.
 """
 
 from __future__ import annotations
@@ -24,10 +23,18 @@ import scipy
 from ancfdae.errors import SingularMatrix
 from ancfdae.kernels import band_factor, band_solve
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.orders import little_fill, narrow_band
 from ancfdae.numerics.patterns import Pattern
 
-# Band LU costs N k^2; at k = 25 it is 3.6 times faster than SuperLU, so they meet near here.
+# Half-width at which a band takes as long as SuperLU (docs/measurements.md, section 9).
 _BAND_HALF_WIDTH = 64
+# In the order as given; rows are exchanged where a pivot is below a tenth of its column's largest.
+_SUPERLU: dict[str, Any] = {
+    "permc_spec": "NATURAL",
+    "diag_pivot_thresh": 0.1,
+    "panel_size": 1,
+    "options": {"SymmetricMode": True},
+}
 
 
 class Factorization(abc.ABC):
@@ -74,10 +81,7 @@ class SaddlePoint:
         squared = (constraint_values.real * scale[constraint_pattern.columns]) ** 2
         length = np.sqrt(np.bincount(constraint_pattern.rows, squared, minlength=m))
         self.scale = np.concatenate([scale, 1.0 / np.where(length > 0, length, 1.0)])
-        r, c = constraint_pattern.rows + n, constraint_pattern.columns
-        rows = np.concatenate([pattern.rows, r, c])
-        columns = np.concatenate([pattern.columns, c, r])
-        self._storage = _choose_storage(self.scale, rows, columns, n)
+        self._storage = _choose_storage(self.scale, pattern, constraint_pattern)
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.
@@ -91,34 +95,28 @@ class SaddlePoint:
         return map(self.factor, K, B)
 
 
-def _choose_storage(scale: Array, rows: Array, columns: Array, n: int) -> _Storage:
-    size = len(scale)
-    order = _numbered(rows, columns, n, size)
-    place = np.empty(size, dtype=np.int64)
-    place[order] = np.arange(size)
-    half_width = int(np.max(np.abs(place[rows] - place[columns]), initial=0))
-    if half_width <= _BAND_HALF_WIDTH:
-        return _BandStorage(scale, order, place[rows], place[columns], half_width)
-    return _SparseStorage(scale, rows, columns)
-
-
-def _numbered(rows: Array, columns: Array, n: int, size: int) -> Array:
-    """Return the order of unknowns: a narrow band, and each multiplier behind its coordinates.
-
-    These are eliminated first, by pivots of K; what a constraint asks is then met to the round-off
-    of its own row, and not to that of a stiff body's.
-    """
-    graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
-    B = graph[n:, :n]
-    coordinates = scipy.sparse.csgraph.reverse_cuthill_mckee(
-        (graph[:n, :n] + B.T @ B).tocsr(), symmetric_mode=True
+def _choose_storage(scale: Array, pattern: Pattern, constraint_pattern: Pattern) -> _Storage:
+    n = pattern.shape[0]
+    r, c = constraint_pattern.rows + n, constraint_pattern.columns
+    entries = (
+        np.concatenate([pattern.rows, r, c]),
+        np.concatenate([pattern.columns, c, r]),
     )
-    place = np.zeros(size)
-    place[coordinates] = np.arange(n)
-    own = rows >= n
-    np.maximum.at(place, rows[own], place[columns[own]])
-    # Coordinates come before multipliers of the same place.
-    return np.argsort(place, kind="stable")
+    order = narrow_band(pattern, constraint_pattern)
+    rows, columns = _places(order, entries)
+    half_width = int(np.max(np.abs(rows - columns), initial=0))
+    if half_width <= _BAND_HALF_WIDTH:
+        return _BandStorage(scale, order, rows, columns, half_width)
+    order = little_fill(pattern, constraint_pattern)
+    return _SparseStorage(scale, order, *_places(order, entries))
+
+
+def _places(order: Array, entries: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return rows and columns of entries in an order of the unknowns."""
+    place = np.empty(len(order), dtype=np.int32)
+    place[order] = np.arange(len(order))
+    rows, columns = entries
+    return place[rows], place[columns]
 
 
 @final
@@ -128,7 +126,8 @@ class _BandStorage(_Storage):
     ) -> None:
         self._scale, self._order, self._half_width = scale, order, half_width
         # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j of column j.
-        self._flat = columns * (3 * half_width + 1) + 2 * half_width + rows - columns
+        self._flat = columns.astype(np.int64) * (3 * half_width)
+        self._flat += 2 * half_width + rows
         numbered = scale[order]
         self._factors = numbered[rows] * numbered[columns]
 
@@ -159,12 +158,12 @@ class _BandFactorization(Factorization):
 
 @final
 class _SparseStorage(_Storage):
-    def __init__(self, scale: Array, rows: Array, columns: Array) -> None:
-        self._scale = scale
-        self._order = np.lexsort((rows, columns))
-        self._rows = rows[self._order]
-        self._indptr = np.searchsorted(columns[self._order], np.arange(len(scale) + 1))
-        self._factors = scale[rows] * scale[columns]
+    def __init__(self, scale: Array, order: Array, rows: Array, columns: Array) -> None:
+        self._order, self._scale = order, scale[order]
+        self._sorted = np.lexsort((rows, columns))
+        self._rows = rows[self._sorted]
+        self._first = np.searchsorted(columns[self._sorted], np.arange(len(order) + 1))
+        self._factors = self._scale[rows] * self._scale[columns]
 
     def factor(self, K: Array, B: Array) -> Factorization:
         values = self._factors * np.concatenate([K, B, B])
@@ -172,21 +171,21 @@ class _SparseStorage(_Storage):
             raise SingularMatrix("the saddle-point matrix is not finite")
         size = len(self._scale)
         matrix = scipy.sparse.csc_array(
-            (values[self._order], self._rows, self._indptr), shape=(size, size)
+            (values[self._sorted], self._rows, self._first), shape=(size, size)
         )
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                lu = scipy.sparse.linalg.splu(matrix)
+                lu = scipy.sparse.linalg.splu(matrix, **_SUPERLU)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
-        return _SparseFactorization(lu, values.dtype, self._scale)
+        return _SparseFactorization(lu, values.dtype, self._order, self._scale)
 
 
 @final
 class _SparseFactorization(Factorization):
-    def __init__(self, lu: Any, dtype: np.dtype, scale: Array) -> None:
-        self._lu, self._dtype, self._scale = lu, dtype, scale
+    def __init__(self, lu: Any, dtype: np.dtype, order: Array, scale: Array) -> None:
+        self._lu, self._dtype, self._order, self._scale = lu, dtype, order, scale
 
     def solve(self, right: Array) -> Array:
         return self._solved(right, "N")
@@ -199,5 +198,7 @@ class _SparseFactorization(Factorization):
             return self._solved(right.real, transposed) + 1j * self._solved(right.imag, transposed)
         # Undoes the symmetric scaling.
         scale = self._scale if right.ndim == 1 else self._scale[:, None]
-        scaled = np.ascontiguousarray(scale * right, dtype=self._dtype)
-        return np.asarray(scale * self._lu.solve(scaled, transposed))
+        scaled = np.ascontiguousarray(scale * right[self._order], dtype=self._dtype)
+        solution = np.empty_like(scaled)
+        solution[self._order] = scale * self._lu.solve(scaled, transposed)
+        return solution

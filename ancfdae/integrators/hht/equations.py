@@ -169,7 +169,7 @@ def residual(
 
 def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
     """Upper left block of eq. (6) for k instants, shape (k, nnz)."""
-    K = c.in_q * local.f_q + c.in_A * local.M
+    K = add_scaled(c.in_A * local.M, c.in_q, local.f_q)
     return np.asarray(K if local.f_v is None else K + c.in_v * local.f_v)
 
 
@@ -179,7 +179,9 @@ def factor_jacobian(
     """Factorise eq. (6) at a state."""
     states = (x[None] for x in (node.q, node.v, node.A, node.lam))
     local = system.linearise(np.array([node.t]), *states)
-    return matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
+    K, Phi_q = iteration_matrices(c, local)[0], local.Phi_q[0]
+    del local  # Of a large system it takes as much memory as K.
+    return matrices.factor(K, Phi_q)
 
 
 def constraint_error(c: Coefficients) -> float:

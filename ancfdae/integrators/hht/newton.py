@@ -135,11 +135,11 @@ class StepSolver:
         It takes `patience` times as many iterations as are usual.
         """
         far = abs(c.h - self._h) > _NEAR * self._h
-        jacobian = None if far else self._jacobian
+        if far:
+            self._jacobian = None
         self._h = c.h
-        found = self._solve(
-            (c, before, t), (before.a, before.lam), jacobian, self._tolerance, math.inf, patience
-        )
+        guess = before.a, before.lam
+        found = self._solve((c, before, t), guess, True, self._tolerance, math.inf, patience)
         return found and self.accept(found)
 
     def follow(self, step: _Step, guess: tuple[Array, Array], rough: float) -> Found | None:
@@ -148,7 +148,7 @@ class StepSolver:
         Where corrections do not shrink quickly from the first one on, the solution that they lead
         to may be another one. A tolerance that is larger than that of the run may be given.
         """
-        return self._solve(step, guess, None, max(rough, self._tolerance), _CLOSE)
+        return self._solve(step, guess, False, max(rough, self._tolerance), _CLOSE)
 
     def accept(self, found: Found) -> Node:
         """Go on from what was found."""
@@ -160,17 +160,21 @@ class StepSolver:
         self,
         step: _Step,
         guess: tuple[Array, Array],
-        jacobian: Factorization | None,
+        go_on: bool,
         tolerance: float,
         allowed: float,
         patience: int = 1,
     ) -> Found | None:
-        """Iterate from a guess; corrections above round-off shrink at the allowed rate at least."""
+        """Iterate from a guess; corrections above round-off shrink at the allowed rate at least.
+
+        The matrix of the step before serves first where the run shall `go_on`.
+        """
         (c, before, t), system, n_q = step, self._system, self._system.n_q
         equations = _Equations(system, step, self._motion_before(before))
         a, lam = guess
         last, settled, motion = math.inf, 0, self._most(before)
-        slowest, round_off, kept = 0.0, False, jacobian
+        slowest, round_off = 0.0, False
+        jacobian, kept = self._jacobian if go_on else None, None
         # The imaginary part of a complex step lags the real part by one iteration, and one is
         # for its round-off; as a guess it serves as it is. The real part goes its own way.
         is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
@@ -225,6 +229,7 @@ class StepSolver:
 
     def _factor(self, c: Coefficients, state: Node) -> Factorization:
         self._recorder.factorisations += 1
+        self._jacobian = None  # Of a large system two factorisations take too much memory.
         return factor_jacobian(self._system, self._matrices, c, state)
 
     def _size(self, t: float, q: Array, x: Array) -> float:
