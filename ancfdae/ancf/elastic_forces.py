@@ -57,8 +57,8 @@ class ElasticForces:
         self._elements = Block(*own, vectors, d, numbering.n_q)
         n, size = len(vectors), vectors.shape[1] * d
         self._coordinates = numbering.coordinates(vectors).reshape(n, size)
-        rows = np.broadcast_to(self._coordinates[:, :, None], (n, size, size))
-        index = pattern.index(rows.ravel(), rows.swapaxes(1, 2).ravel()).reshape(n, size**2)
+        at = self._coordinates
+        index = pattern.index(at[:, :, None], at[:, None]).reshape(n, size**2)
         self._index = index.astype(np.int32)
         pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
         self._stiff = len(block.stiffness_pairs)
