@@ -106,6 +106,11 @@ class Inertia:
             Q_b[:, self._field_active] += self.times(fields.T)
         return Q_b
 
+    @cached_property
+    def gravity_rows(self) -> Array:
+        """Gravity and its design partials as rows, shape (1 + n_b, n_q)."""
+        return np.concatenate([self.gravity[None], self.gravity_b.T])
+
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
         return self._M.columns(x)

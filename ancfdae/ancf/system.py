@@ -236,10 +236,17 @@ class AncfSystem(MechanicalSystem):
 
     def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q."""
-        total = self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
+        rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
+        return self.force_and_total(rows[0], rows[1], t)[1:].T
+
+    def force_and_total(self, q: Array, v: Array, t: float) -> Array:
+        """Q and its total design derivatives as rows."""
+        rows = self._inertia.gravity_rows - self._elastic.totals(q, v)
         if self._scene.loads:
-            total = total + self._loads.force_total(q, v, np.array([t]), q_b, v_b)
-        return total
+            time = np.array([t])
+            total = self._loads.force_total(q[0], v[0], time, q[1:].T, v[1:].T)
+            rows = rows + np.concatenate([self._loads.force(q[:1], v[:1], time), total.T])
+        return rows
 
     def following_load(self, q: Array, t: float) -> Array:
         """Follower forces and moments."""

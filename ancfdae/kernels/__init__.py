@@ -43,6 +43,7 @@ band_solve = _kernels.band_solve
 csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
 finite = _kernels.finite
+force_totals = _kernels.force_totals
 forces = _kernels.forces
 forces_along = _kernels.forces_along
 gram = _kernels.gram

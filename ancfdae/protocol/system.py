@@ -240,6 +240,14 @@ class MechanicalSystem(abc.ABC):
         """Return the total design derivative of Q, shape (n_q, n_b)."""
         return self.along(lambda s, q, v: s.force(q, v, t), (q, q_b), (v, v_b))
 
+    def force_and_total(self, q: Array, v: Array, t: float) -> Array:
+        """Return Q and its total design derivatives as rows, shape (1 + n_b, n_q).
+
+        The first rows of q and v are the state, the others its derivatives; shape (1 + n_b, n_q).
+        """
+        total = self.force_total(q[0], v[0], t, q[1:].T, v[1:].T)
+        return np.concatenate([self.force(q[0], v[0], t)[None], total.T])
+
     def following_load(self, q: Array, t: float) -> Array:
         """Return the loads in Q that turn with the motion, at rest, shape (n_q,).
 
