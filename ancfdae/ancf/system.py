@@ -143,6 +143,7 @@ class AncfSystem(MechanicalSystem):
         self.constraint_pattern = self._constraints.pattern
         self.constant_mass = True
         self.linear_constraints = self._constraints.linear
+        self.constant_constraints = self._constraints.constant
         self.velocity_forces = self._elastic.damped or self._loads.uses_velocity
         self.weights = self._inertia.weights
         self.force_round_off = self._elastic.round_off(self._reference.Z.ravel(), self.weights)
@@ -212,7 +213,7 @@ class AncfSystem(MechanicalSystem):
 
     def mass_b_times(self, q: Array, a: Array) -> Array:
         """(M a)_b."""
-        return only(self._inertia.times_b(a[None]))
+        return self._inertia.times_b(a)
 
     def force(self, q: Array, v: Array, t: float) -> Array:
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""

@@ -223,13 +223,10 @@ class HighOrder(QuadratureIntegrator):
 
 def _record(problem: Problem, recorder: Recorder, t: float, point: State) -> None:
     """Complete a state by accelerations and multipliers, and store it."""
-    q, v, q_b, v_b = point.q, point.v, point.q_b, point.v_b
-    a, lam = problem.accelerations.solve(t, q, v)
-    found: tuple[Array, ...] = (a, lam)
-    derivatives: tuple[Array, ...] = ()
-    if q_b is not None and v_b is not None:
-        found += problem.accelerations.solve_b(t, (q, v, a, lam), q_b, v_b)
-        derivatives = (q_b, v_b, *found[2:])
-    if not all(finite(x) for x in found):
+    x, n = problem.accelerations.rows(t, *point.rows()), problem.system.n_q
+    if not finite(x):
         raise NotFinite
-    recorder.record(t, q, v, a, lam, derivatives)
+    derivatives: tuple[Array, ...] = ()
+    if point.q_b is not None and point.v_b is not None:
+        derivatives = point.q_b, point.v_b, x[1:, :n].T, x[1:, n:].T
+    recorder.record(t, point.q, point.v, x[0, :n], x[0, n:], derivatives)

@@ -83,6 +83,9 @@ class MechanicalSystem(abc.ABC):
         Whether M does not depend on q; it is then formed once.
     linear_constraints : bool
         Whether Phi is linear in q, so that (Phi_q^T lam)_q vanishes.
+    constant_constraints : bool
+        Whether they are linear and the same at all times and designs: all that remains is Phi_q q
+        minus a constant, with one Phi_q.
     velocity_forces : bool
         Whether Q depends on v.
     force_round_off : float
@@ -100,6 +103,7 @@ class MechanicalSystem(abc.ABC):
     b: Array
     constant_mass: bool = False
     linear_constraints: bool = False
+    constant_constraints: bool = False
     velocity_forces: bool = True
     force_round_off: float = 0.0
     project_start: bool = False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 
@@ -24,6 +26,26 @@ def constraint_force_total(
     return total + system.pattern.dot(system.constraint_force_q(q, lam, t), q_b)
 
 
+def held_totals(
+    system: MechanicalSystem,
+    t: float,
+    state: tuple[Array, Array, Array, Array],
+    q_b: Array,
+    v_b: Array,
+) -> tuple[Array, Array | None]:
+    """Total derivatives of M a + Phi_q^T lam and Phi_q a - gamma with a and lam held.
+
+    Shapes (n_q, n_b) and (n_lam, n_b); the second is None for zero. The state is (q, v, a, lam).
+    """
+    q, v, a, lam = state
+    force = inertia_total(system, q, a, q_b)
+    if system.constant_constraints:
+        return force, None
+    force = force + constraint_force_total(system, q, lam, t, q_b)
+    side = system.constraint_q_times_total(q, a, t, q_b)
+    return force, side - system.acceleration_side_total(q, v, t, q_b, v_b)
+
+
 def acceleration_totals(
     system: MechanicalSystem,
     t: float,
@@ -33,11 +55,9 @@ def acceleration_totals(
 ) -> tuple[Array, Array]:
     """Right sides of the saddle-point system for a_b and lam_b, (n_q, n_b) and (n_lam, n_b).
 
-    M a_b + Phi_q^T lam_b = Q_total - (M a)_total - (Phi_q^T lam)_total
-    Phi_q a_b             = gamma_total - (Phi_q a)_total,     a and lam held in the totals.
+    M a_b + Phi_q^T lam_b = Q_total - (M a + Phi_q^T lam)_total
+    Phi_q a_b             = -(Phi_q a - gamma)_total,     a and lam held in the totals.
     """
-    q, v, a, lam = state
-    force = system.force_total(q, v, t, q_b, v_b) - inertia_total(system, q, a, q_b)
-    force = force - constraint_force_total(system, q, lam, t, q_b)
-    side = system.acceleration_side_total(q, v, t, q_b, v_b)
-    return force, side - system.constraint_q_times_total(q, a, t, q_b)
+    force, side = held_totals(system, t, state, q_b, v_b)
+    total = system.force_total(state[0], state[1], t, q_b, v_b) - force
+    return total, np.zeros((system.n_lam, system.n_b)) if side is None else -side
