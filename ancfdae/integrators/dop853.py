@@ -146,10 +146,12 @@ class Dop853:
         E = _tableau().errors * self._powers[:, 2:3]
         return (E @ self._rows[2 : 2 + STAGES]).reshape(2, *self.states.shape[1:])
 
-    def accept(self, state: Array) -> None:
-        """Take a state for the one after the step, which may be moved a little."""
+    def accept(self, state: Array) -> Array:
+        """Take a state for the one after the step, moved a little; return the accelerations."""
         self.states[_AFTER] = state
-        self.accelerations[_AFTER] = self._evaluated(self.end, self.after)
+        after: Array = self.accelerations[_AFTER]
+        after[:] = self._evaluated(self.end, self.after)
+        return after
 
     def advance(self) -> None:
         """Begin the next step where the accepted one ends."""

@@ -36,8 +36,11 @@ from ancfdae.numerics.arrays import Array
 _LEAST_RTOL = 3e-14
 # Absolute tolerance relative to the scales, per unit of rtol.
 _SMALL = 1e-2
-# Change of the step: part of what the error estimate asks for, and its least and largest.
+# Change of the step, as in Hairer's program: part of what the error estimate asks for, least and
+# largest. The error before, to a small power, keeps steps at the limit of stability from growing
+# beyond it and being rejected time and again (Gustafsson 1988; Hairer & Wanner, IV.2).
 _SAFETY, _LEAST, _LARGEST = 0.9, 0.2, 10.0
+_STABLE, _SMALL_ERROR = 0.04, 1e-4
 # Shortest step, in gaps between floating-point numbers at its begin.
 _SHORTEST = 10
 # Panels of a step whose stages are too few.
@@ -103,7 +106,7 @@ class _ExplicitMarch(March):
         self._floor = _SMALL * self._rtol * np.stack([s.q, s.v])[:, None] / variables
         self._method = Dop853(self._accelerations, 0.0, rows)
         self._before = self._multipliers[:1]
-        self._h = self._first_step()
+        self._h, self._error = self._first_step(), _SMALL_ERROR
 
     def _first_step(self) -> float:
         """Guess the first step (Hairer, Norsett & Wanner, II.4); the unit of time is t_end."""
@@ -118,7 +121,9 @@ class _ExplicitMarch(March):
             later = T * np.stack([moved[1], self._accelerations(share * T, moved)])
         except (NotFinite, SingularMatrix):
             return share * T
-        fastest = max(speed, _mean((later - rate) / scale) / share)
+        fastest = max(_mean((later - rate) / scale) / share, speed)
+        if not math.isfinite(fastest):
+            return share * T
         longest = (0.01 / fastest) ** -EXPONENT if fastest > 0 else 1.0
         return T * min(100 * share, longest, 1.0)
 
@@ -129,12 +134,14 @@ class _ExplicitMarch(March):
             method.advance()
         while self._h >= _SHORTEST * math.ulp(method.t):
             error = self._attempt(min(method.t + self._h, self._t_end))
-            h, factor = method.end - method.t, _SAFETY * error**EXPONENT if error else _LARGEST
+            h = method.end - method.t
             if error < 1:
-                self._h = h * min(largest, factor)
+                factor = _SAFETY * max(error, 1e-10) ** (EXPONENT + 0.2 * _STABLE)
+                self._h = h * min(largest, factor * self._error**_STABLE)
+                self._error = max(error, _SMALL_ERROR)
                 self._accept()
                 return None
-            self._h, largest = h * max(_LEAST, factor), 1.0
+            self._h, largest = h * max(_LEAST, _SAFETY * error**EXPONENT), 1.0
         return self._trouble
 
     def _attempt(self, end: float) -> float:
@@ -146,8 +153,8 @@ class _ExplicitMarch(March):
             size = np.maximum(np.abs(method.states[0]), np.abs(after))
             fine, coarse = map(_mean, method.errors() / (self._floor + self._rtol * size))
             error = fine * (fine / (math.hypot(fine, 0.1 * coarse) or 1.0))
-            if error < 1:
-                method.accept(self._projected(end, after))
+            if error < 1 and not finite(method.accept(self._projected(end, after))):
+                raise NotFinite
         except NotFinite:
             self._trouble = Verdict.NOT_FINITE
         except SingularMatrix:
@@ -230,9 +237,7 @@ class _ExplicitMarch(March):
         if not finite(rows):
             raise NotFinite
         problem = self._problem
-        x, n = problem.accelerations.rows(t, rows[0], rows[1]), problem.system.n_q
-        if not finite(x):
-            raise NotFinite
+        x, n = problem.accelerations.rows(t, rows[0], rows[1]), rows.shape[2]
         if self._quadrature.wanted:
             self._multipliers.append(x[:, n:])
         return x[:, :n]

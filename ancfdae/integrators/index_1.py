@@ -111,7 +111,7 @@ class Accelerations:
 
     def rows(self, t: float, q: Array, v: Array) -> Array:
         """Return (a, lam), and below it design derivatives if q and v have those as rows."""
-        system, n, side = self._system, self._system.n_q, None
+        system, side = self._system, None
         if not system.constant_constraints:
             side = system.acceleration_side(q[0], v[0], t)
         solve = self._solver(t, q[0])
@@ -120,9 +120,8 @@ class Accelerations:
         Q = system.force_and_total(q, v, t)
         x = np.empty((len(q), self._matrices.size))
         first = x[0] = solve(Q[0], side)
-        state = q[0], v[0], first[:n], first[n:]
-        force, side_b = held_totals(system, t, state, q[1:].T, v[1:].T)
-        x[1:] = solve(Q[1:] - force.T, None if side_b is None else -side_b.T)
+        force, side_b = held_totals(system, t, q, v, first)
+        x[1:] = solve(Q[1:] - force, None if side is None else -side_b)
         return x
 
     def projected(self, t: float, rows: Array) -> Array:
@@ -134,14 +133,14 @@ class Accelerations:
             """Smallest changes x with Phi_q x = defect, one row for each column."""
             return solve(None, defect.T)[..., :n]
 
-        rows = rows.copy()
-        q, v = rows
+        if system.constant_constraints:
+            all_rows = rows.reshape(-1, n)
+            defect = dot(system.constraint_q(rows[0, 0], t), all_rows.T)
+            defect[:, 0] = system.constraint(rows[0, 0], t)
+            return (all_rows - nearest(defect)).reshape(rows.shape)
+        q, v = rows = rows.copy()
         q[0] -= nearest(system.constraint(q[0], t))
         Phi_q = system.constraint_q(q[0], t)
-        if system.constant_constraints:
-            others = rows.reshape(-1, n)[1:]
-            others -= nearest(dot(Phi_q, others.T))
-            return rows
         v[0] -= nearest(dot(Phi_q, v[0]) - system.velocity_side(q[0], t))
         if len(q) > 1:
             q[1:] -= nearest(dot(Phi_q, q[1:].T) + system.constraint_b(q[0], t))
