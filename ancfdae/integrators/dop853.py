@@ -101,9 +101,10 @@ class Dop853:
         self._flat = self.states.reshape(_ALL, 2, n)
         self.accelerations = self._rows[2:].reshape(_ALL, *state.shape[1:])
         self._powers, self._factors = np.ones((2, 2 + _ALL)), _tableau().stages.copy()
+        # Of each: factors, the rows they multiply, and where the state and its acceleration go.
         self._stages = [
-            (c, self._factors[i, :, : 2 + i], self._rows[: 2 + i], self._flat[i])
-            for i, c in enumerate(_tableau().c)
+            (self._factors[i, :, : 2 + i], self._rows[: 2 + i], self._flat[i], *kept)
+            for i, kept in enumerate(zip(self.states, self.accelerations, strict=True))
         ]
         self.t, self.end = t, t
         self._enter(state, accelerations(t, state))
@@ -127,19 +128,17 @@ class Dop853:
         self.end, h = end, end - self.t
         self._powers[0, 1], self._powers[0, 2:], self._powers[1, 2:] = h, h * h, h
         np.multiply(_tableau().stages, self._powers, out=self._factors)
-        for i in range(1, STAGES):
-            self._evaluate(i)
-        return self._stage(_AFTER)
+        self._evaluate(1, STAGES)
+        factors, rows, flat, *_ = self._stages[_AFTER]
+        np.dot(factors, rows, out=flat)
+        return self.after
 
-    def _stage(self, i: int) -> Array:
-        _, factors, rows, state = self._stages[i]
-        np.dot(factors, rows, out=state)
-        after: Array = self.states[i]
-        return after
-
-    def _evaluate(self, i: int) -> None:
-        t = self.t + self._stages[i][0] * (self.end - self.t)
-        self.accelerations[i] = self._evaluated(t, self._stage(i))
+    def _evaluate(self, first: int, last: int) -> None:
+        times = self.times().tolist()
+        for i in range(first, last):
+            factors, rows, flat, state, acceleration = self._stages[i]
+            np.dot(factors, rows, out=flat)
+            acceleration[:] = self._evaluated(times[i], state)
 
     def errors(self) -> Array:
         """Return the two error estimates, of order 5 and 3, each of the shape of a state."""
@@ -160,8 +159,7 @@ class Dop853:
 
     def between(self) -> Between:
         """Return the dense output of the accepted step."""
-        for i in range(_AFTER + 1, _ALL):
-            self._evaluate(i)
+        self._evaluate(_AFTER + 1, _ALL)
         h, start, end = self.end - self.t, self._flat[0], self._flat[_AFTER]
         terms = np.empty((len(_TURNED), *start.shape))
         # Rates of y and of u at the stages.

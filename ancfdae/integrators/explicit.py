@@ -150,8 +150,10 @@ class _ExplicitMarch(March):
         self._multipliers.clear()
         try:
             after = method.attempt(end)
-            size = np.maximum(np.abs(method.states[0]), np.abs(after))
-            fine, coarse = map(_mean, method.errors() / (self._floor + self._rtol * size))
+            scale = np.maximum(np.abs(method.states[0]), np.abs(after))
+            scale *= self._rtol
+            scale += self._floor
+            fine, coarse = map(_mean, method.errors() / scale)
             error = fine * (fine / (math.hypot(fine, 0.1 * coarse) or 1.0))
             if error < 1 and not finite(method.accept(self._projected(end, after))):
                 raise NotFinite
