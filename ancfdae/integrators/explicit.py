@@ -25,7 +25,7 @@ import scipy
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.dop853 import EXPONENT, Between, Dop853
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
-from ancfdae.integrators.index_1 import State
+from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrand import Points, Rule
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
@@ -101,7 +101,7 @@ class _ExplicitMarch(March):
         self._trouble, self._multipliers = Verdict.ERROR_TEST, list[Array]()
         self._steps, self._dense, self._between = list[_Step](), False, list[Between]()
         first, b, s = problem.initial, problem.derivative, problem.scales
-        rows = State(first.q, first.v, *(b or ())[:2]).rows()
+        rows = stacked(first.q, first.v, *(b or ())[:2])
         variables = np.concatenate([[1.0], s.b])[: rows.shape[1], None]
         self._floor = _SMALL * self._rtol * np.stack([s.q, s.v])[:, None] / variables
         self._method = Dop853(self._accelerations, 0.0, rows)
@@ -186,11 +186,11 @@ class _ExplicitMarch(March):
             self._between = [self._method.between()]
         return self._between[0]
 
-    def _state(self, t: float) -> State:
+    def _state(self, t: float) -> Array:
         method = self._method
         if t == method.end:
-            return State.of(method.after)
-        return State.of(self._projected(t, self._dense_output()(t)))
+            return method.after
+        return self._projected(t, self._dense_output()(t))
 
     def finish(self) -> None:
         self._dense = False

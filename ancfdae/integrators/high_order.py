@@ -16,7 +16,6 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_count
-from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.problem import Problem
@@ -73,8 +72,8 @@ class March(abc.ABC):
         self._progress, self._context = Progress(t_end), context
 
     @final
-    def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind; return the state there, or why it was not reached.
+    def to(self, t: float) -> Array | Verdict:
+        """Step until t lies behind; return the state there (`stacked`), or why it is not reached.
 
         NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
         """
@@ -94,8 +93,8 @@ class March(abc.ABC):
         """Take a step, or return why there is none."""
 
     @abc.abstractmethod
-    def _state(self, t: float) -> State:
-        """Interpolate in the last step."""
+    def _state(self, t: float) -> Array:
+        """Interpolate in the last step; `stacked`."""
 
     @abc.abstractmethod
     def finish(self) -> None:
@@ -221,12 +220,12 @@ class HighOrder(QuadratureIntegrator):
         return recorder.solution(Outcome(verdict, recorder.time, recorder.accepted, size))
 
 
-def _record(problem: Problem, recorder: Recorder, t: float, point: State) -> None:
+def _record(problem: Problem, recorder: Recorder, t: float, state: Array) -> None:
     """Complete a state by accelerations and multipliers, and store it."""
-    x, n = problem.accelerations.rows(t, *point.rows()), problem.system.n_q
+    (q, v), n = state, problem.system.n_q
+    x = problem.accelerations.rows(t, q, v)
     if not finite(x):
         raise NotFinite
-    derivatives: tuple[Array, ...] = ()
-    if point.q_b is not None and point.v_b is not None:
-        derivatives = point.q_b, point.v_b, x[1:, :n].T, x[1:, n:].T
-    recorder.record(t, point.q, point.v, x[0, :n], x[0, n:], derivatives)
+    a, lam = x[:, :n], x[:, n:]
+    own = () if len(q) == 1 else (q[1:].T, v[1:].T, a[1:].T, lam[1:].T)
+    recorder.record(t, q[0], v[0], a[0], lam[0], own)

@@ -18,7 +18,6 @@ design derivatives of the state are moved onto the derivatives of the constraint
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeAlias, final
 
 import numpy as np
@@ -36,31 +35,12 @@ _INVERTED_SIZE = 200
 Solve: TypeAlias = Callable[[Array | None, Array | None], Array]
 
 
-@final
-@dataclass(frozen=True)
-class State:
-    """Coordinates and velocities with their design derivatives, or None without.
-
-    As rows, (2, 1 + n_b, n_q), these are q above its derivatives, and v above its own.
-    """
-
-    q: Array
-    v: Array
-    q_b: Array | None = None
-    v_b: Array | None = None
-
-    @staticmethod
-    def of(rows: Array) -> State:
-        """Return the state that rows are."""
-        q, v = rows
-        return State(q[0], v[0]) if len(q) == 1 else State(q[0], v[0], q[1:].T, v[1:].T)
-
-    def rows(self) -> Array:
-        """Return it as rows."""
-        own = np.stack([self.q, self.v])[:, None]
-        if self.q_b is None or self.v_b is None:
-            return own
-        return np.concatenate([own, np.stack([self.q_b.T, self.v_b.T])], axis=1)
+def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = None) -> Array:
+    """Return a state and its design derivatives as rows, (2, 1 + n_b, n_q): q, q_b; v, v_b."""
+    own = np.stack([q, v])[:, None]
+    if q_b is None or v_b is None:
+        return own
+    return np.concatenate([own, np.stack([q_b.T, v_b.T])], axis=1)
 
 
 @final

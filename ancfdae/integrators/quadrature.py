@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.integrators.index_1 import Accelerations, State
+from ancfdae.integrators.index_1 import Accelerations, stacked
 from ancfdae.integrators.integrand import Integrand, PartialIntegral, Points, Rule
 from ancfdae.numerics.arrays import Array
 
@@ -89,7 +89,7 @@ class Quadrature:
                 lam_b += lam_b[-1:]
                 continue
             own = () if points.q_b is None or points.v_b is None else (points.q_b[k], points.v_b[k])
-            rows = State(points.q[k], points.v[k], *own).rows()
+            rows = stacked(points.q[k], points.v[k], *own)
             multipliers = self._accelerations.rows(float(t), *rows)[:, points.q.shape[1] :]
             lam.append(multipliers[0])
             if own:
