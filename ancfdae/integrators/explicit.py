@@ -99,6 +99,7 @@ class _ExplicitMarch(March):
         super().__init__(t_end, settings.max_steps)
         self._quadrature, self._problem, self._rtol = quadrature, problem, settings.rtol
         self._trouble, self._multipliers = Verdict.ERROR_TEST, list[Array]()
+        self._wanted = quadrature.wanted
         self._steps, self._dense, self._between = list[_Step](), False, list[Between]()
         first, b, s = problem.initial, problem.derivative, problem.scales
         rows = stacked(first.q, first.v, *(b or ())[:2])
@@ -170,7 +171,7 @@ class _ExplicitMarch(March):
         method = self._method
         self.steps += 1
         self._t, self._between = method.end, []
-        if not self._quadrature.wanted:
+        if not self._wanted:
             return
         used, t = _weighted()[0], method.times()
         multipliers = np.array([*self._before, *self._multipliers])
@@ -240,7 +241,7 @@ class _ExplicitMarch(March):
             raise NotFinite
         problem = self._problem
         x, n = problem.accelerations.rows(t, rows[0], rows[1]), rows.shape[2]
-        if self._quadrature.wanted:
+        if self._wanted:
             self._multipliers.append(x[:, n:])
         return x[:, :n]
 

@@ -101,7 +101,7 @@ class Accelerations:
         x = np.empty((len(q), self._matrices.size))
         first = x[0] = solve(Q[0], side)
         force, side_b = held_totals(system, t, q, v, first)
-        x[1:] = solve(Q[1:] - force, None if side is None else -side_b)
+        x[1:] = solve(Q[1:] - force, None if side_b is None else -side_b)
         return x
 
     def projected(self, t: float, rows: Array) -> Array:

@@ -114,9 +114,10 @@ def start_sensitivity(
 
     # 3. The same for the accelerations.
     rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
-    force, side = held_totals(system, t, rows[0], rows[1], np.concatenate([a, lam]))
+    force, held = held_totals(system, t, rows[0], rows[1], np.concatenate([a, lam]))
     Q_b = system.force_and_total(rows[0], rows[1], t)[1:]
-    a_b, lam_b = solve(factors, (Q_b - force).T, -side.T)
+    side = np.zeros((system.n_lam, system.n_b)) if held is None else -held.T
+    a_b, lam_b = solve(factors, (Q_b - force).T, side)
     return InitialSensitivity(q_b, v_b, a_b, lam_b)
 
 

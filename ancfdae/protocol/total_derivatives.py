@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 
@@ -28,19 +26,19 @@ def constraint_force_total(
 
 def held_totals(
     system: MechanicalSystem, t: float, q: Array, v: Array, x: Array
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array | None]:
     """Total derivatives of M a + Phi_q^T lam and Phi_q a - gamma with x = (a, lam) held.
 
     q and v are a state above its derivatives, as rows; so are the results, (n_b, n_q) and
-    (n_b, n_lam). With Q_total they make the right sides of the saddle-point system,
+    (n_b, n_lam), the second None for zero. With Q_total they make the right sides
 
     M a_b + Phi_q^T lam_b = Q_total - (M a + Phi_q^T lam)_total
-    Phi_q a_b             = -(Phi_q a - gamma)_total.
+    Phi_q a_b             = -(Phi_q a - gamma)_total
     """
     state, q_b, a = q[0], q[1:].T, x[: system.n_q]
     force = inertia_total(system, state, a, q_b)
     if system.constant_constraints:
-        return force.T, np.zeros((len(q) - 1, system.n_lam))
+        return force.T, None
     force = force + constraint_force_total(system, state, x[system.n_q :], t, q_b)
     side = system.constraint_q_times_total(state, a, t, q_b)
     return force.T, (side - system.acceleration_side_total(state, v[0], t, q_b, v[1:].T)).T
