@@ -70,6 +70,12 @@ def map_of(vectors, d, n_q):
     return R.reshape(-1, n_q)
 
 
+def sorted_pairs(pairs):
+    """Where the pairs of three elements begin, their numbers and variables, as kernels ask."""
+    element, variable, number = np.array(sorted(pairs), dtype=np.int64).reshape(-1, 3).T
+    return np.searchsorted(element, np.arange(4)), number, variable
+
+
 class Case:
     """Three elements that share nodes, k instants."""
 
@@ -90,7 +96,11 @@ class Case:
         self.block = kernels.Block(A, g_o, p_o, tau, vectors, d, n_q)
         self.R = map_of(vectors, d, n_q)
         self.q, self.v, self.u, self.z = numbers(rng, (4, self.k, n_q), dtype)
-        self.p_b = numbers(rng, (n, self.k, n_g), dtype)
+        # Element, variable and number of what changes stresses (two by one), or tau.
+        self.pairs = [(0, 3, 0), (2, 0, 1), (0, 0, 2), (2, 0, 3), (2, 0, 4), (1, 2, 5)]
+        A_b = numbers(rng, (4, n_g, n_g), dtype)
+        A_b, c_b = A_b + A_b.swapaxes(1, 2), numbers(rng, (4, n_g), dtype)
+        self.law_b = A_b, c_b, numbers(rng, 2, dtype), *sorted_pairs(self.pairs)
         self.F = numbers(rng, (self.k, n, n_y, d), dtype)
         # Entries at the same place are summed.
         self.index = np.arange(n * ((n_y + 1) * d) ** 2, dtype=np.int32).reshape(n, -1) // 2
@@ -115,14 +125,29 @@ class Case:
     def forces(self, q, v):
         return self.lifted(product(self.p(q, v), self.Y(q)))
 
-    def along(self, q, v, u, z, p_b=None):
+    def along(self, q, v, u, z, p_b=0):
         """Derivative of `forces` by the product rule."""
         Y, U, tau = self.Y(q), self.Y(u), self.block.tau[:, None]
         x = packed(Y, U)
         if v is not None:
             x = x + tau * (packed(U, self.Y(v)) + packed(Y, self.Y(z)))
-        change = self.law(x) + (0 if p_b is None else p_b.swapaxes(0, 1))
+        change = self.law(x) + p_b
         return self.lifted(product(change, Y) + product(self.p(q, v), U))
+
+    def totals(self, q, v, pairs):
+        """The force, and its derivatives along rows with the stresses of pairs added."""
+        Y, V, (A_b, c_b, tau_b) = self.Y(q[0]), None if v is None else self.Y(v[0]), self.law_b[:3]
+        x = packed(Y, Y) / 2 - self.block.g_o
+        x = x if v is None else x + self.block.tau[:, None] * packed(Y, V)
+        p_b = np.zeros((len(q), *x.shape), dtype=x.dtype)
+        for e, i, number in pairs:
+            if number < len(A_b):
+                p_b[i + 1, e] += A_b[number] @ x[e] - c_b[number]
+            else:
+                p_b[i + 1, e] += tau_b[number - len(A_b)] * self.law(packed(Y, V))[e]
+        rates = (q[1:], None, None) if v is None else (q[1:], v[:1], v[1:])
+        total = self.along(q[:1], rates[1], rates[0], rates[2], p_b[1:])
+        return np.concatenate([self.forces(q[:1], rates[1]), total])
 
     def tangent(self, q, v, damping):
         """Values of the tangent of one instant, from columns; elements stand apart."""
@@ -169,13 +194,23 @@ def test_forces(case):
 
 def test_forces_along_directions(case):
     q, v, u, z = case.q, case.v, case.u, case.z
-    for p_b in (None, case.p_b):
-        each = kernels.forces_along(case.block, q, v, u, z, p_b)
-        close(each, case.along(q, v, u, z, p_b))
-        one = kernels.forces_along(case.block, q[0], v[0], u, z, p_b)
-        close(one, case.along(q[:1], v[:1], u, z, p_b))
-        undamped = kernels.forces_along(case.block, q, None, u, None, p_b)
-        close(undamped, case.along(q, None, u, None, p_b))
+    close(kernels.forces_along(case.block, q, v, u, z), case.along(q, v, u, z))
+    one = kernels.forces_along(case.block, q[0], v[0], u, z)
+    close(one, case.along(q[:1], v[:1], u, z))
+    close(kernels.forces_along(case.block, q, None, u, None), case.along(q, None, u, None))
+
+
+def test_force_totals(case):
+    q, v, stiff = case.q, case.v, case.law_b[:2]
+    close(kernels.force_totals(case.block, q, v, *case.law_b), case.totals(q, v, case.pairs))
+    undamped = [pair for pair in case.pairs if pair[2] < len(stiff[0])]
+    law_b = (*stiff, np.zeros(0), *sorted_pairs(undamped))
+    close(kernels.force_totals(case.block, q, None, *law_b), case.totals(q, None, undamped))
+    none = (stiff[0][:0], stiff[1][:0], np.zeros(0), *sorted_pairs([]))
+    close(kernels.force_totals(case.block, q[:1], v[:1], *none), case.forces(q[:1], v[:1]))
+    for other in odd_layouts(q):
+        found = kernels.force_totals(case.block, other, v, *case.law_b)
+        close(found, case.totals(q, v, case.pairs))
 
 
 def test_tangents(case):
@@ -205,7 +240,7 @@ def test_real_and_complex_arguments_mix():
     case, step = Case(7, 3, float), 1e-40
     q, v = case.q + 1j * step * case.u, case.v + 1j * step * case.z
     F = kernels.forces(case.block, q, v)
-    close(F.imag / step, kernels.forces_along(case.block, case.q, case.v, case.u, case.z, None))
+    close(F.imag / step, kernels.forces_along(case.block, case.q, case.v, case.u, case.z))
     close(kernels.relative(case.block, q).imag / step, case.Y(case.u))
 
 
@@ -220,7 +255,7 @@ def test_nothing_is_nothing():
     assert not kernels.tangents(none, q, None, False, index, 4).any()
     assert not kernels.lifted(none, np.zeros((2, 0, 7, 3))).any()
     assert kernels.forces(block, q[:0], None).shape == (0, block.n_q)
-    assert kernels.forces_along(block, q[0], None, q[:0], None, None).shape == (0, block.n_q)
+    assert kernels.forces_along(block, q[0], None, q[:0], None).shape == (0, block.n_q)
     assert kernels.gram(np.zeros((4, 0, 7, 3)), np.zeros((4, 0, 7, 3))).shape == (4, 0, 28)
     assert kernels.finite(np.zeros(0))
     assert kernels.norm(np.zeros(0), np.zeros(0)) == 0
@@ -464,24 +499,46 @@ def _refused():
     }
     for name, block in laws.items():
         yield name, kernels.forces, (block, q, v)
-        yield name, kernels.forces_along, (block, q, v, u, z, None)
+        yield name, kernels.forces_along, (block, q, v, u, z)
         yield name, kernels.tangents, (block, q, v, False, case.index, case.size)
     for name, bad in (("wide", wide), ("number", np.array(1.0)), ("text", "q"), ("none", None)):
         yield f"q {name}", kernels.relative, (b, bad)
         yield f"q {name}", kernels.forces, (b, bad, None)
-        yield f"q {name}", kernels.forces_along, (b, bad, None, u, None, None)
-        yield f"u {name}", kernels.forces_along, (b, q, None, bad, None, None)
+        yield f"q {name}", kernels.forces_along, (b, bad, None, u, None)
+        yield f"u {name}", kernels.forces_along, (b, q, None, bad, None)
         yield f"q {name}", kernels.tangents, (b, bad, None, False, case.index, case.size)
         yield f"F {name}", kernels.lifted, (b, bad)
     yield "fewer v", kernels.forces, (b, q, v[:4])
     yield "flat F", kernels.lifted, (b, case.F.reshape(5, -1))
     yield "F of two", kernels.lifted, (b, case.F[:, :2])
-    yield "one v", kernels.forces_along, (b, q, v[0], u, z, None)
-    yield "two q", kernels.forces_along, (b, q[:2], v[:2], u, z, None)
+    yield "one v", kernels.forces_along, (b, q, v[0], u, z)
+    yield "two q", kernels.forces_along, (b, q[:2], v[:2], u, z)
     yield "fewer z", kernels.forces_along, (b, q, v, u, z[:4], None)
-    yield "no z", kernels.forces_along, (b, q, v, u, None, None)
-    yield "p_b turned", kernels.forces_along, (b, q, v, u, z, case.p_b.swapaxes(0, 1))
-    yield "p_b small", kernels.forces_along, (b, q, v, u, z, case.p_b[..., :-1])
+    yield "no z", kernels.forces_along, (b, q, v, u, None)
+    A_b, c_b, tau_b, first, pairs, variables = case.law_b
+    for name, law_b in {
+        "A_b small": (A_b[:, :-1], *case.law_b[1:]),
+        "A_b none": (None, *case.law_b[1:]),
+        "A_b fewer": (A_b[:-1], c_b[:-1], *case.law_b[2:]),
+        "c_b fewer": (A_b, c_b[:-1], *case.law_b[2:]),
+        "c_b small": (A_b, c_b[:, :-1], *case.law_b[2:]),
+        "tau_b fewer": (A_b, c_b, tau_b[:-1], *case.law_b[3:]),
+        "first short": (*case.law_b[:3], first[1:], pairs, variables),
+        "first late": (*case.law_b[:3], first + (first == 0), pairs, variables),
+        "first back": (*case.law_b[:3], first[[0, 2, 1, 3]], pairs, variables),
+        "first beyond": (*case.law_b[:3], first + (first == first[-1]), pairs, variables),
+        "first far": (*case.law_b[:3], np.array([0, 2**40, 2**40, first[-1]]), pairs, variables),
+        "pairs below": (*case.law_b[:4], pairs - 1, variables),
+        "pairs beyond": (*case.law_b[:4], pairs + 1, variables),
+        "variables below": (*case.law_b[:5], variables - 1),
+        "variables beyond": (*case.law_b[:5], variables + 1),
+        "variables fewer": (*case.law_b[:5], variables[1:]),
+        "variables none": (*case.law_b[:5], None),
+    }.items():
+        yield name, kernels.force_totals, (b, q, v, *law_b)
+    yield "tau_b without v", kernels.force_totals, (b, q, None, *case.law_b)
+    yield "fewer v", kernels.force_totals, (b, q, v[:4], *case.law_b)
+    yield "one row", kernels.force_totals, (b, q[:1], v[:1], *case.law_b)
     for name, index in (
         ("short", case.index[:, :-1]),
         ("of two", case.index[:2]),

@@ -47,6 +47,7 @@ class JointConstraints:
         )
         self._place()
         self.active = self._find_active()
+        self.constant = self._simple and not self.active
 
     # -- structure -----------------------------------------------------------------------------
 

@@ -16,7 +16,6 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_count
-from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.problem import Problem
@@ -73,8 +72,8 @@ class March(abc.ABC):
         self._progress, self._context = Progress(t_end), context
 
     @final
-    def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind; return the state there, or why it was not reached.
+    def to(self, t: float) -> Array | Verdict:
+        """Step until t lies behind; return the state there (`stacked`), or why it is not reached.
 
         NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
         """
@@ -94,8 +93,8 @@ class March(abc.ABC):
         """Take a step, or return why there is none."""
 
     @abc.abstractmethod
-    def _state(self, t: float) -> State:
-        """Interpolate in the last step."""
+    def _state(self, t: float) -> Array:
+        """Interpolate in the last step; `stacked`."""
 
     @abc.abstractmethod
     def finish(self) -> None:
@@ -221,15 +220,12 @@ class HighOrder(QuadratureIntegrator):
         return recorder.solution(Outcome(verdict, recorder.time, recorder.accepted, size))
 
 
-def _record(problem: Problem, recorder: Recorder, t: float, point: State) -> None:
+def _record(problem: Problem, recorder: Recorder, t: float, state: Array) -> None:
     """Complete a state by accelerations and multipliers, and store it."""
-    q, v, q_b, v_b = point.q, point.v, point.q_b, point.v_b
-    a, lam = problem.accelerations.solve(t, q, v)
-    found: tuple[Array, ...] = (a, lam)
-    derivatives: tuple[Array, ...] = ()
-    if q_b is not None and v_b is not None:
-        found += problem.accelerations.solve_b(t, (q, v, a, lam), q_b, v_b)
-        derivatives = (q_b, v_b, *found[2:])
-    if not all(finite(x) for x in found):
+    (q, v), n = state, problem.system.n_q
+    x = problem.accelerations.rows(t, q, v)
+    if not finite(x):
         raise NotFinite
-    recorder.record(t, q, v, a, lam, derivatives)
+    a, lam = x[:, :n], x[:, n:]
+    own = () if len(q) == 1 else (q[1:].T, v[1:].T, a[1:].T, lam[1:].T)
+    recorder.record(t, q[0], v[0], a[0], lam[0], own)

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.integrators.index_1 import Accelerations
+from ancfdae.integrators.index_1 import Accelerations, stacked
 from ancfdae.integrators.integrand import Integrand, PartialIntegral, Points, Rule
 from ancfdae.numerics.arrays import Array
 
@@ -88,11 +88,10 @@ class Quadrature:
                 lam.append(lam[-1])
                 lam_b += lam_b[-1:]
                 continue
-            q, v = points.q[k], points.v[k]
-            a, multipliers = self._accelerations.solve(float(t), q, v)
-            lam.append(multipliers)
-            if points.q_b is not None and points.v_b is not None:
-                state = (q, v, a, multipliers)
-                q_b, v_b = points.q_b[k], points.v_b[k]
-                lam_b.append(self._accelerations.solve_b(float(t), state, q_b, v_b)[1])
+            own = () if points.q_b is None or points.v_b is None else (points.q_b[k], points.v_b[k])
+            rows = stacked(points.q[k], points.v[k], *own)
+            multipliers = self._accelerations.rows(float(t), *rows)[:, points.q.shape[1] :]
+            lam.append(multipliers[0])
+            if own:
+                lam_b.append(multipliers[1:].T)
         return replace(points, lam=np.array(lam), lam_b=np.array(lam_b) if lam_b else None)

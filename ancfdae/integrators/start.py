@@ -24,8 +24,8 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import refuse_redundant, solve, solve_transposed
 from ancfdae.protocol.total_derivatives import (
-    acceleration_totals,
     constraint_force_total,
+    held_totals,
     inertia_total,
 )
 
@@ -113,7 +113,11 @@ def start_sensitivity(
     v_b, _ = solve(factors, right, side)
 
     # 3. The same for the accelerations.
-    a_b, lam_b = solve(factors, *acceleration_totals(system, t, (q, v, a, lam), q_b, v_b))
+    rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
+    force, held = held_totals(system, t, rows[0], rows[1], np.concatenate([a, lam]))
+    Q_b = system.force_and_total(rows[0], rows[1], t)[1:]
+    side = np.zeros((system.n_lam, system.n_b)) if held is None else -held.T
+    a_b, lam_b = solve(factors, (Q_b - force).T, side)
     return InitialSensitivity(q_b, v_b, a_b, lam_b)
 
 

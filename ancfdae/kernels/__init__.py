@@ -45,6 +45,7 @@ csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
 csr_subtract = _kernels.csr_subtract
 finite = _kernels.finite
+force_totals = _kernels.force_totals
 forces = _kernels.forces
 forces_along = _kernels.forces_along
 gram = _kernels.gram

@@ -17,19 +17,30 @@ def lifted(block: Block, F: Array, /) -> Array:
 def forces(block: Block, q: Array, v: Array | None, /) -> Array:
     """Return R^T of the internal forces (eqs. 13, 17); v is None without damping."""
 
-def forces_along(
+def forces_along(block: Block, q: Array, v: Array | None, u: Array, z: Array | None, /) -> Array:
+    """Return derivatives of `forces` along rows of u and z, directions of q and v.
+
+    At one state for all rows, shape (1, n_q) or (n_q,), or at one for each.
+    """
+
+def force_totals(
     block: Block,
     q: Array,
     v: Array | None,
-    u: Array,
-    z: Array | None,
-    p_b: Array | None,
+    A_b: Array,
+    c_b: Array,
+    tau_b: Array,
+    first: Array,
+    pairs: Array,
+    variables: Array,
     /,
 ) -> Array:
-    """Return derivatives of `forces` along rows of u and z, directions of q and v.
+    """Return `forces` at the first row of q and v, then the total derivatives along the others.
 
-    At one state for all rows, shape (1, n_q) or (n_q,), or at one for each. With p_b, shape
-    (n, k, n_g), the stresses change too.
+    Row i + 1 belongs to design variable i. What variables change is said pair by pair of an element
+    and a variable: element e has pairs[first[e]] to pairs[first[e + 1] - 1], sorted by variables.
+    One below len(A_b) changes stresses by A_b x - c_b, shapes (n, n_g, n_g) and (n, n_g), the
+    further ones change tau by tau_b.
     """
 
 def tangents(

@@ -67,14 +67,18 @@ INLINE void NAME(strain)(int n_y, int d, const T *g_o, const T *Y, T tau, const 
 }
 
 /* p = A x + p_o. */
-INLINE void NAME(stress)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *p)
+INLINE void NAME(stress_of)(int n_g, const NAME(element) *e, const T *x, T *p)
 {
-    int n_g = n_y * (n_y + 1) / 2;
-    T x[MOST_G];
-    NAME(strain)(n_y, d, e->g_o, Y, e->tau, V, x);
     for (int k = 0; k < n_g; k++)
         p[k] = e->p_o ? e->p_o[k] : 0;
     NAME(apply)(n_g, e->A, x, p);
+}
+
+INLINE void NAME(stress)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *p)
+{
+    T x[MOST_G];
+    NAME(strain)(n_y, d, e->g_o, Y, e->tau, V, x);
+    NAME(stress_of)(n_y * (n_y + 1) / 2, e, x, p);
 }
 
 /* F += W(p) Y with p = A x + p_o (eqs. 13, 17). */

@@ -56,6 +56,8 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #define CLONES WITH_WIDE_VECTORS
 #include "elements.h"
 #include "blocks.h"
+#include "totals.h"
+#undef OF_SIZE
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
@@ -67,6 +69,8 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #define CLONES
 #include "elements.h"
 #include "blocks.h"
+#include "totals.h"
+#undef OF_SIZE
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
@@ -336,27 +340,72 @@ static PyObject *py_forces(PyObject *const *args)
 /* Whether k directions belong to one state or to k, with velocities of both or of none. */
 static int directed(const Arguments *a, npy_intp k)
 {
-    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {a->n, k, n_g};
     npy_intp states = leading_size(a->states[0], 1);
-    if ((states != 1 && states != k) || (a->states[1] && !a->states[3]))
-        return wrong("there must be one state for all directions or one for each");
-    return !a->states[4] || ends_with(a->states[4], 3, shape) ||
-           wrong("stresses must be those of all elements in all directions");
+    return ((states == 1 || states == k) && (!a->states[1] || a->states[3])) ||
+           wrong("there must be one state for all directions or one for each");
 }
 
 static PyObject *py_forces_along(PyObject *const *args)
 {
     Arguments a;
     PyArrayObject *out = NULL;
-    if (filled(&a, args[0], args + 1, 5) && fitting(&a, 4) && lawful(&a)) {
+    if (filled(&a, args[0], args + 1, 4) && fitting(&a, 4) && lawful(&a)) {
         npy_intp k = leading_size(a.states[2], 1);
         if (directed(&a, k))
             out = zeros_like(a.states[2], 1, 1, &a.n_q, a.type);
         if (out)
             FOR_TYPE(forces_along, leading_size(a.states[0], 1) == 1, data_of(a.states[0]),
                      data_of(a.states[1]), data_of(a.states[2]), data_of(a.states[3]),
-                     data_of(a.states[4]), PyArray_DATA(out));
+                     PyArray_DATA(out));
     }
+    dropped(&a);
+    return (PyObject *)out;
+}
+
+/* Whether partials A_b, c_b and tau_b are those of the pairs of n elements and k - 1 variables. */
+static int paired(const Arguments *a, PyArrayObject *const *index, npy_intp k)
+{
+    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g};
+    PyArrayObject *A_b = a->states[2], *c_b = a->states[3], *tau_b = a->states[4];
+    npy_intp n_stiff = A_b ? leading_size(A_b, 2) : 0, n_damped = tau_b ? PyArray_SIZE(tau_b) : 0;
+    const npy_int64 *first = PyArray_DATA(index[0]);
+    npy_intp size = PyArray_SIZE(index[1]);
+    int in_order = PyArray_SIZE(index[0]) == a->n + 1 && first[0] == 0 && first[a->n] == size;
+    for (npy_intp e = 0; in_order && e < a->n; e++)
+        in_order = first[e] <= first[e + 1];
+    return (in_order && A_b && c_b && ends_with(A_b, 2, shape) && ends_with(c_b, 1, shape) &&
+            leading_size(c_b, 1) == n_stiff && (n_damped == 0 || a->states[1]) &&
+            size == PyArray_SIZE(index[2]) && within_64(index[1], n_stiff + n_damped - 1) &&
+            within_64(index[2], k - 2)) ||
+           wrong("partials must be those of pairs of elements and variables, one row each");
+}
+
+static PyObject *py_force_totals(PyObject *const *args)
+{
+    Arguments a;
+    PyArrayObject *out = NULL, *index[3] = {NULL, NULL, NULL};
+    int whole = filled(&a, args[0], args + 1, 5) && fitting(&a, 2) && lawful(&a);
+    for (int i = 0; whole && i < 3; i++)
+        whole = taken(args[6 + i], NPY_INT64, 1, &index[i]);
+    if (whole && paired(&a, index, leading_size(a.states[0], 1))) {
+        npy_intp k = leading_size(a.states[0], 1), n_stiff = leading_size(a.states[2], 2);
+        const npy_int64 *at[] = {data_of(index[0]), data_of(index[1]), data_of(index[2])};
+        const void *law[] = {data_of(a.states[2]), data_of(a.states[3]), data_of(a.states[4])};
+        law_partials_real real = {n_stiff, at[0], at[1], at[2], law[0], law[1], law[2]};
+        law_partials_complex complex_ = {n_stiff, at[0], at[1], at[2], law[0], law[1], law[2]};
+        out = zeros_like(a.states[0], 1, 1, &a.n_q, a.type);
+        if (out && k && a.type == NPY_DOUBLE) {
+            BLOCK_OF_TYPE(real)
+            force_totals_real(a.n_y, a.d, &b, &real, data_of(a.states[0]), data_of(a.states[1]),
+                              PyArray_DATA(out));
+        } else if (out && k) {
+            BLOCK_OF_TYPE(complex)
+            force_totals_complex(a.n_y, a.d, &b, &complex_, data_of(a.states[0]),
+                                 data_of(a.states[1]), PyArray_DATA(out));
+        }
+    }
+    for (int i = 0; i < 3; i++)
+        Py_XDECREF(index[i]);
     dropped(&a);
     return (PyObject *)out;
 }
@@ -1067,7 +1116,8 @@ FUNCTION(finite, 1)
 FUNCTION(relative, 2)
 FUNCTION(lifted, 2)
 FUNCTION(forces, 3)
-FUNCTION(forces_along, 6)
+FUNCTION(forces_along, 5)
+FUNCTION(force_totals, 9)
 FUNCTION(tangents, 6)
 FUNCTION(gram, 2)
 FUNCTION(strain, 4)
@@ -1097,6 +1147,7 @@ static PyMethodDef methods[] = {
     METHOD(lifted),
     METHOD(forces),
     METHOD(forces_along),
+    METHOD(force_totals),
     METHOD(tangents),
     METHOD(gram),
     METHOD(strain),

@@ -77,6 +77,13 @@ def declarations(add: Add, p: Probe) -> None:
     if s.linear_constraints:
         bent = s.constraint_q(m.q + d.q, m.t)
         add("linear_constraints", gap(bent, s.constraint_q(m.q, m.t), 0.0), _SAME)
+    if s.constant_constraints:
+        other, q, t = s.with_values(s.b * 1.01 + 1e-3 * (s.b == 0)), m.q + d.q, m.t + p.time
+        B = s.constraint_q(m.q, m.t)
+        add("constant_constraints, Phi_q", gap(other.constraint_q(q, t), B, 0.0), _SAME)
+        Phi = s.constraint(m.q, m.t) + s.constraint_pattern.dot(B, d.q)
+        size = np.max(np.abs(s.constraint_pattern.dot(np.abs(B), np.abs(m.q))), initial=0.0)
+        add("constant_constraints", gap(other.constraint(q, t), Phi, size), _SAME)
     if not s.velocity_forces:
         Q = s.force(m.q, m.v, m.t)
         add("velocity_forces", gap(s.force(m.q, m.v + d.v, m.t), Q, 0.0), _SAME)

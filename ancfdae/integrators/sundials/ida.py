@@ -27,7 +27,7 @@ import scipy
 
 from ancfdae.errors import Verdict, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
-from ancfdae.integrators.index_1 import State
+from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import verdict
@@ -149,7 +149,7 @@ class _IdaMarch(March):
                 self._points.add(self._t, self._y, result.yp.copy())
         return None
 
-    def _state(self, t: float) -> State:
+    def _state(self, t: float) -> Array:
         y = self._y
         if self._t != t:
             y = self._solver.step(t, "normal", self._t_end).y.copy()
@@ -157,7 +157,7 @@ class _IdaMarch(March):
             raise NotFinite
         states, blocks = self._split(y)
         derivatives = self._form.coordinates_b(blocks) if self._m else ()
-        return State(*self._form.coordinates(states), *derivatives)
+        return stacked(*self._form.coordinates(states), *derivatives)
 
     def finish(self) -> None:
         self._points.finish()
