@@ -460,7 +460,7 @@ def test_film_has_its_frames_and_they_move(planar, tmp_path):
 @pytest.mark.skipif(shutil.which("ffprobe") is None, reason="ffmpeg is not installed")
 def test_mp4_is_read_back(planar, tmp_path):
     path = animate(*planar, tmp_path / "motion.mp4", frames=3, seconds=0.5, dpi=30)
-    probe = "ffprobe -v error -of json -count_frames -show_streams".split()
+    probe = ["ffprobe", "-v", "error", "-of", "json", "-count_frames", "-show_streams"]
     (film,) = json.loads(subprocess.check_output([*probe, path]))["streams"]
     assert (film["codec_name"], film["nb_read_frames"]) == ("h264", "3")
     # What browsers play, which needs even sizes.

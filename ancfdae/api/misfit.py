@@ -64,13 +64,17 @@ class Misfit:
             require_kind("Misfit.observables", observable, (Observable,), "Use position(...), say.")
         times = require_sequence("Misfit.times", self.times)
         for time in times:
-            require_finite("Misfit.times", float(time))
+            require_finite("Misfit.times", time)
         if not times or min(times) < 0:
             raise InvalidInput(
                 "Misfit.times", "must be one or more times from 0 on", times, "Give such times."
             )
         shape = (len(observables), len(times))
-        data = np.asarray(self.data, dtype=float)
+        try:
+            data = np.asarray(self.data, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            rule, repair = "must be an array of numbers", "Give one row per observable."
+            raise InvalidInput("Misfit.data", rule, repr(self.data), repair) from None
         if data.shape != shape or np.all(np.isnan(data)) or np.any(np.isinf(data)):
             raise InvalidInput(
                 "Misfit.data",

@@ -30,6 +30,7 @@ from ancfdae.errors import (
     InvalidInput,
     UnknownName,
     require_array,
+    require_finite,
     require_flag,
     require_kind,
     require_text,
@@ -141,6 +142,7 @@ class Responses:
 
     def __getitem__(self, name: str) -> Response:
         """Return one of the functions."""
+        require_text("function of the design", name)
         if name not in self.names:
             raise UnknownName("function of the design", name, self.names)
         return Response(self, self.names.index(name))
@@ -150,6 +152,9 @@ class Responses:
     ) -> scipy.optimize.NonlinearConstraint:
         """Return lower <= function <= upper for ``minimize(constraints=...)``."""
         response = self[name]
+        for bound, free in ((lower, -np.inf), (upper, np.inf)):
+            if not (isinstance(bound, float) and bound == free):
+                require_finite(f"constraint {name!r}", bound)
         if not lower <= upper or (lower, upper) == (-np.inf, np.inf):
             rule, repair = "lower and upper must bound it", 'For example upper=1.0 for "at most 1".'
             raise InvalidInput(f"constraint {name!r}", rule, f"{lower} and {upper}", repair)
