@@ -92,7 +92,7 @@ class Setting:
 
     def error(self, of: ErrorKind) -> float:
         """Return one of the four errors; infinite if the setting failed."""
-        if not isinstance(of, str) or of not in _KINDS:
+        if str(of) not in _KINDS:  # Also of an array, which compares entry by entry.
             known = ", ".join(_KINDS)
             raise InvalidInput("of", f"must be one of {known}", repr(of), "Choose one.")
         value: float | None = getattr(self, of)

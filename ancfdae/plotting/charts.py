@@ -12,6 +12,7 @@ are set as mathematics (`mathematics`).
 """
 
 import math
+import os
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -203,13 +204,13 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
     return figure
 
 
-def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
+def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[Path, Path]:
     """Write a figure as SVG and PNG and return the two paths in that order.
 
     The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
     folders are created; a path that ends with .svg or .png is refused.
     """
-    require_kind("save, path", path_without_suffix, (str, Path), "Give the name of a file.")
+    require_kind("save, path", path_without_suffix, (str, os.PathLike), "Give the name of a file.")
     path = Path(path_without_suffix)
     if not path.name or path.suffix in (".svg", ".png"):
         raise InvalidInput(
