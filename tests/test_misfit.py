@@ -98,6 +98,27 @@ def test_the_jacobian_is_that_of_the_complex_step():
         assert np.allclose(J[i, 1:4].sum(axis=0), found.gradient, rtol=1e-9, atol=0)
 
 
+def test_between_steps_values_differ_from_the_solution_by_less_than_the_run_errs():
+    fine = simulate(pendulum(), END, HHT(2.0**-11))
+    apart = []
+    for h in (2.0**-6, 2.0**-7):
+        run, times = simulate(pendulum(), END, HHT(h)), np.arange(2.5, 0.4 / h, 3.0) * h
+        fit = Misfit(SEEN[:2], times, np.zeros((2, len(times)))).fit(
+            pendulum(), END, HHT(h), design=DESIGN
+        )
+        linear = fit.residuals(fit.start).reshape(2, -1)
+        smooth, exact = (np.array([observe(x, s.at(times)) for x in SEEN[:2]]) for s in (run, fine))
+        change = np.array([observe(x, run) for x in SEEN[:2]])
+        # Differences twice over a step, divided by its square, are the second derivative.
+        most = np.abs(np.diff(change, 2)).max(axis=1) / 8
+        # The cubic deviates from the parabola through the curvature by less than a half.
+        assert np.all(np.abs(linear - smooth).max(axis=1) < 1.5 * most)
+        apart.append(np.abs(linear - smooth).max())
+        assert apart[-1] < 0.3 * np.abs(smooth - exact).max()
+    # Second order; the instants differ.
+    assert 2.5 < apart[0] / apart[1] < 6
+
+
 def test_both_functions_share_one_run_per_design():
     fit = Misfit([SEEN[0]], [0.1], [[0.5]]).fit(pendulum(), END, HHT(STEP), design=DESIGN)
     fit.residuals(fit.start)

@@ -105,7 +105,7 @@ def test_a_search_without_derivatives_runs_every_design_once_and_differentiates_
     bounded = {"constraints": r.constraint("y", upper=0.0)} if method == "COBYQA" else {}
     minimize(r["miss"], 0.9 * r.start, method=method, options={"maxiter": 12}, **bounded)
     assert (counted.anew, counted.given) == (0, 0)
-    assert len(designs) == len(r.history.rows) > 12
+    assert len(designs) == len(r.history.rows) > 9  # More than runs are kept
     # Of old runs the values are kept alone.
     early = r.history.rows[0]
     assert r["y"](0.9 * r.start) == early.result["y"]

@@ -39,7 +39,7 @@ class Misfit:
         What was measured, n of them.
     times : sequence of float
         Instants of the measurements, m of them, none negative; s. Between the steps of a run values
-        are interpolated with the order of the integrator, linearly for HHT.
+        are interpolated as by `AtTimes`.
     data : array, shape (n, m)
         Measured values; NaN where there is none.
     weights : float or array, optional
