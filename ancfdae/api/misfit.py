@@ -133,8 +133,9 @@ class Misfit:
 class Fit:
     """Residuals of a model and their Jacobian, for ``scipy.optimize.least_squares``.
 
-    ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac")``
-    finds the design values. Both functions come from one run with direct differentiation per
+    ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac",
+    gtol=None)`` finds the design values. Without ``gtol=None`` it may stop at the start and report
+    success: SciPy compares J^T r with 1e-8, whatever the units, and in moduli in Pa that is small. Both functions come from one run with direct differentiation per
     design, which is kept for the other.
 
     Attributes
