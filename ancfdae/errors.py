@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import pickle
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any, Protocol, TypeVar, final
 
 import numpy as np
@@ -235,6 +237,22 @@ def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str
 def require_text(where: str, value: object) -> None:
     """Raise InvalidInput for what is no text, where a name is expected."""
     require_kind(where, value, (str,), "Give the name, as in rod.name.")
+
+
+def require_path(where: str, value: object) -> Path:
+    """Return the path of a file; raise InvalidInput for what is none, or is a folder."""
+    require_kind(where, value, (str, os.PathLike), "Give the name of a file.")
+    path = Path(value)  # type: ignore[arg-type]  # as was just seen
+    if path.is_dir():
+        raise InvalidInput(where, "must be a file", f"the folder {value!r}", "Name a file in it.")
+    return path
+
+
+def require_index(where: str, value: object, count: int, repair: str) -> None:
+    """Raise InvalidInput for what is no whole number from 0 to `count` - 1."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not 0 <= value < count:  # type: ignore[operator]
+        raise InvalidInput(where, f"must lie in 0 to {count - 1}", repr(value), repair)
 
 
 def require_flag(where: str, value: object) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ancfdae.bodies import Point, Quantity
 from ancfdae.elements import ALL_ELEMENTS, BeamElement
-from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.errors import InvalidInput, UnknownName, require_text
 from ancfdae.numerics.arrays import STEP, Array
 
 
@@ -174,6 +174,7 @@ _Place = TypeVar("_Place", BodyLayout, BeamLayout, JointLayout)
 
 
 def _named(kind: str, name: str, places: Sequence[_Place]) -> _Place:
+    require_text(kind, name)
     for place in places:
         if place.name == name:
             return place

@@ -16,6 +16,7 @@ from ancfdae.errors import (
     require_flag,
     require_kind,
     require_sequence,
+    require_text,
     require_vector,
 )
 from ancfdae.joints import Joint
@@ -138,6 +139,7 @@ class Scene(SceneDesign):
         ------
         UnknownName
         """
+        require_text("beam", name)
         for beam in self.beams:
             if beam.name == name:
                 return beam
@@ -150,6 +152,7 @@ class Scene(SceneDesign):
         ------
         UnknownName
         """
+        require_text("beam or body", name)
         for body in self.members:
             if body.name == name:
                 return body

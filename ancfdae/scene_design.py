@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.design import Designable, DesignVariable, Target, parse_target
 from ancfdae.elements import BeamElement, ElementParameter
-from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind
+from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind, require_text
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
 from ancfdae.numerics.arrays import Array
@@ -78,6 +78,7 @@ class SceneDesign(Designable, abc.ABC):
         ------
         UnknownName
         """
+        require_text("owner", owner)
         if owner == SCENE:
             return self.parameters()
         part = self.parts().get(owner)
@@ -208,6 +209,7 @@ class SceneDesign(Designable, abc.ABC):
         InvalidInput
             If its targets hold different values, so that it has no single one.
         """
+        require_kind("value, variable", variable, (DesignVariable,), "Give a DesignVariable.")
         if variable.shares:
             first = next(iter(variable.targets))
             return self._single(first) / variable.factor(first)

@@ -3,6 +3,8 @@
 import base64
 import json
 import re
+import shutil
+import subprocess
 from xml.etree import ElementTree
 
 import meshio
@@ -453,6 +455,21 @@ def test_film_has_its_frames_and_they_move(planar, tmp_path):
         first = np.asarray(film.convert("RGB")).copy()
         film.seek(2)
         assert np.any(first != np.asarray(film.convert("RGB")))
+
+
+@pytest.mark.skipif(shutil.which("ffprobe") is None, reason="ffmpeg is not installed")
+def test_mp4_is_read_back(planar, tmp_path):
+    path = animate(*planar, tmp_path / "motion.mp4", frames=3, seconds=0.5, dpi=30)
+    probe = ["ffprobe", "-v", "error", "-of", "json", "-count_frames", "-show_streams"]
+    (film,) = json.loads(subprocess.check_output([*probe, path]))["streams"]
+    assert (film["codec_name"], film["nb_read_frames"]) == ("h264", "3")
+    # What browsers play, which needs even sizes.
+    assert film["pix_fmt"] == "yuv420p"
+    assert float(film["duration"]) == pytest.approx(0.5)
+    raw = ["ffmpeg", "-v", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "gray", "-"]
+    frames = np.frombuffer(subprocess.check_output(raw), np.uint8).reshape(3, -1).astype(int)
+    # Compression leaves a few of 255 shades; the rod that moved is dark on white.
+    assert np.abs(frames[2] - frames[0]).max() > 100
 
 
 def test_page_needs_nothing_and_holds_the_motion(moving, tmp_path):

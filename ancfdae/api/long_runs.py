@@ -21,6 +21,7 @@ from ancfdae.errors import (
     require_array,
     require_count,
     require_kind,
+    require_path,
     require_sequence,
     uninterrupted,
 )
@@ -144,7 +145,7 @@ def observations(
         each.check(system)
     run = _LongRun(system, t_end, integrator, every, at)
     shape = len(run.times), 1 + len(observables)
-    rows = np.zeros(shape) if file is None else _on_disk(Path(file), shape)
+    rows = np.zeros(shape) if file is None else _on_disk(require_path("file", file), shape)
     done = steps = 0
     for part, some in run:
         if len(some.t):

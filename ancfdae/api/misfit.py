@@ -39,7 +39,7 @@ class Misfit:
         What was measured, n of them.
     times : sequence of float
         Instants of the measurements, m of them, none negative; s. Between the steps of a run values
-        are interpolated with the order of the integrator, linearly for HHT.
+        are interpolated as by `AtTimes`.
     data : array, shape (n, m)
         Measured values; NaN where there is none.
     weights : float or array, optional
@@ -64,13 +64,17 @@ class Misfit:
             require_kind("Misfit.observables", observable, (Observable,), "Use position(...), say.")
         times = require_sequence("Misfit.times", self.times)
         for time in times:
-            require_finite("Misfit.times", float(time))
+            require_finite("Misfit.times", time)
         if not times or min(times) < 0:
             raise InvalidInput(
                 "Misfit.times", "must be one or more times from 0 on", times, "Give such times."
             )
         shape = (len(observables), len(times))
-        data = np.asarray(self.data, dtype=float)
+        try:
+            data = np.asarray(self.data, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            rule, repair = "must be an array of numbers", "Give one row per observable."
+            raise InvalidInput("Misfit.data", rule, repr(self.data), repair) from None
         if data.shape != shape or np.all(np.isnan(data)) or np.any(np.isinf(data)):
             raise InvalidInput(
                 "Misfit.data",
@@ -129,8 +133,9 @@ class Misfit:
 class Fit:
     """Residuals of a model and their Jacobian, for ``scipy.optimize.least_squares``.
 
-    ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac")``
-    finds the design values. Both functions come from one run with direct differentiation per
+    ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac",
+    gtol=None)`` finds the design values. Without ``gtol=None`` it may stop at the start and report
+    success: SciPy compares J^T r with 1e-8, whatever the units, and in moduli in Pa that is small. Both functions come from one run with direct differentiation per
     design, which is kept for the other.
 
     Attributes

@@ -75,6 +75,7 @@ class _Balanced(DesignedConfiguration):
 
     def __init__(self, system: MechanicalSystem, at: Equilibrium) -> None:
         self._system, self._at = system, at
+        Configuration(at.q, at.lam, t=self._t).check(system)
 
     @cached_property
     def _tangent(self) -> Tangent:

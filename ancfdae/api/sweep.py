@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -23,6 +22,7 @@ from ancfdae.errors import (
     UnknownName,
     require_flag,
     require_kind,
+    require_path,
     require_sequence,
 )
 from ancfdae.integrators import Integrator
@@ -143,7 +143,7 @@ def sweep(
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
     given = _mappings(model, designs, design)
     values = [{_name(key): value for key, value in each.items()} for each in given]
-    kept = None if file is None else SweepFile(Path(file), model, what, values)
+    kept = None if file is None else SweepFile(require_path("file", file), model, what, values)
     rows = {} if kept is None else kept.rows()
     tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
     interrupted = False

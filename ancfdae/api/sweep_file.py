@@ -47,7 +47,10 @@ class SweepFile:
     ) -> None:
         self._path, self._values = path, values
         self._head = {"sweep of": {"model": _mark(model), "what": _mark(what)}}
-        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        try:
+            text = path.read_text(encoding="utf-8") if path.exists() else ""
+        except UnicodeDecodeError:
+            raise self._refused("must be the file of a sweep", "something else") from None
         whole = text[: text.rfind("\n") + 1]
         self._lines = whole.splitlines()
         if self._lines:

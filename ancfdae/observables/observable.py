@@ -179,6 +179,7 @@ def observe(
     require_kind("observe, solution", solution, (Solution,), "Call simulate or differentiate.")
     if system is not None:
         require_kind("observe, system", system, (MechanicalSystem,), "For example assemble(scene).")
+        _require_same_sizes(system, solution)
     held = system is not None and system.n_b > 0 and not np.iscomplexobj(system.b)
     if held and np.iscomplexobj(solution.q):
         raise InvalidInput(
@@ -190,6 +191,14 @@ def observe(
     names = solution if system is None else system
     observable.check(names)
     return observable.value(names, states_of(solution))
+
+
+def _require_same_sizes(system: MechanicalSystem, solution: Solution) -> None:
+    own, got = (system.n_q, system.n_lam), (solution.q.shape[1], solution.lam.shape[1])
+    if own != got:
+        rule, repair = "must be that of the solution", "Pass the system that was integrated."
+        counts = f"{own[0]} coordinates and {own[1]} multipliers where that has {got[0]}, {got[1]}"
+        raise InvalidInput("observe, system", rule, counts, repair)
 
 
 def _require_derivatives(values: dict[object, Array]) -> None:

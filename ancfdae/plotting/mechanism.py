@@ -141,6 +141,7 @@ def _meshes(scene: Scene, mapping: ParameterMap, naming: Naming, n_q: int) -> tu
 
 def frames_of(motion: Solution, count: int) -> Array:
     """Return equally spaced instants of a whole motion."""
+    require_kind("film, solution", motion, (Solution,), "Call simulate.")
     if len(motion.t) < 2:
         rule, repair = "needs a motion of several instants", "Use snapshots for a state of rest."
         raise InvalidInput("film", rule, f"{len(motion.t)}", repair)

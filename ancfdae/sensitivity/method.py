@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, final
 
+import numpy as np
+
 from ancfdae.errors import (
     AncfdaeError,
     PassFailed,
@@ -21,6 +23,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.objectives.objective import NO_TOTALS, Totals
 from ancfdae.objectives.totals import totals_of
+from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.tables import pandas
@@ -135,6 +138,12 @@ class Run:
             progress=self.progress,
         )
         return finished(run), totals
+
+    def values(self, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
+        """Return a finished run and the values of objectives, without derivatives."""
+        solution, totals = self.integrals(objectives, differentiated=False)
+        states = states_of(solution)
+        return solution, np.array([each.value(self.system, states, totals) for each in objectives])
 
     def at(self, b: Array) -> Run:
         """Return the run at other design values."""
