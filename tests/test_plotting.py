@@ -114,16 +114,20 @@ def test_axes_show_what_the_panel_declares() -> None:
     np.testing.assert_array_equal(axes.lines[0].get_xydata(), [[0.1, 1e-3], [1.0, 0.0]])
 
 
-@pytest.mark.parametrize(("end", "labelled"), [(9.0, [2, 5]), (30.0, [2, 5, 20]), (2000.0, [])])
-def test_short_logarithmic_axis_labels_2_and_5_between_powers_of_ten(
-    end: float, labelled: list[int], tmp_path: Path
+@pytest.mark.parametrize(
+    ("end", "beside", "above"),
+    [(9.0, [2, 5], [2, 5]), (32.0, [3, 30], [2, 5, 20]), (2000.0, [], [])],
+)
+def test_short_logarithmic_axis_labels_numbers_between_powers_of_ten(
+    end: float, beside: list[int], above: list[int], tmp_path: Path
 ) -> None:
-    figure = draw([Panel("Work", "t [s]", "e [-]", [Series("e", [1.0, end], [1, 2])], "log")])
+    series = [Series("e", [1.0, end], [1.0, end])]
+    figure = draw([Panel("Work", "t [s]", "e [-]", series, "log", "log")])
     save(figure, tmp_path / "work")
-    axis = figure.axes[0].xaxis
-    ticks = zip(axis.get_minorticklocs(), axis.get_minorticklabels(), strict=True)
-    shown = [round(x) for x, text in ticks if text.get_text() and 1 < x < end]
-    assert shown == labelled
+    for axis, labelled in ((figure.axes[0].xaxis, beside), (figure.axes[0].yaxis, above)):
+        ticks = zip(axis.get_minorticklocs(), axis.get_minorticklabels(), strict=True)
+        shown = [round(x) for x, text in ticks if text.get_text() and 1 < x < end]
+        assert shown == labelled
 
 
 def test_label_looks_the_same_in_every_panel_and_is_listed_once() -> None:

@@ -191,14 +191,14 @@ def _scene(report: Report, each: Measured) -> None:
     report.heading(each.case.title, level=3)
     panels = []
     first = each.tables[0]
-    panels.append(_panel("States", first, "states"))
+    panels.append(_panel("Error of the states", first, "states"))
     for kind, table in zip(OBJECTIVES, each.tables, strict=True):
-        panels.append(_panel(f"Gradient, {kind}", table, "gradient"))
+        panels.append(_panel(f"Error of the {kind} gradient", table, "gradient"))
     report.plot(
         each.case.name,
         panels,
         columns=3,
-        title=each.case.title,
+        title=f"Error against processor time: {each.case.title}",
         caption="From left to right smaller steps or tolerances. Errors relative to the reference; "
         "what is above 10 is cut off.",
     )

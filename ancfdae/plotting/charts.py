@@ -290,11 +290,12 @@ def _draw_panel(axes: Axes, panel: Panel, own: dict[str, Look], entries: dict[st
 
 
 def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
-    """Label 2 and 5 between powers of ten where an axis is short; more labels would overlap."""
+    """Label some numbers between powers of ten where an axis is short; more would overlap."""
     low, high = axis.get_view_interval()
     exponent = math.floor(math.log10(x) + 1e-9)
     digit = round(x / 10.0**exponent)
-    if high > 100 * low or digit not in (2, 5):
+    beside = axis.axis_name == "x" and high > 12 * low  # Labels beside each other need more room.
+    if high > 100 * low or digit not in ((3,) if beside else (2, 5)):
         return ""
     return rf"$\mathdefault{{{digit}\times10^{{{exponent}}}}}$"
 

@@ -61,7 +61,7 @@ def round_off(report: Report, quick: bool) -> float:
                 series.append(Series(label, h, np.maximum(values, 1e-17), marker=True))
                 rows.append([title, label, *(f"{value:.0e}" for value in values)])
         old = _PHI_NOISE / (_beta(-0.3) * h**2) / 9.81
-        series.append(Series("eps L/(beta h²)/g", h, old))
+        series.append(Series(r"$\varepsilon L/(\beta h^2 g)$", h, old))
         panels.append(
             Panel(title, "step [s]", "relative error [-]", series, x_scale="log", y_scale="log")
         )

@@ -146,9 +146,9 @@ def _plot(report: Report, runs: list[Long]) -> None:
             series.append(Series(f"hht_alpha = {long.alpha:g}", t, np.maximum(energy, 1e-9)))
         panels.append(
             Panel(
-                f"Energy, {label}",
+                label if label == "rigid" else f"{label} Pa",
                 "time t [s]",
-                "change of the total energy [-]",
+                "change of energy [-]",
                 series,
                 y_scale="log",
             )
