@@ -15,9 +15,31 @@ from ancfdae.sections.section import Section, SectionPoints, require_smaller
 _AROUND = 16
 
 
+@dataclass(frozen=True)
+class _Round(Section):
+    """A section with a circular contour."""
+
+    radius: float
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """The outer radius."""
+        return self.radius, self.radius
+
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Points at equal angles: of stresses linear in y and z none misses the largest by 2 %."""
+        radius, angle = sizes[:, :1], 2 * np.pi * np.arange(_AROUND) / _AROUND
+        return radius * np.cos(angle), radius * np.sin(angle)
+
+    def contour(self, sizes: Array) -> tuple[Array, Array]:
+        """Points at equal angles from the bottom on, none of them at the bottom itself."""
+        radius, angle = sizes[:, :1], 2 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
+        return -radius * np.cos(angle), -radius * np.sin(angle)
+
+
 @final
 @dataclass(frozen=True)
-class Circle(Section):
+class Circle(_Round):
     """Solid circular cross-section.
 
     Parameters
@@ -31,24 +53,9 @@ class Circle(Section):
         If the radius is not finite and positive.
     """
 
-    radius: float
-
-    @property
-    def half_extents(self) -> tuple[float, float]:
-        """The radius."""
-        return self.radius, self.radius
-
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
         """Points of an annulus without a hole."""
         return _annulus(0.0 * sizes[:, 0], sizes[:, 0], fine)
-
-    def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Points around the circumference."""
-        return _around(sizes[:, 0])
-
-    def contour(self, sizes: Array) -> tuple[Array, Array]:
-        """Return a polygon."""
-        return _polygon(sizes[:, 0])
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """Cowper (1966)."""
@@ -63,7 +70,7 @@ class Circle(Section):
 
 @final
 @dataclass(frozen=True)
-class Tube(Section):
+class Tube(_Round):
     """Circular tube.
 
     Parameters
@@ -79,7 +86,6 @@ class Tube(Section):
         If a size is not finite and positive, or the wall is as thick as the radius.
     """
 
-    radius: float
     thickness: float
 
     def __post_init__(self) -> None:
@@ -88,23 +94,10 @@ class Tube(Section):
         rule = "must be less than the radius"
         require_smaller("Tube.thickness", self.thickness, self.radius, rule)
 
-    @property
-    def half_extents(self) -> tuple[float, float]:
-        """The outer radius."""
-        return self.radius, self.radius
-
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
         """Points of the annulus."""
         radius, thickness = sizes.T
         return _annulus(radius - thickness, radius, fine)
-
-    def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Points around the circumference."""
-        return _around(sizes[:, 0])
-
-    def contour(self, sizes: Array) -> tuple[Array, Array]:
-        """Return a polygon."""
-        return _polygon(sizes[:, 0])
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """Cowper (1966); m is the ratio of inner to outer radius."""
@@ -118,18 +111,6 @@ class Tube(Section):
         radius, thickness = sizes.T
         J: Array = np.pi / 2 * (radius**4 - (radius - thickness) ** 4)
         return J
-
-
-def _around(radius: Array) -> tuple[Array, Array]:
-    """Points at equal angles: of stresses linear in y and z none misses the largest by 2 %."""
-    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
-    return radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
-
-
-def _polygon(radius: Array) -> tuple[Array, Array]:
-    """Points at equal angles from the bottom on, none of them at the bottom itself."""
-    angle = 2 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
-    return -radius[:, None] * np.cos(angle), -radius[:, None] * np.sin(angle)
 
 
 def _annulus(inner: Array, outer: Array, fine: bool) -> SectionPoints:
