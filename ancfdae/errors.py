@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import math
 import pickle
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Protocol, TypeVar, final
@@ -223,6 +223,30 @@ def uninterrupted(result: _Result) -> _Result:
     if result.outcome.verdict is Verdict.INTERRUPTED:
         raise Interrupted(result, str(result.outcome))
     return result
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str:
+        """By which it is found."""
+
+
+_Thing = TypeVar("_Thing", bound=_Named)
+
+
+def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
+    """Return the thing of this name; raise UnknownName where none has it."""
+    for thing in things:
+        if thing.name == name:
+            return thing
+    raise UnknownName(where, name, (thing.name for thing in things))
+
+
+def require_unique(where: str, rule: str, names: Sequence[str], repair: str) -> None:
+    """Raise InvalidInput for names that are there twice."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InvalidInput(where, rule, twice, repair)
 
 
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:

@@ -15,8 +15,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf import StressPoints
-from ancfdae.bodies import Point, require_point
-from ancfdae.errors import InvalidInput, require_positive, require_text
+from ancfdae.bodies import Point, require_in_section, require_point
+from ancfdae.errors import require_positive, require_text
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_scene
@@ -60,14 +60,7 @@ class VonMises(Leaf):
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist or lies outside the section."""
         sections = known_scene(system).sections
-        half = [extent * (1 + 1e-12) for extent in sections.half_extents(self.point)]
-        if abs(self.point.y) > half[0] or abs(self.point.z) > half[1]:
-            raise InvalidInput(
-                "von_mises, point",
-                f"must lie in the section (|y| <= {half[0]:.6g}, |z| <= {half[1]:.6g})",
-                f"y = {self.point.y}, z = {self.point.z}",
-                "Move the point into the beam.",
-            )
+        require_in_section("von_mises, point", self.point, sections.half_extents(self.point))
         sections.stress_at(self.point)
 
     def leaf_value(self, system: Named, states: States) -> Array:
