@@ -341,9 +341,16 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
         raise InvalidInput(where, "must not be zero", value, "Give a direction.")
 
 
-def require_axial(where: str, value: object) -> None:
-    """Raise InvalidInput for what is neither a number, as in the plane, nor three components."""
-    if np.ndim(value) == 0:  # type: ignore[arg-type]
+def require_axial(where: str, value: object, dimension: int | None = None) -> None:
+    """Raise InvalidInput for what is neither a number, as in the plane, nor three components.
+
+    Where the dimension of space is given, for the other one of both, too.
+    """
+    is_number = np.ndim(value) == 0  # type: ignore[arg-type]
+    if dimension is not None and is_number != (dimension == 2):
+        rule = "must be a number in the plane and have 3 components in space"
+        raise InvalidInput(where, rule, repr(value), f"Here space has {dimension} dimensions.")
+    if is_number:
         require_finite(where, value)
     else:
         require_vector(where, value, (3,))

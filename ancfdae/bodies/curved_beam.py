@@ -145,12 +145,6 @@ class CurvedBeam(BeamBody):
             element_lengths=tuple((factor * shape.lengths).tolist()),
         )
 
-    def with_parts(
-        self, section: Section | Sequence[Section], material: Material | Sequence[Material]
-    ) -> CurvedBeam:
-        """Return the same beam with another section and material."""
-        return replace(self, section=section, material=material)
-
     def _check_lengths(self, where: str, given: object) -> None:
         rule, repair = f"must have {self.element_count} entries", "Give one length per element."
         lengths = require_sequence(where, given, rule, repair)

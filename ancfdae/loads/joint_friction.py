@@ -13,7 +13,7 @@ from ancfdae.errors import require_direction, require_positive
 from ancfdae.laws import Law
 from ancfdae.loads.friction import friction, require_stribeck
 from ancfdae.loads.load import LAW, Load
-from ancfdae.loads.sections import rate_of, require_axis, section_of, turn, unit_axes
+from ancfdae.loads.sections import rate_of, section_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
@@ -76,9 +76,7 @@ class JointFriction(Load):
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Slopes of the sections."""
-        where = f"load {self.name!r}"
-        require_axis(where, self.axis, element)
-        require_stribeck(where, self.breakaway, self.stribeck_speed)
+        require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
         return section_of(self.points, element)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
