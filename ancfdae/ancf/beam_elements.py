@@ -12,7 +12,7 @@ from ancfdae.ancf.block import unit_vectors
 from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.bodies import BeamBody
-from ancfdae.elements.volume import shifted, step_of
+from ancfdae.elements import Batch
 from ancfdae.naming import BeamLayout
 from ancfdae.numerics.arrays import Array
 
@@ -60,20 +60,20 @@ class BeamElements:
         parameters: Array,
         elements: slice,
     ) -> None:
-        self.element, self.kind = body.element, body.element_type()
+        self.element = body.element
         self.numbers = place.first_element + np.arange(place.element_count)[elements]
-        self.parameters = parameters[self.numbers]
-        self.Y_unit = unit_vectors(body)[elements]
+        Y_unit = unit_vectors(body)[elements]
+        self.batch = Batch(body.element_type(), parameters[self.numbers], Y_unit)
         own = np.searchsorted(numbering.elements, self.numbers)
         self.coordinates = numbering.coordinates(numbering.vectors[own])
         self._mapping = mapping
 
-    def outline(self, parameters: Array) -> tuple[Array, Array]:
-        """Return y and z of outer points of sections of these parameters, shape (n, n_f) each.
+    def outline(self, own: Batch) -> tuple[Array, Array]:
+        """Return y and z of outer points of sections, shape (n, n_f) each.
 
         In the plane the lowest and the highest only.
         """
-        y, z = self.kind.section.outline(self.kind.sizes(parameters))
+        y, z = own.kind.section.outline(own.sizes)
         if self.element.d == 2:
             ends = [int(np.argmin(y[0].real)), int(np.argmax(y[0].real))]
             y, z = y[:, ends], z[:, ends]
@@ -90,8 +90,8 @@ class BeamElements:
         n_s, chord = self.element.n_s, on_Y[..., :1, :]
         return np.concatenate([-chord, on_Y[..., 1:n_s, :], chord, on_Y[..., n_s:, :]], axis=-2)
 
-    def driven(self) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Yield parameters moved by an imaginary step, the step, and who drives them.
+    def driven(self) -> Iterator[tuple[Batch, Array, Array, Array]]:
+        """Yield the elements moved in a parameter, the imaginary step, and who drives it.
 
         The latter as pairs of element and design variable, shape (2, n_pairs), with their weights.
         """
@@ -103,5 +103,5 @@ class BeamElements:
                 targets = np.stack(
                     [mapping.elements[pairs] - self.numbers[0], mapping.variables[pairs]]
                 )
-                moved = shifted(self.parameters, which)
-                yield moved, step_of(self.parameters, which), targets, mapping.weights[pairs]
+                moved, step = self.batch.moved(which), self.batch.step(which)
+                yield moved, step, targets, mapping.weights[pairs]

@@ -1,9 +1,8 @@
 """ANCF elements: shape functions, invariant matrices, batched elastic forces; one a file."""
 
-from ancfdae.elements.beam2d import BEAM_2D
-from ancfdae.elements.beam3d import BEAM_3D
 from ancfdae.elements.cable2d import CABLE_2D
-from ancfdae.elements.element import BeamElement, ElementParameter, ElementType, Quantity
+from ancfdae.elements.continuum import BEAM_2D, BEAM_3D
+from ancfdae.elements.element import Batch, BeamElement, ElementParameter, ElementType, Quantity
 from ancfdae.elements.energy import (
     EnhancedContinuum,
     PlaneStress,

@@ -146,14 +146,14 @@ def turn_count(d: int) -> int:
     return 1 if d == 2 else 3
 
 
-def turn_stiffness(d: int, E: Array, G: Array, straight: bool) -> Array:
+def turn_stiffness(d: int, E: Array, nu: Array, straight: bool) -> Array:
     """Stiffness of the turns: the diagonal of what follows C, shape (n, turn_count).
 
     What is missing is (k - k_o)^2 (k^2 + k k_o + k_o^2) of a curvature or twist k, what is added
     (k^2 - k_o^2)^2: the same for k_o = 0, and 4/3 of it near the reference of a curved beam, whose
     volume is short by phi^2/12 of it, too: 1 - phi^2/12 - phi^2/2 + 2/3 share phi^2 = 1.
     """
-    share = 1.0 if straight else 7 / 8
+    share, G = 1.0 if straight else 7 / 8, E / (2 * (1 + nu))
     turns = [E / 6] if d == 2 else [E / 6, E / 6, G / 3]
     return share * np.stack(turns, axis=-1)
 

@@ -6,12 +6,12 @@ that the length enters through the fibres only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import final
 
 import numpy as np
 
-from ancfdae.elements.element import ElementParameter, ElementType
+from ancfdae.elements.element import Batch, ElementParameter
 from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
 from ancfdae.elements.strain_fields import (
     axial_functions,
@@ -20,7 +20,7 @@ from ancfdae.elements.strain_fields import (
     section_functions_partial,
 )
 from ancfdae.errors import InvalidInput
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
 from ancfdae.sections.section import central_moments
 
@@ -66,16 +66,15 @@ class Fibres:
         return Fibres(self.centroid, volume, self.factors, self.radii, self.centroid)
 
 
-def fibres(kind: ElementType, parameters: Array) -> Fibres:
-    """Return the fibres of elements of one type, parameters of shape (n, 9)."""
-    l, nu = parameters[:, ElementParameter.LENGTH], parameters[:, ElementParameter.POISSON_RATIO]
-    sizes = kind.sizes(parameters)
+def fibres(own: Batch) -> Fibres:
+    """Return the fibres of elements."""
+    l, kind, sizes = own.lengths, own.kind, own.sizes
     y, z, dA = kind.section.points(sizes, not kind.straight)
     centroid, moments = central_moments(y, z, dA)
     polar = moments.sum(axis=1)
-    factors = np.ones((len(l), 3), dtype=parameters.dtype)
+    factors = np.ones((len(l), 3), dtype=own.parameters.dtype)
     if kind.energy is not None and kind.energy.corrected:
-        k_y, k_z, J = kind.section.properties(sizes, nu)
+        k_y, k_z, J = kind.section.properties(sizes, own.moduli[1])
         factors = np.sqrt(np.stack([k_y, k_z, J / polar], axis=1))
     twist = factors[:, 2] ** 2 * polar
     squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
@@ -84,17 +83,11 @@ def fibres(kind: ElementType, parameters: Array) -> Fibres:
     return Fibres(offsets, dA * l[:, None], factors, radii, centroid)
 
 
-def fibres_partial(kind: ElementType, parameters: Array, which: ElementParameter) -> Fibres:
+def fibres_partial(own: Batch, which: ElementParameter) -> Fibres:
     """Return the derivative of `fibres` in a parameter."""
-    at, step = fibres(kind, parameters), step_of(parameters, which)
-    moved = fibres(kind, shifted(parameters, which))
-    return Fibres(
-        change(moved.offsets, at.offsets, step),
-        change(moved.volume, at.volume, step),
-        change(moved.factors, at.factors, step),
-        change(moved.radii, at.radii, step),
-        change(moved.centroid, at.centroid, step),
-    )
+    at, moved, step = fibres(own), fibres(own.moved(which)), own.step(which)
+    names = [each.name for each in fields(Fibres)]
+    return Fibres(*(change(getattr(moved, name), getattr(at, name), step) for name in names))
 
 
 def gauss_rule(count: int) -> tuple[Array, Array]:
@@ -103,21 +96,8 @@ def gauss_rule(count: int) -> tuple[Array, Array]:
     return corner[:, 0], rule
 
 
-def shifted(parameters: Array, which: ElementParameter) -> Array:
-    """Return parameters with one of them moved by an imaginary `step_of`."""
-    moved = parameters.astype(complex)
-    moved[:, which] += 1j * step_of(parameters, which)
-    return moved
-
-
-def step_of(parameters: Array, which: ElementParameter) -> Array:
-    """Return STEP times the power of two next to each value, so that it vanishes in any units."""
-    step: Array = np.ldexp(STEP, np.frexp(parameters[:, which].real)[1])
-    return step
-
-
 def change(moved: Array, at: Array, step: Array) -> Array:
-    """Return the derivative out of a value at `shifted` parameters and at the parameters.
+    """Return the derivative out of a value at `Batch.moved` parameters and at the parameters.
 
     What is imaginary already, in a complex-step run, does not count.
     """
@@ -130,11 +110,8 @@ class Region:
 
     Parameters
     ----------
-    d : int
-    kind : ElementType
+    own : Batch
     fibres : Fibres
-    Y_unit : array, shape (n, n_y, d)
-        Relative node vectors of the reference configuration, the chord divided by l.
     along : (array, array), shape (n_xi,) each
         Places xi along the axis and their weights, such as those of `gauss_rule`.
     owners : array of str, shape (n,)
@@ -155,27 +132,20 @@ class Region:
     """
 
     def __init__(
-        self,
-        d: int,
-        kind: ElementType,
-        fibres: Fibres,
-        Y_unit: Array,
-        along: tuple[Array, Array],
-        owners: Array,
+        self, own: Batch, fibres: Fibres, along: tuple[Array, Array], owners: Array
     ) -> None:
         self._xi, self._rule = along
-        self._d, self._fibres = d, fibres
-        assert kind.energy is not None
-        assumed = kind.energy.assumed_strains
-        self._beta = axial_functions(d, tuple(self._xi.tolist()), assumed, kind.straight)
+        self._d, self._fibres = own.d, fibres
+        assumed, straight = own.energy.assumed_strains, own.kind.straight
+        self._beta = axial_functions(own.d, tuple(self._xi.tolist()), assumed, straight)
         self._B = self._metric(section_functions(fibres.offsets, fibres.factors, fibres.radii))
         self._J_inv: Array | None = None
         self.dV = self._measure(fibres.volume)
-        if not kind.straight:
-            J = self._gradient(Y_unit, fibres.offsets, 1.0)
+        if not straight:
+            J = self._gradient(own.Y_unit, fibres.offsets, 1.0)
             det_J = np.linalg.det(J)
             _refuse_folds(det_J, owners)
-            self._Y, self._axes = Y_unit, _section_axes(J)
+            self._Y, self._axes = own.Y_unit, _section_axes(J)
             self._J_inv = np.linalg.inv(self._axes @ J)
             self.dV = self.dV * det_J
         self.T = self._transform(self._J_inv, self._J_inv, 1.0)
