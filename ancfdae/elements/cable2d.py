@@ -51,10 +51,8 @@ class Cable2D(BeamElement):
     name = "CABLE_2D"
     d = 2
 
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """Position and tangent."""
-        return (Quantity.POSITION, Quantity.SLOPE_X)
+    quantities = (Quantity.POSITION, Quantity.SLOPE_X)
+    default_energy = None
 
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
@@ -64,11 +62,6 @@ class Cable2D(BeamElement):
             return _shape(np.array(xi)), _S_POWER
         chord, first, second = _tangent(np.array(xi))
         return np.array([-chord, first, chord, second]), np.array([-1, 0, -1, 0])
-
-    @property
-    def default_energy(self) -> None:
-        """A law of its own."""
-        return None
 
     def integrals(self, own: Batch, owners: Array) -> Integrals:
         """Integrals times E A, rho A and E I."""

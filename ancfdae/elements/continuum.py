@@ -30,14 +30,15 @@ from ancfdae.elements.element import (
     Quantity,
     SectionLaw,
 )
-from ancfdae.elements.energy import EnhancedContinuum, StrainEnergy
-from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
+from ancfdae.elements.energy import EnhancedContinuum
+from ancfdae.elements.hermite import shape_weights
 from ancfdae.elements.packing import upper_triangle
 from ancfdae.elements.strain_fields import turn_stiffness
 from ancfdae.elements.stresses import ContinuumSectionLaw, StressMap
 from ancfdae.elements.volume import (
     AXIS_POINTS,
     Region,
+    along,
     change,
     fibres,
     fibres_partial,
@@ -66,6 +67,8 @@ class ContinuumBeam(BeamElement):
     name: str
     d: int
 
+    default_energy = EnhancedContinuum()
+
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """Position and d slopes."""
@@ -74,33 +77,14 @@ class ContinuumBeam(BeamElement):
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
     ) -> tuple[Array, Array]:
-        """Eq. (8), in space with the terms of the width (docs/theory.md, section 1)."""
-        place, powers, second = np.array(xi), np.zeros(self.n_a), self.n_s
-        weights = np.zeros(self.n_a, dtype=np.result_type(xi, y, z, float))
+        """Return `shape_weights`."""
+        powers = np.zeros((2, self.n_s), dtype=int)
         if quantity is Quantity.POSITION:
-            s5 = end_weight(place)
-            weights[0], weights[second] = 1 - s5, s5
-            weights[1], weights[second + 1] = slope_weights(place)
-            powers[1] = powers[second + 1] = 1
-            for k, offset in enumerate((y, z)[: self.d - 1], start=2):
-                weights[k], weights[second + k] = offset * (1 - place), offset * place
+            powers[:, 1] = 1
         elif quantity is Quantity.SLOPE_X:
-            s5 = end_weight_xi(place)
-            weights[0], weights[second] = -s5, s5
-            weights[1], weights[second + 1] = slope_weights_xi(place)
-            powers[0] = powers[second] = -1
-            for k, offset in enumerate((y, z)[: self.d - 1], start=2):
-                weights[k], weights[second + k] = -offset, offset
-                powers[k] = powers[second + k] = -1
-        else:
-            k = int(quantity)
-            weights[k], weights[second + k] = 1 - place, place
-        return weights, powers
-
-    @property
-    def default_energy(self) -> StrainEnergy:
-        """What bends, stretches, shears and twists as beams do."""
-        return EnhancedContinuum()
+            powers[:] = -1
+            powers[:, 1] = 0
+        return shape_weights(self.d, quantity, xi, y, z), powers.ravel()
 
     def integrals(self, own: Batch, owners: Array) -> Integrals:
         """Gauss quadrature over the volume, and for some energies along the axis."""
@@ -123,13 +107,13 @@ class _ContinuumIntegrals(Integrals):
 
     def __init__(self, own: Batch, owners: Array) -> None:
         self._own, self._fibres, self._C = own, fibres(own), _stiffness(own)
-        along = _STRAIGHT_POINTS if own.kind.straight else _CURVED_POINTS
-        self._regions = [Region(own, self._fibres, gauss_rule(along), owners)]
+        count = _STRAIGHT_POINTS if own.kind.straight else _CURVED_POINTS
+        self._regions = [Region(own, self._fibres, gauss_rule(count), owners)]
         if len(self._C) > 1:
             axis = self._fibres.axis()
             self._regions.append(Region(own, axis, gauss_rule(AXIS_POINTS), owners))
         self._rho = own.of(ElementParameter.DENSITY)
-        self._s = self._regions[0].shape(self._fibres.offsets, 1.0)
+        self._s = self._regions[0].shape(self._fibres.offsets)
         A: Array = np.sum(
             [_quadratic(r.P, C, r.dV, r.P) for r, C in zip(self._regions, self._C, strict=True)],
             axis=0,
@@ -161,7 +145,8 @@ class _ContinuumIntegrals(Integrals):
             A_b += _quadratic(r.P, C, dV_b, r.P) + cross + cross.transpose(0, 2, 1)
         volume, s = self._regions[0], self._s
         dV_b = volume.partial(fibres_b)[1]
-        cross = _mass(self._rho, volume.dV, volume.shape(fibres_b.offsets, 0.0), s)
+        s_b = along(volume.shape, (self._fibres.offsets,), (fibres_b.offsets,))
+        cross = _mass(self._rho, volume.dV, s_b, s)
         m_b += _mass(self._rho, dV_b, s, s) + cross + cross.transpose(0, 2, 1)
         return A_b, m_b
 

@@ -72,21 +72,6 @@ def section_functions(offsets: Array, factors: Array, radii: Array) -> Array:
     return np.stack(products, axis=-1)
 
 
-def section_functions_partial(
-    at: tuple[Array, Array, Array], b: tuple[Array, Array, Array]
-) -> Array:
-    """Return the derivative of `section_functions` at its arguments, along their derivatives."""
-    (offsets, factors, radii), (offsets_b, factors_b, radii_b) = at, b
-    (y, z), (y_b, z_b) = (np.moveaxis(x, -1, 0) for x in (offsets, offsets_b))
-    none = np.zeros_like(y)
-    k, (k_yb, k_zb, k_b) = factors[:, 2, None], factors_b.T[:, :, None]
-    products = [none, y_b, z_b, 2 * y * y_b, y_b * z + y * z_b, 2 * z * z_b]
-    products += [none + k_yb, none + k_zb, y_b * k + y * k_b, z_b * k + z * k_b]
-    squares_b = 2 * radii[:, :2] * radii_b[:, :2]
-    products += [none + r_b for r_b in (*squares_b.T[:, :, None], *radii_b.T[:, :, None])]
-    return np.stack(products, axis=-1)
-
-
 @lru_cache(maxsize=16)
 def axial_functions(d: int, xi: tuple[float, ...], assumed: bool, straight: bool) -> Array:
     """Return the beta_k, shape (15, n_xi, n_v, n_g); components in the order of `components`."""

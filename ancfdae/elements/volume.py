@@ -6,21 +6,17 @@ that the length enters through the fibres only.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import final
 
 import numpy as np
 
-from ancfdae.elements.element import Batch, ElementParameter
-from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
-from ancfdae.elements.strain_fields import (
-    axial_functions,
-    components,
-    section_functions,
-    section_functions_partial,
-)
+from ancfdae.elements.element import Batch, ElementParameter, Quantity
+from ancfdae.elements.hermite import shape_weights
+from ancfdae.elements.strain_fields import axial_functions, components, section_functions
 from ancfdae.errors import InvalidInput
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.quadrature import box_rule
 from ancfdae.sections.section import central_moments
 
@@ -96,6 +92,12 @@ def gauss_rule(count: int) -> tuple[Array, Array]:
     return corner[:, 0], rule
 
 
+def along(function: Callable[..., Array], at: Sequence[Array], b: Sequence[Array]) -> Array:
+    """Return the derivative of a function along changes of its arguments, by an imaginary step."""
+    moved = (x.real + 1j * STEP * x_b.real for x, x_b in zip(at, b, strict=True))
+    return np.asarray(function(*moved).imag / STEP)
+
+
 def change(moved: Array, at: Array, step: Array) -> Array:
     """Return the derivative out of a value at `Batch.moved` parameters and at the parameters.
 
@@ -142,10 +144,11 @@ class Region:
         self._J_inv: Array | None = None
         self.dV = self._measure(fibres.volume)
         if not straight:
-            J = self._gradient(own.Y_unit, fibres.offsets, 1.0)
+            self._Y = own.Y_unit
+            J = self._gradient(fibres.offsets)
             det_J = np.linalg.det(J)
             _refuse_folds(det_J, owners)
-            self._Y, self._axes = own.Y_unit, _section_axes(J)
+            self._axes = _section_axes(J)
             self._J_inv = np.linalg.inv(self._axes @ J)
             self.dV = self.dV * det_J
         self.T = self._transform(self._J_inv, self._J_inv, 1.0)
@@ -154,33 +157,29 @@ class Region:
     def partial(self, fibres_b: Fibres) -> tuple[Array, Array]:
         """Return the derivatives of P and dV."""
         own = self._fibres
-        phi_b = section_functions_partial(
-            (own.offsets, own.factors, own.radii),
-            (fibres_b.offsets, fibres_b.factors, fibres_b.radii),
-        )
+        parts = [(x.offsets, x.factors, x.radii) for x in (own, fibres_b)]
+        phi_b = along(section_functions, *parts)
         P_b = self.T @ self._metric(phi_b)
         dV_b = self._measure(fibres_b.volume)
         if self._J_inv is None:
             return P_b, dV_b
         # The section slopes of the reference, and so its axes, depend on no parameter.
-        J_b = self._axes @ self._gradient(self._Y, fibres_b.offsets, 0.0)
+        J_b = self._axes @ along(self._gradient, (own.offsets,), (fibres_b.offsets,))
         K_b = -self._J_inv @ J_b @ self._J_inv
         T_b = self._transform(K_b, self._J_inv, 0.0) + self._transform(self._J_inv, K_b, 0.0)
         trace = np.einsum("npij,npji->np", self._J_inv, J_b)
         det_J = self.dV / self._measure(own.volume)
         return P_b + T_b @ self._B, dV_b * det_J + self.dV * trace
 
-    def shape(self, offsets: Array, one: float) -> Array:
-        """Scaled shape functions, shape (n, n_p, n_a); `one` is zero for their derivative."""
-        xi, n_s = self._xi, self._d + 1
-        s5, (p2, p6) = end_weight(xi), slope_weights(xi)
-        s = np.zeros((*offsets.shape[:2], len(xi), 2 * n_s), dtype=offsets.dtype)
-        s[..., 0], s[..., n_s] = one * (1 - s5), one * s5
-        s[..., 1], s[..., n_s + 1] = one * p2, one * p6
-        for k in range(self._d - 1):
-            y = offsets[..., None, k]
-            s[..., 2 + k], s[..., n_s + 2 + k] = y * (1 - xi), y * xi
-        return s.reshape(len(s), -1, 2 * n_s)
+    def shape(self, offsets: Array) -> Array:
+        """Scaled shape functions, shape (n, n_p, n_a)."""
+        return self._weights(Quantity.POSITION, offsets)
+
+    def _weights(self, quantity: Quantity, offsets: Array) -> Array:
+        """Weights of the node vectors at all points, shape (n, n_p, n_a)."""
+        y, z = np.moveaxis(offsets[:, :, None], -1, 0)
+        weights = shape_weights(self._d, quantity, self._xi, y, z)
+        return weights.reshape(len(weights), -1, weights.shape[-1])
 
     def _metric(self, phi: Array) -> Array:
         """B at all points, shape (n, n_p, n_v, n_g)."""
@@ -192,17 +191,13 @@ class Region:
         measure: Array = volume[:, :, None] * self._rule
         return measure.reshape(len(volume), -1)
 
-    def _gradient(self, Y: Array, offsets: Array, one: float) -> Array:
-        """dr_o/dx (eq. 16), shape (n, n_p, d, d); `one` is zero for its derivative."""
-        d, xi = self._d, self._xi
-        N = np.zeros((*offsets.shape[:2], len(xi), 2 * d + 1, d), dtype=offsets.dtype)
-        N[..., 0, 0] = one * end_weight_xi(xi)
-        N[..., 1, 0], N[..., 1 + d, 0] = (one * s for s in slope_weights_xi(xi))
-        for k in range(1, d):
-            y = offsets[..., None, k - 1]
-            N[..., 1 + k, 0], N[..., 1 + d + k, 0] = -y, y
-            N[..., 1 + k, k], N[..., 1 + d + k, k] = one * (1 - xi), one * xi
-        J: Array = Y.transpose(0, 2, 1)[:, None] @ N.reshape(len(N), -1, 2 * d + 1, d)
+    def _gradient(self, offsets: Array) -> Array:
+        """dr_o/dx (eq. 16), shape (n, n_p, d, d)."""
+        n_s = self._d + 1
+        slopes = [self._weights(quantity, offsets) for quantity in tuple(Quantity)[1:n_s]]
+        # Of both positions the weights are opposite: that of the chord is the second one.
+        N = np.stack(slopes, axis=-1)[..., np.r_[n_s, 1:n_s, n_s + 1 : 2 * n_s], :]
+        J: Array = self._Y.transpose(0, 2, 1)[:, None] @ N
         return J
 
     def _transform(self, K_1: Array | None, K_2: Array | None, turn: float) -> Array:
