@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from ancfdae.bodies import BeamBody
 from ancfdae.elements import Batch
 from ancfdae.naming import BeamLayout
 from ancfdae.numerics.arrays import Array
+
+_Law = TypeVar("_Law")
 
 
 @final
@@ -90,18 +92,18 @@ class BeamElements:
         n_s, chord = self.element.n_s, on_Y[..., :1, :]
         return np.concatenate([-chord, on_Y[..., 1:n_s, :], chord, on_Y[..., n_s:, :]], axis=-2)
 
-    def driven(self) -> Iterator[tuple[Batch, Array, Array, Array]]:
-        """Yield the elements moved in a parameter, the imaginary step, and who drives it.
+    def moved(self, law_at: Callable[[Batch], _Law]) -> list[tuple[_Law, Array, Array, Array]]:
+        """Return laws at moved parameters, the imaginary step, and who drives them.
 
         The latter as pairs of element and design variable, shape (2, n_pairs), with their weights.
         """
-        mapping = self._mapping
+        mapping, found = self._mapping, []
         for which in mapping.driven():
             pairs = mapping.pairs(which)
             pairs = pairs[np.isin(mapping.elements[pairs], self.numbers)]
             if len(pairs):
-                targets = np.stack(
-                    [mapping.elements[pairs] - self.numbers[0], mapping.variables[pairs]]
-                )
-                moved, step = self.batch.moved(which), self.batch.step(which)
-                yield moved, step, targets, mapping.weights[pairs]
+                elements = mapping.elements[pairs] - self.numbers[0]
+                targets = np.stack([elements, mapping.variables[pairs]])
+                law, step = law_at(self.batch.moved(which)), self.batch.step(which)
+                found.append((law, step, targets, mapping.weights[pairs]))
+        return found

@@ -45,18 +45,14 @@ class SectionForces:
         if np.any(own.batch.of(ElementParameter.DAMPING_TIME)):
             on_v = self._of(self._law, X, U + step)[..., component].imag.T / STEP
         still = self._of(self._law, X, U)[..., component]
-        for law, size, variables, weights in self._moved:
+        for law, size, (_, variables), weights in self._moved:
             slope = change(self._of(law, X, U)[None, ..., component], still[None], size)[0]
             np.add.at(b.T, variables, weights[:, None] * slope)
         return StatePartials(at.ravel(), on_q, on_v, b)
 
     @cached_property
     def _moved(self) -> list[tuple[SectionLaw, Array, Array, Array]]:
-        """Laws at moved parameters, the step, and who moves them with which weights."""
-        return [
-            (self._law_at(moved), size, variables, weights)
-            for moved, size, (_, variables), weights in self._own.driven()
-        ]
+        return self._own.moved(self._law_at)
 
     def _law_at(self, batch: Batch) -> SectionLaw:
         return self._own.element.section_law(batch, self._xi)

@@ -73,11 +73,7 @@ class StressPoints:
 
     @cached_property
     def _moved(self) -> list[tuple[_Law, Array, Array, Array]]:
-        """Laws at moved parameters, the step, and who moves them with which weights."""
-        return [
-            (self._law_at(moved), size, targets, weights)
-            for moved, size, targets, weights in self._own.driven()
-        ]
+        return self._own.moved(self._law_at)
 
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
         at = self._own.coordinates

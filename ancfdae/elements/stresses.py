@@ -41,13 +41,6 @@ _ALONG = 5
 class StressMap:
     """Stresses at fibres and places of elements, linear in the strains of the law.
 
-    Parameters
-    ----------
-    own : Batch
-    xi : array, shape (n_xi,)
-    at : Fibres
-        Where in the section.
-
     Attributes
     ----------
     D : array, shape (n, n_f, n_xi, n_v, n_g)

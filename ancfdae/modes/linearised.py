@@ -60,14 +60,7 @@ class Linearised:
 
     @staticmethod
     def of(system: MechanicalSystem, at: Configuration, damped: bool | None) -> Linearised:
-        """Linearise about a configuration.
-
-        Parameters
-        ----------
-        system : MechanicalSystem
-        at : Configuration
-        damped : bool, optional
-            Whether velocity forces count; by default if there are any.
+        """Linearise about a configuration; if `damped` is None, velocity forces count if any.
 
         Raises
         ------
