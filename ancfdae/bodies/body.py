@@ -88,11 +88,6 @@ class BeamBody(Placed):
     def element_count(self) -> int:
         """Number of elements."""
 
-    @property
-    @abc.abstractmethod
-    def dimension(self) -> int:
-        """Dimension of space, 2 or 3."""
-
     @abc.abstractmethod
     def reference(self) -> ReferenceShape:
         """Return the reference configuration."""

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from ancfdae.bodies import Point
-from ancfdae.design import numbers
 from ancfdae.elements import BeamElement
-from ancfdae.errors import require_direction, require_positive
+from ancfdae.errors import require_direction
 from ancfdae.laws import Law
-from ancfdae.loads.friction import friction, require_stribeck
+from ancfdae.loads.friction import DAMPING, LEVELS, friction, require_stribeck
 from ancfdae.loads.load import LAW, Load
 from ancfdae.loads.sections import rate_of, section_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
@@ -63,15 +62,8 @@ class JointFriction(Load):
 
     kind = "friction"
     elastic = True
-    design_fields = (
-        *numbers("coulomb"),
-        ("smooth_speed", require_positive),
-        *numbers("viscous", "breakaway"),
-        ("stribeck_speed", require_positive),
-        ("axis", require_direction),
-        LAW,
-    )
-    damping_fields = ("coulomb", "viscous", "breakaway")
+    design_fields = (*LEVELS, ("axis", require_direction), LAW)
+    damping_fields = DAMPING
     refers = True
 
     def vectors(self, element: BeamElement) -> Vectors:

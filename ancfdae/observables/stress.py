@@ -14,11 +14,10 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf import StressPoints
 from ancfdae.bodies import Point, require_in_section, require_point
 from ancfdae.errors import require_positive, require_text
 from ancfdae.numerics.arrays import Array
-from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.observables.observable import Leaf, LeafGradient, Observable
 from ancfdae.observables.states import Named, States, known_scene
 from ancfdae.protocol import MechanicalSystem
 
@@ -70,7 +69,8 @@ class VonMises(Leaf):
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Pull back one stress."""
         points = known_scene(system).sections.stress_at(self.point)
-        return _gradient(points, system, states, np.ones((len(states.t), 1, 1)))
+        weights = np.ones((len(states.t), 1, 1))
+        return LeafGradient.of(points.partials(states.q, states.v, weights, system.n_b))
 
 
 @final
@@ -103,12 +103,4 @@ class MaximumStress(Leaf):
         largest = np.max(stress, axis=(1, 2), keepdims=True)
         weights = np.exp(self.sharpness * (stress - largest))
         weights = weights / np.sum(weights, axis=(1, 2), keepdims=True)
-        return _gradient(points, system, states, weights)
-
-
-def _gradient(
-    points: StressPoints, system: MechanicalSystem, states: States, weights: Array
-) -> LeafGradient:
-    p = points.partials(states.q, states.v, weights, system.n_b)
-    v = Rows(p.columns, p.v) if np.any(p.v) else None
-    return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)
+        return LeafGradient.of(points.partials(states.q, states.v, weights, system.n_b))
