@@ -19,12 +19,7 @@ from ancfdae.errors import InvalidInput, require_axial, require_text, require_ve
 @final
 @dataclass(frozen=True)
 class CentreLine:
-    """The integral of the position along the centre line of a beam, as a vector for loads.
-
-    Parameters
-    ----------
-    beam : str
-    """
+    """The integral of the position along the centre line of a beam, as a vector for loads."""
 
     beam: str
 
@@ -36,14 +31,7 @@ _NO_NAME = re.compile(r"\.(?!\d)|\[")
 @final
 @dataclass(frozen=True)
 class Direction:
-    """A direction of the axes of something rigid, as a vector for what keeps it rigid.
-
-    Parameters
-    ----------
-    body : str
-    number : int
-        From 1 on.
-    """
+    """A direction of the axes of something rigid, for what keeps it rigid; counted from 1 on."""
 
     body: str
     number: int

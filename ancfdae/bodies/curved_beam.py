@@ -36,20 +36,13 @@ class CurvedBeam(BeamBody):
     frames : array, shape (n + 1, d, d)
         Slope vectors of the nodes, row k along the section's k-th axis (tangent first);
         right-handed.
-    section : Section or sequence of Section
-        One for the beam or one per element, which may differ in their sizes.
-    material : Material or sequence of Material
+    section, material, element, energy, rigid
+        As in `Beam`.
     element_lengths : sequence of float, optional
         Range of the axial coordinate of each element. By default the arc length of the cubic
         through its nodes, so that unit tangents stay unit tangents.
-    element : BeamElement, optional
-        By default the beam of the dimension, BEAM_2D or BEAM_3D.
-    energy : StrainEnergy, optional
-        By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
     turn : float or sequence of float, optional
         Turn of the whole beam about its first node, as in `Beam`.
-    rigid : bool, optional
-        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
 
     Raises
     ------

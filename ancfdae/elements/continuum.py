@@ -55,14 +55,7 @@ _STRAIGHT_POINTS, _CURVED_POINTS = 5, 12
 @final
 @dataclass(frozen=True)
 class ContinuumBeam(BeamElement):
-    """A beam of hyperelastic material with linearly interpolated section slopes.
-
-    Attributes
-    ----------
-    name : str
-    d : int
-        Dimension of space.
-    """
+    """A beam of hyperelastic material with linearly interpolated section slopes."""
 
     name: str
     d: int

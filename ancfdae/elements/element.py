@@ -244,12 +244,6 @@ class BeamElement(abc.ABC):
     ----------
     d : int
         Dimension of space.
-    n_s : int
-        Node vectors per node.
-    n_a : int
-        Node vectors per element, 2 n_s.
-    n_y : int
-        Relative node vectors per element, n_a - 1.
     name : str
         What saved solutions call it.
     """
@@ -269,12 +263,12 @@ class BeamElement(abc.ABC):
 
     @property
     def n_a(self) -> int:
-        """Node vectors per element."""
+        """Node vectors per element, 2 n_s."""
         return 2 * self.n_s
 
     @property
     def n_y(self) -> int:
-        """Relative node vectors per element."""
+        """Relative node vectors per element, n_a - 1."""
         return self.n_a - 1
 
     def require(self, where: str, quantity: Quantity, y: float, z: float) -> None:

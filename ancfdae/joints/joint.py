@@ -126,15 +126,7 @@ class DrivenJoint(Joint):
 
 @dataclass(frozen=True)
 class Travelling(DrivenJoint):
-    """A joint that moves its point along a direction by one law, its one factor.
-
-    Parameters
-    ----------
-    point : Point
-    direction : sequence of float
-        Not zero.
-    travel : Law
-    """
+    """A joint that moves its point along a direction, not zero, by one law, its one factor."""
 
     point: Point
     direction: Sequence[float]
