@@ -63,12 +63,8 @@ class SaintVenantKirchhoff(StrainEnergy):
     """Full three-dimensional elasticity; plane strain in the plane (the source paper's).
 
     Sections stay flat, but Poisson's effect wants them curved in bending: a beam of Poisson's ratio
-    0.3 bends 1.35 times too stiffly however many elements it has. Right at nu = 0.
-
-    Parameters
-    ----------
-    assumed_strains : bool
-        As in `StrainEnergy`.
+    0.3 bends 1.35 times too stiffly however many elements it has. Right at nu = 0. Parameters are
+    those of `StrainEnergy`.
     """
 
     def stress_across(self, d: int, nu: Array) -> Array:
@@ -86,12 +82,7 @@ class PlaneStress(StrainEnergy):
     """Plane stress, for planar beams that are free to contract across the plane.
 
     Bends 1/(1 - nu^2) times too stiffly, 1.10 at nu = 0.3, for the reason that holds for
-    `SaintVenantKirchhoff`.
-
-    Parameters
-    ----------
-    assumed_strains : bool
-        As in `StrainEnergy`.
+    `SaintVenantKirchhoff`. Parameters are those of `StrainEnergy`.
     """
 
     dimensions = (2,)
