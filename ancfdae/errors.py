@@ -11,7 +11,7 @@ import importlib
 import math
 import os
 import pickle
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -227,6 +227,31 @@ def uninterrupted(result: _Result) -> _Result:
     return result
 
 
+class _Named(Protocol):
+    @property
+    def name(self) -> str:
+        """By which it is found."""
+
+
+_Thing = TypeVar("_Thing", bound=_Named)
+
+
+def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
+    """Return the thing of this name; raise UnknownName where none has it."""
+    require_text(where, name)
+    for thing in things:
+        if thing.name == name:
+            return thing
+    raise UnknownName(where, name, (thing.name for thing in things))
+
+
+def require_unique(where: str, rule: str, names: Sequence[str], repair: str) -> None:
+    """Raise InvalidInput for names that are there twice."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InvalidInput(where, rule, twice, repair)
+
+
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:
     """Raise InvalidInput for an object that is of none of the given classes."""
     if not isinstance(value, kinds):
@@ -335,9 +360,16 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
         raise InvalidInput(where, "must not be zero", value, "Give a direction.")
 
 
-def require_axial(where: str, value: object) -> None:
-    """Raise InvalidInput for what is neither a number, as in the plane, nor three components."""
-    if np.ndim(value) == 0:  # type: ignore[arg-type]
+def require_axial(where: str, value: object, dimension: int | None = None) -> None:
+    """Raise InvalidInput for what is neither a number, as in the plane, nor three components.
+
+    Where the dimension of space is given, for the other one of both, too.
+    """
+    is_number = np.ndim(value) == 0  # type: ignore[arg-type]
+    if dimension is not None and is_number != (dimension == 2):
+        rule = "must be a number in the plane and have 3 components in space"
+        raise InvalidInput(where, rule, repr(value), f"Here space has {dimension} dimensions.")
+    if is_number:
         require_finite(where, value)
     else:
         require_vector(where, value, (3,))

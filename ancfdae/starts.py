@@ -14,7 +14,6 @@ from ancfdae.errors import (
     InvalidInput,
     require_array,
     require_axial,
-    require_finite,
     require_kind,
     require_sequence,
     require_text,
@@ -139,10 +138,7 @@ def checked_start(
         require_vector(f"{where}, about", start.about, (d,))
         if start.velocity is not None:
             require_vector(f"{where}, velocity", start.velocity, (d,))
-        if d == 2:
-            require_finite(f"{where}, angular_velocity", start.angular_velocity)
-        else:
-            require_vector(f"{where}, angular_velocity", start.angular_velocity, (3,))
+        require_axial(f"{where}, angular_velocity", start.angular_velocity, d)
         return start
     if isinstance(beam, RigidBody) or beam.rigid:
         rule, repair = "a rigid body has no nodes", "Give it a RigidMotion."

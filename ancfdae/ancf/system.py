@@ -169,7 +169,8 @@ class AncfSystem(MechanicalSystem):
                 "design values", f"must have shape ({self.n_b},)", b.shape, "One per variable."
             )
         if np.any(b.real != self.b.real):
-            self._scene.check_values(self._design, b.real.tolist())
+            # Refuses values that a part cannot take.
+            self._scene.with_values(dict(zip(self._design, b.real.tolist(), strict=True)))
         return AncfSystem(self._scene, self._design, self._mapping, b)
 
     @cached_property

@@ -7,7 +7,7 @@ from typing import final
 from ancfdae.ancf.joint_work import JointWork, at_unit_rate
 from ancfdae.ancf.load_work import LoadWork
 from ancfdae.ancf.part_inputs import PartInputs
-from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.errors import InvalidInput, named
 from ancfdae.joints import DrivenJoint
 from ancfdae.naming import Layout
 from ancfdae.scene import Scene
@@ -54,8 +54,6 @@ class Works:
     def of_load(self, name: str) -> LoadWork:
         """Return what gives the power of a load, or raise UnknownName."""
         if name not in self._loads:
-            loads = {load.name: load for load in self._scene.loads}
-            if name not in loads:
-                raise UnknownName("load", name, loads)
-            self._loads[name] = LoadWork(self._inputs.load(loads[name]), self._n_b)
+            load = named("load", name, self._scene.loads)
+            self._loads[name] = LoadWork(self._inputs.load(load), self._n_b)
         return self._loads[name]

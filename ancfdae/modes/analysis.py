@@ -51,8 +51,9 @@ def modes_about(
     derivatives = None
     if system.n_b:
         parts = small, pairs, mu, groups
-        own = differentiate(*parts) if pull_back is None else differentiate_back(*parts, pull_back)
-        derivatives = ModeDerivatives(system.design_names, _exponents_b(small, s, own.z_b), own.X_b)
+        back = pull_back
+        z_b, X_b = differentiate(*parts) if back is None else differentiate_back(*parts, back)
+        derivatives = ModeDerivatives(system.design_names, _exponents_b(small, s, z_b), X_b)
     rigid = pairs.X[:, s == 0].real
     return Modes(
         s,

@@ -11,6 +11,7 @@ Motions x e^{st} make two pencils F(z) x + Phi_q^T mu = 0, Phi_q x = 0:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -59,14 +60,7 @@ class Linearised:
 
     @staticmethod
     def of(system: MechanicalSystem, at: Configuration, damped: bool | None) -> Linearised:
-        """Linearise about a configuration.
-
-        Parameters
-        ----------
-        system : MechanicalSystem
-        at : Configuration
-        damped : bool, optional
-            Whether velocity forces count; by default if there are any.
+        """Linearise about a configuration; if `damped` is None, velocity forces count if any.
 
         Raises
         ------
@@ -208,3 +202,10 @@ class Linearised:
         if left <= 1e3 * system.force_round_off:
             return 0.0
         return left / (norm(Q, inverse) + norm(reaction, inverse))
+
+
+def split(linear: Callable[[Array], Array], x: Array) -> Array:
+    """Apply a function that is linear over the real numbers to a complex vector."""
+    if x.dtype.kind != "c":
+        return linear(x)
+    return linear(x.real) + 1j * linear(x.imag)

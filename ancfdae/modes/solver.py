@@ -63,17 +63,11 @@ def coincident(pairs: Eigenpairs) -> list[list[int]]:
     they, and derivatives that take them for simple, have lost as much as those that take them
     for one.
     """
-    groups: list[list[int]] = []
     size = np.abs(pairs.z)
     near = np.sqrt(pairs.noise * np.maximum(size, pairs.noise))
-    for j in range(len(pairs.z)):
-        if groups:
-            i = groups[-1][-1]
-            if abs(pairs.z[j] - pairs.z[i]) <= near[i] + near[j]:
-                groups[-1].append(j)
-                continue
-        groups.append([j])
-    return groups
+    joined = np.abs(np.diff(pairs.z)) <= near[:-1] + near[1:]
+    groups = np.split(np.arange(len(pairs.z)), np.flatnonzero(~joined) + 1)
+    return [group.tolist() for group in groups if len(group)]
 
 
 def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:

@@ -8,6 +8,7 @@ from typing import cast, final
 
 import numpy as np
 
+from ancfdae.ancf import StatePartials
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.differentiable import require_derivative
@@ -51,6 +52,12 @@ class LeafGradient:
     v: Rows | None = None
     lam: Rows | None = None
     b: Array | None = None
+
+    @staticmethod
+    def of(p: StatePartials) -> LeafGradient:
+        """Return partials in some columns as those of a leaf."""
+        v = Rows(p.columns, p.v) if np.any(p.v) else None
+        return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)
 
 
 @final

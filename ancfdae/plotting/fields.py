@@ -79,10 +79,10 @@ class StrainEnergyDensity(_OfBeams):
         """Energy of each element over its volume."""
         own = mesh.elements
         assert own is not None
-        law = prepare(own.element, own.kind, own.parameters, own.Y_unit)
+        law = prepare(own.element, own.batch)
         Y = own.relative(motion.q[:, own.coordinates])
         energy = elastic.energy(law.A, law.g_o, Y, law.p_o)
-        areas = own.kind.section.points(own.kind.sizes(own.parameters), False)[2].sum(axis=1)
+        areas = own.batch.kind.section.points(own.batch.sizes, False)[2].sum(axis=1)
         density: Array = energy / (areas * mesh.body.reference().lengths)
         return density[..., None, None]
 
@@ -215,7 +215,5 @@ def section_forces(mesh: BeamMesh, motion: Solution) -> Array:
     own = mesh.elements
     assert own is not None
     Y, V = (own.relative(x[:, own.coordinates]) for x in (motion.q, motion.v))
-    laws = (
-        own.element.section_law(own.kind, own.parameters, own.Y_unit, xi) for xi in mesh.xi.tolist()
-    )
+    laws = (own.element.section_law(own.batch, xi) for xi in mesh.xi.tolist())
     return np.stack([law.forces(Y, V) for law in laws], axis=2)

@@ -160,16 +160,7 @@ class Balance:
         mu: float = 0.0,
         anchor: Array | None = None,
     ) -> Solved | Failure:
-        """Solve the equations by Newton's method from a guess.
-
-        Parameters
-        ----------
-        s : float
-        q, lam : array
-            The guess.
-        mu, anchor : float and array
-            mu and q_a.
-        """
+        """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a."""
         test = _Convergence(self)
         try:
             with np.errstate(all="ignore"):

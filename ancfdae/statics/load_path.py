@@ -47,15 +47,7 @@ class PathPoint:
 
 @final
 class LoadPath:
-    """Follows the path from s = 0 to s = 1.
-
-    Parameters
-    ----------
-    balance : Balance
-    first : PathPoint
-        The start.
-    max_steps : int
-        Attempted steps.
+    """Follows the path from s = 0 to s = 1, in as many attempted steps at most.
 
     Attributes
     ----------
