@@ -2,5 +2,3 @@
 
 from ancfdae.ancf.stress_points import StressPoints
 from ancfdae.ancf.system import AncfSystem, assemble
-
-__all__ = ["AncfSystem", "StressPoints", "assemble"]

@@ -7,18 +7,3 @@ from ancfdae.bodies.point import Point, require_point
 from ancfdae.bodies.rigid_body import RigidBody
 from ancfdae.bodies.shapes import BodyShape, RigidBox, RigidCylinder, RigidSphere
 from ancfdae.elements import Quantity
-
-__all__ = [
-    "Beam",
-    "BeamBody",
-    "BodyShape",
-    "CurvedBeam",
-    "Point",
-    "Quantity",
-    "ReferenceShape",
-    "RigidBody",
-    "RigidBox",
-    "RigidCylinder",
-    "RigidSphere",
-    "require_point",
-]

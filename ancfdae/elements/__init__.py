@@ -13,18 +13,3 @@ from ancfdae.elements.energy import (
 
 #: Every element, the default one of a dimension before others of it.
 ALL_ELEMENTS: tuple[BeamElement, ...] = (BEAM_2D, BEAM_3D, CABLE_2D)
-
-__all__ = [
-    "ALL_ELEMENTS",
-    "BEAM_2D",
-    "BEAM_3D",
-    "CABLE_2D",
-    "BeamElement",
-    "ElementParameter",
-    "ElementType",
-    "EnhancedContinuum",
-    "PlaneStress",
-    "Quantity",
-    "SaintVenantKirchhoff",
-    "StrainEnergy",
-]
