@@ -14,12 +14,12 @@ from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.ancf.reference import Reference
 from ancfdae.ancf.rigidity import Rigidity
-from ancfdae.ancf.vectors import Vectors
+from ancfdae.ancf.vectors import Vectors, point_vectors
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
 from ancfdae.naming import Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.parts import CentreLine, Direction, Part
+from ancfdae.parts import Part
 from ancfdae.scene import Scene
 
 
@@ -107,13 +107,5 @@ class PartInputs:
             last = first + len(point.numbers())
             places[point] = (p[first:last], p_b[first:last])
             first = last
-        own = []
-        for vector in part.vectors(self._numbering.element):
-            if isinstance(vector, CentreLine):
-                own.append(self._naming.centre_line(vector.beam))
-            elif isinstance(vector, Direction):
-                own.append(self._naming.direction(vector.body, vector.number))
-            else:
-                point, quantity = vector
-                own.append(self._naming.vector(point, quantity, places[point]))
-        return own, p[:count], p_b[:count]
+        names = part.vectors(self._numbering.element)
+        return point_vectors(self._naming, names, places), p[:count], p_b[:count]

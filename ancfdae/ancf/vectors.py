@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import final
 
 import numpy as np
 import scipy
 
-from ancfdae.naming import PointVector
+from ancfdae.bodies import Point
+from ancfdae.naming import Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
+from ancfdae.parts import CentreLine, Direction
+from ancfdae.parts import Vectors as Names
 
 
 @final
@@ -81,3 +84,18 @@ class Vectors:
     def lift(self, F: Array) -> Array:
         """Return L^T F, shape (k, n_v, d) to (k, n_q)."""
         return self._L.rows_transposed(F.reshape(len(F), -1))
+
+
+def point_vectors(
+    naming: Naming, names: Names, places: Mapping[Point, tuple[Array, Array]] | None = None
+) -> list[PointVector]:
+    """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
+    own = []
+    for name in names:
+        if isinstance(name, CentreLine):
+            own.append(naming.centre_line(name.beam))
+        elif isinstance(name, Direction):
+            own.append(naming.direction(name.body, name.number))
+        else:
+            own.append(naming.vector(*name, None if places is None else places[name[0]]))
+    return own

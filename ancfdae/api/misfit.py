@@ -226,13 +226,10 @@ def _along(
     observable: Observable, system: MechanicalSystem, solution: Solution
 ) -> tuple[Array, Array]:
     """Values of an observable and their total derivatives, shape (k,) and (k, n_b)."""
-    states, s = states_of(solution), solution.sensitivities
-    assert s is not None  # asked for
+    states, own = states_of(solution), solution.sensitivities
+    assert own is not None  # asked for
     p = observable.partials(system, states)
-    total = p.b
-    for rows, x_b in ((p.q, s.q_b), (p.v, s.v_b), (p.lam, s.lam_b)):
-        if rows is not None:
-            total = total + np.einsum("kn,knb->kb", rows, x_b)
+    total = p.total(own)
     bad = ~np.isfinite(p.value) | ~np.isfinite(total).all(axis=1)
     if np.any(bad):
         raise NonFiniteObjective("Misfit", "an observable", float(states.t[np.argmax(bad)]))

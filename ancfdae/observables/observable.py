@@ -21,7 +21,7 @@ from ancfdae.observables.expression import (
 )
 from ancfdae.observables.functions import Function
 from ancfdae.observables.states import Named, States, states_of
-from ancfdae.protocol import MechanicalSystem, Solution
+from ancfdae.protocol import MechanicalSystem, Sensitivities, Solution
 
 
 @final
@@ -72,6 +72,14 @@ class ObservablePartials:
     v: Array | None
     lam: Array | None
     b: Array
+
+    def total(self, own: Sensitivities) -> Array:
+        """Return the derivatives along those of the states, shape (k, n_b)."""
+        total = self.b
+        for rows, x_b in ((self.q, own.q_b), (self.v, own.v_b), (self.lam, own.lam_b)):
+            if rows is not None:
+                total = total + np.einsum("kn,knb->kb", rows, x_b)
+        return total
 
 
 class Observable(Expression["Observable"]):

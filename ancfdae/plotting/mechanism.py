@@ -68,6 +68,13 @@ class Mechanism:
         return np.stack([every.min(axis=0), every.max(axis=0)])
 
     @property
+    def faces(self) -> Array:
+        """Points of the faces of all meshes, numbered through, shape (n_faces, 4)."""
+        firsts = np.cumsum([0, *(x.shape[1] for x in self.places)])
+        faces = [mesh.faces + n for mesh, n in zip(self.meshes, firsts, strict=False)]
+        return np.concatenate(faces)
+
+    @property
     def limits(self) -> tuple[float, float]:
         """Least and largest value of the field; symmetric about zero if it is signed."""
         own = np.concatenate([np.zeros(0), *(x[np.isfinite(x)] for x in self.values)])

@@ -7,7 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
-from ancfdae.ancf.vectors import Vectors
+from ancfdae.ancf.vectors import Vectors, point_vectors
 from ancfdae.bodies import Point, Quantity, RigidBody
 from ancfdae.joints import (
     Cylindrical,
@@ -25,7 +25,8 @@ from ancfdae.joints import (
 from ancfdae.loads import Load, SpringDamper
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
-from ancfdae.parts import CentreLine, Direction
+from ancfdae.parts import CentreLine
+from ancfdae.parts import Vectors as Names
 from ancfdae.protocol import Solution
 from ancfdae.scene import Scene
 
@@ -150,18 +151,9 @@ class Symbols:
         F = np.asarray(load.force(U, V, p, vectors.of(self._q_o[None])[0]))
         return F * load.factor(p, motion.t, 0)[:, None, None]
 
-    def _vectors(
-        self, names: tuple[tuple[Point, Quantity] | CentreLine | Direction, ...]
-    ) -> Vectors:
-        naming, own = self._naming, []
-        for name in names:
-            if isinstance(name, CentreLine):
-                own.append(naming.centre_line(name.beam))
-            elif isinstance(name, Direction):
-                own.append(naming.direction(name.body, name.number))
-            else:
-                own.append(naming.vector(*name))
-        return Vectors(own, self._d, len(self._q_o), naming.lengths_b.shape[1])
+    def _vectors(self, names: Names) -> Vectors:
+        own, n_b = point_vectors(self._naming, names), self._naming.lengths_b.shape[1]
+        return Vectors(own, self._d, len(self._q_o), n_b)
 
     def _of(self, names: list[tuple[Point, Quantity]], q: Array) -> Array:
         """Return vectors of points, shape (k, n, d)."""
