@@ -13,6 +13,7 @@ from ancfdae.design import DesignVariable
 from ancfdae.errors import (
     InvalidInput,
     require_array,
+    require_each,
     require_finite,
     require_kind,
     require_positive,
@@ -59,9 +60,8 @@ class Misfit:
 
     def __post_init__(self) -> None:
         """Validate and freeze."""
-        observables = require_sequence("Misfit.observables", self.observables)
-        for observable in observables:
-            require_kind("Misfit.observables", observable, (Observable,), "Use position(...), say.")
+        where, repair = "Misfit.observables", "Use position(...), say."
+        observables = require_each(where, self.observables, (Observable,), repair)
         times = require_sequence("Misfit.times", self.times)
         for time in times:
             require_finite("Misfit.times", float(time))
