@@ -127,12 +127,12 @@ class Run:
         if self.after is not None or not isinstance(self.integrator, QuadratureIntegrator):
             return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
         totals = totals_of(self.system, objectives, differentiated)
-        run = self.integrator.integrate_with(
+        run = self.integrator.integrate(
             self.system,
             self.t_end,
-            list(totals.values()),
             sensitivities=sensitivities,
             progress=self.progress,
+            integrands=list(totals.values()),
         )
         return finished(run), totals
 
