@@ -254,11 +254,6 @@ class JointConstraints:
         """Phi, shape (k, n_lam)."""
         return self._poly.phi(self._coefficients.over(t), self._vectors.of(q))
 
-    def constraint_forces(self, q: Array, lam: Array, t: Array) -> Array:
-        """Phi_q^T lam, shape (k, n_q)."""
-        raw = self._poly.raw(self._coefficients.over(t), self._vectors.of(q))
-        return self._to_force.rows(raw * lam[:, self._poly.raw_row])
-
     def constraints_b(self, q: Array, t: Array) -> Array:
         """Phi_b, shape (k, n_lam, n_b)."""
         if not self.active:

@@ -23,12 +23,7 @@ PullBack: TypeAlias = Callable[[Array, Array, Array], Array]
 @final
 @dataclass(frozen=True)
 class Transposed:
-    """Products of covectors with total derivatives; each returns (on_q, on_lam, on_b) in one array.
-
-    Attributes
-    ----------
-    small : Linearised
-    """
+    """Products of covectors with total derivatives, each (on_q, on_lam, on_b) in one array."""
 
     small: Linearised
 

@@ -33,13 +33,9 @@ from ancfdae.numerics.linear_solvers import Factorization
 @final
 @dataclass(frozen=True)
 class Derivatives:
-    """Design derivatives of eigenpairs.
+    """Design derivatives of eigenpairs: z_b, (count, n_b), and of each mode x_b, (n_q, n_b).
 
-    Attributes
-    ----------
-    z_b : array, shape (count, n_b)
-    X_b : tuple of array, shape (n_q, n_b), or None
-        None for a mode that coincides with another, whose shape is not unique, and for adjoints.
+    The latter is None for modes that coincide, whose shapes are not unique, and for adjoints.
     """
 
     z_b: Array

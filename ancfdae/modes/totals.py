@@ -20,12 +20,7 @@ from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_t
 @final
 @dataclass(frozen=True)
 class Totals:
-    """Total design derivatives along q_b and lam_b of a configuration.
-
-    Attributes
-    ----------
-    small : Linearised
-    """
+    """Total design derivatives along q_b and lam_b of a configuration."""
 
     small: Linearised
 

@@ -74,13 +74,7 @@ class Mesh(abc.ABC):
 class BeamMesh(Mesh):
     """The surface of a beam, in the plane the area between its lowest and highest fibres.
 
-    Parameters
-    ----------
-    body : BeamBody
-    naming : Naming
-    n_q : int
-    elements : BeamElements or None
-        Its elements; None if it is rigid.
+    `elements` are None if it is rigid.
 
     Attributes
     ----------

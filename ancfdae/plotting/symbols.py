@@ -74,15 +74,7 @@ class Arrows:
 
 @final
 class Symbols:
-    """What of a scene has no extent of its own.
-
-    Parameters
-    ----------
-    scene : Scene
-    naming : Naming
-    q_o : array, shape (n_q,)
-        Its reference configuration.
-    """
+    """What of a scene, with its reference configuration q_o, has no extent of its own."""
 
     def __init__(self, scene: Scene, naming: Naming, q_o: Array) -> None:
         self._scene, self._naming, self._q_o = scene, naming, q_o

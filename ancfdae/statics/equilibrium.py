@@ -92,19 +92,10 @@ def find_equilibrium(
     sensitivities: bool = False,
     t: float = 0.0,
 ) -> Equilibrium:
-    """Search for q and lam with Q(q) = Phi_q^T lam and Phi(q) = 0.
+    """Search for q and lam with Q(q) = Phi_q^T lam and Phi(q) = 0 at the instant t.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    start : Equilibrium, optional
-        Where to start instead of at the start of the system.
-    max_steps : int
-        Attempted steps of the load.
-    sensitivities : bool
-        Whether to differentiate what was found.
-    t : float
-        Instant at which forces and constraints count; s.
+    From `start`, or the start of the system, in at most `max_steps` attempted steps of the load;
+    what was found is differentiated if asked for.
 
     Raises
     ------

@@ -15,6 +15,7 @@ import numpy as np
 from ancfdae.errors import InvalidInput
 from ancfdae.naming import BodyLayout, Naming
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.rotations import generators
 from ancfdae.text import listed
 
 # Parts of a motion below this are round-off of its null vector.
@@ -119,7 +120,7 @@ class _Body:
     def fit(self, motions: Array) -> _Fit:
         """Fit rigid motions to the given ones."""
         d, count = self.r.shape[1], motions.shape[1]
-        turns = _generators(d)
+        turns = generators(d)
         arms = (self.r - self.r[0]) / self.length
         # Columns: translations, then turns; rows: positions over the length, then slopes.
         n_r, n_s = len(self.r), self.slopes.shape[1]
@@ -170,13 +171,6 @@ class _Body:
         if axis is not None:
             arm = arm - (arm @ axis) * axis
         return bool(np.linalg.norm(arm) <= _SMALL * self.length)
-
-
-def _generators(d: int) -> Array:
-    """Skew matrices of unit turns, shape (1, 2, 2) or (3, 3, 3): axis, row, column."""
-    if d == 2:
-        return np.array([[[0.0, -1.0], [1.0, 0.0]]])
-    return np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
 
 
 def _direction(v: Array) -> str:
