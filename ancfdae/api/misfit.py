@@ -15,7 +15,6 @@ from ancfdae.errors import (
     require_array,
     require_each,
     require_finite,
-    require_kind,
     require_positive,
     require_sequence,
 )
@@ -117,7 +116,6 @@ class Misfit:
         if max(self.times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
             raise InvalidInput("Misfit.times", rule, max(self.times), repair)
-        require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)

@@ -14,6 +14,7 @@ from ancfdae.errors import (
     SingularMatrix,
     Verdict,
     require_flag,
+    require_kind,
     uninterrupted,
 )
 from ancfdae.integrators import Integrator, QuadratureIntegrator
@@ -109,7 +110,11 @@ class Run:
 
     def __post_init__(self) -> None:
         """Validate."""
+        repair = "For example HHT(step=0.01)."
+        require_kind("integrator", self.integrator, (Integrator,), repair)
         require_flag("progress", self.progress)
+        if self.after is not None:
+            require_kind("after", self.after, (Solution,), "Pass what simulate returned.")
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
         """Integrate."""
