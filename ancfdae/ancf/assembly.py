@@ -407,14 +407,12 @@ class Assembly:
         is_length = J[:, shifts].max(axis=1).toarray() > 1e-9 * J.max(axis=1).toarray()
         return np.where(is_length, 1.0 / self._size, 1.0)
 
-    def _open(self, x: Array) -> float:
-        left = self.left(self._placed(self._declared, x))
-        return float(np.max(np.abs(left.real), initial=0.0))
+    def _gaps(self, x: Array) -> Array:
+        """Return what a motion leaves of every equation."""
+        return np.asarray(np.abs(self.left(self._placed(self._declared, x)).real))
 
-    def _worst(self, x: Array) -> str:
-        left = np.abs(self.left(self._placed(self._declared, x)).real)
-        joint = self.names[int(np.argmax(left))]
-        return f"joint {joint!r} stays open by {float(np.max(left)):.3g} of the mechanism's size"
+    def _open(self, x: Array) -> float:
+        return float(np.max(self._gaps(x), initial=0.0))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -423,18 +421,14 @@ class Assembly:
         return tuple(joint.name for joint in joints for _ in range(joint.rows))
 
     def require_closed(self) -> None:
-        """Refuse joints that rigid motions leave open.
-
-        Raises
-        ------
-        InconsistentStart
-        """
-        x = self._positions[0]
-        if self._moves and self._open(x) > _CLOSED:
+        """Refuse joints that rigid motions leave open."""
+        left = self._gaps(self._positions[0])
+        if self._moves and np.max(left, initial=0.0) > _CLOSED:
+            joint, gap = self.names[int(np.argmax(left))], float(np.max(left))
             raise InconsistentStart(
                 "assembly",
                 "rigid motions of the bodies must close all joints",
-                self._worst(x),
+                f"joint {joint!r} stays open by {gap:.3g} of the mechanism's size",
                 f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they "
                 "fit (turn=... turns one), correct the design, or set project_start=True to "
                 "strain them.",

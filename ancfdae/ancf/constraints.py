@@ -192,12 +192,7 @@ class JointConstraints:
         return self._poly.phi(self._coefficients.at(t), self._U(q))
 
     def refuse_opposite(self, q: Array, t: float) -> None:
-        """Refuse a start at which a drive is half a turn off, where its equation holds as well.
-
-        Raises
-        ------
-        InconsistentStart
-        """
+        """Refuse a start at which a drive is half a turn off, where its equation holds as well."""
         name = self.opposite(q, t)
         if name is not None:
             raise InconsistentStart(

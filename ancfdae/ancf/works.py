@@ -23,13 +23,7 @@ class Works:
         self._loads: dict[str, LoadWork] = {}
 
     def of_joint(self, name: str, unit_rate: bool) -> JointWork:
-        """Return what gives the power of a driven joint, or at a unit rate its torque or force.
-
-        Raises
-        ------
-        InvalidInput
-            If the joint is not driven: it does no work.
-        """
+        """Return what gives the power of a driven joint, or at a unit rate its torque or force."""
         key = name, unit_rate
         if key not in self._joints:
             place = self._layout.joint(name)

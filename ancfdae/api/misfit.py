@@ -227,7 +227,7 @@ def _along(
     states, own = states_of(solution), solution.sensitivities
     assert own is not None  # asked for
     p = observable.partials(system, states)
-    total = p.total(own)
+    total = p.total(own.q_b, own.v_b, own.lam_b)
     bad = ~np.isfinite(p.value) | ~np.isfinite(total).all(axis=1)
     if np.any(bad):
         raise NonFiniteObjective("Misfit", "an observable", float(states.t[np.argmax(bad)]))

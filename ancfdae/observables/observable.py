@@ -21,7 +21,7 @@ from ancfdae.observables.expression import (
 )
 from ancfdae.observables.functions import Function
 from ancfdae.observables.states import Named, States, states_of
-from ancfdae.protocol import MechanicalSystem, Sensitivities, Solution
+from ancfdae.protocol import MechanicalSystem, Solution
 
 
 @final
@@ -73,12 +73,13 @@ class ObservablePartials:
     lam: Array | None
     b: Array
 
-    def total(self, own: Sensitivities) -> Array:
-        """Return the derivatives along those of the states, shape (k, n_b)."""
+    def total(self, q_b: Array | None, v_b: Array | None, lam_b: Array | None) -> Array:
+        """Return the derivatives along those of the states, shape (k, n_b); None is held."""
         total = self.b
-        for rows, x_b in ((self.q, own.q_b), (self.v, own.v_b), (self.lam, own.lam_b)):
-            if rows is not None:
-                total = total + np.einsum("kn,knb->kb", rows, x_b)
+        for rows, x_b in ((self.q, q_b), (self.v, v_b), (self.lam, lam_b)):
+            if rows is not None and x_b is not None:
+                used = np.flatnonzero(rows.any(axis=0))
+                total = total + np.einsum("kn,knb->kb", rows[:, used], x_b[:, used])
         return total
 
 

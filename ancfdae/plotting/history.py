@@ -62,7 +62,7 @@ def history(
         rows = figure.subplots(len(observables), sharex=True, squeeze=False)[:, 0]
         for axes, (label, observable) in zip(rows, observables.items(), strict=True):
             partials = observable.partials(system, states)
-            value, slopes = partials.value, partials.total(own)
+            value, slopes = partials.value, partials.total(own.q_b, own.v_b, own.lam_b)
             axes.set_ylabel(label)
             axes.plot(solution.t, value, color="black", lw=1.4, label=label, zorder=3)
             widths = np.abs(slopes * system.b) * percent / 100
