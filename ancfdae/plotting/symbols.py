@@ -179,14 +179,11 @@ class Symbols:
         places = self._places(joint.points[0], motion.q)
         if len(joint.points) == 1:
             return np.stack([places, places + e], axis=1)
-        slopes = [(point, q) for q in self._quantities(point)]
+        slopes = [(point, Quantity(k)) for k in range(1, self._d + 1)]
         reference = self._of(slopes, self._q_o[None])[0]
         carried = np.linalg.solve(reference.T, e) @ self._of(slopes, motion.q)
         carried = carried / np.linalg.norm(carried, axis=-1, keepdims=True)
         return np.stack([places, places + carried], axis=1)
-
-    def _quantities(self, point: Point) -> list[Quantity]:
-        return [q for q in Quantity if q is not Quantity.POSITION and q <= self._d]
 
     def _frame(self, body: RigidBody, motion: Solution) -> list[Line]:
         """Return the axes of a body of which only mass and inertia are known, from its centre."""

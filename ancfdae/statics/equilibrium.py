@@ -13,7 +13,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities, Statistics
-from ancfdae.statics.balance import Balance, Work
+from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.outcome import LoadOutcome
 from ancfdae.statics.search import Found, search
@@ -111,7 +111,9 @@ def find_equilibrium(
     if sensitivities and found.outcome.success:
         balance.work.factorisations += 1
         derivatives = Tangent(system, t, found.q, found.lam).sensitivities()
-    statistics = _statistics(balance.work, time.perf_counter() - began)
+    work, seconds = balance.work, time.perf_counter() - began
+    counted = (work.steps, work.iterations, work.factorisations, work.residuals)
+    statistics = Statistics(*counted, 0, seconds, work.rejected)
     solution = _solution(system, t, found, derivatives, statistics)
     return Equilibrium(found.q, found.lam, found.outcome, solution, *(derivatives or (None, None)))
 
@@ -131,8 +133,3 @@ def _solution(
     zero, outcome = np.zeros_like(q), found.outcome.of_run()
     at = np.array([t])
     return Solution(at, q, zero, zero, lam, statistics, outcome, system.naming, own)
-
-
-def _statistics(work: Work, seconds: float) -> Statistics:
-    counted = (work.steps, work.iterations, work.factorisations, work.residuals)
-    return Statistics(*counted, 0, seconds, work.rejected)

@@ -127,7 +127,7 @@ class _IdaMarch(March):
         Y, Yp = self._form.start(problem.initial)
         if b is not None:
             blocks, rates = self._form.start_b(b)
-            Y, Yp = _join(Y, blocks), _join(Yp, rates)
+            Y, Yp = np.append(Y, blocks.T), np.append(Yp, rates.T)
         self._y = Y
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, Y, Yp)
@@ -235,8 +235,3 @@ def _keep(solver: Any) -> None:
 def _release(solver: Any) -> None:
     """Remove the extra reference after a successful step."""
     ctypes.pythonapi.Py_DecRef(ctypes.py_object(solver))
-
-
-def _join(first: Array, blocks: Array) -> Array:
-    """Stack a vector and the columns of an array."""
-    return np.concatenate([first, blocks.T.ravel()])
