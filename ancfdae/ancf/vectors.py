@@ -21,12 +21,8 @@ from ancfdae.parts import Vectors as Names
 class Vectors:
     """A list of point vectors as one linear map with design derivatives.
 
-    Attributes
-    ----------
-    matrix : sparse array, shape (n_v d, n_q)
-        L; row d i + c is component c of vector i.
-    moves : array of bool, shape (n_b,)
-        Whether L depends on each design variable.
+    `matrix` is L, (n_v d, n_q): row d i + c is component c of vector i. `moves`, (n_b,), tells
+    whether it depends on each design variable.
     """
 
     def __init__(self, vectors: Sequence[PointVector], d: int, n_q: int, n_b: int) -> None:
