@@ -26,7 +26,7 @@ _TOGETHER = 2_000_000
 
 @final
 class StressPoints:
-    """Von Mises stresses at fibres and places of some elements.
+    """Von Mises stresses at fibres and places xi of some elements.
 
     Parameters
     ----------

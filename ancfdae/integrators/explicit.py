@@ -225,9 +225,6 @@ class _ExplicitMarch(March):
         method.accept(self._projected(step.right, method.attempt(step.right)))
         return method.between()
 
-    def residual(self) -> float:
-        return 0.0  # An explicit step has no equations left over.
-
     def _projected(self, t: float, rows: Array) -> Array:
         if not finite(rows):
             raise NotFinite

@@ -27,14 +27,9 @@ _SMALL = 1.0 / 128.0
 @final
 @dataclass(frozen=True)
 class PathPoint:
-    """A point of the path with its derivatives in the load fraction.
+    """A point of the path with its derivatives in the load fraction s.
 
-    Attributes
-    ----------
-    s : float
-    q, lam, q_s, lam_s : array
-    stable : bool
-        Whether no motion meets a negative stiffness.
+    It is stable if no motion meets a negative stiffness.
     """
 
     s: float
