@@ -45,11 +45,6 @@ def test_multipliers_stand_behind_their_coordinates(order, system):
     assert np.all(place[system.n_q + B.rows] > place[B.columns])
 
 
-def test_a_clamp_does_not_widen_the_band():
-    # A coordinate couples with those of its element and nothing between them.
-    assert solver_of(chain(20))._storage._half_width == OF_ELEMENT - 1
-
-
 def test_a_star_fills_nothing_but_blocks_of_elements():
     system = star(5, 20)
     B = system.constraint_q(system.start()[0], 0.0)

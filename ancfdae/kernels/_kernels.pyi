@@ -69,9 +69,16 @@ def csr_rows_transposed(
     """Return M^T x for rows of x; M has `size` columns."""
 
 def csr_subtract(
-    first: Array, columns: Array, values: Array, x: Array, out: Array, offset: int, /
+    first: Array,
+    columns: Array,
+    values: Array,
+    x: Array,
+    out: Array,
+    offset: int,
+    transposed: bool,
+    /,
 ) -> None:
-    """Take M x, for rows of x, from rows of `out`, in place, at numbers from the offset on."""
+    """Take M x, or M^T x, for rows of x, from rows of `out`, in place, from the offset on."""
 
 def recombine(matrix: Array, z: Array, after: Array, ahead: Array, /) -> None:
     """Write matrix z, 6 x 4 times four rows, to three rows of `after` and three of `ahead`.

@@ -608,24 +608,23 @@ static PyObject *py_csr_rows_transposed(PyObject *const *args)
     return taken_number(args[4], NPY_MAX_INTP, &size) ? csr(args, size, 1) : NULL;
 }
 
-/* csr_subtract(first, columns, values, x, out, offset): takes M x from rows of out, in place, at
- * the numbers from the offset on. */
+/* csr_subtract(first, columns, values, x, out, offset, transposed): takes M x, or M^T x, from rows
+ * of out, in place, at the numbers from the offset on. */
 static PyObject *py_csr_subtract(PyObject *const *args)
 {
     Csr m;
     npy_intp offset;
-    int done = 0;
+    int done = 0, transposed = PyObject_IsTrue(args[6]);
     PyArrayObject *out = (PyArrayObject *)args[4];
     if (csr_taken(args, &m, args[3]) && taken_number(args[5], NPY_MAX_INTP, &offset)) {
-        if (!PyArray_Check(args[4]) || !PyArray_ISCARRAY(out) || PyArray_TYPE(out) != m.type ||
-            PyArray_NDIM(out) < 1 || leading_size(out, 1) != m.k ||
-            offset > PyArray_DIM(out, PyArray_NDIM(out) - 1) - m.n)
+        int rows = PyArray_Check(args[4]) && PyArray_ISCARRAY(out) && PyArray_NDIM(out) > 0;
+        npy_intp width = rows ? PyArray_DIM(out, PyArray_NDIM(out) - 1) : 0, left = width - offset;
+        if (!rows || PyArray_TYPE(out) != m.type || leading_size(out, 1) != m.k || left < 0 ||
+            (transposed ? m.width != m.n : left < m.n))
             wrong("out must be rows of the type of the product, one for each of x");
-        else if (is_csr(m.first, m.columns, m.values, m.width)) {
-            npy_intp width = PyArray_DIM(out, PyArray_NDIM(out) - 1);
-            char *to = PyArray_BYTES(out) + offset * PyArray_ITEMSIZE(out);
-            done = csr_added(&m, 0, -1, width, to);
-        }
+        else if (is_csr(m.first, m.columns, m.values, transposed ? left : m.width))
+            done = csr_added(&m, transposed, -1, width,
+                             PyArray_BYTES(out) + offset * PyArray_ITEMSIZE(out));
     }
     csr_dropped(&m);
     return done ? Py_NewRef(Py_None) : NULL;
@@ -1124,7 +1123,7 @@ FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
 FUNCTION(csr_rows, 4)
 FUNCTION(csr_rows_transposed, 5)
-FUNCTION(csr_subtract, 6)
+FUNCTION(csr_subtract, 7)
 FUNCTION(recombine, 4)
 FUNCTION(balance, 5)
 FUNCTION(band_factor, 6)

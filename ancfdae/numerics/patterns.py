@@ -82,9 +82,11 @@ class Pattern:
         """Product of the matrix with a vector or with the columns of an array."""
         return csr_rows(self._first, self.columns, values, x.T).T
 
-    def subtract_dot(self, values: Array, x: Array, out: Array, offset: int = 0) -> None:
+    def subtract_dot(
+        self, values: Array, x: Array, out: Array, offset: int = 0, *, transposed: bool = False
+    ) -> None:
         """Take the matrix times rows of x from rows of `out`, in place, from the offset on."""
-        csr_subtract(self._first, self.columns, values, x, out, offset)
+        csr_subtract(self._first, self.columns, values, x, out, offset, transposed)
 
     def dot_transposed(self, values: Array, x: Array) -> Array:
         """Product of the transposed (not conjugated) matrix with a vector or columns."""

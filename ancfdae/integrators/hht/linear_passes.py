@@ -117,23 +117,24 @@ class LinearSteps:
 
     def solve_transposed(
         self, k: int, jacobian: Factorization, on: Array, on_lam: Array, small: bool
-    ) -> tuple[Array, Array, Array]:
+    ) -> tuple[Array, Array]:
         """Transpose of `solve`: from covectors on (q~, v~, A~, a) and lam to those on (q~, v~, A~).
 
-        Returns them with mu and zeta, which `MechanicalSystem.pull_back` takes to the design. What
-        the constraints add to q~ is left out where the step is small: they then have their side.
+        They are left in the first rows of `on`. Returns mu and zeta, which
+        `MechanicalSystem.pull_back` takes to the design. What the constraints add to q~ is left
+        out where the step is small: they then have their side.
         """
         system, local, n_q = self.system, self.local, self.system.n_q
         solved = jacobian.solve_transposed(np.concatenate([on[3], on_lam]))
         mu, zeta = solved[:n_q], solved[n_q:]
-        through = on[:3].copy()
-        through[0] -= system.pattern.dot_transposed(local.f_q[k], mu)
+        system.pattern.subtract_dot(local.f_q[k], mu, on[0], transposed=True)
         if not small:
-            through[0] -= system.constraint_pattern.dot_transposed(self.constraints_q[k], zeta)
+            pattern, values = system.constraint_pattern, self.constraints_q[k]
+            pattern.subtract_dot(values, zeta, on[0], transposed=True)
         if local.f_v is not None:
-            through[1] -= system.pattern.dot_transposed(local.f_v[k], mu)
-        through[2] -= system.mass_times(self.q[k], mu)
-        return through, mu, zeta / float(self.c.beta * self.c.h[k, 0] ** 2)
+            system.pattern.subtract_dot(local.f_v[k], mu, on[1], transposed=True)
+        on[2] -= system.mass_times(self.q[k], mu)
+        return mu, zeta / (self.c.beta * float(self.c.h[k, 0]) ** 2)
 
 
 def differentiate(
@@ -245,6 +246,7 @@ def pull_back_part(
     system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
     n_t, n_q = len(nodes.run.t), system.n_q
     gradient, change = np.zeros(system.n_b), 0.0
+    still, nothing = np.zeros((3, n_q)), np.zeros(system.n_lam)
     from tqdm import tqdm
 
     chunks = _chunks(system, n_t, 0)
@@ -256,13 +258,15 @@ def pull_back_part(
             order, linear.factorised(nodes.problem.matrices, order), strict=True
         ):
             n = steps.start + k
-            on[0], on[1] = _seeded(on[0], seeds.q, n), _seeded(on[1], seeds.v, n)
-            on_lam = _seeded(np.zeros(system.n_lam), seeds.lam, n)
+            if seeds.q is not None:
+                on[0] += seeds.q[n]
+            if seeds.v is not None:
+                on[1] += seeds.v[n]
+            on_lam = nothing if seeds.lam is None else seeds.lam[n]
             row = nodes.row(n) if maybe_small[n] else None
-            on_step, before = matrix[n - 1].T @ on, np.zeros((6, n_q))
-            before[3:], mu[k], zeta[k] = linear.solve_transposed(
-                k, jacobian, on_step, on_lam, row is not None
-            )
+            on_step = matrix[n - 1].T @ on
+            mu[k], zeta[k] = linear.solve_transposed(k, jacobian, on_step, on_lam, row is not None)
+            before = np.concatenate([still, on_step[:3]])
             if defects is not None:
                 change += before[3] @ defects.q[n] + before[4] @ defects.v[n]
                 change += before[5] @ defects.A[n]
@@ -336,10 +340,6 @@ def step_matrices(steps: Steps) -> Array:
     q_next, v_next = predict(ahead, q, v, A + following / h * (a - A))
     rows = [np.broadcast_to(x, q.shape) for x in (q, v, A, q_next, v_next)]
     return np.stack([*rows, np.broadcast_to(alpha / (1 + alpha) * A, q.shape)], axis=1)
-
-
-def _seeded(back: Array, seeds: Array | None, n: int) -> Array:
-    return back if seeds is None else back + seeds[n]
 
 
 def _chunks(system: MechanicalSystem, n_t: int, extra: int) -> Sequence[slice]:
