@@ -295,6 +295,16 @@ def require_sequence(
         raise InvalidInput(where, rule, repr(value), repair) from None
 
 
+def require_each(
+    where: str, values: object, kinds: tuple[type, ...], repair: str
+) -> tuple[Any, ...]:
+    """Return the entries of a sequence, which must be of one of the given classes."""
+    entries = require_sequence(where, values)
+    for entry in entries:
+        require_kind(where, entry, kinds, repair)
+    return entries
+
+
 def require_finite(where: str, value: object, repair: str = "Give a finite number.") -> None:
     """Raise InvalidInput for what is no finite real number.
 

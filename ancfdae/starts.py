@@ -14,8 +14,7 @@ from ancfdae.errors import (
     InvalidInput,
     require_array,
     require_axial,
-    require_kind,
-    require_sequence,
+    require_each,
     require_text,
     require_vector,
 )
@@ -105,9 +104,7 @@ class AtRest:
     def __post_init__(self) -> None:
         """Freeze the loads and validate."""
         if self.loads is not None:
-            loads = require_sequence("AtRest.loads", self.loads)
-            for load in loads:
-                require_kind("AtRest.loads", load, (Load,), "Add a PointForce.")
+            loads = require_each("AtRest.loads", self.loads, (Load,), "Add a PointForce.")
             object.__setattr__(self, "loads", loads)
         if self.gravity is not None:
             require_vector("AtRest.gravity", self.gravity)

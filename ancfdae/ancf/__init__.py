@@ -3,5 +3,3 @@
 from ancfdae.ancf.beam_elements import StatePartials
 from ancfdae.ancf.stress_points import StressPoints
 from ancfdae.ancf.system import AncfSystem, assemble
-
-__all__ = ["AncfSystem", "StatePartials", "StressPoints", "assemble"]

@@ -22,13 +22,9 @@ _Law = TypeVar("_Law")
 @final
 @dataclass(frozen=True)
 class StatePartials:
-    """Partials of one number per instant in the coordinates and velocities of some columns.
+    """Partials of one number per instant in the coordinates and velocities of m columns.
 
-    Attributes
-    ----------
-    columns : array of int, shape (m,)
-    q, v : array, shape (k, m)
-    b : array, shape (k, n_b)
+    q and v have the shape (k, m), b has (k, n_b).
     """
 
     columns: Array
@@ -39,18 +35,9 @@ class StatePartials:
 
 @final
 class BeamElements:
-    """Some elements of one beam: their numbers, parameters, coordinates.
+    """Some elements of one beam, counted from its start: their numbers, parameters, coordinates.
 
-    Parameters
-    ----------
-    body : BeamBody
-    place : BeamLayout
-    numbering : Numbering
-    mapping : ParameterMap
-    parameters : array, shape (n_all, 9)
-        Of all elements of the scene, real or complex.
-    elements : slice
-        Elements of the beam, counted from its start.
+    The parameters given, (n_all, 9), are those of all elements of the scene, real or complex.
     """
 
     def __init__(

@@ -26,16 +26,7 @@ _STRESS_PLACES = np.array([0.0, 0.5, 1.0])
 
 @final
 class BeamSections:
-    """What observables ask of the sections of a scene's beams.
-
-    Parameters
-    ----------
-    scene : Scene
-    layout : Layout
-    numbering : Numbering
-    mapping : ParameterMap
-    b : array, shape (n_b,)
-    """
+    """What observables ask of the sections of a scene's beams."""
 
     def __init__(
         self, scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array

@@ -16,14 +16,7 @@ from ancfdae.numerics.arrays import STEP, Array
 
 @final
 class SectionForces:
-    """N, V_y, V_z, T, M_y and M_z, counted from 0, at a place of a beam.
-
-    Parameters
-    ----------
-    elements : BeamElements
-        The one element that the place lies in.
-    xi : float
-    """
+    """N, V_y, V_z, T, M_y and M_z, counted from 0, at a place xi of one element."""
 
     def __init__(self, elements: BeamElements, xi: float) -> None:
         self._own, self._xi = elements, xi

@@ -15,17 +15,7 @@ from ancfdae.scene import Scene
 
 @final
 class Works:
-    """What does work in a scene, by name.
-
-    Parameters
-    ----------
-    scene : Scene
-    inputs : PartInputs
-    layout : Layout
-        Knows the rows of the joints.
-    n_b : int
-        Number of design variables.
-    """
+    """What does work in a scene, by name; the layout knows the rows of the joints."""
 
     def __init__(self, scene: Scene, inputs: PartInputs, layout: Layout, n_b: int) -> None:
         self._scene, self._inputs, self._layout, self._n_b = scene, inputs, layout, n_b
@@ -33,13 +23,7 @@ class Works:
         self._loads: dict[str, LoadWork] = {}
 
     def of_joint(self, name: str, unit_rate: bool) -> JointWork:
-        """Return what gives the power of a driven joint, or at a unit rate its torque or force.
-
-        Raises
-        ------
-        InvalidInput
-            If the joint is not driven: it does no work.
-        """
+        """Return what gives the power of a driven joint, or at a unit rate its torque or force."""
         key = name, unit_rate
         if key not in self._joints:
             place = self._layout.joint(name)

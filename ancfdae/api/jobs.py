@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar, final
 from uuid import uuid4
@@ -27,23 +27,49 @@ _FIRST, _PATIENCE, _TOGETHER = 16, 2.0, 0.1
 
 
 def answers(
-    function: Callable[[_Task], _Answer], tasks: Mapping[int, _Task], executor: Executor | None
-) -> Generator[tuple[int, _Answer | Exception], None, None]:
+    function: Callable[[_Task], _Answer],
+    tasks: Mapping[int, _Task],
+    executor: Executor | None,
+    parts: Mapping[str, object],
+    *,
+    progress: bool,
+    done: int = 0,
+) -> Generator[tuple[int, _Answer | str], None, None]:
     """Yield the key of a task and its answer, as answers arrive.
 
-    In this process one after the other without an executor. The answer of a worker that was lost
-    is the exception that tells so. What has not begun when the loop ends early is cancelled; close
-    the iterator for that. Short tasks travel together: sending one to a Dask cluster costs 4 ms.
+    In this process one after the other without an executor. Where a worker was lost the answer is
+    why, in words. What has not begun when the loop ends early is cancelled; close the iterator for
+    that. A progress bar counts the tasks, and those that are `done` already.
 
     Raises
     ------
+    InvalidInput
+        If one of the `parts`, which tasks and function are made of, does not pickle.
     KeyboardInterrupt
         Also if a worker was interrupted.
     """
-    if executor is None:
-        for key, task in tasks.items():
-            yield key, function(task)
-        return
+    from tqdm import tqdm
+
+    here = ((key, function(task)) for key, task in tasks.items())
+    arriving = here if executor is None else _from_workers(function, tasks, executor)
+    bar = tqdm(total=done + len(tasks), initial=done, disable=not progress, unit="run")
+    with bar, closing(arriving):
+        for key, answer in arriving:
+            bar.update()
+            if isinstance(answer, Exception):
+                _require_pickles(answer, parts)
+                yield key, f"{type(answer).__name__} in a worker: {answer}"
+            else:
+                yield key, answer
+
+
+def _from_workers(
+    function: Callable[[_Task], _Answer], tasks: Mapping[int, _Task], executor: Executor
+) -> Generator[tuple[int, _Answer | Exception], None, None]:
+    """Yield answers, or what a worker was lost by.
+
+    Short tasks travel together: sending one to a Dask cluster costs 4 ms.
+    """
     keys, least = list(tasks), _TOGETHER
     futures = _sent(function, tasks, keys[:_FIRST], 1, executor)
     try:
@@ -136,13 +162,8 @@ def _seconds(future: Future[_Done]) -> float:
     return np.inf if future.cancelled() or future.exception() else future.result().seconds
 
 
-def require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
-    """Name the part that does not pickle, if that is why an answer was lost.
-
-    Raises
-    ------
-    InvalidInput
-    """
+def _require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
+    """Name the part that does not pickle, if that is why an answer was lost."""
     for name, part in parts.items() if isinstance(lost, _UNSENT) else ():
         try:
             pickle.dumps(part)

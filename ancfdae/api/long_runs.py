@@ -20,8 +20,8 @@ from ancfdae.errors import (
     Outcome,
     require_array,
     require_count,
+    require_each,
     require_kind,
-    require_sequence,
     uninterrupted,
 )
 from ancfdae.integrators import HHT, Integrator
@@ -138,9 +138,9 @@ def observations(
         As `simulate_thinned`.
     """
     system = as_system(model)
-    observables = require_sequence("observables", observables)
+    repair = "For example position(rod.at_end, 0)."
+    observables = require_each("observables", observables, (Observable,), repair)
     for each in observables:
-        require_kind("observables", each, (Observable,), "For example position(rod.at_end, 0).")
         each.check(system)
     run = _LongRun(system, t_end, integrator, every, at)
     shape = len(run.times), 1 + len(observables)

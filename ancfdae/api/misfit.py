@@ -13,8 +13,8 @@ from ancfdae.design import DesignVariable
 from ancfdae.errors import (
     InvalidInput,
     require_array,
+    require_each,
     require_finite,
-    require_kind,
     require_positive,
     require_sequence,
 )
@@ -59,9 +59,8 @@ class Misfit:
 
     def __post_init__(self) -> None:
         """Validate and freeze."""
-        observables = require_sequence("Misfit.observables", self.observables)
-        for observable in observables:
-            require_kind("Misfit.observables", observable, (Observable,), "Use position(...), say.")
+        where, repair = "Misfit.observables", "Use position(...), say."
+        observables = require_each(where, self.observables, (Observable,), repair)
         times = require_sequence("Misfit.times", self.times)
         for time in times:
             require_finite("Misfit.times", float(time))
@@ -117,7 +116,6 @@ class Misfit:
         if max(self.times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
             raise InvalidInput("Misfit.times", rule, max(self.times), repair)
-        require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)
@@ -226,13 +224,10 @@ def _along(
     observable: Observable, system: MechanicalSystem, solution: Solution
 ) -> tuple[Array, Array]:
     """Values of an observable and their total derivatives, shape (k,) and (k, n_b)."""
-    states, s = states_of(solution), solution.sensitivities
-    assert s is not None  # asked for
+    states, own = states_of(solution), solution.sensitivities
+    assert own is not None  # asked for
     p = observable.partials(system, states)
-    total = p.b
-    for rows, x_b in ((p.q, s.q_b), (p.v, s.v_b), (p.lam, s.lam_b)):
-        if rows is not None:
-            total = total + np.einsum("kn,knb->kb", rows, x_b)
+    total = p.total(own.q_b, own.v_b, own.lam_b)
     bad = ~np.isfinite(p.value) | ~np.isfinite(total).all(axis=1)
     if np.any(bad):
         raise NonFiniteObjective("Misfit", "an observable", float(states.t[np.argmax(bad)]))

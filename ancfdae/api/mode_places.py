@@ -39,13 +39,7 @@ class DesignedConfiguration(abc.ABC):
 
 
 def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
-    """Return the place that a user means.
-
-    Raises
-    ------
-    InvalidInput
-        If it is none.
-    """
+    """Return the place that a user means; InvalidInput if it is none."""
     if at is None:
         return _Start(system)
     require_kind("at", at, (Configuration, Equilibrium), "Pass what `equilibrium` returned.")

@@ -26,20 +26,9 @@ _OTHER = "Give another file, or remove this one to compute all rows anew."
 
 @final
 class SweepFile:
-    """Rows of one sweep on disk.
+    """Rows of one sweep on disk; InvalidInput if the file holds something else.
 
-    Parameters
-    ----------
-    path : Path
-    model, what : object
-        What the rows belong to.
-    values : sequence of mappings
-        The designs, by name.
-
-    Raises
-    ------
-    InvalidInput
-        If the file holds something else.
+    They belong to `model` and `what`, at designs with these values by name.
     """
 
     def __init__(

@@ -186,9 +186,6 @@ class _ExplicitMarch(March):
         atol = _SMALL * rtol
         return scipy.integrate.DOP853(self._rate, s, y, end, first_step=first, rtol=rtol, atol=atol)
 
-    def residual(self) -> float:
-        return 0.0  # An explicit step has no equations left over.
-
     def _vector(self, point: State) -> Array:
         rows = np.empty(self._size.shape)
         rows[0, 0], rows[1, 0] = point.q, point.v

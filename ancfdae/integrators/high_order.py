@@ -60,7 +60,11 @@ class NotFinite(Exception):
 
 
 class March(abc.ABC):
-    """One run of a solver, step by step, in a context; it counts as `Statistics` do."""
+    """One run of a solver, step by step, in a context; it counts as `Statistics` do.
+
+    `residual` is the size of the last finite scaled residual, zero where a step leaves none; it is
+    kept, for after an interrupt or a failure the equations must not be called once more.
+    """
 
     def __init__(
         self,
@@ -69,7 +73,7 @@ class March(abc.ABC):
         context: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self.steps = self.iterations = self.factorisations = self.residuals = 0
-        self._t, self._t_end, self._max_steps = 0.0, t_end, max_steps
+        self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
         self._progress, self._context = Progress(t_end), context
 
     @final
@@ -100,13 +104,6 @@ class March(abc.ABC):
     @abc.abstractmethod
     def finish(self) -> None:
         """Take the last steps into the integrals."""
-
-    @abc.abstractmethod
-    def residual(self) -> float:
-        """Size of the last finite scaled residual; it is kept, not evaluated again.
-
-        After an interrupt or a failure the equations must not be called once more.
-        """
 
 
 @dataclass(frozen=True)
@@ -162,21 +159,7 @@ class HighOrder(QuadratureIntegrator):
         *,
         sensitivities: bool = False,
         progress: bool = False,
-    ) -> Solution:
-        """Integrate from t = 0 to `t_end`."""
-        return self.integrate_with(
-            system, t_end, (), sensitivities=sensitivities, progress=progress
-        )
-
-    @final
-    def integrate_with(
-        self,
-        system: MechanicalSystem,
-        t_end: float,
-        integrands: Sequence[Integrand],
-        *,
-        sensitivities: bool = False,
-        progress: bool = False,
+        integrands: Sequence[Integrand] = (),
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, integrals beside the motion."""
         from tqdm import tqdm
@@ -217,7 +200,7 @@ class HighOrder(QuadratureIntegrator):
             recorder.accepted, recorder.iterations = march.steps, march.iterations
             recorder.residuals = march.residuals
             recorder.factorisations += march.factorisations
-            size = 0.0 if verdict is Verdict.FINISHED else march.residual()
+            size = 0.0 if verdict is Verdict.FINISHED else march.residual
         return recorder.solution(Outcome(verdict, recorder.time, recorder.accepted, size))
 
 

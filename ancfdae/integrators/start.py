@@ -67,27 +67,18 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
         raise InvalidInput("start", "must be finite", "NaN or infinity", "Check the start.")
     if not system.project_start:
         _refuse_inconsistent(system, q, v, t)
-    # Forces that are not finite at the start are refused below, not warned about.
+    # Forces that are not finite at the start are refused here, not warned about.
     with np.errstate(all="ignore"):
-        return _solve_start(system, matrices, q, v, t)
-
-
-def _solve_start(
-    system: MechanicalSystem, matrices: SaddlePoint, q: Array, v: Array, t: float
-) -> InitialState:
-    q, _ = _project_position(system, matrices, q, t)
-    if not system.linear_constraints:
-        refuse_redundant(system, system.constraint_q(q, t))
-    factors = _factor_mass(system, matrices, q, t)
-    zero = np.zeros(system.n_lam)
-    v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
-    Q = system.force(q, v, t)
-    if not finite(Q):
-        raise InvalidInput(
-            "forces at the start", "must be finite", "NaN or infinity", "Check forces and start."
-        )
-    a, lam = solve(factors, Q, zero + system.acceleration_side(q, v, t))
-    return InitialState(t, q, v, a, lam)
+        q, _ = _project_position(system, matrices, q, t)
+        if not system.linear_constraints:
+            refuse_redundant(system, system.constraint_q(q, t))
+        factors = _factor_mass(system, matrices, q, t)
+        v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
+        Q = system.force(q, v, t)
+        if not finite(Q):
+            repair = "Check forces and start."
+            raise InvalidInput("forces at the start", "must be finite", "NaN or infinity", repair)
+        return InitialState(t, q, v, *solve(factors, Q, system.acceleration_side(q, v, t)))
 
 
 def start_sensitivity(

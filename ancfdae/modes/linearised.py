@@ -35,18 +35,9 @@ ROUND_OFF = 64
 @final
 @dataclass(frozen=True)
 class Linearised:
-    """Matrices of small motions as values on the system's patterns.
+    """Matrices of small motions as values on the system's patterns; D is None without damping.
 
-    Attributes
-    ----------
-    system : MechanicalSystem
-    at : Configuration
-    q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b)
-        Design derivatives of q and lam.
-    M, K : array, shape (nnz,)
-    D : array, shape (nnz,), or None
-        None for motions without damping.
-    Phi_q : array, shape (nnz of the constraint pattern,)
+    q_b, (n_q, n_b), and lam_b, (n_lam, n_b), are the design derivatives of the configuration.
     """
 
     system: MechanicalSystem
@@ -60,12 +51,9 @@ class Linearised:
 
     @staticmethod
     def of(system: MechanicalSystem, at: Configuration, damped: bool | None) -> Linearised:
-        """Linearise about a configuration; if `damped` is None, velocity forces count if any.
+        """Linearise about a configuration; velocity forces count by default if there are any.
 
-        Raises
-        ------
-        InvalidInput
-            If the configuration does not fit the system or a matrix is not finite.
+        InvalidInput if the configuration does not fit the system or a matrix is not finite.
         """
         at.check(system)
         rest = np.zeros((1, system.n_q))
@@ -133,13 +121,7 @@ class Linearised:
 
     @cached_property
     def saddle(self) -> SaddlePoint:
-        """Saddle-point matrices with Phi_q.
-
-        Raises
-        ------
-        RedundantConstraints
-            If constraints depend on each other here.
-        """
+        """Saddle-point matrices with Phi_q; RedundantConstraints if it has dependent rows."""
         return saddle_point(self.system, self.at.t, self.at.q)
 
     @cached_property

@@ -80,6 +80,15 @@ class ObservablePartials:
     lam: Array | None
     b: Array
 
+    def total(self, q_b: Array | None, v_b: Array | None, lam_b: Array | None) -> Array:
+        """Return the derivatives along those of the states, shape (k, n_b); None is held."""
+        total = self.b
+        for rows, x_b in ((self.q, q_b), (self.v, v_b), (self.lam, lam_b)):
+            if rows is not None and x_b is not None:
+                used = np.flatnonzero(rows.any(axis=0))
+                total = total + np.einsum("kn,knb->kb", rows[:, used], x_b[:, used])
+        return total
+
 
 class Observable(Expression["Observable"]):
     """A number at every instant, H(t, q, v, lam, b) of eq. (20).

@@ -68,7 +68,8 @@ def write_vtk(
     own, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
     folder = file.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
-    faces, bodies, points = _cells(own), _bodies(own), point_data(own, declared)
+    faces, points = own.faces, point_data(own, declared)
+    bodies = np.repeat(np.arange(len(own.meshes)), [len(mesh.faces) for mesh in own.meshes])
     series = group.VtkGroup(str(folder))
     for k, t in enumerate(own.motion.t.tolist()):
         x = np.concatenate([place[k] for place in own.places])
@@ -137,13 +138,3 @@ def _components(x: Array) -> tuple[Array, Array, Array]:
     """Return three arrays in a row each, the third zero in the plane."""
     columns = [np.ascontiguousarray(x[:, axis]) for axis in range(x.shape[1])]
     return (*columns, np.zeros(len(x)))[:3]  # type: ignore[return-value]
-
-
-def _cells(own: Mechanism) -> Array:
-    firsts = np.cumsum([0, *(x.shape[1] for x in own.places)])
-    faces = [mesh.faces + first for mesh, first in zip(own.meshes, firsts, strict=False)]
-    return np.concatenate(faces)
-
-
-def _bodies(own: Mechanism) -> Array:
-    return np.repeat(np.arange(len(own.meshes)), [len(mesh.faces) for mesh in own.meshes])

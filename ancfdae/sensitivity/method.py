@@ -14,6 +14,7 @@ from ancfdae.errors import (
     SingularMatrix,
     Verdict,
     require_flag,
+    require_kind,
     uninterrupted,
 )
 from ancfdae.integrators import Integrator, QuadratureIntegrator
@@ -109,7 +110,11 @@ class Run:
 
     def __post_init__(self) -> None:
         """Validate."""
+        repair = "For example HHT(step=0.01)."
+        require_kind("integrator", self.integrator, (Integrator,), repair)
         require_flag("progress", self.progress)
+        if self.after is not None:
+            require_kind("after", self.after, (Solution,), "Pass what simulate returned.")
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
         """Integrate."""
@@ -127,12 +132,12 @@ class Run:
         if self.after is not None or not isinstance(self.integrator, QuadratureIntegrator):
             return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
         totals = totals_of(self.system, objectives, differentiated)
-        run = self.integrator.integrate_with(
+        run = self.integrator.integrate(
             self.system,
             self.t_end,
-            list(totals.values()),
             sensitivities=sensitivities,
             progress=self.progress,
+            integrands=list(totals.values()),
         )
         return finished(run), totals
 

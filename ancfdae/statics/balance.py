@@ -69,16 +69,7 @@ class Failure:
 @final
 @dataclass(frozen=True)
 class Balance:
-    """The equations of one search; see the module.
-
-    Attributes
-    ----------
-    system : MechanicalSystem
-    t : float
-    q_0, lam_0 : array
-        Where the search starts.
-    work : Work
-    """
+    """The equations of one search, which starts at q_0 and lam_0; see the module."""
 
     system: MechanicalSystem
     t: float

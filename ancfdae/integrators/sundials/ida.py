@@ -127,8 +127,8 @@ class _IdaMarch(March):
         Y, Yp = self._form.start(problem.initial)
         if b is not None:
             blocks, rates = self._form.start_b(b)
-            Y, Yp = _join(Y, blocks), _join(Yp, rates)
-        self._y, self._last = Y, 0.0
+            Y, Yp = np.append(Y, blocks.T), np.append(Yp, rates.T)
+        self._y = Y
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, Y, Yp)
         self._solver = self._set_up(settings)
@@ -161,9 +161,6 @@ class _IdaMarch(March):
 
     def finish(self) -> None:
         self._points.finish()
-
-    def residual(self) -> float:
-        return self._last
 
     def _set_up(self, settings: IDA) -> Any:
         import sksundae
@@ -201,7 +198,7 @@ class _IdaMarch(March):
             R[n:] = self._form.residual_b(t, x, xp, Y, Yp).T.ravel()
         if not finite(R):
             raise NotFinite
-        self._last = float(np.max(np.abs(R[:n])))
+        self.residual = float(np.max(np.abs(R[:n])))
 
     def _fill_jacobian(self, t: float, y: Array, yp: Array, R: Array, c_j: float, J: Array) -> None:
         self.factorisations += 1
@@ -238,8 +235,3 @@ def _keep(solver: Any) -> None:
 def _release(solver: Any) -> None:
     """Remove the extra reference after a successful step."""
     ctypes.pythonapi.Py_DecRef(ctypes.py_object(solver))
-
-
-def _join(first: Array, blocks: Array) -> Array:
-    """Stack a vector and the columns of an array."""
-    return np.concatenate([first, blocks.T.ravel()])

@@ -134,9 +134,6 @@ class _IdasMarch(March):
             row[:] = self._bindings.array(self._out)
         return rows
 
-    def residual(self) -> float:
-        return self._equations.last
-
     def _add_sensitivities(self, Y: Array, Yp: Array) -> None:
         bindings, idas, context = self._bindings, self._bindings.idas, self._equations.context
         tolerances = self._form.tolerances(self._rtol)
@@ -167,3 +164,4 @@ class _IdasMarch(March):
         self.residuals = idas.IDAGetNumResEvals(memory)[1]
         self.iterations = idas.IDAGetNumNonlinSolvIters(memory)[1]
         self.factorisations = idas.IDAGetNumLinSolvSetups(memory)[1]
+        self.residual = self._equations.last
