@@ -236,6 +236,7 @@ _Thing = TypeVar("_Thing", bound=_Named)
 
 def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
     """Return the thing of this name; raise UnknownName where none has it."""
+    require_text(where, name)
     for thing in things:
         if thing.name == name:
             return thing
