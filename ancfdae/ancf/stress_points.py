@@ -28,12 +28,7 @@ _TOGETHER = 2_000_000
 class StressPoints:
     """Von Mises stresses at fibres and places xi of some elements.
 
-    Parameters
-    ----------
-    elements : BeamElements
-    xi : array, shape (n_xi,)
-    places : callable
-        y and z of the fibres, (n, n_f) each, out of the elements, moved or not.
+    `places` gives y and z of the fibres, (n, n_f) each, out of the elements, moved or not.
     """
 
     def __init__(

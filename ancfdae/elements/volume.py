@@ -141,7 +141,7 @@ class Region:
         assumed, straight = own.energy.assumed_strains, own.kind.straight
         self._beta = axial_functions(own.d, tuple(self._xi.tolist()), assumed, straight)
         self._B = self._metric(section_functions(fibres.offsets, fibres.factors, fibres.radii))
-        self._J_inv: Array | None = None
+        self._straight, self._J_inv = straight, np.eye(own.d)
         self.dV = self._measure(fibres.volume)
         if not straight:
             self._Y = own.Y_unit
@@ -161,7 +161,7 @@ class Region:
         phi_b = along(section_functions, *parts)
         P_b = self.T @ self._metric(phi_b)
         dV_b = self._measure(fibres_b.volume)
-        if self._J_inv is None:
+        if self._straight:
             return P_b, dV_b
         # The section slopes of the reference, and so its axes, depend on no parameter.
         J_b = self._axes @ along(self._gradient, (own.offsets,), (fibres_b.offsets,))
@@ -200,13 +200,11 @@ class Region:
         J: Array = self._Y.transpose(0, 2, 1)[:, None] @ N
         return J
 
-    def _transform(self, K_1: Array | None, K_2: Array | None, turn: float) -> Array:
+    def _transform(self, K_1: Array, K_2: Array, turn: float) -> Array:
         """T of the module `continuum`, bilinear in (K_1, K_2), both J_o^-1; (..., n_v, n_v)."""
         pairs = np.array(components(self._d))
         i, j = pairs.T[:, :, None]
         alpha, beta = pairs.T[:, None]
-        if K_1 is None or K_2 is None:
-            K_1 = K_2 = np.eye(self._d)
         product = K_1[..., alpha, i] * K_2[..., beta, j] + K_1[..., beta, i] * K_2[..., alpha, j]
         # 1/2 from 2 E = ..., doubled for engineering shear, halved where both terms are one entry.
         T = product * np.where(i == j, 0.5, 1.0) * np.where(alpha == beta, 0.5, 1.0)

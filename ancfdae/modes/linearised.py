@@ -51,12 +51,9 @@ class Linearised:
 
     @staticmethod
     def of(system: MechanicalSystem, at: Configuration, damped: bool | None) -> Linearised:
-        """Linearise about a configuration; if `damped` is None, velocity forces count if any.
+        """Linearise about a configuration; velocity forces count by default if there are any.
 
-        Raises
-        ------
-        InvalidInput
-            If the configuration does not fit the system or a matrix is not finite.
+        InvalidInput if the configuration does not fit the system or a matrix is not finite.
         """
         at.check(system)
         rest = np.zeros((1, system.n_q))

@@ -42,14 +42,10 @@ class PathPoint:
 
 @final
 class LoadPath:
-    """Follows the path from s = 0 to s = 1, in as many attempted steps at most.
+    """Follows the path from s = 0 to s = 1 in at most `max_steps` attempted steps.
 
-    Attributes
-    ----------
-    places : list of PathPoint
-        What converged, the start first.
-    residual : float
-        Size of the last correction of the last failure.
+    `places` are what converged, the start first, `residual` is the size of the last correction of
+    the last failure.
     """
 
     def __init__(self, balance: Balance, first: PathPoint, max_steps: int) -> None:
