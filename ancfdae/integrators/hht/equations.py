@@ -169,7 +169,7 @@ def residual(
 
 def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
     """Upper left block of eq. (6) for k instants, shape (k, nnz)."""
-    K = add_scaled(c.in_A * local.M, c.in_q, local.f_q)
+    K = c.in_q * local.f_q + c.in_A * local.M
     return np.asarray(K if local.f_v is None else K + c.in_v * local.f_v)
 
 
