@@ -96,27 +96,22 @@ class SaddlePoint:
 
 
 def _choose_storage(scale: Array, pattern: Pattern, constraint_pattern: Pattern) -> _Storage:
-    n = pattern.shape[0]
-    r, c = constraint_pattern.rows + n, constraint_pattern.columns
-    entries = (
-        np.concatenate([pattern.rows, r, c]),
-        np.concatenate([pattern.columns, c, r]),
-    )
     order = narrow_band(pattern, constraint_pattern)
-    rows, columns = _places(order, entries)
+    rows, columns = _places(order, pattern, constraint_pattern)
     half_width = int(np.max(np.abs(rows - columns), initial=0))
     if half_width <= _BAND_HALF_WIDTH:
         return _BandStorage(scale, order, rows, columns, half_width)
     order = little_fill(pattern, constraint_pattern)
-    return _SparseStorage(scale, order, *_places(order, entries))
+    return _SparseStorage(scale, order, *_places(order, pattern, constraint_pattern))
 
 
-def _places(order: Array, entries: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return rows and columns of entries in an order of the unknowns."""
+def _places(order: Array, pattern: Pattern, constraint_pattern: Pattern) -> tuple[Array, Array]:
+    """Return rows and columns of all entries in an order of the unknowns."""
     place = np.empty(len(order), dtype=np.int32)
     place[order] = np.arange(len(order))
-    rows, columns = entries
-    return place[rows], place[columns]
+    r, c = place[constraint_pattern.rows + pattern.shape[0]], place[constraint_pattern.columns]
+    rows = np.concatenate([place[pattern.rows], r, c])
+    return rows, np.concatenate([place[pattern.columns], c, r])
 
 
 @final
@@ -126,10 +121,12 @@ class _BandStorage(_Storage):
     ) -> None:
         self._scale, self._order, self._half_width = scale, order, half_width
         # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j of column j.
-        self._flat = columns.astype(np.int64) * (3 * half_width)
-        self._flat += 2 * half_width + rows
+        self._flat = np.multiply(columns, 3 * half_width, dtype=np.int64)
+        self._flat += rows
+        self._flat += 2 * half_width
         numbered = scale[order]
-        self._factors = numbered[rows] * numbered[columns]
+        self._factors = numbered[rows]
+        self._factors *= numbered[columns]
 
     def factor(self, K: Array, B: Array) -> Factorization:
         size, half_width = len(self._order), self._half_width
