@@ -78,9 +78,9 @@ class Inertia:
 
     @cached_property
     def _M(self) -> LinearMap:
-        M = self._pattern.csr(self.values).copy()
-        M.eliminate_zeros()  # two thirds in space: m (x) I_3
-        return LinearMap(M)
+        # Two of three entries of a spatial element are zero: masses do not couple directions.
+        kept, own = np.flatnonzero(self.values), self._pattern
+        return LinearMap.of(own.rows[kept], own.columns[kept], self.values[kept], own.shape)
 
     @cached_property
     def _M_b(self) -> LinearMap:

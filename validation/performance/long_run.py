@@ -1,6 +1,7 @@
 """A long run of which little is kept: its steps, its memory, its file, and an interrupt."""
 
 import _thread
+import signal
 import tempfile
 import threading
 import time
@@ -44,6 +45,8 @@ def _run(steps: int, interrupted: bool) -> tuple[float, float, int]:
         file = Path(folder) / "tip.npy"
         half_way = threading.Thread(target=_interrupt, args=(file, steps // _EVERY // 2))
         if interrupted:
+            # A shell's background jobs start deaf to it.
+            signal.signal(signal.SIGINT, signal.default_int_handler)
             half_way.start()
         clock = time.perf_counter()
         with suppress(Interrupted):
