@@ -179,6 +179,10 @@ class LinearConstraints(Declared):
     linear_constraints = True
 
 
+class ConstantConstraints(Declared):
+    constant_constraints = True
+
+
 class NoVelocityForces(Declared):
     velocity_forces = False
 
@@ -188,6 +192,8 @@ class NoVelocityForces(Declared):
     [
         (ConstantMass, "constant_mass"),
         (LinearConstraints, "linear_constraints"),
+        (ConstantConstraints, "constant_constraints"),
+        (ConstantConstraints, "constant_constraints, Phi_q"),
         (NoVelocityForces, "velocity_forces"),
     ],
 )
