@@ -58,7 +58,7 @@ class Explicit(HighOrder):
     """Explicit integration of order 8 with error control; for soft scenes.
 
     The step is bounded by the highest frequency, so stiff scenes need many steps; a small system
-    takes 3,000 in a second. Parameters: see `HighOrder`.
+    takes 5,000 in a second. Parameters: see `HighOrder`.
     """
 
     def __post_init__(self) -> None:
