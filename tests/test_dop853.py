@@ -18,6 +18,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.integrators.dop853 import Dop853
+from ancfdae.integrators.index_1 import stacked
+from ancfdae.integrators.problem import Problem
 from validation.scenes import pendulum
 
 # States, rates and coefficients are of size 1 to 40, and sums have sixteen terms.
@@ -111,6 +113,29 @@ def test_constant_constraints_hold_to_round_off(swinging):
         assert np.max(np.abs(swinging.constraint(q, 0.0))) < 1e-14 * size
         for x in (v, q_b, v_b):
             assert np.max(np.abs(B.dot(Phi_q, x))) < 1e-13 * np.max(np.abs(x), initial=1.0)
+
+
+def test_states_move_to_the_nearest_on_constant_constraints():
+    # Away from the origin, where Phi is not Phi_q q.
+    rod = Beam("a", (0.3, 0.2), (0.8, 0.2), 2, Rectangle(0.05, 0.04), Material(4000, 1e6, 0.3))
+    system = assemble(Scene([rod], [Pin(rod.at_start)], (0, -9.81)), ["a.density", "a.height"])
+    assert system.constant_constraints
+    problem = Problem.of(system, 1.0).differentiated()
+    first, b = problem.initial, problem.derivative
+    rows = stacked(first.q, first.v, b.q_b, b.v_b)
+    rows = rows + np.random.default_rng(1).uniform(-1e-2, 1e-2, rows.shape)
+    # By the factors, then by the inverse that is formed where they are met again.
+    for _ in range(2):
+        moved = problem.accelerations.projected(0.0, rows)
+        B, Phi_q = system.constraint_pattern, system.constraint_q(first.q, 0.0)
+        assert np.max(np.abs(system.constraint(moved[0, 0], 0.0))) < 1e-15
+        assert np.max(np.abs(B.dot(Phi_q, moved.reshape(6, -1)[1:].T))) < 1e-15
+        # M dx + Phi_q^T sigma = 0: no inertia along motions that the constraints allow, but for the
+        # round-off of solving with M, whose condition number is 1e4.
+        free = scipy.linalg.null_space(B.dense(Phi_q))
+        change = system.mass_times(first.q, (moved - rows).reshape(6, -1).T)
+        assert np.max(np.abs(free.T @ change)) < 1e-11 * np.max(np.abs(change))
+        assert np.max(np.abs(moved - rows)) > 1e-4
 
 
 def test_which_constraints_are_constant():
