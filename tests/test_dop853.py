@@ -116,8 +116,8 @@ def test_derivatives_are_those_of_runs(swinging):
             values = [getattr(run, name)[-1] for run in ends]
             expected = (values[0] - values[1]) / (2 * share * b)
             own = getattr(found, f"{name}_b")[-1, :, i]
-            # Differences err by share^2 = 1e-8 times the square of the phase that waves of the section
-            # have at the end, 4108 rad/s times 0.02 s at most; slow motions dominate.
+            # Differences err by share^2 = 1e-8 times the square of the phase of waves at the end,
+            # 4108 rad/s times 0.02 s at most; slow motions dominate.
             assert np.max(np.abs(own - expected)) < 1e-5 * np.max(np.abs(expected)), name
 
 
