@@ -626,6 +626,12 @@ def test_force_b(setting):
 def test_force_total(setting):
     s = setting
     total = s.system.force_total(s.q, s.v, s.t, s.q_b, s.v_b)
+    rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((s.q, s.q_b), (s.v, s.v_b))]
+    both = s.system.force_and_total(*rows, s.t)
+    assert np.array_equal(both[1:].T, total)
+    Q = s.system.force(s.q, s.v, s.t)
+    # The same products in another order.
+    assert np.max(np.abs(both[0] - Q)) < 1e-13 * np.max(np.abs(Q))
 
     def moved(x, i, e):
         return x.force(s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i], s.t)

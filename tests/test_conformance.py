@@ -179,6 +179,10 @@ class LinearConstraints(Declared):
     linear_constraints = True
 
 
+class ConstantConstraints(Declared):
+    constant_constraints = True
+
+
 class NoVelocityForces(Declared):
     velocity_forces = False
 
@@ -192,6 +196,8 @@ class Symmetric(Declared):
     [
         (ConstantMass, "constant_mass"),
         (LinearConstraints, "linear_constraints"),
+        (ConstantConstraints, "constant_constraints"),
+        (ConstantConstraints, "constant_constraints, Phi_q"),
         (NoVelocityForces, "velocity_forces"),
         (Symmetric, "symmetric"),
     ],

@@ -108,6 +108,12 @@ def products(add: Add, p: Probe) -> None:
     both = np.stack([m.a, d.a], axis=1)
     add("mass_times: M x", gap(s.mass_times(m.q, m.a), M @ m.a, 0.0), _SAME)
     add("mass_times: M x, columns", gap(s.mass_times(m.q, both), M @ both, 0.0), _SAME)
+    rows = [np.concatenate([x[None], p.arguments[y].T]) for x, y in ((m.q, "q_b"), (m.v, "v_b"))]
+    expected = np.concatenate(
+        [call(s, "force", p.arguments)[None], call(s, "force_total", p.arguments).T]
+    )
+    error = gap(s.force_and_total(rows[0], rows[1], m.t), expected, 0.0)
+    add("force_and_total: force, force_total", error, _SAME)
     reaction = s.constraint_force(m.q, m.lam, m.t)
     expected = dot_t(s.constraint_q(m.q, m.t), m.lam)
     add("constraint_force: Phi_q^T lam", gap(reaction, expected, 0.0), _SAME)
