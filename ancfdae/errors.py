@@ -248,6 +248,14 @@ def require_path(where: str, value: object) -> Path:
     return path
 
 
+def require_folder(where: str, path: Path) -> Path:
+    """Return a path; raise InvalidInput if there is no folder to write it to."""
+    if not path.parent.is_dir():
+        rule, repair = "must lie in a folder that exists", "Create the folder, or correct the path."
+        raise InvalidInput(where, rule, repr(os.fspath(path)), repair)
+    return path
+
+
 def require_index(where: str, value: object, count: int, repair: str) -> None:
     """Raise InvalidInput for what is no whole number from 0 to `count` - 1."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -135,8 +135,9 @@ class Fit:
 
     ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac",
     gtol=None)`` finds the design values. Without ``gtol=None`` it may stop at the start and report
-    success: SciPy compares J^T r with 1e-8, whatever the units, and in moduli in Pa that is small. Both functions come from one run with direct differentiation per
-    design, which is kept for the other.
+    success: SciPy compares J^T r with 1e-8, whatever the units, and in moduli in Pa that is small.
+    Both functions come from one run with direct differentiation per design, which is kept for the
+    other.
 
     Attributes
     ----------
