@@ -20,6 +20,9 @@ from typing import Any, Protocol, TypeVar, final
 import numpy as np
 import numpy.typing as npt
 
+# Characters of a wrong argument that a message repeats.
+_LONGEST = 100
+
 
 class AncfdaeError(Exception):
     """Base class of every error that this package raises on purpose.
@@ -231,7 +234,13 @@ def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str
     """Raise InvalidInput for an object that is of none of the given classes."""
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
-        raise InvalidInput(where, f"must be of type {names}", repr(value), repair)
+        raise InvalidInput(where, f"must be of type {names}", _shown(value), repair)
+
+
+def _shown(value: object) -> str:
+    """Return the beginning of what may be as long as a beam or a solution."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 def require_text(where: str, value: object) -> None:
@@ -294,7 +303,7 @@ def require_sequence(
         # An iterator has no length: it could be read only once.
         return tuple(value) if len(value) else ()  # type: ignore[arg-type]
     except TypeError:
-        raise InvalidInput(where, rule, repr(value), repair) from None
+        raise InvalidInput(where, rule, _shown(value), repair) from None
 
 
 def require_finite(where: str, value: object, repair: str = "Give a finite number.") -> None:
