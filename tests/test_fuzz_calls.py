@@ -139,7 +139,7 @@ VALID: dict[str, Callable[[Any], bool]] = {
     "design": lambda x: x is None or all_of(str | DesignVariable)(x),
     "method": lambda x: x is None or isinstance(x, GradientMethod | Method),
     "objective": lambda x: isinstance(x, Objective),
-    "objectives": all_of(Objective),
+    "objectives": lambda x: len(x) > 0 and all_of(Objective)(x),
     "observable": lambda x: isinstance(x, Observable),
     "solution": lambda x: isinstance(x, Solution),
     "system": lambda x: x is None or isinstance(x, MechanicalSystem),
@@ -221,6 +221,7 @@ def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any
 @example(with_junk(ancfdae.mass_properties, model=SYSTEM, design=int))
 @example(with_junk(ancfdae.sweep, designs=[[0.04]], design=b"x"))
 @example(with_junk(assemble, scene="a.b"))
+@example(with_junk(ancfdae.gradients, objectives=[]))
 @example(with_junk(ancfdae.modes, highest=[]))
 @example(with_junk(ancfdae.modes, model=SYSTEM, at=equilibrium(TWO)))
 @example(with_junk(ancfdae.observe, observable=kinetic_energy(), system=assemble(TWO)))
