@@ -20,6 +20,9 @@ from typing import Any, Protocol, TypeVar, final
 import numpy as np
 import numpy.typing as npt
 
+# Characters of a wrong argument that a message repeats.
+_LONGEST = 100
+
 
 class AncfdaeError(Exception):
     """Base class of every error that this package raises on purpose.
@@ -256,7 +259,13 @@ def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str
     """Raise InvalidInput for an object that is of none of the given classes."""
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
-        raise InvalidInput(where, f"must be of type {names}", repr(value), repair)
+        raise InvalidInput(where, f"must be of type {names}", _shown(value), repair)
+
+
+def _shown(value: object) -> str:
+    """Return the beginning of what may be as long as a beam or a solution."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 def require_text(where: str, value: object) -> None:
@@ -270,6 +279,14 @@ def require_path(where: str, value: object) -> Path:
     path = Path(value)  # type: ignore[arg-type]  # as was just seen
     if path.is_dir():
         raise InvalidInput(where, "must be a file", f"the folder {value!r}", "Name a file in it.")
+    return path
+
+
+def require_folder(where: str, path: Path) -> Path:
+    """Return a path; raise InvalidInput if there is no folder to write it to."""
+    if not path.parent.is_dir():
+        rule, repair = "must lie in a folder that exists", "Create the folder, or correct the path."
+        raise InvalidInput(where, rule, repr(os.fspath(path)), repair)
     return path
 
 
@@ -311,7 +328,7 @@ def require_sequence(
         # An iterator has no length: it could be read only once.
         return tuple(value) if len(value) else ()  # type: ignore[arg-type]
     except TypeError:
-        raise InvalidInput(where, rule, repr(value), repair) from None
+        raise InvalidInput(where, rule, _shown(value), repair) from None
 
 
 def require_each(

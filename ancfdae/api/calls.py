@@ -220,6 +220,8 @@ def require_objectives(
     """Refuse objectives that a run of this system cannot have."""
     require_positive("t_end", t_end)
     repair = "Wrap an observable in Integral, Terminal, AtTimes, SmoothMaximum or UpperMaximum."
+    if not objectives:
+        raise InvalidInput("objectives", "must be one or more", "none", repair)
     for objective in objectives:
         require_kind("objective", objective, (Objective,), repair)
     for objective in objectives:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -21,6 +20,7 @@ from ancfdae.errors import (
     require_array,
     require_count,
     require_each,
+    require_folder,
     require_kind,
     require_path,
     uninterrupted,
@@ -145,7 +145,7 @@ def observations(
         each.check(system)
     run = _LongRun(system, t_end, integrator, every, at)
     shape = len(run.times), 1 + len(observables)
-    rows = np.zeros(shape) if file is None else _on_disk(require_path("file", file), shape)
+    rows = np.zeros(shape) if file is None else _on_disk(file, shape)
     done = steps = 0
     for part, some in run:
         if len(some.t):
@@ -157,9 +157,10 @@ def observations(
     return uninterrupted(Observations(rows[:done, 0], rows[:done, 1:], steps, part.outcome))
 
 
-def _on_disk(file: Path, shape: tuple[int, int]) -> Array:
+def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
     """Return an array in a new file, filled with NaN."""
-    rows: Array = np.lib.format.open_memmap(file, mode="w+", dtype=float, shape=shape)
+    path = require_folder("file", require_path("file", file))
+    rows: Array = np.lib.format.open_memmap(path, mode="w+", dtype=float, shape=shape)
     rows[:] = np.nan
     return rows
 

@@ -21,6 +21,7 @@ from ancfdae.errors import (
     InvalidInput,
     UnknownName,
     require_flag,
+    require_folder,
     require_kind,
     require_path,
     require_sequence,
@@ -143,7 +144,8 @@ def sweep(
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
     given = _mappings(model, designs, design)
     values = [{_name(key): value for key, value in each.items()} for each in given]
-    kept = None if file is None else SweepFile(require_path("file", file), model, what, values)
+    path = None if file is None else require_folder("file", require_path("file", file))
+    kept = None if path is None else SweepFile(path, model, what, values)
     rows = {} if kept is None else kept.rows()
     tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
     interrupted, parts = False, {"model": model, "what": what}

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ancfdae.elements import Quantity
-from ancfdae.errors import require_package
+from ancfdae.errors import InvalidInput, require_package
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.fields import StrainEnergyDensity, VonMisesStress, section_forces
 from ancfdae.plotting.mechanism import Mechanism, mechanism
@@ -67,6 +67,9 @@ def write_vtk(
     group = require_package("write_vtk", "pyevtk.vtk", "vtk")
     own, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
     folder = file.with_suffix("")
+    if folder.is_file():
+        rule, repair = "needs a folder of its name beside it", "Choose another name."
+        raise InvalidInput("write_vtk, path", rule, f"the file {folder}", repair)
     folder.mkdir(parents=True, exist_ok=True)
     faces, points = own.faces, point_data(own, declared)
     bodies = np.repeat(np.arange(len(own.meshes)), [len(mesh.faces) for mesh in own.meshes])

@@ -307,7 +307,7 @@ class Solution:
         own = self._known_sensitivities() if derivatives else None
         q_b, variables = (None, ()) if own is None else (own.q_b, own.names)
         names = tables.coordinate_names(self.naming, self.q.shape[1])
-        return tables.states_table(self.t, self.q, q_b, names, variables, columns or {})
+        return tables.states_table(self.t, self.q, q_b, names, variables, columns)
 
     def __repr__(self) -> str:
         own, errors = self.sensitivities, self.estimated_errors
