@@ -88,6 +88,16 @@ class Accelerations:
         x = self._solved(t, q, right)
         return x[: system.n_q], x[system.n_q :]
 
+    @property
+    def weights(self) -> Array:
+        """Least masses of the coordinates, shape (n_q,)."""
+        return self._system.weights
+
+    def reaction_size(self, t: float, q: Array, lam: Array) -> float:
+        """Weighted norm of Phi_q^T lam, as that of an acceleration a is of weights**0.5 * a."""
+        force = self._system.constraint_force(q, lam, t) / np.sqrt(self._system.weights)
+        return float(np.linalg.norm(force))
+
     def solve_b(
         self, t: float, state: tuple[Array, Array, Array, Array], q_b: Array, v_b: Array
     ) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ import matplotlib.style
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
+from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -292,7 +292,7 @@ def _between_powers(axis: Axis, x: float, _: int | None = None) -> str:
     low, high = axis.get_view_interval()
     exponent = math.floor(math.log10(x) + 1e-9)
     digit = round(x / 10.0**exponent)
-    beside = axis.axis_name == "x" and high > 12 * low  # Labels beside each other need more room.
+    beside = isinstance(axis, XAxis) and high > 12 * low  # Labels beside each other need more room.
     if high > 100 * low or digit not in ((3,) if beside else (2, 5)):
         return ""
     return rf"$\mathdefault{{{digit}\times10^{{{exponent}}}}}$"
