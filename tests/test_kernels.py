@@ -95,7 +95,9 @@ class Case:
         self.F = numbers(rng, (self.k, n, n_y, d), dtype)
         # Entries at the same place are summed.
         self.index = np.arange(n * ((n_y + 1) * d) ** 2, dtype=np.int32).reshape(n, -1) // 2
-        self.size = int(self.index.max()) + 3
+        # Two places without an entry, and one at the very end.
+        self.size = int(self.index.max()) + 4
+        self.index[-1, -1] = self.size - 1
 
     def Y(self, q):
         return (q @ self.R.T).reshape(*q.shape[:-1], 3, self.n_y, self.d)
