@@ -37,6 +37,7 @@ TESTS = {
         ["tests/test_assembler.py"],
     ],
     "joints/": [["tests/test_joints.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
+    "laws/": [["tests/test_laws.py"], ["tests/test_load_motions.py"], ["tests/test_drives.py"]],
     "loads/": [["tests/test_loads.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],
     "integrators/hht/": [
         ["tests/test_step_error.py"],

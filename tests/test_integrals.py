@@ -14,11 +14,13 @@ from ancfdae import (
     Direct,
     Explicit,
     FiniteDifference,
+    Harmonic,
     Integral,
     Interrupted,
     Material,
     NonFiniteObjective,
     Pin,
+    PointForce,
     Rectangle,
     Scene,
     SmoothMaximum,
@@ -219,6 +221,24 @@ def test_steps_whose_stages_are_too_few_are_not_all_repeated():
     # Dense output takes three evaluations beside the twelve or more of a step, a repetition 16:
     # a quarter more; without dense output that is kept half as much again.
     assert plain.statistics.residuals < run.statistics.residuals < 1.3 * plain.statistics.residuals
+
+
+@pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=pytest.mark.idas)])
+def test_reactions_to_forces_that_move_nothing_are_seen_between_the_steps(kind):
+    # A force on the pin itself: the solver's steps of 2e-5 s do not follow its period of 3e-5 s.
+    force, t_end = 500.0, 0.02
+    design = ("rod.youngs_modulus",)
+    quiet = Scene([ROD], [Pin(ROD.at_start, name="pin")], gravity=(0.0, -9.81))
+    hidden = PointForce(ROD.at_start, (0.0, force), law=Harmonic(1.0, 2e5))
+    loaded = dataclasses.replace(quiet, loads=[hidden])
+    squared = Integral(reaction("pin", 1) ** 2)
+    found, without = (
+        gradient(assemble(scene, design), squared, t_end, kind(1e-5), method=Direct())
+        for scene in (loaded, quiet)
+    )
+    # Of 4000 rad the mean of sin^2 is 1/2 to 1e-4; the product with the other reaction, of 100 N,
+    # is left by an end at most: 2 F R / omega. Polynomials through the steps are wrong by 0.1.
+    assert found.value - without.value == pytest.approx(force**2 * t_end / 2, rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", [IDA, Explicit])

@@ -8,6 +8,7 @@ joints hold what they should.
 """
 
 from dataclasses import fields
+from functools import partial as given
 
 import numpy as np
 import pytest
@@ -60,6 +61,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.ancf.rigidity import Rigidity
+from ancfdae.errors import InvalidInput
 from ancfdae.joints import DrivenJoint, Joint
 from ancfdae.joints.frames import Section, across, unit
 
@@ -727,10 +729,13 @@ def test_spatial_pendulum_on_a_hinge_is_the_planar_one_on_a_pin():
     assert_close(hinge[:, :2], pin, 1e-9)
 
 
-def test_revolute_is_refused_in_the_plane():
+@pytest.mark.parametrize(
+    "joint", [given(Revolute, axis=(0.0, 1.0)), given(Universal, axis=(1, 0), cross=(0, 1))]
+)
+def test_spatial_joints_are_refused_in_the_plane(joint):
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, BAR, SOFT)
-    with pytest.raises(ValueError, match="spatial"):
-        Scene([rod], [Revolute(rod.at_start, (0.0, 0.0, 1.0))])
+    with pytest.raises(InvalidInput, match="is spatial"):
+        Scene([rod], [joint(rod.at_start)])
 
 
 def test_points_take_part_by_position_or_slope_as_each_joint_says():

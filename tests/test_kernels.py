@@ -4,6 +4,7 @@ CLOSE: numbers are of size one and sums have at most 200 terms, n eps = 4e-14, w
 for products of such sums. A wrong term shows at order one.
 """
 
+import itertools
 import subprocess
 import sys
 
@@ -104,7 +105,9 @@ class Case:
         self.F = numbers(rng, (self.k, n, n_y, d), dtype)
         # Entries at the same place are summed.
         self.index = np.arange(n * ((n_y + 1) * d) ** 2, dtype=np.int32).reshape(n, -1) // 2
-        self.size = int(self.index.max()) + 3
+        # Two places without an entry, and one at the very end.
+        self.size = int(self.index.max()) + 4
+        self.index[-1, -1] = self.size - 1
 
     def Y(self, q):
         return (q @ self.R.T).reshape(*q.shape[:-1], 3, self.n_y, self.d)
@@ -242,6 +245,11 @@ def test_real_and_complex_arguments_mix():
     F = kernels.forces(case.block, q, v)
     close(F.imag / step, kernels.forces_along(case.block, case.q, case.v, case.u, case.z))
     close(kernels.relative(case.block, q).imag / step, case.Y(case.u))
+    Y, other = case.Y(case.q), case.Y(q)
+    for one, two in ((Y, other), (other, Y)):
+        close(kernels.gram(one, two), packed(one, two))
+        p = kernels.gram(one, one)
+        close(kernels.stressed(p, two), product(p, two))
 
 
 def test_nothing_is_nothing():
@@ -365,15 +373,16 @@ class Band:
 
     half = 4
 
-    def __init__(self, dtype):
+    def __init__(self, dtype, dtype_B=None):
         rng = np.random.default_rng(4)
-        self.dense = np.zeros((8, 8), dtype=dtype)
+        dtype_B = dtype_B or dtype
+        self.dense = np.zeros((8, 8), dtype=np.result_type(dtype, dtype_B))
         self.order = rng.permutation(8)
         place = np.argsort(self.order)
         near = np.abs(place[:, None] - place) <= self.half
         rows, columns = np.nonzero(near[:6, :6])
         b_rows, b_columns = np.nonzero(near[6:, :6])
-        self.K, self.B = numbers(rng, len(rows), dtype), numbers(rng, len(b_rows), dtype)
+        self.K, self.B = numbers(rng, len(rows), dtype), numbers(rng, len(b_rows), dtype_B)
         self.dense[rows, columns] = self.K
         self.dense[b_rows + 6, b_columns] = self.dense[b_columns, b_rows + 6] = self.B
         self.scale = rng.uniform(1, 2, 8)
@@ -386,10 +395,10 @@ class Band:
         return kernels.band_factor(self.K, self.B, self.factors, self.flat, 8, self.half)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("dtypes", list(itertools.product(DTYPES, DTYPES)))
 @pytest.mark.parametrize("right_dtype", DTYPES)
-def test_banded_solutions(dtype, right_dtype):
-    band = Band(dtype)
+def test_banded_solutions(dtypes, right_dtype):
+    band, dtype = Band(*dtypes), np.result_type(*dtypes)
     lu, pivots, info = band.factor()
     assert info == 0
     right = numbers(np.random.default_rng(5), (3, 8), right_dtype)

@@ -805,3 +805,16 @@ def test_damping_of_small_motions_is_the_damping_time_times_the_stiffness(d):
     q, v = system.start()
     K, D = (system.pattern.dense(-f(q, v, 0.0)) for f in (system.force_q, system.force_v))
     assert_close(D, 0.02 * K, VALUE)
+
+
+def test_a_follower_force_on_a_straight_beam_acts_on_the_position_alone():
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, FLAT, GEL)
+    free, loaded = (
+        assemble(Scene([rod], loads=loads))
+        for loads in ([], [FollowerForce(rod.at_end, (4.0, -3.0))])
+    )
+    q, v = free.start()
+    change = (loaded.force(q, v, 0.0) - free.force(q, v, 0.0)).reshape(2, 3, 2)
+    expected = np.zeros((2, 3, 2))
+    expected[1, 0] = 4.0, -3.0
+    np.testing.assert_allclose(change, expected, rtol=0, atol=1e-14)  # of 5 N, by eps

@@ -11,13 +11,13 @@ from validation import (
     error_bars,
     external_dae,
     integrators,
-    pendulum,
     work_precision,
 )
 from validation.crank_slider import report as crank_slider
 from validation.design import report as design
 from validation.extremes import report as extremes
 from validation.literature import report as literature
+from validation.pendulum import report as pendulum
 from validation.performance import report as performance
 from validation.report import Report
 

@@ -11,7 +11,7 @@ from ancfdae.ancf import AncfSystem
 from ancfdae.integrators import IndexReduction
 from ancfdae.plotting import Panel, Series
 from validation import integrators_crank_slider
-from validation.external.runs import Requirement
+from validation.external.runs import Requirement, add_verdict
 from validation.integrator_runs import (
     MANY,
     Array,
@@ -72,19 +72,10 @@ def run(report: Report, quick: bool) -> None:
     _work_precision(report, found)
     _question(report, found, reference)
     requirements += integrators_crank_slider.run(report, quick)
-    _verdict(report, requirements, quick)
+    report.heading("Agreement")
+    add_verdict(report, requirements, quick)
     report.heading("Limits")
     report.text(_LIMITS)
-
-
-def _verdict(report: Report, requirements: Sequence[Requirement], quick: bool) -> None:
-    report.heading("Agreement")
-    reached = sum(r.found is not None and r.found <= r.limit for r in requirements)
-    report.figure("verdict.required", len(requirements))
-    report.figure("verdict.reached", reached)
-    settings = " (coarse settings: not results)" if quick else ""
-    report.text(f"{reached} of {len(requirements)} figures are reached{settings}.")
-    report.table(["figure", "limit", "found", "reached"], [r.row() for r in requirements])
 
 
 def _intervals(extent: _Extent) -> int:

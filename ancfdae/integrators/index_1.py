@@ -129,6 +129,16 @@ class Accelerations:
             v[1:] -= nearest(defect - system.velocity_side_total(q[0], t, q_b))
         return rows
 
+    @property
+    def weights(self) -> Array:
+        """Least masses of the coordinates, shape (n_q,)."""
+        return self._system.weights
+
+    def reaction_size(self, t: float, q: Array, lam: Array) -> float:
+        """Weighted norm of Phi_q^T lam, as that of an acceleration a is of weights**0.5 * a."""
+        force = self._system.constraint_force(q, lam, t) / np.sqrt(self._system.weights)
+        return float(np.linalg.norm(force))
+
 
 def _by_inverse(inverse: Array, n: int) -> Solve:
     """Solve by the inverse of the transposed matrix."""

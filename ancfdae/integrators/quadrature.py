@@ -8,9 +8,9 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.integrators.index_1 import Accelerations, stacked
+from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.integrand import Integrand, PartialIntegral, Points, Rule
-from ancfdae.numerics.arrays import Array
+from ancfdae.integrators.multipliers import Motion, Multipliers
 
 # Gauss-Lobatto rule of four points with its Kronrod extension of seven, of degrees 5 and 9
 # (Gander & Gautschi, BIT 40, 2000), moved from [-1, 1] to [0, 1].
@@ -30,13 +30,14 @@ class Quadrature:
     """Feeds integrands part by part.
 
     Where points come without multipliers an integrand is tried without: if that is not a number it
-    reads them, and from then on they are taken from `accelerations`, at the price of a solve each.
+    reads them, and from then on they are found for it, by `accelerations` (`Multipliers`).
     """
 
     def __init__(
         self, integrands: Sequence[Integrand], accelerations: Accelerations, rtol: float
     ) -> None:
-        self._integrands, self._accelerations = tuple(integrands), accelerations
+        self._integrands = tuple(integrands)
+        self._multipliers = Multipliers(accelerations, _ACCEPTED * rtol)
         self._largest, self._readers = _ACCEPTED * rtol, set[Integrand]()
 
     @property
@@ -44,12 +45,13 @@ class Quadrature:
         """Whether there is anything to integrate."""
         return bool(self._integrands)
 
-    def add(self, choices: Iterable[Points]) -> None:
-        """Take in the next part of the run.
+    def add(self, choices: Iterable[Points], steps: Motion | None = None) -> None:
+        """Take in the next part of the run, with its steps if multipliers are to follow them.
 
         The choices are the same part on ever finer panels; each integrand takes the first on which
         its error is accepted, or the last.
         """
+        self._multipliers.follow(steps)
         pending, unfinished = self._integrands, list[tuple[Integrand, PartialIntegral]]()
         for choice in choices:
             unfinished = []
@@ -82,16 +84,6 @@ class Quadrature:
         """Add multipliers where there are none."""
         if points.lam is not None:
             return points
-        lam, lam_b = list[Array](), list[Array]()
-        for k, t in enumerate(points.t):
-            if k and t == points.t[k - 1]:  # Where two panels meet.
-                lam.append(lam[-1])
-                lam_b += lam_b[-1:]
-                continue
-            own = () if points.q_b is None or points.v_b is None else (points.q_b[k], points.v_b[k])
-            rows = stacked(points.q[k], points.v[k], *own)
-            multipliers = self._accelerations.rows(float(t), *rows)[:, points.q.shape[1] :]
-            lam.append(multipliers[0])
-            if own:
-                lam_b.append(multipliers[1:].T)
-        return replace(points, lam=np.array(lam), lam_b=np.array(lam_b) if lam_b else None)
+        found = self._multipliers.at(Motion(points.t, points.q, points.v, points.q_b, points.v_b))
+        lam_b = None if points.q_b is None else found[..., 1:]
+        return replace(points, lam=found[..., 0], lam_b=lam_b)

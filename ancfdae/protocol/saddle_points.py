@@ -75,5 +75,6 @@ def refuse_redundant(system: MechanicalSystem, values: Array) -> None:
             "joints " + ", ".join(repr(name) for name in sorted(set(dependent))),
             "constraints must be independent",
             f"{redundant} redundant of {system.n_lam}",
-            "Remove a joint, or replace it by one that holds fewer directions.",
+            "Remove a joint, or replace it by one that holds fewer directions; if this is a dead "
+            "point, where the mechanism could branch, start beside it.",
         )

@@ -8,7 +8,7 @@ from validation.design.crank_rod import crank_rod
 from validation.design.identification import identification
 from validation.design.two_link_arm import two_link_arm
 from validation.design.whirling_beam import whirling_beam
-from validation.external.runs import Requirement
+from validation.external.runs import Requirement, add_verdict
 from validation.report import Agreement, Report
 
 __all__ = ["run"]
@@ -35,7 +35,8 @@ def run(report: Report, quick: bool) -> None:
     report.heading("Method")
     report.text(_METHOD)
     requirements = [each for case in _CASES for each in tell(report, case(quick), quick)]
-    _verdict(report, requirements, quick)
+    report.heading("Verdict")
+    report.text(_YES if add_verdict(report, requirements, quick) else _NO)
     report.heading("Limits")
     report.text(_LIMITS)
 
@@ -161,17 +162,6 @@ def _names(names: Sequence[str]) -> str:
 
 def _word(name: str) -> str:
     return "-".join("".join(c if c.isascii() and c.isalnum() else " " for c in name).split())
-
-
-def _verdict(report: Report, requirements: list[Requirement], quick: bool) -> None:
-    report.heading("Verdict")
-    reached = [r for r in requirements if r.found is not None and r.found <= r.limit]
-    report.figure("verdict.required", len(requirements))
-    report.figure("verdict.reached", len(reached))
-    settings = " (coarse settings: not results)" if quick else ""
-    report.text(f"{len(reached)} of {len(requirements)} figures are reached{settings}.")
-    report.table(["figure", "limit", "found", "reached"], [r.row() for r in requirements])
-    report.text(_YES if len(reached) == len(requirements) else _NO)
 
 
 _METHOD = """

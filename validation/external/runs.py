@@ -39,6 +39,7 @@ __all__ = [
     "Attempt",
     "Problem",
     "Requirement",
+    "add_verdict",
     "compare_methods",
     "controlled",
     "differentiated",
@@ -136,6 +137,17 @@ class Requirement:
         if self.found is None:
             return [self.what, self.limit, "-", "sundials4py is not installed"]
         return [self.what, self.limit, self.found, "yes" if self.found <= self.limit else "NO"]
+
+
+def add_verdict(report: Report, requirements: Sequence[Requirement], quick: bool) -> bool:
+    """Add how many figures are reached, and their table; return whether all are."""
+    reached = sum(r.found is not None and r.found <= r.limit for r in requirements)
+    report.figure("verdict.required", len(requirements))
+    report.figure("verdict.reached", reached)
+    settings = " (coarse settings: not results)" if quick else ""
+    report.text(f"{reached} of {len(requirements)} figures are reached{settings}.")
+    report.table(["figure", "limit", "found", "reached"], [r.row() for r in requirements])
+    return reached == len(requirements)
 
 
 def controlled(

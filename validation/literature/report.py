@@ -1,6 +1,6 @@
 """Report on published beam problems: statics, modes and motion, with derivatives."""
 
-from validation.external.runs import Requirement
+from validation.external.runs import add_verdict
 from validation.literature.arch import arch
 from validation.literature.bend import bend
 from validation.literature.buckling import buckling
@@ -34,20 +34,10 @@ def run(report: Report, quick: bool) -> None:
     report.heading("Method")
     report.text(_METHOD)
     requirements = [each for case in _CASES for each in case(report, quick)]
-    _verdict(report, requirements, quick)
+    report.heading("Verdict")
+    report.text(_YES if add_verdict(report, requirements, quick) else _NO)
     report.heading("Limits")
     report.text(_LIMITS)
-
-
-def _verdict(report: Report, requirements: list[Requirement], quick: bool) -> None:
-    report.heading("Verdict")
-    reached = [r for r in requirements if r.found is not None and r.found <= r.limit]
-    report.figure("verdict.required", len(requirements))
-    report.figure("verdict.reached", len(reached))
-    settings = " (coarse settings: not results)" if quick else ""
-    report.text(f"{len(reached)} of {len(requirements)} figures are reached{settings}.")
-    report.table(["figure", "limit", "found", "reached"], [r.row() for r in requirements])
-    report.text(_YES if len(reached) == len(requirements) else _NO)
 
 
 _METHOD = """

@@ -118,8 +118,7 @@ class NodeSensitivity(NamedTuple):
 def predict(c: Coefficients, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
     """q~ and v~ of eqs. (2) and (3); arrays of derivatives go through unchanged."""
     dq_p, v_p = predict_increment(c, v, a)
-    dq_p += q
-    return dq_p, v_p
+    return q + dq_p, v_p
 
 
 def predict_increment(c: Coefficients, v: Array, a: Array) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.integrand import Points
+from ancfdae.integrators.multipliers import Motion
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.numerics.arrays import Array
@@ -34,7 +35,7 @@ _QUINTIC = np.array(
 _QUINTIC_SLOPE = _QUINTIC[:, 1:] * np.arange(1, 6)
 # Panels per step: while waves that hardly move the integrand bind the solver, one panel of many
 # steps is enough. One panel in every step sees none of the kinks between the quintics.
-_PANELS_PER_STEP = (1 / 8, 1, 8)
+_PANELS_PER_STEP = (1 / 8, 1, 4, 8)
 # Steps that are taken in together, and numbers that their points may take.
 _STEPS, _NUMBERS = 128, 5_000_000
 
@@ -67,13 +68,14 @@ class StepPoints:
     def finish(self) -> None:
         """Hand over what was collected; its end is the next start."""
         if len(self._t) > 1:
-            self._quadrature.add(self._choices())
+            t, y, yp = np.array(self._t), self._coordinates(self._y), self._coordinates(self._yp)
+            steps = self._motion(t, *y)._replace(a=yp[1][:, 0])
+            self._quadrature.add(self._choices(t, y, yp[1]), steps)
         for kept in (self._t, self._y, self._yp):
             del kept[:-1]
 
-    def _choices(self) -> Iterator[Points]:
-        t = np.array(self._t)
-        (q, v), (_, a) = (self._coordinates(x) for x in (self._y, self._yp))
+    def _choices(self, t: Array, y: tuple[Array, Array], a: Array) -> Iterator[Points]:
+        q, v = y
         data = (np.diff(q, axis=0), v[:-1], v[1:], a[:-1], a[1:])
         for density in _PANELS_PER_STEP:
             ends = _panels(t, density)
@@ -81,16 +83,16 @@ class StepPoints:
             times = ends[:-1, None] + np.outer(h, SHARES)
             times[:, -1] = ends[1:]
             step = np.clip(np.searchsorted(t, times.ravel(), side="right") - 1, 0, len(t) - 2)
-            motion = _between(times.ravel(), t, step, q, data)
-            yield self._points(h, times.ravel(), *motion)
+            within = _between(times.ravel(), t, step, q, data)
+            yield Points(KRONROD, h, *self._motion(times.ravel(), *within))
 
     def _coordinates(self, rows: list[Array]) -> tuple[Array, Array]:
         """Coordinates and velocities and their sensitivities, shape (steps, m + 1, n_q)."""
         return self._form.coordinates(np.array(rows).reshape(len(rows), self._m + 1, -1))
 
-    def _points(self, h: Array, t: Array, q: Array, v: Array) -> Points:
+    def _motion(self, t: Array, q: Array, v: Array) -> Motion:
         derivatives = (self._form.per_design(x[:, 1:]) for x in ((q, v) if self._m else ()))
-        return Points(KRONROD, h, t, q[:, 0], v[:, 0], *derivatives)
+        return Motion(t, q[:, 0], v[:, 0], *derivatives)
 
 
 def _panels(t: Array, per_step: float) -> Array:

@@ -1,0 +1,37 @@
+"""What derivatives cost beside the dynamics."""
+
+import numpy as np
+
+from ancfdae import HHT, Solution, assemble, differentiate, simulate
+from validation.pendulum.case import DESIGN, STEP, Extent
+from validation.report import Report
+from validation.scenes import pendulum
+
+__all__ = ["cost"]
+
+
+def cost(report: Report, extent: Extent) -> None:
+    """Add what derivatives cost beside the dynamics."""
+    report.heading("Cost")
+    rows = []
+    for dimension, name in ((2, "planar"), (3, "spatial")):
+        plain, full = assemble(pendulum(dimension)), assemble(pendulum(dimension), DESIGN)
+        alone, along = [], []
+        for _ in range(extent.repeats):
+            alone.append(_microseconds(simulate(plain, extent.t_end, HHT(STEP))))
+            along.append(_microseconds(differentiate(full, extent.t_end, HHT(STEP))))
+        base = report.figure(f"cost.{name}.microseconds_per_step", float(np.median(alone)))
+        ratio = float(np.median(np.divide(along, alone)))
+        report.figure(f"cost.{name}.ratio_three_variables", ratio)
+        rows.append([name, plain.n_q, base, float(np.median(along)), ratio])
+    report.text(
+        "Wall time per step, medians of alternating runs in this process. Set "
+        "`OPENBLAS_NUM_THREADS=1` to repeat it."
+    )
+    report.table(
+        ["element", "coordinates", "dynamics [µs]", "with three variables [µs]", "ratio"], rows
+    )
+
+
+def _microseconds(solution: Solution) -> float:
+    return 1e6 * solution.statistics.wall_seconds / solution.statistics.steps
