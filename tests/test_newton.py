@@ -45,7 +45,7 @@ def error(system, run, exact):
     return left / (size(system, (t, q), a, lam) + load)
 
 
-@pytest.mark.parametrize("steps", [1, 2], ids=["fresh matrix", "kept matrix"])
+@pytest.mark.parametrize("steps", [1, 2], ids=["one step", "two steps"])
 @pytest.mark.parametrize(
     ("system", "h"), [(CartesianPendulum(-1.0, 2.0), 0.25), (chain(), 0.01)], ids=["rod", "chain"]
 )
