@@ -428,27 +428,30 @@ def test_zero_pivot_is_told():
 
 
 class EnvelopeMatrix:
-    """A symmetric matrix of eight rows with two multipliers behind their coordinates."""
+    """A symmetric matrix with two multipliers behind their coordinates."""
 
-    first = np.cumsum([0, 3, 3, 3, 3, 3, 3, 2, 1]).astype(np.int32)
+    n = 16
+
+    first = np.cumsum([0, *np.minimum(8, np.arange(n, 0, -1))]).astype(np.int32)
 
     def __init__(self, dtype):
         rng = np.random.default_rng(4)
-        self.order, self.signs = rng.permutation(8), np.array([1, 1, 1, -1.0, 1, 1, 1, -1])
-        columns = np.repeat(np.arange(8), np.diff(self.first))
-        rows = columns + np.arange(21) - self.first[columns]
-        values = numbers(rng, 21, dtype) * 0.3
+        self.order, self.signs, last = rng.permutation(self.n), np.ones(self.n), [7, self.n - 1]
+        self.signs[last] = -1
+        columns = np.repeat(np.arange(self.n), np.diff(self.first))
+        rows = columns + np.arange(self.first[-1]) - self.first[columns]
+        values = numbers(rng, len(rows), dtype) * 0.3
         if dtype is complex:  # almost real, as in a complex step
             values.imag *= 0.1
         diagonal = rows == columns
-        values[diagonal] = np.where(self.signs > 0, 2.0 + values[diagonal].real, 0.0)
-        own = np.isin(rows, [3, 7]) | np.isin(columns, [3, 7])
+        values[diagonal] = np.where(self.signs > 0, 4.0 + values[diagonal].real, 0.0)
+        own = np.isin(rows, last) | np.isin(columns, last)
         # Values of K in another order, those of B behind them, and a value that is not taken.
         shuffled = rng.permutation(np.flatnonzero(~own))
         self.K, self.B = np.append(np.nan, values[shuffled]), values[own]
         self.chosen = np.arange(1, 1 + len(shuffled), dtype=np.int32)
         self.places = np.concatenate([shuffled, np.flatnonzero(own)]).astype(np.int32)
-        dense = np.zeros((8, 8), dtype=dtype)
+        dense = np.zeros((self.n, self.n), dtype=dtype)
         dense[rows, columns] = dense[columns, rows] = values
         self.dense = np.empty_like(dense)
         self.dense[np.ix_(self.order, self.order)] = dense
@@ -472,7 +475,7 @@ def test_solutions_of_symmetric_matrices(dtype, right_dtype):
     factors, failed = matrix.factor()
     assert failed == 0
     for rows in (1, 2, 3, 4, 5, 8, 9, 13):
-        right = numbers(np.random.default_rng(rows), (rows, 8), right_dtype)
+        right = numbers(np.random.default_rng(rows), (rows, matrix.n), right_dtype)
         expected = np.linalg.solve(matrix.dense, right.T).T
         for other in (right, right[0], *odd_layouts(right)):
             x = kernels.ldl_solve(factors, matrix.first, matrix.order, other)
@@ -482,7 +485,7 @@ def test_solutions_of_symmetric_matrices(dtype, right_dtype):
 
 
 def test_pivots_without_their_sign_are_told():
-    for k in range(8):
+    for k in range(EnvelopeMatrix.n):
         matrix = EnvelopeMatrix(float)
         matrix.signs[k] *= -1
         assert matrix.factor()[1] == k + 1
@@ -733,8 +736,8 @@ def _refused_in_envelopes():
         ("places few", 3, m.places[1:]),
         ("first late", 4, late),
         ("first falls", 4, m.first[::-1]),
-        ("columns in disorder", 4, np.array([0, 7, 8, 11, 14, 17, 19, 20, 21], np.int32)),
-        ("column too long", 4, np.array([0, 3, 6, 9, 12, 15, 18, 20, 22], np.int32)),
+        ("columns in disorder", 4, np.concatenate([m.first[:1], m.first[1:2] + 4, m.first[2:]])),
+        ("column too long", 4, np.append(m.first[:-1], m.first[-1:] + 1)),
         ("first empty", 4, m.first[:0]),
         ("first a table", 4, m.first[None]),
         ("signs few", 5, m.signs[1:]),
@@ -742,14 +745,14 @@ def _refused_in_envelopes():
     ):
         yield name, kernels.ldl_factor, (*call[:at], bad, *call[at + 1 :])
     factors, _ = m.factor()
-    call = (factors, m.first, m.order, np.ones((2, 8)))
+    call = (factors, m.first, m.order, np.ones((2, m.n)))
     for name, at, bad in (
         ("factors few", 0, factors[1:]),
         ("first", 1, late),
         ("order beyond", 2, m.order + 1),
         ("order below", 2, m.order - 1),
         ("order few", 2, m.order[1:]),
-        ("right", 3, np.ones((2, 7))),
+        ("right", 3, np.ones((2, m.n - 1))),
         ("a number", 3, np.array(1.0)),
         ("none", 3, None),
     ):
