@@ -34,7 +34,6 @@ import numpy as np
 
 from ancfdae.kernels import add_scaled
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import Linearisation, MechanicalSystem
 
 
@@ -173,15 +172,11 @@ def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
     return np.asarray(K if local.f_v is None else K + c.in_v * local.f_v)
 
 
-def factor_jacobian(
-    system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, node: Node
-) -> Factorization:
-    """Factorise eq. (6) at a state."""
+def jacobian_values(system: MechanicalSystem, c: Coefficients, node: Node) -> tuple[Array, Array]:
+    """Return the upper left block of eq. (6) and Phi_q at a state."""
     states = (x[None] for x in (node.q, node.v, node.A, node.lam))
     local = system.linearise(np.array([node.t]), *states)
-    K, Phi_q = iteration_matrices(c, local)[0], local.Phi_q[0]
-    del local  # Of a large system it takes as much memory as K.
-    return matrices.factor(K, Phi_q)
+    return iteration_matrices(c, local)[0], local.Phi_q[0]
 
 
 def constraint_error(c: Coefficients) -> float:

@@ -13,7 +13,7 @@ from ancfdae.integrators.hht.equations import (
     Node,
     acceleration,
     correct,
-    factor_jacobian,
+    jacobian_values,
     predict_increment,
     residual,
 )
@@ -30,6 +30,8 @@ _SLOW = 0.2
 _NEAR = 0.1
 # Corrections that stop shrinking are round-off if they are this small against the motion.
 _ROUND_OFF = 1e-6
+# Coordinates from which on allocators give memory back to the operating system at once.
+_LARGE = 50_000
 # Forces may grow by this factor from one step to the next before the Newton test gets stricter.
 _JUMP = 100.0
 
@@ -229,8 +231,13 @@ class StepSolver:
 
     def _factor(self, c: Coefficients, state: Node) -> Factorization:
         self._recorder.factorisations += 1
-        self._jacobian = None  # Of a large system two factorisations take too much memory.
-        return factor_jacobian(self._system, self._matrices, c, state)
+        # What is given up behind the new values leaves its memory to the new factors; of a large
+        # system the old factors and these values are too much at a time.
+        if self._system.n_q > _LARGE:
+            self._jacobian = None
+        values = jacobian_values(self._system, c, state)
+        self._jacobian = None
+        return self._matrices.factor(*values)
 
     def _size(self, t: float, q: Array, x: Array) -> float:
         """Size of a correction: of the accelerations and of the reactions, in units of force."""
