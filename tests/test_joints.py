@@ -738,6 +738,14 @@ def test_spatial_joints_are_refused_in_the_plane(joint):
         Scene([rod], [joint(rod.at_start)])
 
 
+def test_a_universal_joint_with_parallel_axes_is_refused():
+    rod = Beam("rod", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1, BAR, SOFT)
+    for cross in ((0.0, 0.0, 2.0), (0.0, 1e-7, -1.0)):
+        with pytest.raises(InvalidInput, match="must not be parallel"):
+            Universal(rod.at_start, (0.0, 0.0, 1.0), cross)
+    Universal(rod.at_start, (0.0, 0.0, 1.0), (0.0, 1e-5, 1.0))
+
+
 def test_points_take_part_by_position_or_slope_as_each_joint_says():
     # The vectors that enter are those of the joint's own points.
     for name, joint in VARIANTS.items():
