@@ -105,6 +105,25 @@ def test_a_run_that_ends_early_keeps_what_it_has(tmp_path):
     assert np.isnan(stored[5:]).all()
 
 
+def test_an_interrupt_between_parts_keeps_the_rows_so_far(monkeypatch):
+    calls = []
+
+    def late(*given):
+        calls.append(given)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return observe(*given)
+
+    monkeypatch.setattr(long_runs, "observe", late)
+    monkeypatch.setattr(long_runs, "_NUMBERS", 4 * 8)  # parts of four steps
+    with pytest.raises(Interrupted) as stopped:
+        observations(CartesianPendulum(), [custom(own)], 1.0, HHT(2.0**-4), every=2)
+    seen = stopped.value.result
+    assert seen.outcome.verdict is Verdict.INTERRUPTED
+    np.testing.assert_array_equal(seen.t, [0, 0.125, 0.25, 0.375, 0.5])
+    assert (len(seen.values), seen.steps) == (5, 8)
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [

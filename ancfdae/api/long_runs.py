@@ -17,6 +17,7 @@ from ancfdae.api.calls import as_system
 from ancfdae.errors import (
     InvalidInput,
     Outcome,
+    Verdict,
     require_array,
     require_count,
     require_each,
@@ -146,15 +147,18 @@ def observations(
     run = _LongRun(system, t_end, integrator, every, at)
     shape = len(run.times), 1 + len(observables)
     rows = np.zeros(shape) if file is None else _on_disk(file, shape)
-    done = steps = 0
-    for part, some in run:
-        if len(some.t):
-            values = [some.t, *(observe(each, some, system) for each in observables)]
-            rows[done : done + len(some.t)] = np.transpose(values)
-        done, steps = done + len(some.t), steps + part.statistics.steps
-        if isinstance(rows, np.memmap):
-            rows.flush()
-    return uninterrupted(Observations(rows[:done, 0], rows[:done, 1:], steps, part.outcome))
+    done, steps, outcome = 0, 0, Outcome(Verdict.INTERRUPTED, 0.0, 0, 0.0)
+    try:
+        for part, some in run:
+            if len(some.t):
+                values = [some.t, *(observe(each, some, system) for each in observables)]
+                rows[done : done + len(some.t)] = np.transpose(values)
+            done, steps, outcome = done + len(some.t), steps + part.statistics.steps, part.outcome
+            if isinstance(rows, np.memmap):
+                rows.flush()
+    except KeyboardInterrupt:  # between parts
+        outcome = replace(outcome, verdict=Verdict.INTERRUPTED)
+    return uninterrupted(Observations(rows[:done, 0], rows[:done, 1:], steps, outcome))
 
 
 def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
