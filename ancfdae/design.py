@@ -15,6 +15,7 @@ from ancfdae.errors import (
     require_count,
     require_finite,
     require_sequence,
+    require_unique,
     require_vector,
 )
 from ancfdae.numerics.arrays import Array
@@ -277,11 +278,7 @@ def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, .
         ("name", [variable.name for variable in variables]),
         ("target", [target for variable in variables for target in variable.targets]),
     ):
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise InvalidInput(
-                "design", f"every {kind} may appear once", twice, "Remove the duplicates."
-            )
+        require_unique("design", f"every {kind} may appear once", names, "Remove the duplicates.")
     return variables
 
 

@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import pickle
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any, Protocol, TypeVar, final
 
 import numpy as np
 import numpy.typing as npt
+
+# Characters of a wrong argument that a message repeats.
+_LONGEST = 100
 
 
 class AncfdaeError(Exception):
@@ -225,16 +230,71 @@ def uninterrupted(result: _Result) -> _Result:
     return result
 
 
+class _Named(Protocol):
+    @property
+    def name(self) -> str:
+        """By which it is found."""
+
+
+_Thing = TypeVar("_Thing", bound=_Named)
+
+
+def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
+    """Return the thing of this name; raise UnknownName where none has it."""
+    require_text(where, name)
+    for thing in things:
+        if thing.name == name:
+            return thing
+    raise UnknownName(where, name, (thing.name for thing in things))
+
+
+def require_unique(where: str, rule: str, names: Sequence[str], repair: str) -> None:
+    """Raise InvalidInput for names that are there twice."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InvalidInput(where, rule, twice, repair)
+
+
 def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:
     """Raise InvalidInput for an object that is of none of the given classes."""
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
-        raise InvalidInput(where, f"must be of type {names}", repr(value), repair)
+        raise InvalidInput(where, f"must be of type {names}", _shown(value), repair)
+
+
+def _shown(value: object) -> str:
+    """Return the beginning of what may be as long as a beam or a solution."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 def require_text(where: str, value: object) -> None:
     """Raise InvalidInput for what is no text, where a name is expected."""
     require_kind(where, value, (str,), "Give the name, as in rod.name.")
+
+
+def require_path(where: str, value: object) -> Path:
+    """Return the path of a file; raise InvalidInput for what is none, or is a folder."""
+    require_kind(where, value, (str, os.PathLike), "Give the name of a file.")
+    path = Path(value)  # type: ignore[arg-type]  # as was just seen
+    if path.is_dir():
+        raise InvalidInput(where, "must be a file", f"the folder {value!r}", "Name a file in it.")
+    return path
+
+
+def require_folder(where: str, path: Path) -> Path:
+    """Return a path; raise InvalidInput if there is no folder to write it to."""
+    if not path.parent.is_dir():
+        rule, repair = "must lie in a folder that exists", "Create the folder, or correct the path."
+        raise InvalidInput(where, rule, repr(os.fspath(path)), repair)
+    return path
+
+
+def require_index(where: str, value: object, count: int, repair: str) -> None:
+    """Raise InvalidInput for what is no whole number from 0 to `count` - 1."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not 0 <= value < count:  # type: ignore[operator]
+        raise InvalidInput(where, f"must lie in 0 to {count - 1}", repr(value), repair)
 
 
 def require_flag(where: str, value: object) -> None:
@@ -268,7 +328,17 @@ def require_sequence(
         # An iterator has no length: it could be read only once.
         return tuple(value) if len(value) else ()  # type: ignore[arg-type]
     except TypeError:
-        raise InvalidInput(where, rule, repr(value), repair) from None
+        raise InvalidInput(where, rule, _shown(value), repair) from None
+
+
+def require_each(
+    where: str, values: object, kinds: tuple[type, ...], repair: str
+) -> tuple[Any, ...]:
+    """Return the entries of a sequence, which must be of one of the given classes."""
+    entries = require_sequence(where, values)
+    for entry in entries:
+        require_kind(where, entry, kinds, repair)
+    return entries
 
 
 def require_finite(where: str, value: object, repair: str = "Give a finite number.") -> None:
@@ -317,9 +387,16 @@ def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)
         raise InvalidInput(where, "must not be zero", value, "Give a direction.")
 
 
-def require_axial(where: str, value: object) -> None:
-    """Raise InvalidInput for what is neither a number, as in the plane, nor three components."""
-    if np.ndim(value) == 0:  # type: ignore[arg-type]
+def require_axial(where: str, value: object, dimension: int | None = None) -> None:
+    """Raise InvalidInput for what is neither a number, as in the plane, nor three components.
+
+    Where the dimension of space is given, for the other one of both, too.
+    """
+    is_number = np.ndim(value) == 0  # type: ignore[arg-type]
+    if dimension is not None and is_number != (dimension == 2):
+        rule = "must be a number in the plane and have 3 components in space"
+        raise InvalidInput(where, rule, repr(value), f"Here space has {dimension} dimensions.")
+    if is_number:
         require_finite(where, value)
     else:
         require_vector(where, value, (3,))

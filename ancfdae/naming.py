@@ -5,15 +5,14 @@ Plain numbers only, so that a saved solution can be read without its scene.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar, final
+from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity
+from ancfdae.bodies import Point, Quantity, require_fraction
 from ancfdae.elements import ALL_ELEMENTS, BeamElement
-from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.errors import InvalidInput, UnknownName, named
 from ancfdae.numerics.arrays import STEP, Array
 
 
@@ -90,13 +89,7 @@ class BeamLayout:
 
     def locate(self, fraction: float | None) -> tuple[int, float]:
         """Element of the beam and its xi at an arc-length fraction; refuse one beyond [0, 1]."""
-        if fraction is None or not 0.0 <= fraction <= 1.0:
-            raise InvalidInput(
-                f"point of {self.name!r}",
-                "the fraction along the beam must lie in [0, 1]",
-                fraction,
-                "0 is the start of the beam and 1 its end.",
-            )
+        fraction = require_fraction(f"point of {self.name!r}", fraction)
         nodes = np.asarray(self.fractions)
         element = min(int(np.searchsorted(nodes, fraction, side="right")) - 1, len(nodes) - 2)
         xi = (fraction - nodes[element]) / (nodes[element + 1] - nodes[element])
@@ -159,25 +152,15 @@ class Layout:
 
     def body(self, name: str) -> BodyLayout:
         """Return the vectors of the beam or rigid body of this name, or raise UnknownName."""
-        return _named("beam or body", name, self.bodies)
+        return named("beam or body", name, self.bodies)
 
     def beam(self, name: str) -> BeamLayout:
         """Return the beam of this name, or raise UnknownName."""
-        return _named("beam", name, self.beams)
+        return named("beam", name, self.beams)
 
     def joint(self, name: str) -> JointLayout:
         """Return the joint of this name, or raise UnknownName."""
-        return _named("joint", name, self.joints)
-
-
-_Place = TypeVar("_Place", BodyLayout, BeamLayout, JointLayout)
-
-
-def _named(kind: str, name: str, places: Sequence[_Place]) -> _Place:
-    for place in places:
-        if place.name == name:
-            return place
-    raise UnknownName(kind, name, (place.name for place in places))
+        return named("joint", name, self.joints)
 
 
 @final

@@ -46,18 +46,19 @@ class ResponsesComponent(om.ExplicitComponent):  # type: ignore[misc]  # om has 
 
     def compute(self, inputs: Any, outputs: Any) -> None:
         """Run the design."""
-        for name, value in zip(outputs, self._at(inputs).values, strict=True):
+        found = self._at(inputs, derivatives=False)
+        for name, value in zip(outputs, found.values, strict=True):
             outputs[name] = value
 
     def compute_partials(self, inputs: Any, partials: Any) -> None:
-        """Return the derivatives, which came with the values."""
-        found = self._at(inputs)
+        """Differentiate the run."""
+        found = self._at(inputs, derivatives=True)
         for name, row in zip(self.options["responses"].names, found.jacobian, strict=True):
             partials[name, "x"] = row
 
-    def _at(self, inputs: Any) -> Any:
+    def _at(self, inputs: Any, derivatives: bool) -> Any:
         try:
-            found = self.options["responses"].at(inputs["x"])
+            found = self.options["responses"].at(inputs["x"], derivatives=derivatives)
         except AncfdaeError as error:
             raise om.AnalysisError(str(error)) from error
         if found.error is not None:

@@ -13,18 +13,13 @@ import numpy as np
 from ancfdae.bodies import Point, require_point
 from ancfdae.design import Designable
 from ancfdae.elements import BeamElement, Quantity
-from ancfdae.errors import InvalidInput, require_text, require_vector
+from ancfdae.errors import InvalidInput, require_axial, require_text, require_vector
 
 
 @final
 @dataclass(frozen=True)
 class CentreLine:
-    """The integral of the position along the centre line of a beam, as a vector for loads.
-
-    Parameters
-    ----------
-    beam : str
-    """
+    """The integral of the position along the centre line of a beam, as a vector for loads."""
 
     beam: str
 
@@ -36,14 +31,7 @@ _NO_NAME = re.compile(r"\.(?!\d)|\[")
 @final
 @dataclass(frozen=True)
 class Direction:
-    """A direction of the axes of something rigid, as a vector for what keeps it rigid.
-
-    Parameters
-    ----------
-    body : str
-    number : int
-        From 1 on.
-    """
+    """A direction of the axes of something rigid, for what keeps it rigid; counted from 1 on."""
 
     body: str
     number: int
@@ -158,8 +146,9 @@ class Part(Designable, abc.ABC):
         Raises
         ------
         InvalidInput
-            If it is spatial and the scene planar, the element lacks a vector that it needs, or a
-            vector of its own has another number of components.
+            If it is spatial and the scene planar, the element lacks a vector that it needs, a
+            vector of its own has another number of components, or an axis that may be left out is
+            given in the plane.
         """
         where, d = f"{self.role} {self.name!r}", element.d
         if self.spatial and d != 3:
@@ -169,9 +158,19 @@ class Part(Designable, abc.ABC):
         for vector in self.vectors(element):
             if isinstance(vector, tuple) and vector[0].fraction is not None:
                 element.require(where, vector[1], vector[0].y, vector[0].z)
-        for name, _ in self.design_fields:
+        axis = self._given().get("axis")
+        if d == 2 and axis is not None and not self._needs("axis"):
+            raise InvalidInput(
+                f"{where}, axis",
+                "is a choice of spatial scenes only",
+                axis,
+                "Leave it out: in the plane it is z.",
+            )
+        for name, rule_of_value in self.design_fields:
             value = getattr(self, name)
-            if np.ndim(value) == 1 and name not in self.indexed_fields:
+            if rule_of_value is require_axial and value is not None:
+                require_axial(f"{where}, {name}", value, d)
+            elif np.ndim(value) == 1 and name not in self.indexed_fields:
                 require_vector(f"{where}, {name}", value, (d,))
 
     def _given(self) -> dict[str, Any]:

@@ -8,19 +8,18 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import BeamBody, Point, RigidBody, require_point
-from ancfdae.elements import ALL_ELEMENTS, BeamElement
+from ancfdae.bodies import BeamBody, Point, RigidBody, require_in_section, require_point
 from ancfdae.errors import (
     InvalidInput,
-    UnknownName,
+    named,
     require_flag,
     require_kind,
     require_sequence,
+    require_unique,
     require_vector,
 )
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
-from ancfdae.parts import Part
 from ancfdae.point_mass import PointMass
 from ancfdae.scene_design import SCENE, SceneDesign
 from ancfdae.starts import AtRest, NodeState, RigidMotion, Start, checked_start
@@ -96,29 +95,6 @@ class Scene(SceneDesign):
         object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
         self._check_rest()
 
-    @property
-    def dimension(self) -> int:
-        """Dimension of space."""
-        return self.members[0].dimension
-
-    @property
-    def element(self) -> BeamElement:
-        """The element of all beams; without beams the one whose nodes are like rigid bodies."""
-        if self.beams:
-            return self.beams[0].element
-        return next(each for each in ALL_ELEMENTS if each.d == self.dimension)
-
-    @property
-    def members(self) -> tuple[BeamBody | RigidBody, ...]:
-        """All that has coordinates, in their order: beams, then rigid bodies."""
-        rigid = (body for body in self.bodies if isinstance(body, RigidBody))
-        return (*self.beams, *rigid)
-
-    @property
-    def point_masses(self) -> tuple[PointMass, ...]:
-        """The masses at points."""
-        return tuple(body for body in self.bodies if isinstance(body, PointMass))
-
     def __repr__(self) -> str:
         """Return the names of all parts."""
         beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
@@ -130,40 +106,6 @@ class Scene(SceneDesign):
             f"joints: {joints}\nloads: {loads}\n"
             f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
         )
-
-    def beam(self, name: str) -> BeamBody:
-        """Return the beam of this name.
-
-        Raises
-        ------
-        UnknownName
-        """
-        for beam in self.beams:
-            if beam.name == name:
-                return beam
-        raise UnknownName("beam", name, (beam.name for beam in self.beams))
-
-    def member(self, name: str) -> BeamBody | RigidBody:
-        """Return the beam or rigid body of this name.
-
-        Raises
-        ------
-        UnknownName
-        """
-        for body in self.members:
-            if body.name == name:
-                return body
-        raise UnknownName("beam or body", name, (body.name for body in self.members))
-
-    def parts(self) -> dict[str, Part | RigidBody]:
-        """Return bodies, joints and loads, of the start too; their numbers can be targets."""
-        parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
-        return {part.name: part for part in parts}
-
-    @property
-    def rest(self) -> AtRest | None:
-        """How the scene starts from an equilibrium, None if it does not."""
-        return next((start for start in self.start if isinstance(start, AtRest)), None)
 
     def at_rest(self) -> Scene | None:
         """Return the scene whose equilibrium the motion starts from, None without `AtRest`."""
@@ -177,11 +119,6 @@ class Scene(SceneDesign):
             start=[start for start in self.start if start is not rest],
         )
 
-    def start_of(self, beam: str) -> RigidMotion | NodeState | None:
-        """Return how a beam starts, None if from rest in the reference configuration."""
-        own = (start for start in self.start if not isinstance(start, AtRest))
-        return next((start for start in own if start.body == beam), None)
-
     def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
         """Turn a sequence of parts into a tuple and refuse what is none of them."""
         parts = require_sequence(f"Scene.{name}", getattr(self, name))
@@ -192,16 +129,14 @@ class Scene(SceneDesign):
     def _check_names(self) -> None:
         """Refuse names that stand for two parts, and beams that start twice."""
         rule, repair = "every part needs a name of its own", "Rename one."
-        _require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
-        _require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
-        _require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)
-        _require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
+        require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
+        require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
+        require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)
+        require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
         if SCENE in (part.name for part in self._all_parts()):
             raise InvalidInput("Scene", "'scene' names the scene itself", SCENE, repair)
-        starts = [start.body for start in self.start if not isinstance(start, AtRest)]
-        _require_unique(
-            "Scene.start", "every beam and body starts once", starts, "Keep one of them."
-        )
+        rule, repair = "every beam and body starts once", "Keep one of them."
+        require_unique("Scene.start", rule, [start.body for start in self.body_starts], repair)
 
     def _check_members(self) -> None:
         if not self.members:
@@ -228,14 +163,9 @@ class Scene(SceneDesign):
             where = f"{part.role} {part.name!r}"
             part.check_space(self.element)
             if part.whole_beam is not None:
-                self._check_beam(where, part.whole_beam)
+                named(f"{where}, beam", part.whole_beam, self.beams)
             for point in part.points:
                 self._check_point(where, point)
-
-    def _check_beam(self, where: str, name: str) -> None:
-        known = [beam.name for beam in self.beams]
-        if name not in known:
-            raise UnknownName(f"{where}, beam", name, known)
 
     def _check_point(self, where: str, point: Point) -> None:
         """Refuse a point outside the sections of the element, or the two elements, it lies in.
@@ -243,10 +173,7 @@ class Scene(SceneDesign):
         Points of rigid bodies may lie anywhere.
         """
         require_point(where, point, self.dimension)
-        known = {body.name: body for body in self.members}
-        if point.beam not in known:
-            raise UnknownName(f"{where}, beam", point.beam, known)
-        beam = known[point.beam]
+        beam = named(f"{where}, beam", point.beam, self.members)
         if (point.fraction is None) != isinstance(beam, RigidBody):
             raise InvalidInput(
                 where,
@@ -259,16 +186,9 @@ class Scene(SceneDesign):
         ends = np.cumsum(beam.reference().lengths)
         ends /= ends[-1]
         starts = np.concatenate([[0.0], ends[:-1]])
-        # Widened by round-off, so that nodes belong to both elements and the surface to the beam.
+        # Widened by round-off, so that nodes belong to both elements.
         touched = (starts <= point.fraction + 1e-12) & (point.fraction - 1e-12 <= ends)
-        half = [extent * (1 + 1e-12) for extent in beam.half_extents(np.flatnonzero(touched))]
-        if abs(point.y) > half[0] or abs(point.z) > half[1]:
-            raise InvalidInput(
-                where,
-                f"the point must lie in the section (|y| <= {half[0]:.6g}, |z| <= {half[1]:.6g})",
-                f"y = {point.y}, z = {point.z} at fraction {point.fraction}",
-                "Move the point into the beam.",
-            )
+        require_in_section(where, point, beam.half_extents(np.flatnonzero(touched)))
 
     def _checked_start(self, start: Start) -> Start:
         if isinstance(start, AtRest):
@@ -282,8 +202,8 @@ class Scene(SceneDesign):
             return
         if rests[0].gravity is not None:
             require_vector("AtRest.gravity", rests[0].gravity, (self.dimension,))
-        beams = [start for start in self.start if not isinstance(start, AtRest)]
-        moving = any(isinstance(s, RigidMotion) or s.velocities is not None for s in beams)
+        own = self.body_starts
+        moving = any(isinstance(s, RigidMotion) or s.velocities is not None for s in own)
         if len(rests) > 1 or moving:
             raise InvalidInput(
                 "Scene.start",
@@ -305,9 +225,3 @@ class Scene(SceneDesign):
                     rule, repair = "bodies may not start at one another", "Give one a place."
                     raise InvalidInput(f"start of {body.name!r}", rule, seen, repair)
                 seen.append(point.beam)
-
-
-def _require_unique(where: str, rule: str, names: list[str], repair: str) -> None:
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InvalidInput(where, rule, twice, repair)

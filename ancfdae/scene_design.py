@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -12,8 +11,15 @@ import numpy as np
 
 from ancfdae.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.design import Designable, DesignVariable, Target, parse_target
-from ancfdae.elements import BeamElement, ElementParameter
-from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind
+from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    named,
+    require_finite,
+    require_kind,
+    require_text,
+)
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
 from ancfdae.numerics.arrays import Array
@@ -28,8 +34,8 @@ _SAME = 1e-12
 SCENE = "scene"
 
 
-class SceneDesign(Designable, abc.ABC):
-    """The side of a scene that design variables see."""
+class SceneDesign(Designable):
+    """The parts of a scene by name, and what design variables drive in them."""
 
     beams: Sequence[BeamBody]
     bodies: Sequence[RigidBody | PointMass]
@@ -38,30 +44,54 @@ class SceneDesign(Designable, abc.ABC):
     start: Sequence[Start]
 
     @property
-    @abc.abstractmethod
-    def element(self) -> BeamElement:
-        """The element of all beams."""
+    def dimension(self) -> int:
+        """Dimension of space."""
+        return self.members[0].dimension
 
     @property
-    @abc.abstractmethod
+    def element(self) -> BeamElement:
+        """The element of all beams; without beams the one whose nodes are like rigid bodies."""
+        if self.beams:
+            return self.beams[0].element
+        return next(each for each in ALL_ELEMENTS if each.d == self.dimension)
+
+    @property
+    def members(self) -> tuple[BeamBody | RigidBody, ...]:
+        """All that has coordinates, in their order: beams, then rigid bodies."""
+        rigid = (body for body in self.bodies if isinstance(body, RigidBody))
+        return (*self.beams, *rigid)
+
+    @property
+    def point_masses(self) -> tuple[PointMass, ...]:
+        """The masses at points."""
+        return tuple(body for body in self.bodies if isinstance(body, PointMass))
+
+    @property
     def rest(self) -> AtRest | None:
         """How the scene starts from an equilibrium, None if it does not."""
+        return next((start for start in self.start if isinstance(start, AtRest)), None)
 
-    @abc.abstractmethod
+    @property
+    def body_starts(self) -> list[RigidMotion | NodeState]:
+        """How single bodies start."""
+        return [start for start in self.start if not isinstance(start, AtRest)]
+
     def beam(self, name: str) -> BeamBody:
-        """Return the beam of this name."""
+        """Return the beam of this name, or raise UnknownName."""
+        return named("beam", name, self.beams)
 
-    @abc.abstractmethod
     def member(self, name: str) -> BeamBody | RigidBody:
-        """Return the beam or rigid body of this name."""
+        """Return the beam or rigid body of this name, or raise UnknownName."""
+        return named("beam or body", name, self.members)
 
-    @abc.abstractmethod
     def parts(self) -> dict[str, Part | RigidBody]:
-        """Return bodies, joints and loads by name."""
+        """Return bodies, joints and loads, of the start too; their numbers can be targets."""
+        parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
+        return {part.name: part for part in parts}
 
-    @abc.abstractmethod
-    def start_of(self, beam: str) -> RigidMotion | NodeState | None:
+    def start_of(self, body: str) -> RigidMotion | NodeState | None:
         """Return how a body starts, None if from rest in the reference configuration."""
+        return next((start for start in self.body_starts if start.body == body), None)
 
     def owners(self) -> tuple[str, ...]:
         """Return the names of everything that has `numbers`."""
@@ -78,6 +108,7 @@ class SceneDesign(Designable, abc.ABC):
         ------
         UnknownName
         """
+        require_text("owner", owner)
         if owner == SCENE:
             return self.parameters()
         part = self.parts().get(owner)
@@ -139,26 +170,11 @@ class SceneDesign(Designable, abc.ABC):
         Raises
         ------
         InvalidInput, UnknownName
+            Naming the variable or target whose value a part cannot take, such as a negative height.
         """
         require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
         return self._changed(
             change for key, value in values.items() for change in self._changes(key, value)
-        )
-
-    def check_values(self, design: Sequence[DesignVariable], values: Sequence[float]) -> None:
-        """Refuse values that design variables cannot take, such as a negative height.
-
-        Each part is checked alone; whether all parts still fit together is not checked.
-
-        Raises
-        ------
-        InvalidInput
-            Naming the variable.
-        """
-        self._changed(
-            change
-            for variable, value in zip(design, values, strict=True)
-            for change in self._changes(variable, value)
         )
 
     def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
@@ -208,11 +224,12 @@ class SceneDesign(Designable, abc.ABC):
         InvalidInput
             If its targets hold different values, so that it has no single one.
         """
+        require_kind("value, variable", variable, (DesignVariable,), "Give a DesignVariable.")
         if variable.shares:
             first = next(iter(variable.targets))
             return self._single(first) / variable.factor(first)
         values = [value for text in variable.targets for value in self._held(text)]
-        if max(values) - min(values) > _SAME * max(map(abs, values)):
+        if _differ(values):
             raise InvalidInput(
                 f"design variable {variable.name!r}",
                 "all its targets must hold one and the same value",
@@ -230,7 +247,7 @@ class SceneDesign(Designable, abc.ABC):
 
     def _single(self, text: str) -> float:
         held = self._held(text)
-        if max(held) - min(held) > _SAME * max(map(abs, held)):
+        if _differ(held):
             rule, repair = "must hold one value to move by a factor", "Name its elements."
             raise InvalidInput(f"design target {text}", rule, sorted(set(held)), repair)
         return held[0]
@@ -331,6 +348,10 @@ def _with_values(part: _Part, changes: list[_Change]) -> _Part:
         named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
         where = ", ".join(dict.fromkeys(change[0] for change in named))
         raise InvalidInput(where, error.rule, error.got, error.repair) from error
+
+
+def _differ(values: list[float]) -> bool:
+    return max(values) - min(values) > _SAME * max(map(abs, values))
 
 
 _Numbered = TypeVar("_Numbered", bound=Designable)

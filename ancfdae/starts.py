@@ -14,9 +14,7 @@ from ancfdae.errors import (
     InvalidInput,
     require_array,
     require_axial,
-    require_finite,
-    require_kind,
-    require_sequence,
+    require_each,
     require_text,
     require_vector,
 )
@@ -106,9 +104,7 @@ class AtRest:
     def __post_init__(self) -> None:
         """Freeze the loads and validate."""
         if self.loads is not None:
-            loads = require_sequence("AtRest.loads", self.loads)
-            for load in loads:
-                require_kind("AtRest.loads", load, (Load,), "Add a PointForce.")
+            loads = require_each("AtRest.loads", self.loads, (Load,), "Add a PointForce.")
             object.__setattr__(self, "loads", loads)
         if self.gravity is not None:
             require_vector("AtRest.gravity", self.gravity)
@@ -139,10 +135,7 @@ def checked_start(
         require_vector(f"{where}, about", start.about, (d,))
         if start.velocity is not None:
             require_vector(f"{where}, velocity", start.velocity, (d,))
-        if d == 2:
-            require_finite(f"{where}, angular_velocity", start.angular_velocity)
-        else:
-            require_vector(f"{where}, angular_velocity", start.angular_velocity, (3,))
+        require_axial(f"{where}, angular_velocity", start.angular_velocity, d)
         return start
     if isinstance(beam, RigidBody) or beam.rigid:
         rule, repair = "a rigid body has no nodes", "Give it a RigidMotion."

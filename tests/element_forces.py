@@ -43,8 +43,8 @@ def force_rate(A, g_o, Y, V, Z, tau=None, p_o=None):
     own = own_block(A, g_o, Y, tau, p_o)
     q, v, a = map(coordinates, (Y, V, Z))
     if tau is None:
-        return in_Y(kernels.forces_along(own, q, None, v[None], None, None)[0], Y)
-    return in_Y(kernels.forces_along(own, q, v, v[None], a[None], None)[0], Y)
+        return in_Y(kernels.forces_along(own, q, None, v[None], None)[0], Y)
+    return in_Y(kernels.forces_along(own, q, v, v[None], a[None])[0], Y)
 
 
 def tangent(A, g_o, Y, V=None, tau=None, p_o=None):

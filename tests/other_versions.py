@@ -20,11 +20,13 @@ def oldest() -> list[str]:
 
 def main(which: str, python: str) -> None:
     folder = ROOT / f".venv-{which}"
-    subprocess.run([python, "-m", "venv", folder], check=True)
+    # Debian's Python has no pip of its own: the one that runs this serves both.
+    subprocess.run([python, "-m", "venv", "--without-pip", folder], check=True)
     versions = oldest() if which == "oldest" else []
     own = folder / "bin" / "python"
     needed = [*versions, "-e", ROOT, "pytest", "hypothesis"]
-    subprocess.run([own, "-m", "pip", "install", "--quiet", *needed], check=True)
+    pip = [sys.executable, "-m", "pip", "--python", own, "install", "--quiet"]
+    subprocess.run([*pip, *needed], check=True)
     tests = [f"tests/test_{name}.py" for name in FILES]
     # Old versions of other packages warn of each other; the tests of .ci/run run elsewhere.
     options = ["-q", "-W", "ignore::DeprecationWarning", "-k", "not spatial and not test_ci"]

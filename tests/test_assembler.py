@@ -626,6 +626,12 @@ def test_force_b(setting):
 def test_force_total(setting):
     s = setting
     total = s.system.force_total(s.q, s.v, s.t, s.q_b, s.v_b)
+    rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((s.q, s.q_b), (s.v, s.v_b))]
+    both = s.system.force_and_total(*rows, s.t)
+    assert np.array_equal(both[1:].T, total)
+    Q = s.system.force(s.q, s.v, s.t)
+    # The same products in another order.
+    assert np.max(np.abs(both[0] - Q)) < 1e-13 * np.max(np.abs(Q))
 
     def moved(x, i, e):
         return x.force(s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i], s.t)
@@ -1324,6 +1330,53 @@ def test_singular_matrix_is_refused(kind, is_complex, monkeypatch):
     spoiled[7] = np.nan
     with pytest.raises(SingularMatrix, match="not finite"):
         chain.solver.factor(spoiled, chain.B)
+
+
+class SymmetricChain(Chain):
+    """The same chains with a symmetric matrix, positive definite unless it is shifted."""
+
+    def __init__(self):
+        self.system = system = chain_system()
+        self.B = system.constraint_q(system.start()[0], 0.0)
+        patterns = system.pattern, system.constraint_pattern
+        self.solver = SaddlePoint(*patterns, system.weights, self.B, symmetric=True)
+
+    def values(self, is_complex, shift=0.0):
+        system, rng = self.system, np.random.default_rng(8)
+        q = rng.uniform(-1, 1, system.n_q) * 0.01 + system.start()[0]
+        K = system.mass(None) * (1 - shift) - 1e-8 * system.force_q(q, q, 0.0)
+        return K * (1 + 0.1j * rng.uniform(-1, 1)) if is_complex else K
+
+
+@pytest.mark.parametrize("is_complex", [False, True], ids=["real", "complex"])
+@pytest.mark.parametrize("right", ["vector", "columns", "complex vector", "complex columns"])
+@pytest.mark.parametrize("shift", [0.0, 1.5], ids=["definite", "indefinite"])
+def test_symmetric_matrices(is_complex, right, shift):
+    chain = SymmetricChain()
+    K = chain.values(is_complex, shift)
+    A, factors = chain.matrix(K), chain.solver.factor(K, chain.B)
+    assert np.max(np.abs(A - A.T)) < 1e-14 * np.max(np.abs(A))
+    symmetric = isinstance(factors, linear_solvers._SymmetricFactorization)
+    assert symmetric == (shift == 0)  # a pivot of an indefinite matrix has not its sign
+    rng, scale = np.random.default_rng(4), chain.solver.scale
+    for columns in (1, 2, 4, 5, 8, 13) if right.endswith("columns") else ((),):
+        b = rng.uniform(-1, 1, (len(A), columns) if columns else (len(A),))
+        if right.startswith("complex"):
+            b = b + 1j * rng.uniform(-1, 1, b.shape)
+        tolerance = 100 * np.linalg.cond(scale[:, None] * A * scale) * np.finfo(float).eps
+        assert tolerance < 1e-6
+        unscaled = scale if b.ndim == 1 else scale[:, None]
+        expected = np.linalg.solve(A, b) / unscaled
+        for x in (factors.solve(b), factors.solve_transposed(b)):
+            assert_close(x / unscaled, expected, tolerance)
+
+
+def test_singular_symmetric_matrices_are_refused():
+    chain = SymmetricChain()
+    K = chain.values(False)
+    for values, B in ((K, 0 * chain.B), (0 * K, chain.B), (np.nan * K, chain.B)):
+        with pytest.raises(SingularMatrix):
+            chain.solver.factor(values, B)
 
 
 def test_chains_are_bands():

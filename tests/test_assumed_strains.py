@@ -5,7 +5,7 @@ import pytest
 from test_strain_energies import arc, kind_of, straight
 
 from ancfdae import BEAM_2D, BEAM_3D, EnhancedContinuum, PointSection
-from ancfdae.elements import ElementParameter
+from ancfdae.elements import Batch, ElementParameter
 from ancfdae.elements.elastic import energy
 from ancfdae.elements.invariants import prepare
 
@@ -28,7 +28,7 @@ def test_energy_is_that_of_strains_in_vectors(element, form, assumed):
     values = np.zeros((1, len(ElementParameter)))
     values[0, :7] = E, NU, 1000.0, L, 0.0, 1.0, 1.0
     Y_unit = straight(d) if form == "straight" else arc(d)
-    inv = prepare(element, kind, values, Y_unit)
+    inv = prepare(element, Batch(kind, values, Y_unit))
     Y_o = Y_unit[0].copy()
     Y_o[0] *= L
     centred = PLACES - AREAS @ PLACES / AREAS.sum()
@@ -59,11 +59,11 @@ def test_partials_of_a_section_off_its_axis_are_complex_steps(element, form):
     values = np.zeros((1, len(ElementParameter)))
     values[0, :7] = E, NU, 1000.0, L, 0.0, 1.1, 0.9
     wanted = (ElementParameter.LENGTH, ElementParameter.SIZE_1, ElementParameter.SIZE_2)
-    partials = prepare(element, kind, values, Y, wanted).partials
+    partials = prepare(element, Batch(kind, values, Y), wanted).partials
     for which in wanted:
         moved = values.astype(complex)
         moved[0, which] += 1e-40j
-        exact = prepare(element, kind, moved, Y).A.imag / 1e-40
+        exact = prepare(element, Batch(kind, moved, Y)).A.imag / 1e-40
         # Two evaluations of one derivative: round-off of sums of some hundred terms.
         scale = np.max(np.abs(exact))
         np.testing.assert_allclose(partials[which].A, exact, rtol=0, atol=1e-11 * scale)

@@ -179,8 +179,16 @@ class LinearConstraints(Declared):
     linear_constraints = True
 
 
+class ConstantConstraints(Declared):
+    constant_constraints = True
+
+
 class NoVelocityForces(Declared):
     velocity_forces = False
+
+
+class Symmetric(Declared):
+    symmetric = True
 
 
 @pytest.mark.parametrize(
@@ -188,7 +196,10 @@ class NoVelocityForces(Declared):
     [
         (ConstantMass, "constant_mass"),
         (LinearConstraints, "linear_constraints"),
+        (ConstantConstraints, "constant_constraints"),
+        (ConstantConstraints, "constant_constraints, Phi_q"),
         (NoVelocityForces, "velocity_forces"),
+        (Symmetric, "symmetric"),
     ],
 )
 def test_false_declarations_are_found(kind, name):

@@ -275,7 +275,8 @@ def test_interrupt_keeps_what_was_computed(kind):
         simulate(Disturbed(stop), 1.0, kind(1e-6))
     run = stopped.value.result
     assert run.outcome.verdict is Verdict.INTERRUPTED
-    assert 0.2 < run.t[-1] <= 0.35
+    # A step may begin well before the force that its stages meet: those of Explicit are 0.13 long.
+    assert 0.15 < run.t[-1] <= 0.35
 
 
 @pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK)])

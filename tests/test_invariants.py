@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from ancfdae.elements import (
     ALL_ELEMENTS,
     CABLE_2D,
+    Batch,
     ElementParameter,
     ElementType,
     SaintVenantKirchhoff,
@@ -102,7 +103,7 @@ class Case:
         self.rule = {} if self.straight else {"n_xi": 12, "n_y": 6, "n_z": 6}
 
     def prepare(self, values, wanted=()):
-        return prepare(self.element, self.kind, values[None], self.Y_unit, wanted)
+        return prepare(self.element, Batch(self.kind, values[None], self.Y_unit), wanted)
 
     def relative(self, X):
         """Relative node vectors of one element, with the leading axis of a block."""
@@ -504,10 +505,11 @@ def test_preparation_in_chunks_is_the_preparation_of_each(case, small, monkeypat
     rng = np.random.default_rng(51)
     parameters = VALUES * (1 + 0.1 * rng.uniform(-1, 1, (n, len(VALUES))))
     wanted = (ElementParameter.LENGTH,)
-    whole = prepare(case.element, case.kind, parameters, np.repeat(case.Y_unit, n, axis=0), wanted)
+    batch = Batch(case.kind, parameters, np.repeat(case.Y_unit, n, axis=0))
+    whole = prepare(case.element, batch, wanted)
     assert len(whole.A) == n > chunk
     for k in (0, chunk - 1, chunk, n - 1):
-        one = prepare(case.element, case.kind, parameters[k : k + 1], case.Y_unit, wanted)
+        one = prepare(case.element, Batch(case.kind, parameters[k : k + 1], case.Y_unit), wanted)
         # The same sums, possibly in another order of the linear algebra library.
         for a, b in (
             (whole.A[k], one.A[0]),

@@ -71,6 +71,12 @@ def map_of(vectors, d, n_q):
     return R.reshape(-1, n_q)
 
 
+def sorted_pairs(pairs):
+    """Where the pairs of three elements begin, their numbers and variables, as kernels ask."""
+    element, variable, number = np.array(sorted(pairs), dtype=np.int64).reshape(-1, 3).T
+    return np.searchsorted(element, np.arange(4)), number, variable
+
+
 class Case:
     """Three elements that share nodes, k instants."""
 
@@ -91,7 +97,11 @@ class Case:
         self.block = kernels.Block(A, g_o, p_o, tau, vectors, d, n_q)
         self.R = map_of(vectors, d, n_q)
         self.q, self.v, self.u, self.z = numbers(rng, (4, self.k, n_q), dtype)
-        self.p_b = numbers(rng, (n, self.k, n_g), dtype)
+        # Element, variable and number of what changes stresses (two by one), or tau.
+        self.pairs = [(0, 3, 0), (2, 0, 1), (0, 0, 2), (2, 0, 3), (2, 0, 4), (1, 2, 5)]
+        A_b = numbers(rng, (4, n_g, n_g), dtype)
+        A_b, c_b = A_b + A_b.swapaxes(1, 2), numbers(rng, (4, n_g), dtype)
+        self.law_b = A_b, c_b, numbers(rng, 2, dtype), *sorted_pairs(self.pairs)
         self.F = numbers(rng, (self.k, n, n_y, d), dtype)
         # Entries at the same place are summed.
         self.index = np.arange(n * ((n_y + 1) * d) ** 2, dtype=np.int32).reshape(n, -1) // 2
@@ -118,14 +128,29 @@ class Case:
     def forces(self, q, v):
         return self.lifted(product(self.p(q, v), self.Y(q)))
 
-    def along(self, q, v, u, z, p_b=None):
+    def along(self, q, v, u, z, p_b=0):
         """Derivative of `forces` by the product rule."""
         Y, U, tau = self.Y(q), self.Y(u), self.block.tau[:, None]
         x = packed(Y, U)
         if v is not None:
             x = x + tau * (packed(U, self.Y(v)) + packed(Y, self.Y(z)))
-        change = self.law(x) + (0 if p_b is None else p_b.swapaxes(0, 1))
+        change = self.law(x) + p_b
         return self.lifted(product(change, Y) + product(self.p(q, v), U))
+
+    def totals(self, q, v, pairs):
+        """The force, and its derivatives along rows with the stresses of pairs added."""
+        Y, V, (A_b, c_b, tau_b) = self.Y(q[0]), None if v is None else self.Y(v[0]), self.law_b[:3]
+        x = packed(Y, Y) / 2 - self.block.g_o
+        x = x if v is None else x + self.block.tau[:, None] * packed(Y, V)
+        p_b = np.zeros((len(q), *x.shape), dtype=x.dtype)
+        for e, i, number in pairs:
+            if number < len(A_b):
+                p_b[i + 1, e] += A_b[number] @ x[e] - c_b[number]
+            else:
+                p_b[i + 1, e] += tau_b[number - len(A_b)] * self.law(packed(Y, V))[e]
+        rates = (q[1:], None, None) if v is None else (q[1:], v[:1], v[1:])
+        total = self.along(q[:1], rates[1], rates[0], rates[2], p_b[1:])
+        return np.concatenate([self.forces(q[:1], rates[1]), total])
 
     def tangent(self, q, v, damping):
         """Values of the tangent of one instant, from columns; elements stand apart."""
@@ -172,13 +197,23 @@ def test_forces(case):
 
 def test_forces_along_directions(case):
     q, v, u, z = case.q, case.v, case.u, case.z
-    for p_b in (None, case.p_b):
-        each = kernels.forces_along(case.block, q, v, u, z, p_b)
-        close(each, case.along(q, v, u, z, p_b))
-        one = kernels.forces_along(case.block, q[0], v[0], u, z, p_b)
-        close(one, case.along(q[:1], v[:1], u, z, p_b))
-        undamped = kernels.forces_along(case.block, q, None, u, None, p_b)
-        close(undamped, case.along(q, None, u, None, p_b))
+    close(kernels.forces_along(case.block, q, v, u, z), case.along(q, v, u, z))
+    one = kernels.forces_along(case.block, q[0], v[0], u, z)
+    close(one, case.along(q[:1], v[:1], u, z))
+    close(kernels.forces_along(case.block, q, None, u, None), case.along(q, None, u, None))
+
+
+def test_force_totals(case):
+    q, v, stiff = case.q, case.v, case.law_b[:2]
+    close(kernels.force_totals(case.block, q, v, *case.law_b), case.totals(q, v, case.pairs))
+    undamped = [pair for pair in case.pairs if pair[2] < len(stiff[0])]
+    law_b = (*stiff, np.zeros(0), *sorted_pairs(undamped))
+    close(kernels.force_totals(case.block, q, None, *law_b), case.totals(q, None, undamped))
+    none = (stiff[0][:0], stiff[1][:0], np.zeros(0), *sorted_pairs([]))
+    close(kernels.force_totals(case.block, q[:1], v[:1], *none), case.forces(q[:1], v[:1]))
+    for other in odd_layouts(q):
+        found = kernels.force_totals(case.block, other, v, *case.law_b)
+        close(found, case.totals(q, v, case.pairs))
 
 
 def test_tangents(case):
@@ -208,7 +243,7 @@ def test_real_and_complex_arguments_mix():
     case, step = Case(7, 3, float), 1e-40
     q, v = case.q + 1j * step * case.u, case.v + 1j * step * case.z
     F = kernels.forces(case.block, q, v)
-    close(F.imag / step, kernels.forces_along(case.block, case.q, case.v, case.u, case.z, None))
+    close(F.imag / step, kernels.forces_along(case.block, case.q, case.v, case.u, case.z))
     close(kernels.relative(case.block, q).imag / step, case.Y(case.u))
     Y, other = case.Y(case.q), case.Y(q)
     for one, two in ((Y, other), (other, Y)):
@@ -228,7 +263,7 @@ def test_nothing_is_nothing():
     assert not kernels.tangents(none, q, None, False, index, 4).any()
     assert not kernels.lifted(none, np.zeros((2, 0, 7, 3))).any()
     assert kernels.forces(block, q[:0], None).shape == (0, block.n_q)
-    assert kernels.forces_along(block, q[0], None, q[:0], None, None).shape == (0, block.n_q)
+    assert kernels.forces_along(block, q[0], None, q[:0], None).shape == (0, block.n_q)
     assert kernels.gram(np.zeros((4, 0, 7, 3)), np.zeros((4, 0, 7, 3))).shape == (4, 0, 28)
     assert kernels.finite(np.zeros(0))
     assert kernels.norm(np.zeros(0), np.zeros(0)) == 0
@@ -250,13 +285,23 @@ def test_sparse_products(dtype, x_dtype):
     dense[3] = 0
     M = scipy.sparse.csr_array(dense)
     rows = M.indptr.astype(np.int32), M.indices.astype(np.int32), M.data
-    for k in range(7):  # rows go by fours
+    for k in (0, 1, 2, 3, 4, 5, 6, 8, 9, 13):  # rows go by eights and fours
         x, y = numbers(rng, (k, 9), x_dtype), numbers(rng, (k, 7), x_dtype)
         for other in (x, *odd_layouts(x)):
             close(kernels.csr_rows(*rows, other), x @ dense.T)
         close(kernels.csr_rows_transposed(*rows, y, 9), y @ dense)
     x = numbers(rng, 9, x_dtype)
     close(kernels.csr_rows(*rows, x), dense @ x)
+    for k in (1, 2, 6):
+        x, y = numbers(rng, (k, 9), x_dtype), numbers(rng, (k, 7), x_dtype)
+        kept = numbers(rng, (k, 12), complex if complex in (dtype, x_dtype) else float)
+        out, back = kept.copy(), kept.copy()
+        kernels.csr_subtract(*rows, x, out, 3, False)
+        kernels.csr_subtract(*rows, y, back, 2, True)
+        close(out[:, 3:10], kept[:, 3:10] - x @ dense.T)
+        close(back[:, 2:11], kept[:, 2:11] - y @ dense)
+        for left, here in ((out, (0, 1, 2, 10, 11)), (back, (0, 1, 11))):
+            assert np.array_equal(left[:, here], kept[:, here])
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -266,6 +311,30 @@ def test_norm_is_that_of_the_real_part(dtype):
     expected = np.sqrt(np.sum(weights * x.real**2))
     assert kernels.norm(x, weights) == pytest.approx(expected, rel=CLOSE)
     assert kernels.norm(x[:, ::-1], weights[:, ::-1]) == pytest.approx(expected, rel=CLOSE)
+    more = np.arange(3.0), np.array([1.0, 2, 3])
+    both = expected + np.sqrt(2 * 1 + 3 * 4)
+    assert kernels.norm(x, weights, *more) == pytest.approx(both, rel=CLOSE)
+
+
+@pytest.mark.parametrize("which", [None, 0, 1, 2, 3])
+def test_balance_of_forces(which):
+    rng = np.random.default_rng(6)
+    inertia, reaction, force, constraint = (
+        numbers(rng, n, complex if k == which else float) for k, n in enumerate((5, 5, 5, 2))
+    )
+    expected = np.concatenate([inertia + reaction - force, -0.25 * constraint])
+    close(kernels.balance(inertia, reaction, force, constraint, -0.25), expected)
+
+
+@pytest.mark.parametrize("size", [1, 63, 64, 65, 200])
+def test_rows_are_recombined_in_place(size):
+    rng = np.random.default_rng(7)
+    matrix, z = rng.uniform(-1, 1, (6, 4)), rng.uniform(-1, 1, (4, 1, size))
+    expected, after, last = np.tensordot(matrix, z, 1), np.empty((3, 1, size)), z[3].copy()
+    kernels.recombine(matrix, z, after, z[:3])
+    close(after, expected[:3])
+    close(z[:3], expected[3:])
+    assert np.array_equal(z[3], last)
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -359,6 +428,77 @@ def test_zero_pivot_is_told():
     assert band.factor()[2] == 1
 
 
+class EnvelopeMatrix:
+    """A symmetric matrix with two multipliers behind their coordinates."""
+
+    n = 16
+
+    first = np.cumsum([0, *np.minimum(8, np.arange(n, 0, -1))]).astype(np.int32)
+
+    def __init__(self, dtype):
+        rng = np.random.default_rng(4)
+        self.order, self.signs, last = rng.permutation(self.n), np.ones(self.n), [7, self.n - 1]
+        self.signs[last] = -1
+        columns = np.repeat(np.arange(self.n), np.diff(self.first))
+        rows = columns + np.arange(self.first[-1]) - self.first[columns]
+        values = numbers(rng, len(rows), dtype) * 0.3
+        if dtype is complex:  # almost real, as in a complex step
+            values.imag *= 0.1
+        diagonal = rows == columns
+        values[diagonal] = np.where(self.signs > 0, 4.0 + values[diagonal].real, 0.0)
+        own = np.isin(rows, last) | np.isin(columns, last)
+        # Values of K in another order, those of B behind them, and a value that is not taken.
+        shuffled = rng.permutation(np.flatnonzero(~own))
+        self.K, self.B = np.append(np.nan, values[shuffled]), values[own]
+        self.chosen = np.arange(1, 1 + len(shuffled), dtype=np.int32)
+        self.places = np.concatenate([shuffled, np.flatnonzero(own)]).astype(np.int32)
+        dense = np.zeros((self.n, self.n), dtype=dtype)
+        dense[rows, columns] = dense[columns, rows] = values
+        self.dense = np.empty_like(dense)
+        self.dense[np.ix_(self.order, self.order)] = dense
+
+    def factor(self):
+        arrays = (
+            ((0.25, self.K), (0.75, self.K)),
+            self.B,
+            self.chosen,
+            self.places,
+            self.first,
+            self.signs,
+        )
+        return kernels.ldl_factor(*arrays)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("right_dtype", DTYPES)
+def test_solutions_of_symmetric_matrices(dtype, right_dtype):
+    matrix = EnvelopeMatrix(dtype)
+    factors, failed = matrix.factor()
+    assert failed == 0
+    for rows in (1, 2, 3, 4, 5, 8, 9, 13):
+        right = numbers(np.random.default_rng(rows), (rows, matrix.n), right_dtype)
+        expected = np.linalg.solve(matrix.dense, right.T).T
+        for other in (right, right[0], *odd_layouts(right)):
+            x = kernels.ldl_solve(factors, matrix.first, matrix.order, other)
+            known = expected if other.ndim == 2 else expected[0]
+            assert np.allclose(x, known, rtol=1e-11, atol=1e-11)  # its condition is 30
+            assert x.dtype == np.result_type(dtype, right_dtype)
+
+
+def test_pivots_without_their_sign_are_told():
+    for k in range(EnvelopeMatrix.n):
+        matrix = EnvelopeMatrix(float)
+        matrix.signs[k] *= -1
+        assert matrix.factor()[1] == k + 1
+    for name in ("K", "B"):
+        matrix = EnvelopeMatrix(float)
+        getattr(matrix, name)[-1] = np.nan
+        assert matrix.factor()[1] > 0
+    matrix = EnvelopeMatrix(float)
+    matrix.K[:] = matrix.B[:] = 0
+    assert matrix.factor()[1] == 1
+
+
 # ---------------------------------------------------------------- what is refused
 
 
@@ -406,24 +546,46 @@ def _refused():
     }
     for name, block in laws.items():
         yield name, kernels.forces, (block, q, v)
-        yield name, kernels.forces_along, (block, q, v, u, z, None)
+        yield name, kernels.forces_along, (block, q, v, u, z)
         yield name, kernels.tangents, (block, q, v, False, case.index, case.size)
     for name, bad in (("wide", wide), ("number", np.array(1.0)), ("text", "q"), ("none", None)):
         yield f"q {name}", kernels.relative, (b, bad)
         yield f"q {name}", kernels.forces, (b, bad, None)
-        yield f"q {name}", kernels.forces_along, (b, bad, None, u, None, None)
-        yield f"u {name}", kernels.forces_along, (b, q, None, bad, None, None)
+        yield f"q {name}", kernels.forces_along, (b, bad, None, u, None)
+        yield f"u {name}", kernels.forces_along, (b, q, None, bad, None)
         yield f"q {name}", kernels.tangents, (b, bad, None, False, case.index, case.size)
         yield f"F {name}", kernels.lifted, (b, bad)
     yield "fewer v", kernels.forces, (b, q, v[:4])
     yield "flat F", kernels.lifted, (b, case.F.reshape(5, -1))
     yield "F of two", kernels.lifted, (b, case.F[:, :2])
-    yield "one v", kernels.forces_along, (b, q, v[0], u, z, None)
-    yield "two q", kernels.forces_along, (b, q[:2], v[:2], u, z, None)
+    yield "one v", kernels.forces_along, (b, q, v[0], u, z)
+    yield "two q", kernels.forces_along, (b, q[:2], v[:2], u, z)
     yield "fewer z", kernels.forces_along, (b, q, v, u, z[:4], None)
-    yield "no z", kernels.forces_along, (b, q, v, u, None, None)
-    yield "p_b turned", kernels.forces_along, (b, q, v, u, z, case.p_b.swapaxes(0, 1))
-    yield "p_b small", kernels.forces_along, (b, q, v, u, z, case.p_b[..., :-1])
+    yield "no z", kernels.forces_along, (b, q, v, u, None)
+    A_b, c_b, tau_b, first, pairs, variables = case.law_b
+    for name, law_b in {
+        "A_b small": (A_b[:, :-1], *case.law_b[1:]),
+        "A_b none": (None, *case.law_b[1:]),
+        "A_b fewer": (A_b[:-1], c_b[:-1], *case.law_b[2:]),
+        "c_b fewer": (A_b, c_b[:-1], *case.law_b[2:]),
+        "c_b small": (A_b, c_b[:, :-1], *case.law_b[2:]),
+        "tau_b fewer": (A_b, c_b, tau_b[:-1], *case.law_b[3:]),
+        "first short": (*case.law_b[:3], first[1:], pairs, variables),
+        "first late": (*case.law_b[:3], first + (first == 0), pairs, variables),
+        "first back": (*case.law_b[:3], first[[0, 2, 1, 3]], pairs, variables),
+        "first beyond": (*case.law_b[:3], first + (first == first[-1]), pairs, variables),
+        "first far": (*case.law_b[:3], np.array([0, 2**40, 2**40, first[-1]]), pairs, variables),
+        "pairs below": (*case.law_b[:4], pairs - 1, variables),
+        "pairs beyond": (*case.law_b[:4], pairs + 1, variables),
+        "variables below": (*case.law_b[:5], variables - 1),
+        "variables beyond": (*case.law_b[:5], variables + 1),
+        "variables fewer": (*case.law_b[:5], variables[1:]),
+        "variables none": (*case.law_b[:5], None),
+    }.items():
+        yield name, kernels.force_totals, (b, q, v, *law_b)
+    yield "tau_b without v", kernels.force_totals, (b, q, None, *case.law_b)
+    yield "fewer v", kernels.force_totals, (b, q, v[:4], *case.law_b)
+    yield "one row", kernels.force_totals, (b, q[:1], v[:1], *case.law_b)
     for name, index in (
         ("short", case.index[:, :-1]),
         ("of two", case.index[:2]),
@@ -476,6 +638,43 @@ def _refused_in_linear_algebra():
     yield "x wide", kernels.csr_rows_transposed, (first, columns, values, np.ones((2, 3)), 3)
     yield "size below", kernels.csr_rows_transposed, (first, columns, values, np.ones(2), -3)
     yield "size", kernels.csr_rows_transposed, (first, columns, values, np.ones(2), "3")
+    yield "size of M^T", kernels.csr_rows_transposed, (first, columns, values, np.ones(3), 3)
+    out, x = np.ones((2, 5)), np.ones((2, 3))
+    for name, bad in (
+        ("out narrow", (x, np.ones((2, 1)), 0, False)),
+        ("out short", (x, out[:1], 0, False)),
+        ("out complex", (x, out * 1j, 0, False)),
+        ("out in strides", (x, np.ones((2, 9))[:, ::2], 0, False)),
+        ("out a list", (x, [[1.0] * 5] * 2, 0, False)),
+        ("offset beyond", (x, out, 4, False)),
+        ("offset below", (x, out, -1, False)),
+        ("columns beyond", (np.ones((2, 2)), out, 3, True)),
+        ("x of M", (x, out, 0, True)),
+        ("x of M^T", (np.ones((2, 2)), out, 0, False)),
+    ):
+        yield name, kernels.csr_subtract, (first, columns, values, *bad)
+    z, rows = np.ones((4, 5)), np.ones((3, 5))
+    for name, bad in (
+        ("matrix", (np.ones((4, 6)), z, rows, rows)),
+        ("four rows", (np.ones((6, 4)), z[:3], rows, rows)),
+        ("three rows", (np.ones((6, 4)), z, z, rows)),
+        ("narrow", (np.ones((6, 4)), z, rows[:, :4].copy(), rows)),
+        ("strides", (np.ones((6, 4)), z, np.ones((3, 10))[:, ::2], rows)),
+        ("complex", (np.ones((6, 4)), z, rows * 1j, rows)),
+        ("none", (np.ones((6, 4)), z, rows, None)),
+        ("no matrix", (None, z, rows, rows)),
+    ):
+        yield name, kernels.recombine, bad
+    force = np.ones(3)
+    for name, bad in (
+        ("sizes", (force, force, np.ones(2), force, 1.0)),
+        ("none", (force, None, force, force, 1.0)),
+        ("text", (force, force, force, force, "x")),
+        ("a number", (np.array(1.0), force, force, force, 1.0)),
+    ):
+        yield name, kernels.balance, bad
+    yield "odd", kernels.norm, (np.ones(3), np.ones(3), np.ones(3))
+    yield "nothing", kernels.norm, ()
     yield "weights", kernels.norm, (np.ones(3), np.ones(4))
     yield "weights", kernels.norm, (np.ones(3), np.ones(3) * 1j)
     yield "none", kernels.norm, (None, np.ones(3))
@@ -484,6 +683,7 @@ def _refused_in_linear_algebra():
     yield "count", kernels.finite, ()
     yield "none", kernels.add_scaled, (None, 1.0, None)
     yield from _refused_in_bands()
+    yield from _refused_in_envelopes()
 
 
 def _refused_in_bands():
@@ -516,6 +716,48 @@ def _refused_in_bands():
         ("none", 5, None),
     ):
         yield name, kernels.band_solve, (*right_call[:at], bad, *right_call[at + 1 :])
+
+
+def _refused_in_envelopes():
+    m = EnvelopeMatrix(float)
+    call = (((1.0, m.K),), m.B, m.chosen, m.places, m.first, m.signs)
+    late = m.first + 1
+    for name, at, bad in (
+        ("fewer K", 0, ((1.0, m.K[:-1]),)),
+        ("terms of two sizes", 0, ((1.0, m.K), (1.0, m.K[1:]))),
+        ("no terms", 0, ()),
+        ("four terms", 0, 4 * ((1.0, m.K),)),
+        ("no number", 0, ((m.K, 1.0),)),
+        ("a list", 0, [(1.0, m.K)]),
+        ("more B", 1, np.append(m.B, 1.0)),
+        ("chosen beyond", 2, m.chosen + 1),
+        ("chosen below", 2, m.chosen - 2),
+        ("places beyond", 3, m.places + 1),
+        ("places below", 3, m.places - 1),
+        ("places few", 3, m.places[1:]),
+        ("first late", 4, late),
+        ("first falls", 4, m.first[::-1]),
+        ("columns in disorder", 4, np.concatenate([m.first[:1], m.first[1:2] + 4, m.first[2:]])),
+        ("column too long", 4, np.append(m.first[:-1], m.first[-1:] + 1)),
+        ("first empty", 4, m.first[:0]),
+        ("first a table", 4, m.first[None]),
+        ("signs few", 5, m.signs[1:]),
+        ("none", 0, None),
+    ):
+        yield name, kernels.ldl_factor, (*call[:at], bad, *call[at + 1 :])
+    factors, _ = m.factor()
+    call = (factors, m.first, m.order, np.ones((2, m.n)))
+    for name, at, bad in (
+        ("factors few", 0, factors[1:]),
+        ("first", 1, late),
+        ("order beyond", 2, m.order + 1),
+        ("order below", 2, m.order - 1),
+        ("order few", 2, m.order[1:]),
+        ("right", 3, np.ones((2, m.n - 1))),
+        ("a number", 3, np.array(1.0)),
+        ("none", 3, None),
+    ):
+        yield name, kernels.ldl_solve, (*call[:at], bad, *call[at + 1 :])
 
 
 def refused(function, arguments):

@@ -175,7 +175,7 @@ def test_user_law_divides_by_whole_numbers_and_by_functions():
 @pytest.mark.parametrize(
     ("law", "words"),
     [
-        (lambda: UserLaw(3.0), "callable"),
+        (lambda: UserLaw(3.0), "function"),
         (lambda: UserLaw(lambda t: abs(t)), "numpy.absolute"),
         (lambda: UserLaw(lambda t: np.where(t < 1, 0.0, 1.0)), "numpy.less"),
         (lambda: UserLaw(lambda t: np.maximum(t, 0.0)), "numpy.maximum"),

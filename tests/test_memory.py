@@ -1,6 +1,7 @@
 """`gradient(..., memory=)`: the same gradient, by repeating as few steps as can be."""
 
 import importlib
+import tracemalloc
 from functools import cache
 from math import comb
 
@@ -29,9 +30,11 @@ from ancfdae import (
     kinetic_energy,
     position,
     reaction,
+    simulate,
 )
 from ancfdae.bodies import Point
 from ancfdae.sensitivity.checkpointed import division, size_of
+from validation.performance.scale import cantilever
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
@@ -148,3 +151,18 @@ def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(MissingPackage, match=r"ancfdae\[checkpoints\]"):
         gradient(SYSTEM, OBJECTIVES[0], STEPS * STEP, EVEN, memory=bytes_for(3))
+
+
+def test_an_element_takes_at_most_40_kilobytes():
+    # Of the assembled system and a short run, at their largest.
+    fewer, more = (largest(cantilever(n)) for n in (100, 500))
+    assert (more - fewer) / 400 < 40e3
+
+
+def largest(scene):
+    tracemalloc.start()
+    try:
+        simulate(assemble(scene), 4 * STEP, HHT(STEP))
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()

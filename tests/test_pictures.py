@@ -3,12 +3,15 @@
 import base64
 import json
 import re
+import shutil
+import subprocess
 from xml.etree import ElementTree
 
 import meshio
 import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from PIL import Image
 
 from ancfdae import (
@@ -54,6 +57,7 @@ from ancfdae import (
     strain_energy,
     von_mises,
 )
+from ancfdae.observables import states_of
 from ancfdae.plotting import (
     AxialForce,
     BendingMoment,
@@ -71,7 +75,6 @@ from ancfdae.plotting import (
 )
 from ancfdae.plotting.bars import bar_places
 from ancfdae.plotting.glyphs import Glyphs
-from ancfdae.plotting.history import total_derivatives
 from ancfdae.plotting.mechanism import mechanism
 from ancfdae.plotting.page import page_data
 from ancfdae.plotting.shapes import BeamMesh
@@ -399,7 +402,7 @@ def test_picture_holds_every_instant_at_its_places_and_colours(planar):
             faces = own.meshes[number].faces
             corners = np.array([path.vertices[:4] for path in drawn.get_paths()])
             np.testing.assert_allclose(corners, own.places[number][k][faces], atol=ROUND_OFF)
-    brush = painters.painter(figure, own, (1, 2, 2))
+    brush = painters.PlanePainter(Figure(), own)
     faces = own.meshes[0].faces
     expected = brush.colours.to_rgba(own.values[0][1][faces].mean(axis=1))
     np.testing.assert_allclose(areas[2].get_facecolors(), expected)
@@ -455,6 +458,21 @@ def test_film_has_its_frames_and_they_move(planar, tmp_path):
         assert np.any(first != np.asarray(film.convert("RGB")))
 
 
+@pytest.mark.skipif(shutil.which("ffprobe") is None, reason="ffmpeg is not installed")
+def test_mp4_is_read_back(planar, tmp_path):
+    path = animate(*planar, tmp_path / "motion.mp4", frames=3, seconds=0.5, dpi=30)
+    probe = ["ffprobe", "-v", "error", "-of", "json", "-count_frames", "-show_streams"]
+    (film,) = json.loads(subprocess.check_output([*probe, path]))["streams"]
+    assert (film["codec_name"], film["nb_read_frames"]) == ("h264", "3")
+    # What browsers play, which needs even sizes.
+    assert film["pix_fmt"] == "yuv420p"
+    assert float(film["duration"]) == pytest.approx(0.5)
+    raw = ["ffmpeg", "-v", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "gray", "-"]
+    frames = np.frombuffer(subprocess.check_output(raw), np.uint8).reshape(3, -1).astype(int)
+    # Compression leaves a few of 255 shades; the rod that moved is dark on white.
+    assert np.abs(frames[2] - frames[0]).max() > 100
+
+
 def test_page_needs_nothing_and_holds_the_motion(moving, tmp_path):
     scene, solution = moving
     path = animate(
@@ -490,10 +508,15 @@ def test_page_keeps_bodies_without_the_field_apart(planar):
     assert shades[:, :-4].max() == 254
 
 
+def along(system, solution, observable):
+    partials, own = observable.partials(system, states_of(solution)), solution.sensitivities
+    return partials.value, partials.total(own.q_b, own.v_b, own.lam_b)
+
+
 def test_bands_are_what_a_per_cent_does(planar):
     scene, solution = planar
     system, tip = assemble(scene, DESIGN), position(Point("rod", 1.0), 1)
-    value, slopes = total_derivatives(system, solution, tip)
+    value, slopes = along(system, solution, tip)
     expected = solution.derivative(lambda s: s.position(Point("rod", 1.0))[:, 1])
     np.testing.assert_allclose(slopes, expected, rtol=1e-10, atol=1e-13)
     figure = history(system, solution, {"tip [m]": tip, "T [J]": kinetic_energy()}, percent=2.0)
@@ -513,7 +536,7 @@ def test_bands_are_what_a_per_cent_does(planar):
 def test_derivatives_of_histories_hold_velocities_and_the_design(planar):
     scene, solution = planar
     system = assemble(scene, DESIGN)
-    _, slopes = total_derivatives(system, solution, kinetic_energy())
+    _, slopes = along(system, solution, kinetic_energy())
     for i in range(2):
         h = 1e-5 * system.b[i]
         runs = [system.with_values(system.b + s * h * np.eye(2)[i]) for s in (1, -1)]
@@ -546,7 +569,7 @@ def test_bars_point_up_where_the_objective_rises_and_are_in_proportion():
     moved = mechanism(scene, run.solution, [1 / 16], None)
     np.testing.assert_allclose(
         drawn[:, : 2 * n],
-        bar_places(moved, 0, run.gradient, painters.painter(figure, moved).extent),
+        bar_places(moved, 0, run.gradient, painters.PlanePainter(figure, moved).extent),
         atol=1e-12,
     )
     with pytest.raises(UnknownName, match="bar"):

@@ -124,6 +124,9 @@ def checkout(folder: Path, command: str) -> Path:
     interpreter = tools / "python"
     interpreter.write_text("#!/bin/sh\nexit 0\n")
     interpreter.chmod(0o755)
+    # Is there already, so that the stage of ffmpeg installs nothing.
+    (folder / "names").mkdir()
+    (folder / "names" / "ffprobe").symlink_to(interpreter)
     for name in ("ruff", "mypy", "lint-imports"):
         tool = tools / name
         tool.write_text(f'#!/bin/sh\necho {name} "$@" >> calls\n[ ! -e "break-{name}" ]\n')
@@ -134,7 +137,6 @@ def checkout(folder: Path, command: str) -> Path:
 def run_ci(folder: Path, python: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run the script with `python`, or this interpreter, as the python3 on PATH."""
     names = folder / "names"
-    names.mkdir()
     (names / "python3").symlink_to(python or sys.executable)
     return subprocess.run(
         ["bash", str(folder / ".ci" / "run")],
@@ -158,7 +160,7 @@ def test_ci_runs_the_test_command_of_the_readme_and_then_the_checks(tmp_path: Pa
     done = run_ci(checkout(tmp_path, command))
     assert done.returncode == 0, done.stderr
     assert calls(tmp_path) == ["threads 1 1", "a b", *CHECKS]
-    assert len(re.findall(r"^== .+ passed in \d+ s$", done.stdout, re.MULTILINE)) == 12
+    assert len(re.findall(r"^== .+ passed in \d+ s$", done.stdout, re.MULTILINE)) == 13
     assert "the tests of IDAS ran with the others" in done.stdout
 
 

@@ -13,8 +13,10 @@ from ancfdae import (
     HHT,
     DesignVariable,
     Direct,
+    Explicit,
     FailedDesign,
     InvalidInput,
+    NonFiniteObjective,
     Responses,
     Terminal,
     UnfinishedRun,
@@ -24,6 +26,7 @@ from ancfdae import (
     mass,
     position,
 )
+from ancfdae.sensitivity import GradientMethod
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
@@ -37,15 +40,10 @@ STEPS = HHT(2.0**-4)
 class Short(CartesianPendulum):
     """A pendulum whose runs end early where it is longer than the limit."""
 
-    runs = 0
     limit = 1.26
 
     def with_values(self, b):
         return Short(self.angle, self.spin, b)
-
-    def start(self):
-        Short.runs += 1
-        return super().start()
 
     def force(self, q, v, t):
         force = super().force(q, v, t)
@@ -79,6 +77,68 @@ def test_whatever_is_asked_for_a_design_runs_once():
         r.constraint("y", upper=0.0).fun(x)
     assert [row.result["y"] for row in r.history.rows] == [r["y"](x) for x in ([1, 1], [0.9, 1])]
     assert "2 designs run" in repr(r)
+
+
+class Counted(GradientMethod):
+    """Direct differentiation that counts the runs it makes, and the finished ones it is given."""
+
+    def __init__(self, broken=None):
+        self.anew, self.given, self.broken = 0, 0, broken
+
+    def gradients(self, run, objectives):
+        if self.broken is not None and run.system.b[0] == self.broken:
+            raise NonFiniteObjective("Integral", "x", 0.5)
+        self.given += run.after is not None
+        self.anew += run.after is None
+        return Direct().gradients(run, objectives)
+
+
+@pytest.mark.parametrize("method", ["Nelder-Mead", "COBYQA"])
+def test_a_search_without_derivatives_runs_every_design_once_and_differentiates_none(
+    method, monkeypatch
+):
+    designs, counted = [], Counted()
+    at = Short.with_values
+    monkeypatch.setattr(Short, "limit", np.inf)
+    monkeypatch.setattr(Short, "with_values", lambda self, b: designs.append(b) or at(self, b))
+    r = responses(method=counted)
+    bounded = {"constraints": r.constraint("y", upper=0.0)} if method == "COBYQA" else {}
+    minimize(r["miss"], 0.9 * r.start, method=method, options={"maxiter": 12}, **bounded)
+    assert (counted.anew, counted.given) == (0, 0)
+    assert len(designs) == len(r.history.rows) > 9  # More than runs are kept
+    # Of old runs the values are kept alone.
+    early = r.history.rows[0]
+    assert r["y"](0.9 * r.start) == early.result["y"]
+    assert r.solution(0.9 * r.start).outcome.success
+    assert len(designs) == len(r.history.rows) + 1
+
+
+def test_a_gradient_takes_the_run_that_is_there_or_one_for_both():
+    counted = Counted()
+    r = responses(method=counted)
+    for x in ([1.0, 1.0], [0.9, 1.0]):
+        r["miss"](x), r["y"].gradient(x), r["y"](x), r.jacobian(x)
+    assert (counted.anew, counted.given) == (0, 2)
+    counted = Counted()
+    r = Responses(SYSTEM, {"y": Y}, 1.0, Explicit(1e-6), method=counted)
+    r["y"](r.start)
+    assert counted.anew == 0
+    # Explicit integrates derivatives with the motion: after the first question they come along.
+    r.jacobian(r.start), r["y"](0.9 * r.start), r.jacobian(0.9 * r.start)
+    assert (counted.anew, counted.given) == (2, 0)
+
+
+def test_a_value_without_gradient_is_no_design():
+    x = 0.9 * np.ones(2)
+    r = responses(method=Counted(broken=0.9 * SYSTEM.b[0]))
+    start, value = r["y"](r.start), r["y"](x)
+    with pytest.warns(FailedDesign, match="not finite"):
+        slope = r["y"].gradient(x)
+    assert r["y"](x) > start != value
+    assert slope @ (x - r.start) > 0
+    alone = responses(method=Counted(broken=SYSTEM.b[0]))
+    with pytest.raises(NonFiniteObjective):
+        alone["y"].gradient(alone.start)
 
 
 @pytest.mark.parametrize("method", ["SLSQP", "trust-constr", "L-BFGS-B", "BFGS"])

@@ -13,6 +13,7 @@ from ancfdae import (
     IDA,
     Adjoint,
     ComplexStep,
+    ContinuousAdjoint,
     ControlledSteps,
     Direct,
     Explicit,
@@ -140,7 +141,11 @@ def test_other_runs_are_refused():
 
 def test_passes_show_bars_where_asked(capsys):
     system = CartesianPendulum()
-    for method, bars in ((Adjoint(), ("adjoint",)), (Direct(), ("derivatives",))):
+    for method, bars in (
+        (Adjoint(), ("adjoint",)),
+        (ContinuousAdjoint(), ("multipliers", "adjoint")),
+        (Direct(), ("derivatives",)),
+    ):
         gradient(system, Integral(X), 1.0, FIXED, method=method)
         assert capsys.readouterr().err == ""
         gradient(system, Integral(X), 1.0, FIXED, method=method, progress=True)

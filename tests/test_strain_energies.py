@@ -31,7 +31,7 @@ from ancfdae import (
     Tube,
     assemble,
 )
-from ancfdae.elements import ElementParameter, ElementType
+from ancfdae.elements import Batch, ElementParameter, ElementType
 from ancfdae.elements.invariants import prepare
 
 E, NU = 1e9, 0.3
@@ -461,15 +461,15 @@ def test_partials_are_complex_steps_and_differences(element, section, name, form
     values[:5] = E, NU, 1000.0, 0.3, 0.0
     values[5 : 5 + len(own.sizes())] = own.sizes()
     wanted = [w for w in ElementParameter if values[w] != 0]
-    inv = prepare(element, kind, values[None], Y, wanted)
+    inv = prepare(element, Batch(kind, values[None], Y), wanted)
     for which in wanted:
         moved = values.astype(complex)
         moved[which] *= 1 + 1e-30j
-        by_step = prepare(element, kind, moved[None], Y)
+        by_step = prepare(element, Batch(kind, moved[None], Y))
         near = [values.copy(), values.copy()]
         for sign, x in zip((1, -1), near, strict=True):
             x[which] *= 1 + sign * 1e-5
-        ends = [prepare(element, kind, x[None], Y) for x in near]
+        ends = [prepare(element, Batch(kind, x[None], Y)) for x in near]
         for part in ("A", "m"):
             scale = np.max(np.abs(getattr(inv, part)))
             found = getattr(inv.partials[which], part) * values[which]
@@ -489,7 +489,8 @@ def test_partials_of_tiny_sections_keep_their_digits():
     for unit in (1.0, 1e-9):
         sizes = own.sizes() * unit ** np.array([2, 4, 4, 4])
         values[0] = (E, NU, 1000.0, 0.3 * unit, 0.0, *sizes)
-        inv = prepare(BEAM_2D, kind_of(2, EnhancedContinuum(), own), values, straight(2), [which])
+        batch = Batch(kind_of(2, EnhancedContinuum(), own), values, straight(2))
+        inv = prepare(BEAM_2D, batch, [which])
         # The entry of r_y.r_y, which is integrated over the volume.
         found.append(inv.partials[which].A[0, -1, -1] * sizes[1] / unit**3)
     assert found[1] == pytest.approx(found[0], rel=1e-12)
@@ -503,7 +504,7 @@ def test_curved_and_straight_rules_agree():
         for energy in ENERGIES.values():
             if d in energy.dimensions and not energy.assumed_strains:
                 one, other = (
-                    prepare(element, kind_of(d, energy, None, flag), values, straight(d))
+                    prepare(element, Batch(kind_of(d, energy, None, flag), values, straight(d)))
                     for flag in (True, False)
                 )
                 assert np.max(np.abs(one.A - other.A)) < 1e-13 * np.max(np.abs(one.A))

@@ -143,15 +143,32 @@ class Assembly:
 
     def along(self, moved: Declared) -> tuple[Array, Array]:
         """Return the derivatives of q and v along a declaration moved by an imaginary step."""
-        y = self._positions
-        x = y[0] - self._position_inverse.solve(self._position_equations(moved, y))[: len(y[0])]
-        q = self._placed(moved, x)
-        rates = self._velocities
-        motion = self._motion(x)
+        inverses = self._position_inverse, self._velocity_inverse
+        return self._followed(moved, self._positions, self._velocities, inverses)
+
+    def strained_along(self, moved: Declared) -> tuple[Array, Array]:
+        """Return the same as `along` for a declaration that no rigid motion follows.
+
+        At values nearby bodies come as near to the joints as they can, and are strained.
+        """
+        none = np.zeros(0)
+        y, rates = ((found[0].real, none, none) for found in (self._positions, self._velocities))
+        inverses = LeastNorm(self._position_matrix(y)), LeastNorm(self._velocity_matrix(1))
+        return self._followed(moved, y, rates, inverses)
+
+    def _followed(
+        self,
+        moved: Declared,
+        y: _Unknowns,
+        rates: _Unknowns,
+        inverses: tuple[LeastNorm, LeastNorm],
+    ) -> tuple[Array, Array]:
+        """Differentiate q and v by one more step of Newton's method each."""
+        x = y[0] - 1j * inverses[0].solve(self._position_equations(moved, y).imag)[: len(y[0])]
+        q, motion = self._placed(moved, x), self._motion(x)
         F = self._velocity_equations(moved, q, self._moving(moved, motion, q, rates[0]), rates)
-        s = rates[0] - self._velocity_inverse.solve(F)[: len(rates[0])]
-        v = self._moving(moved, motion, q, s)
-        return q.imag / STEP, v.imag / STEP
+        s = rates[0] - 1j * inverses[1].solve(F.imag)[: len(rates[0])]
+        return q.imag / STEP, self._moving(moved, motion, q, s).imag / STEP
 
     def left(self, q: Array, moved: Declared | None = None) -> Array:
         """Return Phi in units of the size of the mechanism."""
@@ -314,12 +331,13 @@ class Assembly:
 
     @cached_property
     def _velocity_inverse(self) -> LeastNorm:
+        return LeastNorm(self._velocity_matrix(1 if self._soft else 3))
+
+    def _velocity_matrix(self, count: int) -> scipy.sparse.csr_array:
+        """Return the matrix of all three equations, or where joints stay open of one."""
         q = self.q.real
-        rates, count = self._rates, 1 if self._soft else 3
-        J = rates._jacobian(q, self._rigid(q))
-        return LeastNorm(
-            rates._matrix(J, [scipy.sparse.csr_array((J.shape[1], J.shape[1]))] * count)
-        )
+        J = self._rates._jacobian(q, self._rigid(q))
+        return self._rates._matrix(J, [scipy.sparse.csr_array((J.shape[1], J.shape[1]))] * count)
 
     def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
         """Velocities as declared, with rigid motions at rates s added."""
@@ -407,14 +425,12 @@ class Assembly:
         is_length = J[:, shifts].max(axis=1).toarray() > 1e-9 * J.max(axis=1).toarray()
         return np.where(is_length, 1.0 / self._size, 1.0)
 
-    def _open(self, x: Array) -> float:
-        left = self.left(self._placed(self._declared, x))
-        return float(np.max(np.abs(left.real), initial=0.0))
+    def _gaps(self, x: Array) -> Array:
+        """Return what a motion leaves of every equation."""
+        return np.asarray(np.abs(self.left(self._placed(self._declared, x)).real))
 
-    def _worst(self, x: Array) -> str:
-        left = np.abs(self.left(self._placed(self._declared, x)).real)
-        joint = self.names[int(np.argmax(left))]
-        return f"joint {joint!r} stays open by {float(np.max(left)):.3g} of the mechanism's size"
+    def _open(self, x: Array) -> float:
+        return float(np.max(self._gaps(x), initial=0.0))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -423,39 +439,18 @@ class Assembly:
         return tuple(joint.name for joint in joints for _ in range(joint.rows))
 
     def require_closed(self) -> None:
-        """Refuse joints that rigid motions leave open.
-
-        Raises
-        ------
-        InconsistentStart
-        """
-        x = self._positions[0]
-        if self._moves and self._open(x) > _CLOSED:
+        """Refuse joints that rigid motions leave open."""
+        left = self._gaps(self._positions[0])
+        if self._moves and np.max(left, initial=0.0) > _CLOSED:
+            joint, gap = self.names[int(np.argmax(left))], float(np.max(left))
             raise InconsistentStart(
                 "assembly",
                 "rigid motions of the bodies must close all joints",
-                self._worst(x),
+                f"joint {joint!r} stays open by {gap:.3g} of the mechanism's size",
                 f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they "
                 "fit (turn=... turns one), correct the design, or set project_start=True to "
                 "strain them.",
             )
-
-    def strained_along(self, moved: Declared) -> tuple[Array, Array]:
-        """Return the same as `along` for a declaration that no rigid motion follows.
-
-        At values nearby bodies come as near to the joints as they can, and are strained.
-        """
-        none = np.zeros(0)
-        x = self._positions[0].real
-        inverse = LeastNorm(self._position_matrix((x, none, none)))
-        x = x - 1j * inverse.solve(self._position_equations(moved, (x, none, none)).imag)
-        q, s = self._placed(moved, x), self._velocities[0].real
-        J = self._rates._jacobian(self.q.real, self._rigid(self.q.real))
-        inverse = LeastNorm(self._rates._matrix(J, [scipy.sparse.csr_array((len(s), len(s)))]))
-        motion = self._motion(x)
-        v = self._moving(moved, motion, q, s)
-        s = s - 1j * inverse.solve(self._velocity_equations(moved, q, v, (s, none, none)).imag)
-        return q.imag / STEP, self._moving(moved, motion, q, s).imag / STEP
 
     def follows(self, moved: Declared, q_b: Array, value: float) -> str | None:
         """Return None, or a joint that a variable opens because no rigid motion follows it.

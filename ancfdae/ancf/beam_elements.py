@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 
@@ -12,21 +12,19 @@ from ancfdae.ancf.block import unit_vectors
 from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.bodies import BeamBody
-from ancfdae.elements.volume import shifted, step_of
+from ancfdae.elements import Batch
 from ancfdae.naming import BeamLayout
 from ancfdae.numerics.arrays import Array
+
+_Law = TypeVar("_Law")
 
 
 @final
 @dataclass(frozen=True)
 class StatePartials:
-    """Partials of one number per instant in the coordinates and velocities of some columns.
+    """Partials of one number per instant in the coordinates and velocities of m columns.
 
-    Attributes
-    ----------
-    columns : array of int, shape (m,)
-    q, v : array, shape (k, m)
-    b : array, shape (k, n_b)
+    q and v have the shape (k, m), b has (k, n_b).
     """
 
     columns: Array
@@ -37,18 +35,9 @@ class StatePartials:
 
 @final
 class BeamElements:
-    """Some elements of one beam: their numbers, parameters, coordinates.
+    """Some elements of one beam, counted from its start: their numbers, parameters, coordinates.
 
-    Parameters
-    ----------
-    body : BeamBody
-    place : BeamLayout
-    numbering : Numbering
-    mapping : ParameterMap
-    parameters : array, shape (n_all, 9)
-        Of all elements of the scene, real or complex.
-    elements : slice
-        Elements of the beam, counted from its start.
+    The parameters given, (n_all, 9), are those of all elements of the scene, real or complex.
     """
 
     def __init__(
@@ -60,20 +49,20 @@ class BeamElements:
         parameters: Array,
         elements: slice,
     ) -> None:
-        self.element, self.kind = body.element, body.element_type()
+        self.element = body.element
         self.numbers = place.first_element + np.arange(place.element_count)[elements]
-        self.parameters = parameters[self.numbers]
-        self.Y_unit = unit_vectors(body)[elements]
+        Y_unit = unit_vectors(body)[elements]
+        self.batch = Batch(body.element_type(), parameters[self.numbers], Y_unit)
         own = np.searchsorted(numbering.elements, self.numbers)
         self.coordinates = numbering.coordinates(numbering.vectors[own])
         self._mapping = mapping
 
-    def outline(self, parameters: Array) -> tuple[Array, Array]:
-        """Return y and z of outer points of sections of these parameters, shape (n, n_f) each.
+    def outline(self, own: Batch) -> tuple[Array, Array]:
+        """Return y and z of outer points of sections, shape (n, n_f) each.
 
         In the plane the lowest and the highest only.
         """
-        y, z = self.kind.section.outline(self.kind.sizes(parameters))
+        y, z = own.kind.section.outline(own.sizes)
         if self.element.d == 2:
             ends = [int(np.argmin(y[0].real)), int(np.argmax(y[0].real))]
             y, z = y[:, ends], z[:, ends]
@@ -90,18 +79,18 @@ class BeamElements:
         n_s, chord = self.element.n_s, on_Y[..., :1, :]
         return np.concatenate([-chord, on_Y[..., 1:n_s, :], chord, on_Y[..., n_s:, :]], axis=-2)
 
-    def driven(self) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Yield parameters moved by an imaginary step, the step, and who drives them.
+    def moved(self, law_at: Callable[[Batch], _Law]) -> list[tuple[_Law, Array, Array, Array]]:
+        """Return laws at moved parameters, the imaginary step, and who drives them.
 
         The latter as pairs of element and design variable, shape (2, n_pairs), with their weights.
         """
-        mapping = self._mapping
+        mapping, found = self._mapping, []
         for which in mapping.driven():
             pairs = mapping.pairs(which)
             pairs = pairs[np.isin(mapping.elements[pairs], self.numbers)]
             if len(pairs):
-                targets = np.stack(
-                    [mapping.elements[pairs] - self.numbers[0], mapping.variables[pairs]]
-                )
-                moved = shifted(self.parameters, which)
-                yield moved, step_of(self.parameters, which), targets, mapping.weights[pairs]
+                elements = mapping.elements[pairs] - self.numbers[0]
+                targets = np.stack([elements, mapping.variables[pairs]])
+                law, step = law_at(self.batch.moved(which)), self.batch.step(which)
+                found.append((law, step, targets, mapping.weights[pairs]))
+        return found

@@ -13,6 +13,7 @@ from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.ancf.section_force import SectionForces
 from ancfdae.ancf.stress_points import StressPoints
 from ancfdae.bodies import Point
+from ancfdae.elements import Batch
 from ancfdae.errors import InvalidInput
 from ancfdae.naming import Layout
 from ancfdae.numerics.arrays import Array
@@ -25,16 +26,7 @@ _STRESS_PLACES = np.array([0.0, 0.5, 1.0])
 
 @final
 class BeamSections:
-    """What observables ask of the sections of a scene's beams.
-
-    Parameters
-    ----------
-    scene : Scene
-    layout : Layout
-    numbering : Numbering
-    mapping : ParameterMap
-    b : array, shape (n_b,)
-    """
+    """What observables ask of the sections of a scene's beams."""
 
     def __init__(
         self, scene: Scene, layout: Layout, numbering: Numbering, mapping: ParameterMap, b: Array
@@ -53,7 +45,7 @@ class BeamSections:
     def half_extents(self, point: Point) -> tuple[float, float]:
         """Return half of the height and of the width of the section at a point of a beam."""
         own, _ = self._element(point)
-        section, sizes = own.kind.section, own.kind.sizes(own.parameters)[0].real.tolist()
+        section, sizes = own.batch.kind.section, own.batch.sizes[0].real.tolist()
         names = section.size_names()
         return section.with_sizes(dict(zip(names, sizes, strict=True))).half_extents
 
@@ -91,6 +83,6 @@ class BeamSections:
         return BeamElements(body, place, self._numbering, mapping, values, elements)
 
 
-def _held(places: tuple[Array, Array], parameters: Array) -> tuple[Array, Array]:
+def _held(places: tuple[Array, Array], own: Batch) -> tuple[Array, Array]:
     """Places in a section that no parameter moves."""
     return places

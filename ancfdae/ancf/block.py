@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.bodies import BeamBody
-from ancfdae.elements import BeamElement, ElementParameter, ElementType
+from ancfdae.elements import Batch, BeamElement, ElementParameter, ElementType
 from ancfdae.elements.invariants import joined, prepare
 from ancfdae.numerics.arrays import Array
 
@@ -77,7 +77,8 @@ def element_block(
     for number, each in enumerate(kinds):
         own = kept[kind[kept] == number]
         order.append(np.flatnonzero(kind[kept] == number))
-        parts.append(prepare(element, each, parameters[own], Y_unit[own], wanted, owners[own]))
+        batch = Batch(each, parameters[own], Y_unit[own])
+        parts.append(prepare(element, batch, wanted, owners[own]))
     distinct = joined(parts, np.argsort(np.concatenate(order)))
     chosen = np.zeros(1, dtype=np.int64) if len(kept) == 1 else index
     stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))

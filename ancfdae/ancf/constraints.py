@@ -47,6 +47,7 @@ class JointConstraints:
         )
         self._place()
         self.active = self._find_active()
+        self.constant = self._simple and not self.active
 
     # -- structure -----------------------------------------------------------------------------
 
@@ -192,12 +193,7 @@ class JointConstraints:
         return self._poly.phi(self._coefficients.at(t), self._U(q))
 
     def refuse_opposite(self, q: Array, t: float) -> None:
-        """Refuse a start at which a drive is half a turn off, where its equation holds as well.
-
-        Raises
-        ------
-        InconsistentStart
-        """
+        """Refuse a start at which a drive is half a turn off, where its equation holds as well."""
         name = self.opposite(q, t)
         if name is not None:
             raise InconsistentStart(
@@ -253,11 +249,6 @@ class JointConstraints:
     def constraints(self, q: Array, t: Array) -> Array:
         """Phi, shape (k, n_lam)."""
         return self._poly.phi(self._coefficients.over(t), self._vectors.of(q))
-
-    def constraint_forces(self, q: Array, lam: Array, t: Array) -> Array:
-        """Phi_q^T lam, shape (k, n_q)."""
-        raw = self._poly.raw(self._coefficients.over(t), self._vectors.of(q))
-        return self._to_force.rows(raw * lam[:, self._poly.raw_row])
 
     def constraints_b(self, q: Array, t: Array) -> Array:
         """Phi_b, shape (k, n_lam, n_b)."""

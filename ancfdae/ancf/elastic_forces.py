@@ -13,6 +13,7 @@ from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.elements import elastic
 from ancfdae.kernels import (
     Block,
+    force_totals,
     forces,
     forces_along,
     gram,
@@ -57,17 +58,19 @@ class ElasticForces:
         self._elements = Block(*own, vectors, d, numbering.n_q)
         n, size = len(vectors), vectors.shape[1] * d
         self._coordinates = numbering.coordinates(vectors).reshape(n, size)
-        rows = np.broadcast_to(self._coordinates[:, :, None], (n, size, size))
-        index = pattern.index(rows.ravel(), rows.swapaxes(1, 2).ravel()).reshape(n, size**2)
+        at = self._coordinates
+        index = pattern.index(at[:, :, None], at[:, None]).reshape(n, size**2)
         self._index = index.astype(np.int32)
         pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
         self._stiff = len(block.stiffness_pairs)
         self._pair_element = mapping.elements[pairs]
         self._pair_variable = mapping.variables[pairs]
         self._pair_weight = mapping.weights[pairs]
-        # Whether no variable drives two parameters of one element.
-        stiff = self._pair_element * n_b + self._pair_variable
-        self._apart = len(np.unique(stiff[: self._stiff])) == self._stiff
+        # What variables change in the law, pairs in the order that `force_totals` asks for.
+        order = np.lexsort((self._pair_variable, self._pair_element))
+        first = np.searchsorted(self._pair_element[order], np.arange(n + 1))
+        tau_b = self._pair_weight[self._stiff :]
+        self._law_b = block.A_b, block.c_b, tau_b, first, order, self._pair_variable[order]
 
     @property
     def damped(self) -> bool:
@@ -107,39 +110,19 @@ class ElasticForces:
         """Values of -(Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
         return tangents(self._elements, q, None, True, self._index, self._size)
 
-    def force_total(self, q: Array, v: Array, q_b: Array, v_b: Array) -> Array:
-        """Total design derivative of Q_s for one instant, shape (n_q, n_b)."""
-        p_b = self._stresses_b(relative(self._elements, q), v)
-        along = self._along((q, v), (q_b.T, v_b.T), p_b)
-        return -along.T
+    def totals(self, q: Array, v: Array) -> Array:
+        """-Q_s at the first of the rows of q and v, and total design derivatives along the others.
 
-    def _along(
-        self, states: tuple[Array, Array], rates: tuple[Array, Array], p_b: Array | None = None
-    ) -> Array:
+        Shape (1 + n_b, n_q), as q and v.
+        """
+        return force_totals(self._elements, q, v if self.damped else None, *self._law_b)
+
+    def _along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
         """Return derivatives of -Q_s along rows of rates of q and v, shape (k, n_q)."""
         (q, v), (u, z) = states, rates
         if not self.damped:
-            return forces_along(self._elements, q, None, u, None, p_b)
-        return forces_along(self._elements, q, v, u, z, p_b)
-
-    def _stresses_b(self, Y: Array, v: Array) -> Array:
-        """Design partial of A (dg + tau g') at fixed Y and V, shape (n, n_b, n_g)."""
-        block, element, variable = self._block, self._pair_element, self._pair_variable
-        V = relative(self._elements, v) if self.damped else None
-        x = strain(block.g_o, Y, V, block.tau)
-        p_b = np.zeros((len(Y), self._n_b, x.shape[1]), dtype=np.result_type(x, block.A_b))
-        stiff, damped = slice(self._stiff), slice(self._stiff, None)
-        change = elastic.apply_invariant(block.A_b, x[element[stiff]]) - block.c_b
-        if self._apart:
-            p_b[element[stiff], variable[stiff]] = change
-        else:
-            np.add.at(p_b, (element[stiff], variable[stiff]), change)
-        if V is not None and len(block.damping_pairs):
-            at = element[damped]
-            rate = gram(Y[at], V[at]) * self._pair_weight[damped, None]
-            A = block.A if len(block.A) == 1 else block.A[at]
-            np.add.at(p_b, (at, variable[damped]), elastic.apply_invariant(A, rate))
-        return p_b
+            return forces_along(self._elements, q, None, u, None)
+        return forces_along(self._elements, q, v, u, z)
 
     def force_b(self, q: Array, v: Array) -> Array:
         """(Q_s)_b, shape (k, n_q, n_b)."""

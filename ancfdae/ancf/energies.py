@@ -17,18 +17,8 @@ from ancfdae.numerics.arrays import Array
 class Energies:
     """Strain and kinetic energy of everything, or of one owner: a beam, a body, a point mass.
 
-    Parameters
-    ----------
-    elastic : ElasticForces
-    inertia : Inertia
-    numbering : Numbering
-    layout : Layout
-        Knows the owners by name.
-
-    Attributes
-    ----------
-    places : array, shape (n_q / d,)
-        One for vectors that are positions, zero for slopes.
+    The layout knows the owners by name. `places`, shape (n_q / d,), is one for vectors that are
+    positions, zero for slopes.
     """
 
     def __init__(

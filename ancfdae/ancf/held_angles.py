@@ -22,13 +22,8 @@ class HeldAngles:
     """The right angles of all sections that joints have named so far.
 
     Slopes of a section vary linearly along an element, and so does the change of its right angle:
-    two sections of an element hold that of every third.
-
-    Parameters
-    ----------
-    layout : Layout
-    rigid : container of str
-        Bodies that keep their shape by themselves.
+    two sections of an element hold that of every third. Bodies that are `rigid` keep their shape by
+    themselves.
     """
 
     def __init__(self, layout: Layout, rigid: Container[str] = ()) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.ancf.mass_blocks import MassBlocks
 from ancfdae.ancf.numbering import Numbering
-from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
 
@@ -78,18 +78,20 @@ class Inertia:
 
     @cached_property
     def _M(self) -> LinearMap:
-        return LinearMap(self._pattern.csr(self.values))
+        # Two of three entries of a spatial element are zero: masses do not couple directions.
+        kept, own = np.flatnonzero(self.values), self._pattern
+        return LinearMap.of(own.rows[kept], own.columns[kept], self.values[kept], own.shape)
 
     @cached_property
     def _M_b(self) -> LinearMap:
-        """Map from a to columns of a row-major (n_q, n_b) array."""
+        """Map from a to columns of a row-major (n_b, n_q) array."""
         paired = [(x.vectors[x.pair_block], x.m_b) for x in self._blocks]
         rows, columns, values = self._entries(paired)
         counts = [self._d * x.vectors.shape[1] ** 2 for x in self._blocks]
         variables = zip((x.pair_variable for x in self._blocks), counts, strict=True)
         variable = np.concatenate([np.repeat(own, count) for own, count in variables])
         shape = (self._n_q * self._n_b, self._n_q)
-        return LinearMap.of(rows * self._n_b + variable, columns, values, shape)
+        return LinearMap.of(variable * self._n_q + rows, columns, values, shape)
 
     @cached_property
     def gravity(self) -> Array:
@@ -99,27 +101,38 @@ class Inertia:
     @cached_property
     def gravity_b(self) -> Array:
         """Its design partials, shape (n_q, n_b)."""
-        Q_b = only(self.times_b(self._field.reshape(1, -1)))
+        Q_b = self.times_b(self._field.ravel())
         if len(self._field_active):
             fields = self._field_b.reshape(len(self._field_b), -1)
             Q_b = Q_b.copy()
             Q_b[:, self._field_active] += self.times(fields.T)
         return Q_b
 
+    @cached_property
+    def gravity_rows(self) -> Array:
+        """Gravity and its design partials as rows, shape (1 + n_b, n_q)."""
+        return np.concatenate([self.gravity[None], self.gravity_b.T])
+
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
         return self._M.columns(x)
 
     def times_b(self, a: Array) -> Array:
-        """(M a)_b for rows of a, shape (k, n_q, n_b)."""
-        return self._M_b.rows(a).reshape(len(a), self._n_q, self._n_b)
+        """(M a)_b for one a or for rows, shape (..., n_q, n_b)."""
+        return self._M_b.rows(a).reshape((*a.shape[:-1], self._n_b, self._n_q)).mT
 
     def pull_back(self, a: Array, x: Array, gravity: bool = True) -> Array:
         """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""
         a = a - self._field.ravel() if gravity else a
         total = np.zeros(self._n_b, dtype=np.result_type(a, x))
-        for block, products in self._pair_products(a, x):
-            np.add.at(total, block.pair_variable, np.sum(products, axis=0))
+        A, X = (y.reshape(len(y), -1, self._d) for y in (a, x))
+        for block in self._blocks:
+            # Sums over instants and axes first: x^T M_b a = M_b : (x a^T).
+            at = block.vectors[block.pair_block]
+            left, right = X[:, at].transpose(1, 2, 0, 3), A[:, at].transpose(1, 0, 3, 2)
+            (n_pairs, n_a), inner = at.shape, len(a) * self._d
+            sums = left.reshape(n_pairs, n_a, inner) @ right.reshape(n_pairs, inner, n_a)
+            np.add.at(total, block.pair_variable, np.sum(block.m_b * sums, axis=(1, 2)))
         if gravity and len(self._field_active):
             fields = self._field_b.reshape(len(self._field_b), -1)
             total[self._field_active] -= fields @ self.times(np.sum(x, axis=0))

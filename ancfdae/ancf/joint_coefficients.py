@@ -77,16 +77,10 @@ class Slot:
 @final
 @dataclass(frozen=True)
 class Entries:
-    """Where coefficients stand.
+    """Where linear (a) and bilinear (s) coefficients stand.
 
-    Attributes
-    ----------
-    a_row, s_row : array of int, shape (n_linear,) and (n_bilinear,)
-        Rows of Phi.
-    a_at : array of int, shape (n_linear,)
-        Components of U, counted through all vectors.
-    s_i, s_j : array of int, shape (n_bilinear,)
-        Vectors of the product.
+    `a_row` and `s_row` are rows of Phi, `a_at` components of U, counted through all vectors, s_i
+    and s_j the vectors of the product.
     """
 
     a_row: Array
@@ -124,20 +118,9 @@ def structure(
 
 @final
 class Coefficients:
-    """Coefficients of some joints at any instant.
+    """Coefficients of some joints at any instant; n_lam counts the rows of all joints.
 
-    Parameters
-    ----------
-    slots : sequence of Slot
-    n_lam : int
-        Number of rows of all joints, also of those that are not among these.
-
-    Attributes
-    ----------
-    driven : bool
-        Whether any depends on time.
-    turning : bool
-        Whether those of products do.
+    `driven` tells whether any depends on time, `turning` whether those of products do.
     """
 
     def __init__(self, slots: Sequence[Slot], n_lam: int) -> None:

@@ -23,17 +23,8 @@ from ancfdae.numerics.linear_map import LinearMap
 class JointPolynomials:
     """What the constraints of all joints are at vectors U and coefficients, (..., n_vectors, d).
 
-    Parameters
-    ----------
-    entries : Entries
-    n_lam, d : int
-    turning : bool
-        Whether coefficients of products depend on time.
-
-    Attributes
-    ----------
-    raw_row, raw_at : array of int, shape (n_raw,)
-        Rows of Phi and components of U of the raw Jacobian.
+    `turning` tells whether coefficients of products depend on time; `raw_row` and `raw_at`,
+    (n_raw,), are rows of Phi and components of U of the raw Jacobian.
     """
 
     def __init__(self, entries: Entries, n_lam: int, d: int, turning: bool) -> None:

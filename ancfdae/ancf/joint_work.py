@@ -22,18 +22,7 @@ from ancfdae.numerics.arrays import Array
 
 @final
 class JointWork:
-    """Power of one driven joint.
-
-    Parameters
-    ----------
-    item : JointInput
-        The joint, as it is or `at_unit_rate`.
-    vectors : Vectors
-        Its vectors.
-    first_row : int
-        Place of its first multiplier.
-    n_b, d : int
-    """
+    """Power of one driven joint, as it is or `at_unit_rate`, with its multipliers' first row."""
 
     def __init__(
         self, item: JointInput, vectors: Vectors, first_row: int, n_b: int, d: int

@@ -110,6 +110,11 @@ class LoadForces:
             else:
                 self._timed.append((item, row))
 
+    @property
+    def moving(self) -> bool:
+        """Whether a load depends on positions or velocities."""
+        return len(self._moving) > 0
+
     @cached_property
     def held(self) -> LoadForces:
         """The loads with their laws standing still."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -11,26 +12,20 @@ from ancfdae.numerics.arrays import STEP, Array
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class LoadWork:
-    """Power of one load with its partials, complex steps of a few vectors.
+    """Power of one load with its partials, complex steps of a few vectors."""
 
-    Parameters
-    ----------
-    item : LoadInput
-    n_b : int
-        Number of design variables.
-    """
-
-    def __init__(self, item: LoadInput, n_b: int) -> None:
-        self._item, self._n_b = item, n_b
+    item: LoadInput
+    n_b: int
 
     def value(self, t: Array, q: Array, v: Array) -> Array:
         """Return the power, shape (k,)."""
-        return self._power(self._item, t, q, v)
+        return self._power(self.item, t, q, v)
 
     def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return partials in q, v and b; shape (k, n) each."""
-        item, b = self._item, np.zeros((len(t), self._n_b))
+        item, b = self.item, np.zeros((len(t), self.n_b))
         U, V = item.vectors.of(q), item.vectors.of(v)
         shape = U.shape[1:]
         # All directions at once, in a leading axis.

@@ -105,17 +105,9 @@ class ParameterMap:
 
 
 def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMap:
-    """Resolve the targets of all design variables.
-
-    Raises
-    ------
-    UnknownName
-        If a target names a beam or a parameter that does not exist.
-    InvalidInput
-        If two targets write to the same parameter of the same element.
-    """
-    base = scene.element_parameters()
-    elements, parameters, variables, weights, offsets = [], [], [], [], []
+    """Resolve the targets of all design variables; refuse unknown ones, and two for one number."""
+    base, none = scene.element_parameters(), np.zeros(0, dtype=np.int64)
+    pairs = [(none, none, none, np.zeros(0), np.zeros(0))]
     owner: dict[tuple[int, int], str] = {}
     slots: dict[str, list[tuple[int, int, float, float]]] = {}
     for index, variable in enumerate(design):
@@ -140,19 +132,18 @@ def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMa
                         f"{other} and {text}",
                         "Remove one of them.",
                     )
-            elements.append(rows)
-            parameters.append(np.full(len(rows), int(which)))
-            variables.append(np.full(len(rows), index))
-            weights.append(factor * share)
-            offsets.append(offset * share)
-    empty = [np.zeros(0, dtype=np.int64)]
+            numbers = np.full(len(rows), int(which)), np.full(len(rows), index)
+            pairs.append((rows, *numbers, factor * share, offset * share))
+    elements, parameters, variables, weights, offsets = map(
+        np.concatenate, zip(*pairs, strict=True)
+    )
     return ParameterMap(
-        base=base,
-        elements=np.concatenate(elements or empty),
-        parameters=np.concatenate(parameters or empty),
-        variables=np.concatenate(variables or empty),
-        weights=np.concatenate(weights or [np.zeros(0)]),
-        offsets=np.concatenate(offsets or [np.zeros(0)]),
+        base,
+        elements,
+        parameters,
+        variables,
+        weights,
+        offsets,
         declared={owner: tuple(scene.numbers(owner).values()) for owner in scene.owners()},
         slots=slots,
         nominal=np.array([scene.value(variable) for variable in design], dtype=float),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -14,59 +15,44 @@ from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.ancf.reference import Reference
 from ancfdae.ancf.rigidity import Rigidity
-from ancfdae.ancf.vectors import Vectors
+from ancfdae.ancf.vectors import Vectors, point_vectors
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
 from ancfdae.naming import Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.parts import CentreLine, Direction, Part
+from ancfdae.parts import Part
 from ancfdae.scene import Scene
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class PartInputs:
-    """What joints and loads are made of, at given design values.
+    """What joints and loads are made of, at design values b."""
 
-    Parameters
-    ----------
-    scene : Scene
-    numbering : Numbering
-    naming : Naming
-    mapping : ParameterMap
-    reference : Reference
-    b : array, shape (n_b,)
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        numbering: Numbering,
-        naming: Naming,
-        mapping: ParameterMap,
-        reference: Reference,
-        b: Array,
-    ) -> None:
-        self._scene, self._numbering, self._naming = scene, numbering, naming
-        self._mapping, self._reference, self._b = mapping, reference, b
-        self._size = numbering.n_q, len(b)
+    scene: Scene
+    numbering: Numbering
+    naming: Naming
+    mapping: ParameterMap
+    reference: Reference
+    b: Array
 
     def constraints(self) -> JointConstraints:
         """Return the constraints of all joints, and of bodies that are rigid."""
         inputs, points = [], []
-        bodies = zip(self._numbering.bodies, self._numbering.rigid, strict=True)
+        bodies = zip(self.numbering.bodies, self.numbering.rigid, strict=True)
         rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
-        held = HeldAngles(self._naming.layout, {item.beam for item in rigidities})
-        for joint in (*self._scene.joints, *rigidities):
+        held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
+        for joint in (*self.scene.joints, *rigidities):
             item, own = self._joint(joint)
             inputs.append(item.shaped(held))
             points += own
-        n_b, d = len(self._b), self._numbering.element.d
+        n_b, d = len(self.b), self.numbering.element.d
         return JointConstraints(inputs, self._vectors(points), n_b, d)
 
     def forces(self) -> LoadForces:
         """Return the forces of all loads."""
-        inputs = [self.load(load) for load in self._scene.loads]
-        return LoadForces(inputs, *self._size, self._numbering.element.d)
+        inputs = [self.load(load) for load in self.scene.loads]
+        return LoadForces(inputs, self.numbering.n_q, len(self.b), self.numbering.element.d)
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
         """Return one joint as it stands alone, with its vectors."""
@@ -86,34 +72,26 @@ class PartInputs:
         return JointInput(joint, p, p_b, *self._in_reference(self._vectors(own))), own
 
     def _vectors(self, points: list[PointVector]) -> Vectors:
-        return Vectors(points, self._numbering.element.d, *self._size)
+        return Vectors(points, self.numbering.element.d, self.numbering.n_q, len(self.b))
 
     def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
         """Return vectors in the reference configuration, and their partials that are not zero."""
-        q_o, active = self._reference.q, self._reference.active
+        q_o, active = self.reference.q, self.reference.active
         reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
         if active:
-            q_ob = np.array([self._reference.moved(i).q.imag / STEP for i in active])
+            q_ob = np.array([self.reference.moved(i).q.imag / STEP for i in active])
             along[..., active] += np.moveaxis(vectors.of(q_ob), 0, -1).real
         moving = np.flatnonzero(np.any(along, axis=(0, 1)))
         return reference, {int(i): along[..., i] for i in moving}
 
     def _part(self, part: Part) -> tuple[list[PointVector], Array, Array]:
         """Return vectors of a joint or load, and values and partials of its design fields."""
-        p, p_b = self._mapping.numbers(part.name, self._b)
+        p, p_b = self.mapping.numbers(part.name, self.b)
         count = len(part.parameters())
         places, first = {}, count
         for point in part.points:
             last = first + len(point.numbers())
             places[point] = (p[first:last], p_b[first:last])
             first = last
-        own = []
-        for vector in part.vectors(self._numbering.element):
-            if isinstance(vector, CentreLine):
-                own.append(self._naming.centre_line(vector.beam))
-            elif isinstance(vector, Direction):
-                own.append(self._naming.direction(vector.body, vector.number))
-            else:
-                point, quantity = vector
-                own.append(self._naming.vector(point, quantity, places[point]))
-        return own, p[:count], p_b[:count]
+        names = part.vectors(self.numbering.element)
+        return point_vectors(self.naming, names, places), p[:count], p_b[:count]

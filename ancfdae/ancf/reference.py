@@ -26,19 +26,8 @@ class Reference:
     the shape, with R the rotation by the beam's turn. Its start is a place, or a point of another
     body. What is rigid has one node: its place and R times its directions.
 
-    Parameters
-    ----------
-    scene : Scene
-    mapping : ParameterMap
-    b : array, shape (n_b,)
-        Values of the design variables, real or complex.
-    naming : Naming
-        With element lengths at these values.
-
-    Attributes
-    ----------
-    active : list of int
-        Design variables that reference configuration or start depend on.
+    The values b of the design variables, with the element lengths of the naming at them, are real
+    or complex. Both configurations depend on the `active` ones.
     """
 
     def __init__(self, scene: Scene, mapping: ParameterMap, b: Array, naming: Naming) -> None:

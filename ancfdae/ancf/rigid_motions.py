@@ -19,19 +19,8 @@ from ancfdae.numerics.rotations import cayley, cayley_partials
 class RigidMotions:
     """Rigid motions of bodies, x of shape (n_bodies, n_x).
 
-    Parameters
-    ----------
-    owner : array of int, shape (n_vectors,)
-        Body that each vector of the scene belongs to, from 0 on.
-    positions : array of bool, shape (n_vectors,)
-        Whether the vector is a position; else it is a slope.
-    d : int
-        Dimension of space.
-
-    Attributes
-    ----------
-    n_x : int
-        Numbers of a motion: d displacements, and one turn in the plane or three in space.
+    n_x counts d displacements, and one turn in the plane or three in space. `owner` is the body
+    that each vector of the scene belongs to, from 0 on, `positions` whether it is one or a slope.
     """
 
     def __init__(self, owner: Array, positions: Array, d: int) -> None:

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf.beam_elements import BeamElements, StatePartials
-from ancfdae.elements import ElementParameter
+from ancfdae.elements import Batch, ElementParameter
 from ancfdae.elements.packing import packed_gram
 from ancfdae.elements.stresses import scaled, von_mises_form
 from ancfdae.elements.volume import change
@@ -26,21 +26,16 @@ _TOGETHER = 2_000_000
 
 @final
 class StressPoints:
-    """Von Mises stresses at fibres and places of some elements.
+    """Von Mises stresses at fibres and places xi of some elements.
 
-    Parameters
-    ----------
-    elements : BeamElements
-    xi : array, shape (n_xi,)
-    places : callable
-        y and z of the fibres, (n, n_f) each, out of parameters of the elements.
+    `places` gives y and z of the fibres, (n, n_f) each, out of the elements, moved or not.
     """
 
     def __init__(
-        self, elements: BeamElements, xi: Array, places: Callable[[Array], tuple[Array, Array]]
+        self, elements: BeamElements, xi: Array, places: Callable[[Batch], tuple[Array, Array]]
     ) -> None:
         self._own, self._xi, self._places = elements, xi, places
-        self._law = self._law_at(elements.parameters)
+        self._law = self._law_at(elements.batch)
 
     def value(self, q: Array, v: Array) -> Array:
         """Return the stresses, shape (k, n, n_p)."""
@@ -73,11 +68,7 @@ class StressPoints:
 
     @cached_property
     def _moved(self) -> list[tuple[_Law, Array, Array, Array]]:
-        """Laws at moved parameters, the step, and who moves them with which weights."""
-        return [
-            (self._law_at(moved), size, targets, weights)
-            for moved, size, targets, weights in self._own.driven()
-        ]
+        return self._own.moved(self._law_at)
 
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
         at = self._own.coordinates
@@ -88,15 +79,12 @@ class StressPoints:
         together = max(1, _TOGETHER // self._law.D[..., 0].size)
         return [slice(first, first + together) for first in range(0, count, together)]
 
-    def _law_at(self, parameters: Array) -> _Law:
-        own = self._own
-        arguments = own.kind, parameters, own.Y_unit, self._xi, self._places(parameters)
-        D = own.element.stress_map(*arguments)
+    def _law_at(self, own: Batch) -> _Law:
+        D = self._own.element.stress_map(own, self._xi, self._places(own))
         n, n_f, n_xi, n_v, n_g = D.shape
-        E, nu = parameters[:, [ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO]].T
-        assert own.kind.energy is not None  # elements without one have no stress map
-        Q = von_mises_form(own.element.d, own.kind.energy.stress_across(own.element.d, nu))
-        return _Law(D.reshape(n, n_f * n_xi, n_v, n_g), Q, _SMALL * E, parameters, own.Y_unit)
+        E, nu = own.moduli
+        Q = von_mises_form(own.d, own.energy.stress_across(own.d, nu))
+        return _Law(D.reshape(n, n_f * n_xi, n_v, n_g), Q, _SMALL * E, own)
 
 
 @final
@@ -110,8 +98,7 @@ class _Law:
     D: Array
     Q: Array
     small: Array
-    parameters: Array
-    Y_unit: Array
+    own: Batch
 
     def von_mises(self, Y: Array, V: Array) -> Array:
         """Return the stresses, shape (k, n, n_p)."""
@@ -132,15 +119,15 @@ class _Law:
 
     @property
     def _l(self) -> Array:
-        return self.parameters[:, ElementParameter.LENGTH]
+        return self.own.lengths
 
     @property
     def _tau(self) -> Array:
-        return self.parameters[:, ElementParameter.DAMPING_TIME]
+        return self.own.of(ElementParameter.DAMPING_TIME)
 
     def _stresses(self, Y: Array, V: Array) -> Array:
         """S, shape (k, n, n_p, n_v)."""
-        g_o = packed_gram(self.Y_unit)
+        g_o = packed_gram(self.own.Y_unit)
         x = strain(g_o, scaled(Y, self._l), scaled(V, self._l), self._tau)
         n, n_p, n_v, n_g = self.D.shape
         S = x.swapaxes(0, 1) @ self.D.reshape(n, n_p * n_v, n_g).swapaxes(1, 2)

@@ -143,7 +143,10 @@ class AncfSystem(MechanicalSystem):
         self.constraint_pattern = self._constraints.pattern
         self.constant_mass = True
         self.linear_constraints = self._constraints.linear
+        self.constant_constraints = self._constraints.constant
         self.velocity_forces = self._elastic.damped or self._loads.uses_velocity
+        # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that move.
+        self.symmetric = not (self._elastic.damped or self._loads.moving)
         self.weights = self._inertia.weights
         self.force_round_off = self._elastic.round_off(self._reference.Z.ravel(), self.weights)
         joints = self._constraints.joints
@@ -166,7 +169,8 @@ class AncfSystem(MechanicalSystem):
                 "design values", f"must have shape ({self.n_b},)", b.shape, "One per variable."
             )
         if np.any(b.real != self.b.real):
-            self._scene.check_values(self._design, b.real.tolist())
+            # Refuses values that a part cannot take.
+            self._scene.with_values(dict(zip(self._design, b.real.tolist(), strict=True)))
         return AncfSystem(self._scene, self._design, self._mapping, b)
 
     @cached_property
@@ -212,7 +216,7 @@ class AncfSystem(MechanicalSystem):
 
     def mass_b_times(self, q: Array, a: Array) -> Array:
         """(M a)_b."""
-        return only(self._inertia.times_b(a[None]))
+        return self._inertia.times_b(a)
 
     def force(self, q: Array, v: Array, t: float) -> Array:
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
@@ -236,10 +240,17 @@ class AncfSystem(MechanicalSystem):
 
     def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q."""
-        total = self._elastic.force_total(q, v, q_b, v_b) + self._inertia.gravity_b
+        rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
+        return self.force_and_total(rows[0], rows[1], t)[1:].T
+
+    def force_and_total(self, q: Array, v: Array, t: float) -> Array:
+        """Q and its total design derivatives as rows."""
+        rows = self._inertia.gravity_rows - self._elastic.totals(q, v)
         if self._scene.loads:
-            total = total + self._loads.force_total(q, v, np.array([t]), q_b, v_b)
-        return total
+            time = np.array([t])
+            total = self._loads.force_total(q[0], v[0], time, q[1:].T, v[1:].T)
+            rows = rows + np.concatenate([self._loads.force(q[:1], v[:1], time), total.T])
+        return rows
 
     def following_load(self, q: Array, t: float) -> Array:
         """Follower forces and moments."""

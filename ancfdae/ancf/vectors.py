@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import final
 
 import numpy as np
 import scipy
 
-from ancfdae.naming import PointVector
+from ancfdae.bodies import Point
+from ancfdae.naming import Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
+from ancfdae.parts import CentreLine, Direction
+from ancfdae.parts import Vectors as Names
 
 
 @final
 class Vectors:
     """A list of point vectors as one linear map with design derivatives.
 
-    Attributes
-    ----------
-    matrix : sparse array, shape (n_v d, n_q)
-        L; row d i + c is component c of vector i.
-    moves : array of bool, shape (n_b,)
-        Whether L depends on each design variable.
+    `matrix` is L, (n_v d, n_q): row d i + c is component c of vector i. `moves`, (n_b,), tells
+    whether it depends on each design variable.
     """
 
     def __init__(self, vectors: Sequence[PointVector], d: int, n_q: int, n_b: int) -> None:
@@ -81,3 +80,18 @@ class Vectors:
     def lift(self, F: Array) -> Array:
         """Return L^T F, shape (k, n_v, d) to (k, n_q)."""
         return self._L.rows_transposed(F.reshape(len(F), -1))
+
+
+def point_vectors(
+    naming: Naming, names: Names, places: Mapping[Point, tuple[Array, Array]] | None = None
+) -> list[PointVector]:
+    """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
+    own = []
+    for name in names:
+        if isinstance(name, CentreLine):
+            own.append(naming.centre_line(name.beam))
+        elif isinstance(name, Direction):
+            own.append(naming.direction(name.body, name.number))
+        else:
+            own.append(naming.vector(*name, None if places is None else places[name[0]]))
+    return own

@@ -7,7 +7,7 @@ from typing import final
 from ancfdae.ancf.joint_work import JointWork, at_unit_rate
 from ancfdae.ancf.load_work import LoadWork
 from ancfdae.ancf.part_inputs import PartInputs
-from ancfdae.errors import InvalidInput, UnknownName
+from ancfdae.errors import InvalidInput, named
 from ancfdae.joints import DrivenJoint
 from ancfdae.naming import Layout
 from ancfdae.scene import Scene
@@ -15,17 +15,7 @@ from ancfdae.scene import Scene
 
 @final
 class Works:
-    """What does work in a scene, by name.
-
-    Parameters
-    ----------
-    scene : Scene
-    inputs : PartInputs
-    layout : Layout
-        Knows the rows of the joints.
-    n_b : int
-        Number of design variables.
-    """
+    """What does work in a scene, by name; the layout knows the rows of the joints."""
 
     def __init__(self, scene: Scene, inputs: PartInputs, layout: Layout, n_b: int) -> None:
         self._scene, self._inputs, self._layout, self._n_b = scene, inputs, layout, n_b
@@ -33,13 +23,7 @@ class Works:
         self._loads: dict[str, LoadWork] = {}
 
     def of_joint(self, name: str, unit_rate: bool) -> JointWork:
-        """Return what gives the power of a driven joint, or at a unit rate its torque or force.
-
-        Raises
-        ------
-        InvalidInput
-            If the joint is not driven: it does no work.
-        """
+        """Return what gives the power of a driven joint, or at a unit rate its torque or force."""
         key = name, unit_rate
         if key not in self._joints:
             place = self._layout.joint(name)
@@ -54,8 +38,6 @@ class Works:
     def of_load(self, name: str) -> LoadWork:
         """Return what gives the power of a load, or raise UnknownName."""
         if name not in self._loads:
-            loads = {load.name: load for load in self._scene.loads}
-            if name not in loads:
-                raise UnknownName("load", name, loads)
-            self._loads[name] = LoadWork(self._inputs.load(loads[name]), self._n_b)
+            load = named("load", name, self._scene.loads)
+            self._loads[name] = LoadWork(self._inputs.load(load), self._n_b)
         return self._loads[name]

@@ -27,8 +27,6 @@ from ancfdae.sensitivity.adjoint import Adjoint
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
 
-_INTEGRATOR = "For example HHT(step=0.01)."
-
 
 def simulate(
     model: Scene | MechanicalSystem,
@@ -62,8 +60,6 @@ def simulate(
     Interrupted
         At Ctrl-C; its `result` is the solution up to there.
     """
-    require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
-    _require_after(after)
     return uninterrupted(Run(as_system(model), t_end, integrator, progress, after).solution())
 
 
@@ -100,9 +96,7 @@ def differentiate(
         As `simulate`.
     """
     method = Direct() if method is None else method
-    require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
-    _require_after(after)
     run = Run(differentiable(model, design), t_end, integrator, progress, after)
     return uninterrupted(method.differentiate(run))
 
@@ -169,9 +163,7 @@ def gradients(
     progress: bool = False,
 ) -> list[Gradient]:
     """Return value and gradient of several objectives of one run; see `gradient`."""
-    require_kind("integrator", integrator, (Integrator,), _INTEGRATOR)
     objectives = require_sequence("objectives", objectives)
-    _require_after(after)
     system = differentiable(model, design)
     require_objectives(system, objectives, t_end)
     if memory is not None:
@@ -228,16 +220,12 @@ def require_objectives(
     """Refuse objectives that a run of this system cannot have."""
     require_positive("t_end", t_end)
     repair = "Wrap an observable in Integral, Terminal, AtTimes, SmoothMaximum or UpperMaximum."
+    if not objectives:
+        raise InvalidInput("objectives", "must be one or more", "none", repair)
     for objective in objectives:
         require_kind("objective", objective, (Objective,), repair)
     for objective in objectives:
         objective.check(system, t_end)
-
-
-def _require_after(after: object) -> None:
-    """Refuse what is no run to go on with."""
-    if after is not None:
-        require_kind("after", after, (Solution,), "Pass what simulate returned.")
 
 
 def cheapest(variables: int, objectives: int) -> GradientMethod:

@@ -8,8 +8,9 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, NamedTuple, TypeVar, final
 from uuid import uuid4
 
@@ -21,39 +22,65 @@ _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")
 # What the ways to send a task raise if it does not pickle.
 _UNSENT = (pickle.PicklingError, AttributeError, TypeError)
-# Tasks that are sent one by one, to learn what one takes; how long to wait for these; s. What
-# takes less than this goes with others, so that a worker has little to finish after the last; s.
-_FIRST, _PATIENCE, _TOGETHER = 16, 2.0, 0.1
+# Tasks that are sent one by one, and how many answers of these tell what one takes; how long to
+# wait for them; s. Short tasks travel together, for this long at most; s.
+_FIRST, _ENOUGH, _PATIENCE, _TOGETHER = 6, 3, 2.0, 0.2
 
 
 def answers(
-    function: Callable[[_Task], _Answer], tasks: Mapping[int, _Task], executor: Executor | None
-) -> Generator[tuple[int, _Answer | Exception], None, None]:
+    function: Callable[[_Task], _Answer],
+    tasks: Mapping[int, _Task],
+    executor: Executor | None,
+    parts: Mapping[str, object],
+    *,
+    progress: bool,
+    done: int = 0,
+) -> Generator[tuple[int, _Answer | str], None, None]:
     """Yield the key of a task and its answer, as answers arrive.
 
-    In this process one after the other without an executor. The answer of a worker that was lost
-    is the exception that tells so. What has not begun when the loop ends early is cancelled; close
-    the iterator for that. Short tasks travel together: sending one to a Dask cluster costs 4 ms.
+    In this process one after the other without an executor. Where a worker was lost the answer is
+    why, in words. What has not begun when the loop ends early is cancelled; close the iterator for
+    that. A progress bar counts the tasks, and those that are `done` already.
 
     Raises
     ------
+    InvalidInput
+        If one of the `parts`, which tasks and function are made of, does not pickle.
     KeyboardInterrupt
         Also if a worker was interrupted.
     """
-    if executor is None:
-        for key, task in tasks.items():
-            yield key, function(task)
-        return
+    from tqdm import tqdm
+
+    here = ((key, function(task)) for key, task in tasks.items())
+    arriving = here if executor is None else _from_workers(function, tasks, executor)
+    bar = tqdm(total=done + len(tasks), initial=done, disable=not progress, unit="run")
+    with bar, closing(arriving):
+        for key, answer in arriving:
+            bar.update()
+            if isinstance(answer, Exception):
+                _require_pickles(answer, parts)
+                yield key, f"{type(answer).__name__} in a worker: {answer}"
+            else:
+                yield key, answer
+
+
+def _from_workers(
+    function: Callable[[_Task], _Answer], tasks: Mapping[int, _Task], executor: Executor
+) -> Generator[tuple[int, _Answer | Exception], None, None]:
+    """Yield answers, or what a worker was lost by.
+
+    Short tasks travel together: sending one to a Dask cluster costs 4 ms.
+    """
     keys, least = list(tasks), _TOGETHER
-    futures = _sent(function, tasks, keys[:_FIRST], 1, executor)
+    futures = _sent(function, tasks, [[key] for key in keys[:_FIRST]], executor)
     try:
         with suppress(TimeoutError):
-            for future in as_completed(list(futures), _PATIENCE):
+            # The others keep the workers busy until the rest arrives.
+            for future in islice(as_completed(list(futures), _PATIENCE), _ENOUGH):
                 yield from _arrived(future, futures.pop(future))
                 least = min(least, _seconds(future))
-        rest = keys[_FIRST:]
-        size = max(1, min(int(_TOGETHER / least), len(rest) // _FIRST))
-        futures |= _sent(function, tasks, rest, size, executor)
+        packets = _packets(keys[_FIRST:], int(_TOGETHER / least))
+        futures |= _sent(function, tasks, packets, executor)
         for future in as_completed(list(futures)):
             yield from _arrived(future, futures.pop(future))
     except KeyboardInterrupt:
@@ -96,16 +123,25 @@ def _together(packet: _Packet) -> _Done:
     return _Done(found, interrupted, time.perf_counter() - clock)
 
 
+def _packets(keys: Sequence[int], most: int) -> list[Sequence[int]]:
+    """Return keys that travel together: fewer and fewer, so that all workers end at one time."""
+    packets = []
+    while keys:
+        size = max(1, min(most, len(keys) // _FIRST))
+        packets.append(keys[:size])
+        keys = keys[size:]
+    return packets
+
+
 def _sent(
     function: Callable[[_Task], Any],
     tasks: Mapping[int, _Task],
-    keys: Sequence[int],
-    size: int,
+    packets: Sequence[Sequence[int]],
     executor: Executor,
 ) -> dict[Future[_Done], Sequence[int]]:
-    """Send tasks, `size` of them at a time; what cannot be sent is an answer that says so."""
+    """Send tasks; what cannot be sent is an answer that says so."""
     futures = {}
-    for part in (keys[i : i + size] for i in range(0, len(keys), size)):
+    for part in packets:
         try:
             future = executor.submit(_together, _Packet(function, [tasks[key] for key in part]))
         except (BrokenExecutor, *_UNSENT) as error:
@@ -136,13 +172,8 @@ def _seconds(future: Future[_Done]) -> float:
     return np.inf if future.cancelled() or future.exception() else future.result().seconds
 
 
-def require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
-    """Name the part that does not pickle, if that is why an answer was lost.
-
-    Raises
-    ------
-    InvalidInput
-    """
+def _require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:
+    """Name the part that does not pickle, if that is why an answer was lost."""
     for name, part in parts.items() if isinstance(lost, _UNSENT) else ():
         try:
             pickle.dumps(part)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -20,8 +19,10 @@ from ancfdae.errors import (
     Outcome,
     require_array,
     require_count,
+    require_each,
+    require_folder,
     require_kind,
-    require_sequence,
+    require_path,
     uninterrupted,
 )
 from ancfdae.integrators import HHT, Integrator
@@ -138,13 +139,13 @@ def observations(
         As `simulate_thinned`.
     """
     system = as_system(model)
-    observables = require_sequence("observables", observables)
+    repair = "For example position(rod.at_end, 0)."
+    observables = require_each("observables", observables, (Observable,), repair)
     for each in observables:
-        require_kind("observables", each, (Observable,), "For example position(rod.at_end, 0).")
         each.check(system)
     run = _LongRun(system, t_end, integrator, every, at)
     shape = len(run.times), 1 + len(observables)
-    rows = np.zeros(shape) if file is None else _on_disk(Path(file), shape)
+    rows = np.zeros(shape) if file is None else _on_disk(file, shape)
     done = steps = 0
     for part, some in run:
         if len(some.t):
@@ -156,9 +157,10 @@ def observations(
     return uninterrupted(Observations(rows[:done, 0], rows[:done, 1:], steps, part.outcome))
 
 
-def _on_disk(file: Path, shape: tuple[int, int]) -> Array:
+def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
     """Return an array in a new file, filled with NaN."""
-    rows: Array = np.lib.format.open_memmap(file, mode="w+", dtype=float, shape=shape)
+    path = require_folder("file", require_path("file", file))
+    rows: Array = np.lib.format.open_memmap(path, mode="w+", dtype=float, shape=shape)
     rows[:] = np.nan
     return rows
 

@@ -86,8 +86,5 @@ def _at_start(system: AncfSystem, observable: Observable) -> tuple[float, Array]
     observable.check(system)
     q, v = system.start()
     states = States(np.zeros(1), q[None], v[None], np.zeros((1, system.n_lam)))
-    if not system.n_b:
-        return float(observable.value(system, states)[0]), np.zeros(0)
-    p, (q_b, _) = observable.partials(system, states), system.start_b()
-    slope = p.b[0] if p.q is None else p.b[0] + p.q[0] @ q_b
-    return float(p.value[0]), slope
+    p, (q_b, v_b) = observable.partials(system, states), system.start_b()
+    return float(p.value[0]), p.total(q_b[None], v_b[None], None)[0]

@@ -13,8 +13,8 @@ from ancfdae.design import DesignVariable
 from ancfdae.errors import (
     InvalidInput,
     require_array,
+    require_each,
     require_finite,
-    require_kind,
     require_positive,
     require_sequence,
 )
@@ -39,7 +39,7 @@ class Misfit:
         What was measured, n of them.
     times : sequence of float
         Instants of the measurements, m of them, none negative; s. Between the steps of a run values
-        are interpolated with the order of the integrator, linearly for HHT.
+        are interpolated as by `AtTimes`.
     data : array, shape (n, m)
         Measured values; NaN where there is none.
     weights : float or array, optional
@@ -59,18 +59,21 @@ class Misfit:
 
     def __post_init__(self) -> None:
         """Validate and freeze."""
-        observables = require_sequence("Misfit.observables", self.observables)
-        for observable in observables:
-            require_kind("Misfit.observables", observable, (Observable,), "Use position(...), say.")
+        where, repair = "Misfit.observables", "Use position(...), say."
+        observables = require_each(where, self.observables, (Observable,), repair)
         times = require_sequence("Misfit.times", self.times)
         for time in times:
-            require_finite("Misfit.times", float(time))
+            require_finite("Misfit.times", time)
         if not times or min(times) < 0:
             raise InvalidInput(
                 "Misfit.times", "must be one or more times from 0 on", times, "Give such times."
             )
         shape = (len(observables), len(times))
-        data = np.asarray(self.data, dtype=float)
+        try:
+            data = np.asarray(self.data, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            rule, repair = "must be an array of numbers", "Give one row per observable."
+            raise InvalidInput("Misfit.data", rule, repr(self.data), repair) from None
         if data.shape != shape or np.all(np.isnan(data)) or np.any(np.isinf(data)):
             raise InvalidInput(
                 "Misfit.data",
@@ -117,7 +120,6 @@ class Misfit:
         if max(self.times) > t_end * (1 + 1e-12):
             rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
             raise InvalidInput("Misfit.times", rule, max(self.times), repair)
-        require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)
@@ -129,9 +131,11 @@ class Misfit:
 class Fit:
     """Residuals of a model and their Jacobian, for ``scipy.optimize.least_squares``.
 
-    ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac")``
-    finds the design values. Both functions come from one run with direct differentiation per
-    design, which is kept for the other.
+    ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac",
+    gtol=None)`` finds the design values. Without ``gtol=None`` it may stop at the start and report
+    success: SciPy compares J^T r with 1e-8, whatever the units, and in moduli in Pa that is small.
+    Both functions come from one run with direct differentiation per design, which is kept for the
+    other.
 
     Attributes
     ----------
@@ -226,13 +230,10 @@ def _along(
     observable: Observable, system: MechanicalSystem, solution: Solution
 ) -> tuple[Array, Array]:
     """Values of an observable and their total derivatives, shape (k,) and (k, n_b)."""
-    states, s = states_of(solution), solution.sensitivities
-    assert s is not None  # asked for
+    states, own = states_of(solution), solution.sensitivities
+    assert own is not None  # asked for
     p = observable.partials(system, states)
-    total = p.b
-    for rows, x_b in ((p.q, s.q_b), (p.v, s.v_b), (p.lam, s.lam_b)):
-        if rows is not None:
-            total = total + np.einsum("kn,knb->kb", rows, x_b)
+    total = p.total(own.q_b, own.v_b, own.lam_b)
     bad = ~np.isfinite(p.value) | ~np.isfinite(total).all(axis=1)
     if np.any(bad):
         raise NonFiniteObjective("Misfit", "an observable", float(states.t[np.argmax(bad)]))

@@ -39,13 +39,7 @@ class DesignedConfiguration(abc.ABC):
 
 
 def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
-    """Return the place that a user means.
-
-    Raises
-    ------
-    InvalidInput
-        If it is none.
-    """
+    """Return the place that a user means; InvalidInput if it is none."""
     if at is None:
         return _Start(system)
     require_kind("at", at, (Configuration, Equilibrium), "Pass what `equilibrium` returned.")
@@ -75,6 +69,7 @@ class _Balanced(DesignedConfiguration):
 
     def __init__(self, system: MechanicalSystem, at: Equilibrium) -> None:
         self._system, self._at = system, at
+        Configuration(at.q, at.lam, t=self._t).check(system)
 
     @cached_property
     def _tangent(self) -> Tangent:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ancfdae.api.calls import as_system
 from ancfdae.api.mode_places import place
 from ancfdae.design import DesignVariable
-from ancfdae.errors import require_count, require_kind, require_positive
+from ancfdae.errors import require_count, require_flag, require_kind, require_positive
 from ancfdae.modes import Configuration, Modes, StepSuggestion, modes_about, suggestion
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.scene import Scene
@@ -62,6 +62,7 @@ def modes(
         If the input makes no sense.
     """
     require_count("count", count, "Ask for one or more modes.")
+    require_flag("highest", highest)
     if method is not None:
         require_kind("method", method, (Direct, Adjoint), "Direct() or Adjoint().")
     system = as_system(model, design)

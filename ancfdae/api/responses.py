@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -30,20 +30,22 @@ from ancfdae.errors import (
     InvalidInput,
     UnknownName,
     require_array,
+    require_finite,
     require_flag,
     require_kind,
     require_text,
 )
-from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.integrators import HHT, AdjointIntegrator, ControlledSteps, Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.scene import Scene
-from ancfdae.sensitivity import Direct, GradientMethod
+from ancfdae.sensitivity import Adjoint, Direct, GradientMethod
 from ancfdae.sensitivity.method import Run
 
-# Optimisers go back to the design before the last one where a step was too long.
+# Runs that are kept: optimisers go back to the design before the last one where a step was too
+# long. Values are all kept: COBYQA asks for those of old designs again and again.
 _KEPT = 4
 
 
@@ -54,7 +56,9 @@ class Responses:
     ``r["mass"]`` is a function for SciPy's optimisers, ``r["mass"].gradient`` its gradient,
     ``r.constraint("miss", upper=1.0)`` a `NonlinearConstraint`, and `values` and `jacobian` are
     those of all functions, for `least_squares`. Whatever is asked for first runs the design; the
-    rest is remembered.
+    rest is remembered. Values alone cost the run alone, so that searches without derivatives pay
+    for none: `HHT` differentiates the run when a gradient is asked for; other integrators, and
+    `Adjoint(memory)`, which take both at once, do so in every run after the first such question.
 
     Parameters
     ----------
@@ -119,8 +123,10 @@ class Responses:
         self._run, self._method, self._strict = Run(system, t_end, integrator), method, strict
         self._functions, self._scale = dict(functions), _scale(scale, system.n_b)
         self._limits = design_bounds(system, design)
-        self._kept: dict[bytes, Evaluation] = {}
-        self._last: Evaluation | None = None
+        self._known: dict[bytes, Evaluation] = {}
+        self._runs: dict[bytes, tuple[Run, Solution]] = {}
+        self._good: list[Array] = []
+        self._asked, self._resumes = False, _resumes(integrator, method)
         self._rows: list[SweepRow] = []
         self.names, self.design_names = tuple(functions), tuple(system.design_names)
 
@@ -141,6 +147,7 @@ class Responses:
 
     def __getitem__(self, name: str) -> Response:
         """Return one of the functions."""
+        require_text("function of the design", name)
         if name not in self.names:
             raise UnknownName("function of the design", name, self.names)
         return Response(self, self.names.index(name))
@@ -150,6 +157,9 @@ class Responses:
     ) -> scipy.optimize.NonlinearConstraint:
         """Return lower <= function <= upper for ``minimize(constraints=...)``."""
         response = self[name]
+        for bound, free in ((lower, -np.inf), (upper, np.inf)):
+            if str(bound) != str(free):
+                require_finite(f"constraint {name!r}", bound)
         if not lower <= upper or (lower, upper) == (-np.inf, np.inf):
             rule, repair = "lower and upper must bound it", 'For example upper=1.0 for "at most 1".'
             raise InvalidInput(f"constraint {name!r}", rule, f"{lower} and {upper}", repair)
@@ -158,55 +168,84 @@ class Responses:
 
     def values(self, x: Array) -> Array:
         """Return the values of all functions, shape (m,); infinite where the design has none."""
-        return self.at(x).values.copy()
+        return self.at(x, derivatives=False).values.copy()
 
     def jacobian(self, x: Array) -> Array:
         """Return their derivatives in x, shape (m, n_b); NaN where the design has no values."""
-        return self.at(x).jacobian.copy()
+        found = self.at(x).jacobian
+        assert found is not None  # asked for
+        return found.copy()
 
     def solution(self, x: Array) -> Solution:
         """Return the run at x; raises the error of a design that has none."""
-        found = self.at(x)
+        found = self.at(x, derivatives=False)
         if found.error is not None:
             raise found.error
-        assert found.solution is not None
-        return found.solution
+        if found.x.tobytes() not in self._runs:
+            self._evaluated(found.x, derivatives=False)
+        return self._runs[found.x.tobytes()][1]
 
     def __repr__(self) -> str:
         """Return the functions and what was run."""
         lines = f"Responses: {', '.join(self.names)}; {len(self._rows)} designs run"
         return f"{lines}\n{self.history}" if self._rows else lines
 
-    def at(self, x: Array) -> Evaluation:
-        """Return what the run at x gave."""
+    def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
+        """Return what the design x gave; without `derivatives` perhaps its values only."""
         x = require_array("x", x, (self._run.system.n_b,))
-        key = x.tobytes()
-        if key not in self._kept:
-            found = self._evaluated(x)
-            if len(self._kept) == _KEPT:
-                del self._kept[next(iter(self._kept))]
-            self._kept[key] = found
-        return self._kept[key]
+        found = self._known.get(x.tobytes())
+        if found is None or (derivatives and found.jacobian is None):
+            found = self._evaluated(x, derivatives)
+        return found
 
-    def _evaluated(self, x: Array) -> Evaluation:
-        """Run a design, and take note of it."""
-        b = x * self._scale
+    def _evaluated(self, x: Array, derivatives: bool) -> Evaluation:
+        """Run a design, or differentiate the run that is there; take note of what it gave."""
+        key, b = x.tobytes(), x * self._scale
         at = dict(zip(self.design_names, b.tolist(), strict=True))
+        self._asked = self._asked or derivatives
         try:
-            found = self._method.gradients(self._run.at(b), list(self._functions.values()))
+            found = self._computed(x, key, b, derivatives or (self._asked and not self._resumes))
         except AncfdaeError as error:
             self._rows.append(SweepRow(at, None, f"{type(error).__name__}: {error}"))
-            if self._strict or self._last is None:
-                raise
-            warnings.warn(f"the design {at} has no values: {error}", FailedDesign, stacklevel=5)
-            shape = (len(self.names), len(b))
-            none = np.full(shape[0], np.inf), np.full(shape, np.nan)
-            return Evaluation(x, *none, None, error, self._last)
-        values = np.array([each.value for each in found])
-        self._rows.append(SweepRow(at, dict(zip(self.names, values.tolist(), strict=True))))
-        jacobian = np.array([each.gradient for each in found]) * self._scale
-        self._last = Evaluation(x, values, jacobian, found[0].solution)
-        return self._last
+            found = self._failed(x, at, error)
+        else:
+            if key not in self._known:
+                values = dict(zip(self.names, found.values.tolist(), strict=True))
+                self._rows.append(SweepRow(at, values))
+            self._good = [*self._others(x), x][-2:]
+        self._known[key] = found
+        return found
+
+    def _computed(self, x: Array, key: bytes, b: Array, derivatives: bool) -> Evaluation:
+        """Return values, and derivatives if wanted; keep the run as one of the last."""
+        run, solution = self._runs.pop(key, (None, None))
+        run, functions = run or self._run.at(b), list(self._functions.values())
+        jacobian = None
+        if derivatives:
+            after = solution if self._resumes else None
+            found = self._method.gradients(replace(run, after=after), functions)
+            values, solution = np.array([each.value for each in found]), found[0].solution
+            jacobian = np.array([each.gradient for each in found]) * self._scale
+        else:
+            solution, values = run.values(functions)
+        if len(self._runs) == _KEPT:
+            del self._runs[next(iter(self._runs))]
+        self._runs[key] = run, solution
+        return Evaluation(x, values, jacobian)
+
+    def _failed(self, x: Array, at: Mapping[str, float], error: AncfdaeError) -> Evaluation:
+        """Warn of a design that has no values."""
+        others = self._others(x)
+        if self._strict or not others:
+            raise error
+        warnings.warn(f"the design {at} has no values: {error}", FailedDesign, stacklevel=5)
+        shape = len(self.names), len(x)
+        none = np.full(shape[0], np.inf), np.full(shape, np.nan)
+        return Evaluation(x, *none, error, others[-1])
+
+    def _others(self, x: Array) -> list[Array]:
+        """Return the last designs that had values, without that at x."""
+        return [other for other in self._good if not np.array_equal(other, x)]
 
 
 @final
@@ -222,18 +261,27 @@ class Response:
     sign: float = 1.0
 
     def __call__(self, x: Array) -> float:
-        """Return the value at x."""
-        return self._pair(x)[0]
+        """Return the value at x; of derivatives nothing is computed."""
+        found = self.responses.at(x, derivatives=False)
+        if found.error is not None:
+            return self._beyond(found)[0]
+        return float(found.values[self.index])
 
     def gradient(self, x: Array) -> Array:
         """Return the gradient in x, shape (n_b,)."""
-        return self._pair(x)[1]
+        found = self.responses.at(x)
+        if found.error is not None:
+            return self._beyond(found)[1]
+        assert found.jacobian is not None  # asked for
+        return np.array(found.jacobian[self.index])
 
-    def _pair(self, x: Array) -> tuple[float, Array]:
-        found, k = self.responses.at(x), self.index
-        near = found.near
-        if near is None:
-            return float(found.values[k]), found.jacobian[k].copy()
+    def _beyond(self, found: Evaluation) -> tuple[float, Array]:
+        """Value and gradient of a design that has none."""
+        assert found.near is not None  # of every design with an error
+        near, k = self.responses.at(found.near), self.index
+        if near.error is not None:
+            raise near.error
+        assert near.jacobian is not None  # asked for
         d = found.x - near.x
         r = self.sign * np.linalg.norm(near.jacobian[k]) * np.linalg.norm(d)
         return float(near.values[k] + r), 3 * r * d / (d @ d)
@@ -242,17 +290,23 @@ class Response:
 @final
 @dataclass(frozen=True)
 class Evaluation:
-    """What one design gave: values, derivatives in x and the run.
+    """What one design gave: values and, if they were asked for, derivatives in x.
 
-    A design that has none has the error, and the last design before that had values.
+    A design that has none has the error, and the last x before that had values.
     """
 
     x: Array
     values: Array
-    jacobian: Array
-    solution: Solution | None
+    jacobian: Array | None
     error: AncfdaeError | None = None
-    near: Evaluation | None = None
+    near: Array | None = None
+
+
+def _resumes(integrator: Integrator, method: GradientMethod) -> bool:
+    """Whether a run that is there can be differentiated: then values go without derivatives."""
+    if not isinstance(integrator, HHT) or (isinstance(method, Adjoint) and method.memory):
+        return False
+    return not (isinstance(integrator.steps, ControlledSteps) and integrator.steps.sensitivities)
 
 
 def _scale(scale: object, n_b: int) -> Array:

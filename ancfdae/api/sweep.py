@@ -7,13 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
 from ancfdae.api.calls import as_system, gradient
-from ancfdae.api.jobs import answers, require_pickles
+from ancfdae.api.jobs import answers
 from ancfdae.api.sweep_file import SweepFile
 from ancfdae.api.sweep_result import Sweep, SweepRow
 from ancfdae.design import DesignVariable
@@ -22,7 +21,9 @@ from ancfdae.errors import (
     InvalidInput,
     UnknownName,
     require_flag,
+    require_folder,
     require_kind,
+    require_path,
     require_sequence,
 )
 from ancfdae.integrators import Integrator
@@ -143,24 +144,19 @@ def sweep(
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
     given = _mappings(model, designs, design)
     values = [{_name(key): value for key, value in each.items()} for each in given]
-    kept = None if file is None else SweepFile(Path(file), model, what, values)
+    path = None if file is None else require_folder("file", require_path("file", file))
+    kept = None if path is None else SweepFile(path, model, what, values)
     rows = {} if kept is None else kept.rows()
     tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
-    interrupted = False
-    arriving = answers(_row, tasks, executor)
-    from tqdm import tqdm
-
-    bar = tqdm(total=len(given), initial=len(rows), disable=not progress, unit="run")
-    with bar, closing(arriving):
+    interrupted, parts = False, {"model": model, "what": what}
+    arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows))
+    with closing(arriving):
         try:
             for k, answer in arriving:
-                if isinstance(answer, SweepRow):
-                    rows[k] = answer if kept is None else kept.append(k, answer)
+                if isinstance(answer, str):
+                    rows[k] = SweepRow(values[k], None, answer)
                 else:
-                    require_pickles(answer, {"model": model, "what": what})
-                    error = f"{type(answer).__name__} in a worker: {answer}"
-                    rows[k] = SweepRow(values[k], None, error)
-                bar.update()
+                    rows[k] = answer if kept is None else kept.append(k, answer)
         except KeyboardInterrupt:
             interrupted = True
     left = "not computed: the sweep was interrupted"

@@ -26,20 +26,9 @@ _OTHER = "Give another file, or remove this one to compute all rows anew."
 
 @final
 class SweepFile:
-    """Rows of one sweep on disk.
+    """Rows of one sweep on disk; InvalidInput if the file holds something else.
 
-    Parameters
-    ----------
-    path : Path
-    model, what : object
-        What the rows belong to.
-    values : sequence of mappings
-        The designs, by name.
-
-    Raises
-    ------
-    InvalidInput
-        If the file holds something else.
+    They belong to `model` and `what`, at designs with these values by name.
     """
 
     def __init__(
@@ -47,7 +36,10 @@ class SweepFile:
     ) -> None:
         self._path, self._values = path, values
         self._head = {"sweep of": {"model": _mark(model), "what": _mark(what)}}
-        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        try:
+            text = path.read_text(encoding="utf-8") if path.exists() else ""
+        except UnicodeDecodeError:
+            raise self._refused("must be the file of a sweep", "something else") from None
         whole = text[: text.rfind("\n") + 1]
         self._lines = whole.splitlines()
         if self._lines:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.api.calls import differentiable, gradient
 from ancfdae.design import DesignVariable
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_array
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.objectives import Objective
@@ -94,19 +94,18 @@ def taylor_test(
     InvalidInput, UnfinishedRun, NonFiniteObjective
         As `gradient`.
     """
-    system = differentiable(model, design)
-    if len(sizes) < 2 or np.any(np.diff(sizes) >= 0) or min(sizes) <= 0:
+    system, s = differentiable(model, design), require_array("sizes", sizes)
+    if s.ndim != 1 or len(s) < 2 or np.any(np.diff(s) >= 0) or s[-1] <= 0:
         raise InvalidInput(
             "sizes", "must be two or more, positive and falling", sizes, "Use 1e-3, 5e-4."
         )
-    relative = np.ones(system.n_b) if direction is None else np.asarray(direction, dtype=float)
-    if relative.shape != (system.n_b,):
-        raise InvalidInput(
-            "direction", f"must have {system.n_b} entries", relative.shape, "One per variable."
-        )
+    given = np.ones(system.n_b) if direction is None else direction
+    relative = require_array("direction", given, (system.n_b,))
+    if not relative.any():
+        raise InvalidInput("direction", "must not be zero", given, "Change a variable.")
     db = relative * np.where(system.b == 0, 1.0, np.abs(system.b))
     base = gradient(system, objective, t_end, integrator, method=method)
-    frozen, s = integrator.frozen(base.solution), np.asarray(sizes, dtype=float)
+    frozen = integrator.frozen(base.solution)
     changes = []
     for size in s:
         moved = system.with_values(system.b + size * db)

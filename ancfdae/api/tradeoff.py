@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import replace
-from typing import Any
 
 from ancfdae.api.calls import differentiable, require_objectives
-from ancfdae.api.jobs import answers, require_pickles
+from ancfdae.api.jobs import answers
 from ancfdae.api.tradeoff_result import Tradeoff, compared
 from ancfdae.api.tradeoff_run import Measurement, Results, Task, measure
 from ancfdae.design import DesignVariable
@@ -18,10 +17,10 @@ from ancfdae.errors import (
     InvalidInput,
     Verdict,
     require_count,
+    require_each,
     require_flag,
     require_kind,
     require_positive,
-    require_sequence,
     uninterrupted,
 )
 from ancfdae.integrators import IDA, Explicit, Integrator
@@ -89,11 +88,10 @@ def tradeoff(
     KeyboardInterrupt
         If Ctrl-C comes before the reference is there.
     """
-    settings = require_sequence("settings", settings)
+    repair = "For example [HHT(step=0.01)]."
+    settings = require_each("settings", settings, (Integrator,), repair)
     if not settings:
-        raise InvalidInput("settings", "must not be empty", "none", "For example [HHT(step=0.01)].")
-    for setting in settings:
-        require_kind("settings", setting, (Integrator,), "For example [HHT(step=0.01)].")
+        raise InvalidInput("settings", "must not be empty", "none", repair)
     if reference is not None:
         require_kind("reference", reference, (Integrator,), "For example Explicit(1e-10).")
     if method is not None:
@@ -112,10 +110,7 @@ def tradeoff(
     tasks += [
         Task(system, objective, t_end, each, method, repeats, time_limit) for each in settings
     ]
-    from tqdm import tqdm
-
-    with tqdm(total=len(tasks), disable=not progress, unit="run") as bar:
-        measured = _measured(tasks, executor, bar)
+    measured = _measured(tasks, executor, progress)
     exact = _required(measured[0])
     rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, measured, strict=True)]
     done = Tradeoff(tuple(rows[1:]), replace(rows[0], outcome=rows[0].outcome + why))
@@ -146,23 +141,19 @@ def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:
     return IDA(1e-9, max_steps=_STEPS), why
 
 
-def _measured(tasks: Sequence[Task], executor: Executor | None, bar: Any) -> list[Measurement]:
+def _measured(
+    tasks: Sequence[Task], executor: Executor | None, progress: bool
+) -> list[Measurement]:
     """Measure all tasks, the reference first; after an interrupt with rows that say so."""
     found: dict[int, Measurement] = {}
-    arriving = answers(measure, dict(enumerate(tasks)), executor)
+    parts = {"model": tasks[0].system, "objective": tasks[0].objective}
+    arriving = answers(measure, dict(enumerate(tasks)), executor, parts, progress=progress)
     with closing(arriving):
         try:
             for k, answer in arriving:
-                if isinstance(answer, Measurement):
-                    found[k] = answer
-                else:
-                    parts = {"model": tasks[k].system, "objective": tasks[k].objective}
-                    require_pickles(answer, parts)
-                    error = f"{type(answer).__name__} in a worker: {answer}"
-                    found[k] = Measurement(0.0, error)
+                found[k] = Measurement(0.0, answer) if isinstance(answer, str) else answer
                 if k == 0:
                     _required(found[0])
-                bar.update()
         except KeyboardInterrupt:
             # Without the reference nothing could be said of the others.
             if 0 not in found:

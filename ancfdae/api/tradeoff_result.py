@@ -92,7 +92,7 @@ class Setting:
 
     def error(self, of: ErrorKind) -> float:
         """Return one of the four errors; infinite if the setting failed."""
-        if of not in _KINDS:
+        if str(of) not in _KINDS:  # Also of an array, which compares entry by entry.
             known = ", ".join(_KINDS)
             raise InvalidInput("of", f"must be one of {known}", repr(of), "Choose one.")
         value: float | None = getattr(self, of)
@@ -192,7 +192,7 @@ class Tradeoff:
         """
         from ancfdae import plotting
 
-        return plotting.save(plotting.draw(self.panels(), columns=2), Path(path))
+        return plotting.save(plotting.draw(self.panels(), columns=2), path)
 
     def panels(self) -> list[Panel]:
         """Return the panels of `plot`, for figures of your own."""

@@ -3,22 +3,7 @@
 from ancfdae.bodies.beam import Beam
 from ancfdae.bodies.body import BeamBody, ReferenceShape
 from ancfdae.bodies.curved_beam import CurvedBeam
-from ancfdae.bodies.point import Point, require_point
+from ancfdae.bodies.point import Point, require_fraction, require_in_section, require_point
 from ancfdae.bodies.rigid_body import RigidBody
 from ancfdae.bodies.shapes import BodyShape, RigidBox, RigidCylinder, RigidSphere
 from ancfdae.elements import Quantity
-
-__all__ = [
-    "Beam",
-    "BeamBody",
-    "BodyShape",
-    "CurvedBeam",
-    "Point",
-    "Quantity",
-    "ReferenceShape",
-    "RigidBody",
-    "RigidBox",
-    "RigidCylinder",
-    "RigidSphere",
-    "require_point",
-]

@@ -133,12 +133,6 @@ class Beam(BeamBody):
         end = np.asarray(place, float) + self._span
         return replace(self, start=tuple(place), end=tuple(end.tolist()))
 
-    def with_parts(
-        self, section: Section | Sequence[Section], material: Material | Sequence[Material]
-    ) -> Beam:
-        """Return the same beam with another section and material."""
-        return replace(self, section=section, material=material)
-
     @property
     def _origin(self) -> Array:
         """Where `end` is taken from."""

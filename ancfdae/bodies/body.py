@@ -88,11 +88,6 @@ class BeamBody(Placed):
     def element_count(self) -> int:
         """Number of elements."""
 
-    @property
-    @abc.abstractmethod
-    def dimension(self) -> int:
-        """Dimension of space, 2 or 3."""
-
     @abc.abstractmethod
     def reference(self) -> ReferenceShape:
         """Return the reference configuration."""
@@ -100,12 +95,6 @@ class BeamBody(Placed):
     @abc.abstractmethod
     def with_length(self, length: float) -> BeamBody:
         """Return the same beam, stretched from its start to another total length."""
-
-    @abc.abstractmethod
-    def with_parts(
-        self, section: Section | Sequence[Section], material: Material | Sequence[Material]
-    ) -> BeamBody:
-        """Return the same beam with another section and material."""
 
     def directions(self) -> Array:
         """Return the axes of the beam as a rigid body: those at its start, as rows."""
@@ -191,7 +180,7 @@ class BeamBody(Placed):
                 else:
                     materials[k] = replace(materials[k], **{parameter: value})
         changed = [s.with_sizes(own) for s, own in zip(sections, sizes, strict=True)]
-        return beam.with_parts(tuple(changed), tuple(materials))
+        return replace(beam, section=tuple(changed), material=tuple(materials))  # type: ignore[type-var]
 
     def check_target(self, parameter: str, element: int | None) -> None:
         """Refuse a design target that this beam does not have.

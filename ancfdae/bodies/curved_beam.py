@@ -36,20 +36,13 @@ class CurvedBeam(BeamBody):
     frames : array, shape (n + 1, d, d)
         Slope vectors of the nodes, row k along the section's k-th axis (tangent first);
         right-handed.
-    section : Section or sequence of Section
-        One for the beam or one per element, which may differ in their sizes.
-    material : Material or sequence of Material
+    section, material, element, energy, rigid
+        As in `Beam`.
     element_lengths : sequence of float, optional
         Range of the axial coordinate of each element. By default the arc length of the cubic
         through its nodes, so that unit tangents stay unit tangents.
-    element : BeamElement, optional
-        By default the beam of the dimension, BEAM_2D or BEAM_3D.
-    energy : StrainEnergy, optional
-        By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
     turn : float or sequence of float, optional
         Turn of the whole beam about its first node, as in `Beam`.
-    rigid : bool, optional
-        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
 
     Raises
     ------
@@ -95,6 +88,8 @@ class CurvedBeam(BeamBody):
                 f"smallest determinant {np.min(np.linalg.det(frames)):.3g}",
                 "Order the rows tangent, height axis(, width axis).",
             )
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "frames", frames)
         if self.element_lengths is not None:
             self._check_lengths(f"{where}, element_lengths", self.element_lengths)
         self._check_parts()
@@ -107,7 +102,7 @@ class CurvedBeam(BeamBody):
     @property
     def dimension(self) -> int:
         """Dimension of space."""
-        return int(np.shape(self.positions)[1])
+        return int(self.positions.shape[1])
 
     @property
     def length(self) -> float:
@@ -116,8 +111,7 @@ class CurvedBeam(BeamBody):
 
     def reference(self) -> ReferenceShape:
         """Return the curved reference configuration."""
-        positions, slopes = np.asarray(self.positions, float), np.asarray(self.frames, float)
-        steps = np.diff(positions, axis=0)
+        steps, slopes = np.diff(self.positions, axis=0), self.frames
         if self.element_lengths is None:
             lengths = _arc_lengths(steps, slopes[:-1, 0], slopes[1:, 0])
         else:
@@ -127,29 +121,22 @@ class CurvedBeam(BeamBody):
     @property
     def place(self) -> Sequence[float]:
         """Place of the first node."""
-        return tuple(np.asarray(self.positions, float)[0].tolist())
+        return tuple(self.positions[0].tolist())
 
     def with_place(self, place: Sequence[float]) -> CurvedBeam:
         """Return the same beam, moved to start at another place."""
-        positions = np.asarray(self.positions, float)
-        return replace(self, positions=positions - positions[0] + np.asarray(place, float))
+        return replace(self, positions=self.positions - self.positions[0] + np.asarray(place))
 
     def with_length(self, length: float) -> CurvedBeam:
         """Return the beam with its centre line scaled about its start."""
         require_positive(f"{self.name}.length", length)
-        shape, positions = self.reference(), np.asarray(self.positions, float)
-        factor = length / self.length
+        first, lengths = self.positions[0], self.reference().lengths
+        factor = length / np.sum(lengths)
         return replace(
             self,
-            positions=positions[0] + factor * (positions - positions[0]),
-            element_lengths=tuple((factor * shape.lengths).tolist()),
+            positions=first + factor * (self.positions - first),
+            element_lengths=tuple((factor * lengths).tolist()),
         )
-
-    def with_parts(
-        self, section: Section | Sequence[Section], material: Material | Sequence[Material]
-    ) -> CurvedBeam:
-        """Return the same beam with another section and material."""
-        return replace(self, section=section, material=material)
 
     def _check_lengths(self, where: str, given: object) -> None:
         rule, repair = f"must have {self.element_count} entries", "Give one length per element."

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from ancfdae.bodies.point import Point
-from ancfdae.errors import require_finite, require_vector
+from ancfdae.errors import require_axial
 from ancfdae.numerics.arrays import Array
 
 
@@ -78,9 +78,6 @@ class Placed(abc.ABC):
         return replace(body, turn=new)  # type: ignore[type-var]
 
     def _check_turn(self, where: str) -> None:
-        if self.dimension == 2:
-            require_finite(f"{where}, turn", self.turn)
-        elif np.ndim(self.turn) == 0 and self.turn == 0:
+        if self.dimension == 3 and np.ndim(self.turn) == 0 and self.turn == 0:
             object.__setattr__(self, "turn", (0.0, 0.0, 0.0))
-        else:
-            require_vector(f"{where}, turn", self.turn, (3,))
+        require_axial(f"{where}, turn", self.turn, self.dimension)

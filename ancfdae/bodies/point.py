@@ -55,13 +55,7 @@ class Point:
         if self.x != 0:
             rule, repair = "has a fraction along a beam or an x in a body", "Leave one of them out."
             raise InvalidInput(where, rule, f"both: {self.fraction}, {self.x}", repair)
-        if not 0.0 <= self.fraction <= 1.0:
-            raise InvalidInput(
-                where,
-                "the fraction along the beam must lie in [0, 1]",
-                self.fraction,
-                "0 is the start of the beam and 1 its end.",
-            )
+        require_fraction(where, self.fraction)
 
     def numbers(self) -> dict[str, float]:
         """Return the place on the beam or in the body, by name."""
@@ -87,3 +81,27 @@ def require_point(where: str, point: object, dimension: int = 3) -> None:
     assert isinstance(point, Point)
     if dimension == 2 and point.z != 0.0:
         raise InvalidInput(where, "a planar scene has no z axis", f"z = {point.z}", "Leave z out.")
+
+
+def require_fraction(where: str, fraction: float | None) -> float:
+    """Return a fraction along a beam; refuse none, and one outside [0, 1]."""
+    if fraction is None or not 0.0 <= fraction <= 1.0:
+        raise InvalidInput(
+            where,
+            "the fraction along the beam must lie in [0, 1]",
+            fraction,
+            "0 is the start of the beam and 1 its end.",
+        )
+    return fraction
+
+
+def require_in_section(where: str, point: Point, half: tuple[float, float]) -> None:
+    """Refuse a point off the section, half of whose height and width are given."""
+    # Widened by round-off, so that the surface belongs to the beam.
+    if abs(point.y) > half[0] * (1 + 1e-12) or abs(point.z) > half[1] * (1 + 1e-12):
+        raise InvalidInput(
+            where,
+            f"the point must lie in the section (|y| <= {half[0]:.6g}, |z| <= {half[1]:.6g})",
+            f"y = {point.y}, z = {point.z} at fraction {point.fraction}",
+            "Move the point into the beam.",
+        )

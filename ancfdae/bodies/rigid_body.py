@@ -162,7 +162,8 @@ class RigidBody(Placed, Designable):
         return block
 
     def _check_mass(self, where: str) -> None:
-        given = [name for name in ("mass", "inertia", "shape", "density") if self._has(name)]
+        names = ("mass", "inertia", "shape", "density")
+        given = [name for name in names if getattr(self, name) is not None]
         if given not in (["mass", "inertia"], ["shape", "density"]):
             raise InvalidInput(
                 where,
@@ -200,9 +201,6 @@ class RigidBody(Placed, Designable):
                 rows.tolist(),
                 "For example ((c, s), (-s, c)) with c = cos(angle), s = sin(angle).",
             )
-
-    def _has(self, name: str) -> bool:
-        return getattr(self, name) is not None
 
 
 def _spread(inertia: Array, d: int) -> Array:

@@ -1,9 +1,8 @@
 """ANCF elements: shape functions, invariant matrices, batched elastic forces; one a file."""
 
-from ancfdae.elements.beam2d import BEAM_2D
-from ancfdae.elements.beam3d import BEAM_3D
 from ancfdae.elements.cable2d import CABLE_2D
-from ancfdae.elements.element import BeamElement, ElementParameter, ElementType, Quantity
+from ancfdae.elements.continuum import BEAM_2D, BEAM_3D
+from ancfdae.elements.element import Batch, BeamElement, ElementParameter, ElementType, Quantity
 from ancfdae.elements.energy import (
     EnhancedContinuum,
     PlaneStress,
@@ -13,18 +12,3 @@ from ancfdae.elements.energy import (
 
 #: Every element, the default one of a dimension before others of it.
 ALL_ELEMENTS: tuple[BeamElement, ...] = (BEAM_2D, BEAM_3D, CABLE_2D)
-
-__all__ = [
-    "ALL_ELEMENTS",
-    "BEAM_2D",
-    "BEAM_3D",
-    "CABLE_2D",
-    "BeamElement",
-    "ElementParameter",
-    "ElementType",
-    "EnhancedContinuum",
-    "PlaneStress",
-    "Quantity",
-    "SaintVenantKirchhoff",
-    "StrainEnergy",
-]

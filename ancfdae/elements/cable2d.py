@@ -12,16 +12,16 @@ All invariants are integrals over xi times moments of the section and powers of 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import final
 
 import numpy as np
 
 from ancfdae.elements.element import (
+    Batch,
     BeamElement,
     ElementParameter,
-    ElementType,
-    InvariantPartial,
-    Invariants,
+    Integrals,
     Quantity,
     SectionLaw,
 )
@@ -32,11 +32,10 @@ from ancfdae.elements.hermite import (
     slope_weights,
     slope_weights_xi,
 )
-from ancfdae.elements.packing import packed_gram, upper_triangle
+from ancfdae.elements.packing import upper_triangle
 from ancfdae.elements.stresses import scaled, smoothing
-from ancfdae.elements.volume import change, shifted, step_of
+from ancfdae.elements.volume import change
 from ancfdae.errors import InvalidInput
-from ancfdae.kernels import gram
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
 from ancfdae.sections.section import central_moments
@@ -52,10 +51,8 @@ class Cable2D(BeamElement):
     name = "CABLE_2D"
     d = 2
 
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """Position and tangent."""
-        return (Quantity.POSITION, Quantity.SLOPE_X)
+    quantities = (Quantity.POSITION, Quantity.SLOPE_X)
+    default_energy = None
 
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
@@ -66,72 +63,22 @@ class Cable2D(BeamElement):
         chord, first, second = _tangent(np.array(xi))
         return np.array([-chord, first, chord, second]), np.array([-1, 0, -1, 0])
 
-    @property
-    def default_energy(self) -> None:
-        """A law of its own."""
-        return None
-
-    def invariants(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        wanted: tuple[ElementParameter, ...],
-        owners: Array,
-    ) -> Invariants:
-        """Integrals times E A, E I and rho A, and powers of l."""
-        if not kind.straight:
+    def integrals(self, own: Batch, owners: Array) -> Integrals:
+        """Integrals times E A, rho A and E I."""
+        if not own.kind.straight:
             raise InvalidInput(
                 str(owners[0]),
                 "a cable must be straight in its reference configuration",
                 "a curved one",
                 "Use Beam, or another element.",
             )
-        l = parameters[:, ElementParameter.LENGTH]
-        A_1, p_1, m_1 = _integrals()
-        of_g = _N_POWER[list(upper_triangle(self.n_y))].sum(axis=0)
-        powers = of_g[:, None] + of_g + 1, of_g - 1, _S_POWER[:, None] + _S_POWER + 1
-        # Integrals at the lengths of the elements, to be multiplied by the numbers of `_moduli`.
-        units = [
-            x * l.reshape(-1, *[1] * x.ndim) ** k
-            for x, k in zip((A_1, p_1, m_1), powers, strict=True)
-        ]
-        moduli = _moduli(kind, parameters)
-        A, p_o, m = (_times(x, unit) for x, unit in zip(moduli, units, strict=True))
-        Y_o, Y_l = Y_unit.astype(A.dtype), np.zeros_like(Y_unit)
-        Y_o[:, 0], Y_l[:, 0] = Y_o[:, 0] * l[:, None], Y_unit[:, 0]
-        partials = {}
-        for which in wanted:
-            moved = _moduli(kind, shifted(parameters, which))
-            step = step_of(parameters, which)
-            moduli_b = [change(x, at, step) for x, at in zip(moved, moduli, strict=True)]
-            A_b, p_b, m_b = (_times(x, unit) for x, unit in zip(moduli_b, units, strict=True))
-            Y_b = np.zeros_like(Y_l)
-            if which is ElementParameter.LENGTH:
-                A_b, p_b, m_b = (
-                    x * k / l.reshape(-1, *[1] * k.ndim)
-                    for x, k in zip((A, p_o, m), powers, strict=True)
-                )
-                Y_b = Y_l
-            g_ob = gram(Y_o, Y_b)
-            c = np.einsum("nij,nj->ni", A, g_ob) - p_b
-            partials[which] = InvariantPartial(A_b, g_ob, c, m_b)
-        return Invariants(A, packed_gram(Y_o), m, p_o, partials)
+        return _CableIntegrals(own)
 
-    def section_law(
-        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
-    ) -> SectionLaw:
+    def section_law(self, own: Batch, xi: float) -> SectionLaw:
         """Return forces of the beam law."""
-        return _CableSectionLaw(kind, parameters, xi)
+        return _CableSectionLaw(own, xi)
 
-    def stress_map(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        xi: Array,
-        places: tuple[Array, Array],
-    ) -> Array:
+    def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
         """Refuse: the law knows forces of a section, no stresses in it."""
         raise InvalidInput(
             "stress",
@@ -142,16 +89,37 @@ class Cable2D(BeamElement):
 
 
 @final
+class _CableIntegrals(Integrals):
+    """A, m and p_o of unit moduli, times those of each element."""
+
+    def __init__(self, own: Batch) -> None:
+        self._own, self._moduli, self._units = own, _moduli(own), _integrals()
+        of_g = _N_POWER[list(upper_triangle(3))].sum(axis=0)
+        self.powers = of_g[:, None] + of_g + 1, _S_POWER[:, None] + _S_POWER + 1, of_g - 1
+        self.values = self._times(self._moduli)
+
+    def partial(self, which: ElementParameter) -> tuple[Array, ...]:
+        """Product rule: moduli alone depend on parameters."""
+        moved, step = _moduli(self._own.moved(which)), self._own.step(which)
+        return self._times(change(x, at, step) for x, at in zip(moved, self._moduli, strict=True))
+
+    def _times(self, moduli: Iterable[Array]) -> tuple[Array, ...]:
+        """One number per element times an array."""
+        pairs = zip(moduli, self._units, strict=True)
+        return tuple(np.multiply.outer(modulus, unit) for modulus, unit in pairs)
+
+
+@final
 class _CableSectionLaw(SectionLaw):
     """E A eps r_x - E I r_xxx and r_x x E I r_xx along tangent and normal.
 
     The variation of U in r leaves these; eps with tau eps', linear as `smoothing` has it.
     """
 
-    def __init__(self, kind: ElementType, parameters: Array, xi: float) -> None:
-        self._E_A, self._E_I, _ = _moduli(kind, parameters)
-        self._l = parameters[:, ElementParameter.LENGTH]
-        self._tau, self._xi = parameters[:, ElementParameter.DAMPING_TIME], np.array(xi)
+    def __init__(self, own: Batch, xi: float) -> None:
+        self._E_A, _, self._E_I = _moduli(own)
+        self._l, self._tau = own.lengths, own.of(ElementParameter.DAMPING_TIME)
+        self._xi = np.array(xi)
 
     def forces(self, Y: Array, V: Array) -> Array:
         """N, V_y and M_z."""
@@ -172,19 +140,13 @@ class _CableSectionLaw(SectionLaw):
         return forces
 
 
-def _moduli(kind: ElementType, parameters: Array) -> tuple[Array, Array, Array]:
-    """E A, E I and rho A, shape (n,) each."""
-    E, rho = parameters[:, [ElementParameter.YOUNGS_MODULUS, ElementParameter.DENSITY]].T
-    y, z, dA = kind.section.points(kind.sizes(parameters), False)
+def _moduli(own: Batch) -> tuple[Array, Array, Array]:
+    """E A, rho A and E I, shape (n,) each."""
+    E, rho = own.moduli[0], own.of(ElementParameter.DENSITY)
+    y, z, dA = own.kind.section.points(own.sizes, False)
     _, moments = central_moments(y, z, dA)
     area = dA.sum(axis=1)
-    return E * area, E * moments[:, 0], rho * area
-
-
-def _times(modulus: Array, unit: Array) -> Array:
-    """One number per element times its array."""
-    product: Array = modulus.reshape(-1, *[1] * (unit.ndim - 1)) * unit
-    return product
+    return E * area, rho * area, E * moments[:, 0]
 
 
 def _shape(xi: Array) -> Array:
@@ -199,7 +161,7 @@ def _tangent(xi: Array) -> Array:
 
 
 def _integrals() -> tuple[Array, Array, Array]:
-    """Return A, p_o and m of unit parameters; of degree 8, 2 and 6, five Gauss points are exact."""
+    """Return A, m and p_o of unit parameters; of degree 8, 6 and 2, five Gauss points are exact."""
     points, rule = box_rule((5,))
     xi = points[:, 0]
     s, N = _shape(xi), _tangent(xi)
@@ -208,7 +170,7 @@ def _integrals() -> tuple[Array, Array, Array]:
     twice = np.where(rows == columns, 1.0, 2.0)
     P = 0.5 * twice * N[:, rows] * N[:, columns]
     kappa_squared = twice * H[:, rows] * H[:, columns]
-    return (rule * P.T) @ P, 0.5 * rule @ kappa_squared, (rule * s.T) @ s
+    return (rule * P.T) @ P, (rule * s.T) @ s, 0.5 * rule @ kappa_squared
 
 
 CABLE_2D = Cable2D()

@@ -23,30 +23,27 @@ from typing import final
 import numpy as np
 
 from ancfdae.elements.element import (
+    Batch,
     BeamElement,
     ElementParameter,
-    ElementType,
-    InvariantPartial,
-    Invariants,
+    Integrals,
     Quantity,
     SectionLaw,
 )
-from ancfdae.elements.energy import EnhancedContinuum, StrainEnergy
-from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
-from ancfdae.elements.packing import packed_gram, upper_triangle
+from ancfdae.elements.energy import EnhancedContinuum
+from ancfdae.elements.hermite import shape_weights
+from ancfdae.elements.packing import upper_triangle
 from ancfdae.elements.strain_fields import turn_stiffness
 from ancfdae.elements.stresses import ContinuumSectionLaw, StressMap
 from ancfdae.elements.volume import (
     AXIS_POINTS,
     Region,
+    along,
     change,
     fibres,
     fibres_partial,
     gauss_rule,
-    shifted,
-    step_of,
 )
-from ancfdae.kernels import gram
 from ancfdae.numerics.arrays import Array
 
 # Straight reference: the integrand of A has degree 8 in xi, that of m degree 6; 5 Gauss points are
@@ -58,17 +55,12 @@ _STRAIGHT_POINTS, _CURVED_POINTS = 5, 12
 @final
 @dataclass(frozen=True)
 class ContinuumBeam(BeamElement):
-    """A beam of hyperelastic material with linearly interpolated section slopes.
-
-    Attributes
-    ----------
-    name : str
-    d : int
-        Dimension of space.
-    """
+    """A beam of hyperelastic material with linearly interpolated section slopes."""
 
     name: str
     d: int
+
+    default_energy = EnhancedContinuum()
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -78,121 +70,65 @@ class ContinuumBeam(BeamElement):
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
     ) -> tuple[Array, Array]:
-        """Eq. (8), in space with the terms of the width (docs/theory.md, section 1)."""
-        place, powers, second = np.array(xi), np.zeros(self.n_a), self.n_s
-        weights = np.zeros(self.n_a, dtype=np.result_type(xi, y, z, float))
+        """Return `shape_weights`."""
+        powers = np.zeros((2, self.n_s), dtype=int)
         if quantity is Quantity.POSITION:
-            s5 = end_weight(place)
-            weights[0], weights[second] = 1 - s5, s5
-            weights[1], weights[second + 1] = slope_weights(place)
-            powers[1] = powers[second + 1] = 1
-            for k, offset in enumerate((y, z)[: self.d - 1], start=2):
-                weights[k], weights[second + k] = offset * (1 - place), offset * place
+            powers[:, 1] = 1
         elif quantity is Quantity.SLOPE_X:
-            s5 = end_weight_xi(place)
-            weights[0], weights[second] = -s5, s5
-            weights[1], weights[second + 1] = slope_weights_xi(place)
-            powers[0] = powers[second] = -1
-            for k, offset in enumerate((y, z)[: self.d - 1], start=2):
-                weights[k], weights[second + k] = -offset, offset
-                powers[k] = powers[second + k] = -1
-        else:
-            k = int(quantity)
-            weights[k], weights[second + k] = 1 - place, place
-        return weights, powers
+            powers[:] = -1
+            powers[:, 1] = 0
+        return shape_weights(self.d, quantity, xi, y, z), powers.ravel()
 
-    @property
-    def default_energy(self) -> StrainEnergy:
-        """What bends, stretches, shears and twists as beams do."""
-        return EnhancedContinuum()
-
-    def invariants(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        wanted: tuple[ElementParameter, ...],
-        owners: Array,
-    ) -> Invariants:
+    def integrals(self, own: Batch, owners: Array) -> Integrals:
         """Gauss quadrature over the volume, and for some energies along the axis."""
-        integrals = _Integrals(self.d, kind, parameters, Y_unit, owners)
-        l = parameters[:, ElementParameter.LENGTH, None]
-        Y_o, Y_l = Y_unit.astype(integrals.A.dtype), np.zeros_like(Y_unit)
-        Y_o[:, 0], Y_l[:, 0] = l * Y_unit[:, 0], Y_unit[:, 0]
-        rows, columns = upper_triangle(self.n_y)
-        # Powers of l that the scaling took out of g, with its squares of the chord, and of s_a.
-        of_g = -(rows == 0).astype(int) - (columns == 0)
-        of_s = np.array(2 * ([0] + self.d * [1]))
-        A, m = _scaled(integrals.A, of_g, l), _scaled(integrals.m, of_s, l)
-        partials = {}
-        for which in wanted:
-            A_b, m_b = (
-                _scaled(x, power, l)
-                for x, power in zip(integrals.partial(which), (of_g, of_s), strict=True)
-            )
-            Y_b = np.zeros_like(Y_l)
-            if which is ElementParameter.LENGTH:
-                A_b, m_b = A_b + _scaled_partial(A, of_g, l), m_b + _scaled_partial(m, of_s, l)
-                Y_b = Y_l
-            g_ob = gram(Y_o, Y_b)
-            c_b = np.einsum("nij,nj->ni", A, g_ob)
-            partials[which] = InvariantPartial(A=A_b, g_o=g_ob, c=c_b, m=m_b)
-        return Invariants(A=A, g_o=packed_gram(Y_o), m=m, p_o=None, partials=partials)
+        return _ContinuumIntegrals(own, owners)
 
-    def section_law(
-        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
-    ) -> SectionLaw:
+    def section_law(self, own: Batch, xi: float) -> SectionLaw:
         """Integrals of stresses over the section."""
-        return ContinuumSectionLaw(self.d, kind, parameters, Y_unit, xi)
+        return ContinuumSectionLaw(own, xi)
 
-    def stress_map(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        xi: Array,
-        places: tuple[Array, Array],
-    ) -> Array:
+    def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
         """C times strains."""
-        l, own = parameters[:, ElementParameter.LENGTH, None, None], fibres(kind, parameters)
-        offsets = np.stack(places, axis=-1) / l
-        at = replace(own, offsets=offsets, volume=np.ones(offsets.shape[:2]))
-        return StressMap(self.d, kind, parameters, Y_unit, xi, at).D
+        offsets = np.stack(places, axis=-1) / own.lengths[:, None, None]
+        at = replace(fibres(own), offsets=offsets, volume=np.ones(offsets.shape[:2]))
+        return StressMap(own, xi, at).D
 
 
 @final
-class _Integrals:
-    """A and m of scaled vectors, and their partials at fixed powers of the length."""
+class _ContinuumIntegrals(Integrals):
+    """A and m of scaled vectors."""
 
-    def __init__(
-        self, d: int, kind: ElementType, parameters: Array, Y_unit: Array, owners: Array
-    ) -> None:
-        self._d, self._kind, self._parameters = d, kind, parameters
-        self._fibres, self._C = fibres(kind, parameters), self._stiffness(parameters)
-        along = _STRAIGHT_POINTS if kind.straight else _CURVED_POINTS
-        self._regions = [Region(d, kind, self._fibres, Y_unit, gauss_rule(along), owners)]
+    def __init__(self, own: Batch, owners: Array) -> None:
+        self._own, self._fibres, self._C = own, fibres(own), _stiffness(own)
+        count = _STRAIGHT_POINTS if own.kind.straight else _CURVED_POINTS
+        self._regions = [Region(own, self._fibres, gauss_rule(count), owners)]
         if len(self._C) > 1:
             axis = self._fibres.axis()
-            self._regions.append(Region(d, kind, axis, Y_unit, gauss_rule(AXIS_POINTS), owners))
-        self._rho = parameters[:, ElementParameter.DENSITY]
-        self._s = self._regions[0].shape(self._fibres.offsets, 1.0)
-        self.A: Array = np.sum(
+            self._regions.append(Region(own, axis, gauss_rule(AXIS_POINTS), owners))
+        self._rho = own.of(ElementParameter.DENSITY)
+        self._s = self._regions[0].shape(self._fibres.offsets)
+        A: Array = np.sum(
             [_quadratic(r.P, C, r.dV, r.P) for r, C in zip(self._regions, self._C, strict=True)],
             axis=0,
         )
-        self.m = _mass(self._rho, self._regions[0].dV, self._s, self._s)
+        self.values = A, _mass(self._rho, self._regions[0].dV, self._s, self._s)
+        # What the scaling took out of g, with its squares of the chord, and of s_a.
+        rows, columns = upper_triangle(2 * own.d + 1)
+        of_g = -(rows == 0).astype(int) - (columns == 0)
+        of_s = np.array(2 * ([0] + own.d * [1]))
+        self.powers = of_g[:, None] + of_g, of_s[:, None] + of_s
 
-    def partial(self, which: ElementParameter) -> tuple[Array, Array]:
+    def partial(self, which: ElementParameter) -> tuple[Array, ...]:
         """Return A_b and m_b."""
+        A_b, m_b = (np.zeros_like(x) for x in self.values)
         if which is ElementParameter.DENSITY:
-            return np.zeros_like(self.A), self.m / self._rho[:, None, None]
-        A_b, m_b = np.zeros_like(self.A), np.zeros_like(self.m)
+            return A_b, self.values[1] / self._rho[:, None, None]
+        own = self._own
         if which in (ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO):
-            step = step_of(self._parameters, which)
-            moved = self._stiffness(shifted(self._parameters, which))
+            step, moved = own.step(which), _stiffness(own.moved(which))
             for r, C, C_moved in zip(self._regions, self._C, moved, strict=True):
                 A_b += _quadratic(r.P, change(C_moved, C, step), r.dV, r.P)
-        fibres_b = fibres_partial(self._kind, self._parameters, which)
+        fibres_b = fibres_partial(own, which)
         if not fibres_b.any():
             return A_b, m_b
         moves = [fibres_b, fibres_b.axis()][: len(self._regions)]
@@ -202,18 +138,18 @@ class _Integrals:
             A_b += _quadratic(r.P, C, dV_b, r.P) + cross + cross.transpose(0, 2, 1)
         volume, s = self._regions[0], self._s
         dV_b = volume.partial(fibres_b)[1]
-        cross = _mass(self._rho, volume.dV, volume.shape(fibres_b.offsets, 0.0), s)
+        s_b = along(volume.shape, (self._fibres.offsets,), (fibres_b.offsets,))
+        cross = _mass(self._rho, volume.dV, s_b, s)
         m_b += _mass(self._rho, dV_b, s, s) + cross + cross.transpose(0, 2, 1)
         return A_b, m_b
 
-    def _stiffness(self, parameters: Array) -> tuple[Array, ...]:
-        assert self._kind.energy is not None  # every beam of this element has one
-        E, nu = parameters[:, [ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO]].T
-        C = self._kind.energy.stiffness(self._d, E, nu)
-        if not self._kind.energy.assumed_strains:
-            return C
-        turns = turn_stiffness(self._d, E, E / (2 * (1 + nu)), self._kind.straight)
-        return tuple(_with_diagonal(x, turns * own) for x, own in zip(C, (1.0, 0.0), strict=False))
+
+def _stiffness(own: Batch) -> tuple[Array, ...]:
+    C = own.stiffness
+    if not own.energy.assumed_strains:
+        return C
+    turns = turn_stiffness(own.d, *own.moduli, own.kind.straight)
+    return tuple(_with_diagonal(x, turns * k) for x, k in zip(C, (1.0, 0.0), strict=False))
 
 
 def _with_diagonal(C: Array, more: Array) -> Array:
@@ -224,18 +160,6 @@ def _with_diagonal(C: Array, more: Array) -> Array:
     rows = np.arange(n_v, size)
     whole[:, rows, rows] = more
     return whole
-
-
-def _scaled(x: Array, power: Array, l: Array) -> Array:
-    """Multiply entry (i, j) by l to the powers of i and of j."""
-    scaled: Array = x * l[..., None] ** (power[:, None] + power)
-    return scaled
-
-
-def _scaled_partial(x: Array, power: Array, l: Array) -> Array:
-    """Return the derivative of `_scaled`, which gave x, in l."""
-    change: Array = x * (power[:, None] + power) / l[..., None]
-    return change
 
 
 def _quadratic(P_1: Array, C: Array, dV: Array, P_2: Array) -> Array:
@@ -250,3 +174,11 @@ def _mass(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
     """Integral of rho s_1 s_2^T (eq. 10)."""
     weighted = (rho[:, None] * dV)[..., None] * s_2
     return np.asarray(s_1.transpose(0, 2, 1) @ weighted)
+
+
+# Planar shear-deformable beam, 12 coordinates (Omar & Shabana 2001; eqs. 7-8), with the node
+# vectors X = [r_1, r_x1, r_y1, r_2, r_x2, r_y2]. The section extends over `height` in y.
+BEAM_2D = ContinuumBeam("BEAM_2D", 2)
+# Spatial fully parameterised beam, 24 coordinates (Yakoub & Shabana 2001), with the node vectors
+# X = [r_1, r_x1, r_y1, r_z1, r_2, r_x2, r_y2, r_z2].
+BEAM_3D = ContinuumBeam("BEAM_3D", 3)

@@ -13,13 +13,15 @@ design derivatives follow from these facts.
 from __future__ import annotations
 
 import abc
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import final
 
+import numpy as np
+
 from ancfdae.elements.energy import StrainEnergy
 from ancfdae.errors import InvalidInput
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.sections import Section
 
 
@@ -79,6 +81,77 @@ class ElementType:
 
 @final
 @dataclass(frozen=True)
+class Batch:
+    """Some elements of one type.
+
+    Attributes
+    ----------
+    kind : ElementType
+    parameters : array, shape (n, 9)
+        Columns as in `ElementParameter`; real or complex.
+    Y_unit : array, shape (n, n_y, d)
+        Relative node vectors of the reference configuration, the first one, r_2 - r_1, divided by
+        the element length.
+    """
+
+    kind: ElementType
+    parameters: Array
+    Y_unit: Array
+
+    def __getitem__(self, rows: slice | Array) -> Batch:
+        """Return some of the elements."""
+        return Batch(self.kind, self.parameters[rows], self.Y_unit[rows])
+
+    @property
+    def d(self) -> int:
+        """Dimension of space."""
+        return int(self.Y_unit.shape[2])
+
+    @property
+    def energy(self) -> StrainEnergy:
+        """The energy of elements that have one."""
+        assert self.kind.energy is not None
+        return self.kind.energy
+
+    def of(self, which: ElementParameter) -> Array:
+        """Return one parameter, shape (n,)."""
+        values: Array = self.parameters[:, which]
+        return values
+
+    @property
+    def lengths(self) -> Array:
+        """Element lengths l, shape (n,)."""
+        return self.of(ElementParameter.LENGTH)
+
+    @property
+    def moduli(self) -> tuple[Array, Array]:
+        """E and nu, shape (n,) each."""
+        return self.of(ElementParameter.YOUNGS_MODULUS), self.of(ElementParameter.POISSON_RATIO)
+
+    @property
+    def stiffness(self) -> tuple[Array, ...]:
+        """What the energy says of E and nu, see `StrainEnergy.stiffness`."""
+        return self.energy.stiffness(self.d, *self.moduli)
+
+    @property
+    def sizes(self) -> Array:
+        """Sizes of the sections, shape (n, n_sizes)."""
+        return self.kind.sizes(self.parameters)
+
+    def step(self, which: ElementParameter) -> Array:
+        """Return STEP times the power of two next to each value: it vanishes in any units."""
+        step: Array = np.ldexp(STEP, np.frexp(self.of(which).real)[1])
+        return step
+
+    def moved(self, which: ElementParameter) -> Batch:
+        """Return the elements with one parameter moved by an imaginary `step`."""
+        parameters = self.parameters.astype(complex)
+        parameters[:, which] += 1j * self.step(which)
+        return replace(self, parameters=parameters)
+
+
+@final
+@dataclass(frozen=True)
 class InvariantPartial:
     """Derivatives of the invariants in one element parameter.
 
@@ -124,6 +197,25 @@ class Invariants:
     partials: dict[ElementParameter, InvariantPartial]
 
 
+class Integrals(abc.ABC):
+    """Invariants but for the powers of the length l that their entries go with.
+
+    Attributes
+    ----------
+    values : tuple of array, shape (n, ...)
+        A, m, and p_o where the element has one.
+    powers : tuple of array
+        The power of l of each entry of these.
+    """
+
+    values: tuple[Array, ...]
+    powers: tuple[Array, ...]
+
+    @abc.abstractmethod
+    def partial(self, which: ElementParameter) -> tuple[Array, ...]:
+        """Return the derivatives of the values in a parameter."""
+
+
 class SectionLaw(abc.ABC):
     """Forces in sections of n elements, prepared for many states."""
 
@@ -152,12 +244,6 @@ class BeamElement(abc.ABC):
     ----------
     d : int
         Dimension of space.
-    n_s : int
-        Node vectors per node.
-    n_a : int
-        Node vectors per element, 2 n_s.
-    n_y : int
-        Relative node vectors per element, n_a - 1.
     name : str
         What saved solutions call it.
     """
@@ -177,12 +263,12 @@ class BeamElement(abc.ABC):
 
     @property
     def n_a(self) -> int:
-        """Node vectors per element."""
+        """Node vectors per element, 2 n_s."""
         return 2 * self.n_s
 
     @property
     def n_y(self) -> int:
-        """Relative node vectors per element."""
+        """Relative node vectors per element, n_a - 1."""
         return self.n_a - 1
 
     def require(self, where: str, quantity: Quantity, y: float, z: float) -> None:
@@ -229,38 +315,15 @@ class BeamElement(abc.ABC):
         """Energy of beams that declare none; None if the element has a law of its own."""
 
     @abc.abstractmethod
-    def invariants(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        wanted: tuple[ElementParameter, ...],
-        owners: Array,
-    ) -> Invariants:
-        """Integrate the invariants of some elements; arguments as in `invariants.prepare`."""
+    def integrals(self, own: Batch, owners: Array) -> Integrals:
+        """Integrate the invariants of some elements; `owners` as in `invariants.prepare`."""
 
     @abc.abstractmethod
-    def section_law(
-        self, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
-    ) -> SectionLaw:
-        """Return what gives the forces in the sections at xi of some elements.
-
-        Parameters
-        ----------
-        kind, parameters, Y_unit
-            As in `invariants.prepare`.
-        xi : float
-        """
+    def section_law(self, own: Batch, xi: float) -> SectionLaw:
+        """Return what gives the forces in the sections at xi of some elements."""
 
     @abc.abstractmethod
-    def stress_map(
-        self,
-        kind: ElementType,
-        parameters: Array,
-        Y_unit: Array,
-        xi: Array,
-        places: tuple[Array, Array],
-    ) -> Array:
+    def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
         """Return stresses as maps of the strains of the law, shape (n, n_f, n_xi, n_v, n_g).
 
         Of strains of relative node vectors with the chord divided by the length; normal stresses
@@ -268,8 +331,7 @@ class BeamElement(abc.ABC):
 
         Parameters
         ----------
-        kind, parameters, Y_unit
-            As in `invariants.prepare`.
+        own : Batch
         xi : array, shape (n_xi,)
         places : (array, array), shape (n, n_f) each
             y and z in the section; m.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -26,24 +26,24 @@ class StrainEnergy(abc.ABC):
         Whether strains that lock are replaced by interpolations that do not: thickness strains and
         shears linear between their values at the nodes, curvatures to match. Thin beams and large
         rotations then need far fewer elements, at the same price.
+
+    Attributes
+    ----------
+    dimensions : tuple of int
+        Dimensions of space that it is meant for.
+    corrected : bool
+        Whether shear factors and torsion constants of the section count.
     """
 
     assumed_strains: bool = False
+
+    dimensions: ClassVar[tuple[int, ...]] = (2, 3)
+    corrected: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Validate."""
         where = f"{type(self).__name__}.assumed_strains"
         require_kind(where, self.assumed_strains, (bool,), "Use True or False.")
-
-    @property
-    def dimensions(self) -> tuple[int, ...]:
-        """Dimensions of space that it is meant for."""
-        return (2, 3)
-
-    @property
-    def corrected(self) -> bool:
-        """Whether shear factors and torsion constants of the section count."""
-        return False
 
     def stress_across(self, d: int, nu: Array) -> Array:
         """Return the stress across the plane over S_xx + S_yy, shape (n,); none in plane stress."""
@@ -63,12 +63,8 @@ class SaintVenantKirchhoff(StrainEnergy):
     """Full three-dimensional elasticity; plane strain in the plane (the source paper's).
 
     Sections stay flat, but Poisson's effect wants them curved in bending: a beam of Poisson's ratio
-    0.3 bends 1.35 times too stiffly however many elements it has. Right at nu = 0.
-
-    Parameters
-    ----------
-    assumed_strains : bool
-        As in `StrainEnergy`.
+    0.3 bends 1.35 times too stiffly however many elements it has. Right at nu = 0. Parameters are
+    those of `StrainEnergy`.
     """
 
     def stress_across(self, d: int, nu: Array) -> Array:
@@ -86,18 +82,10 @@ class PlaneStress(StrainEnergy):
     """Plane stress, for planar beams that are free to contract across the plane.
 
     Bends 1/(1 - nu^2) times too stiffly, 1.10 at nu = 0.3, for the reason that holds for
-    `SaintVenantKirchhoff`.
-
-    Parameters
-    ----------
-    assumed_strains : bool
-        As in `StrainEnergy`.
+    `SaintVenantKirchhoff`. Parameters are those of `StrainEnergy`.
     """
 
-    @property
-    def dimensions(self) -> tuple[int, ...]:
-        """The plane."""
-        return (2,)
+    dimensions = (2,)
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
         """Lame's law without stress across the plane."""
@@ -121,10 +109,7 @@ class EnhancedContinuum(StrainEnergy):
 
     assumed_strains: bool = True
 
-    @property
-    def corrected(self) -> bool:
-        """Yes."""
-        return True
+    corrected = True
 
     def stiffness(self, d: int, E: Array, nu: Array) -> tuple[Array, ...]:
         """E and G without Poisson's effect; on the axis what is missing to the full law."""

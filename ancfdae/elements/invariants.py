@@ -19,12 +19,14 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ancfdae.elements.element import (
+    Batch,
     BeamElement,
     ElementParameter,
-    ElementType,
     InvariantPartial,
     Invariants,
 )
+from ancfdae.elements.packing import packed_gram
+from ancfdae.kernels import gram
 from ancfdae.numerics.arrays import Array
 
 # Elements handled at once, so that the preparation of 10,000 of them stays within memory; curved
@@ -34,9 +36,7 @@ _STRAIGHT_CHUNK, _CURVED_CHUNK = 256, 32
 
 def prepare(
     element: BeamElement,
-    kind: ElementType,
-    parameters: Array,
-    Y_unit: Array,
+    own: Batch,
     wanted: Iterable[ElementParameter] = (),
     owners: Array | None = None,
 ) -> Invariants:
@@ -45,13 +45,8 @@ def prepare(
     Parameters
     ----------
     element : BeamElement
-    kind : ElementType
-        What all these elements share.
-    parameters : array, shape (n, 9)
-        Columns as in `ElementParameter`; real or complex.
-    Y_unit : array, shape (n, n_y, d)
-        Relative node vectors of the reference configuration, the first one, r_2 - r_1,
-        divided by the element length.
+    own : Batch
+        The elements.
     wanted : iterable of ElementParameter
         Parameters whose derivatives are prepared.
     owners : array of str, shape (n,), optional
@@ -62,13 +57,38 @@ def prepare(
     InvalidInput
         If the reference configuration folds (det dr_o/dx <= 0 somewhere).
     """
-    wanted = tuple(wanted)
+    wanted, n = tuple(wanted), len(own.parameters)
     if owners is None:
-        owners = np.full(len(parameters), "reference configuration")
-    count = _STRAIGHT_CHUNK if kind.straight else _CURVED_CHUNK
-    chunks = [slice(k, k + count) for k in range(0, len(parameters), count)]
-    pieces = [element.invariants(kind, parameters[k], Y_unit[k], wanted, owners[k]) for k in chunks]
-    return joined(pieces)
+        owners = np.full(n, "reference configuration")
+    count = _STRAIGHT_CHUNK if own.kind.straight else _CURVED_CHUNK
+    chunks = [slice(k, k + count) for k in range(0, n, count)]
+    return joined([_invariants(element, own[k], wanted, owners[k]) for k in chunks])
+
+
+def _invariants(
+    element: BeamElement, own: Batch, wanted: tuple[ElementParameter, ...], owners: Array
+) -> Invariants:
+    """Multiply the integrals by powers of the length; the product rule."""
+    integrals = element.integrals(own, owners)
+    lengths = [own.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
+    sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
+    whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]
+    A, m, *linear = whole
+    Y_o, Y_l = own.Y_unit.astype(A.dtype), np.zeros_like(own.Y_unit)
+    Y_o[:, 0], Y_l[:, 0] = own.lengths[:, None] * own.Y_unit[:, 0], own.Y_unit[:, 0]
+    partials = {}
+    for which in wanted:
+        changes = [x * size for x, size in zip(integrals.partial(which), sizes, strict=True)]
+        Y_b = np.zeros_like(Y_l)
+        if which is ElementParameter.LENGTH:
+            by_l = zip(whole, integrals.powers, lengths, strict=True)
+            changes = [x_b + x * k / l for x_b, (x, k, l) in zip(changes, by_l, strict=True)]
+            Y_b = Y_l
+        A_b, m_b, *linear_b = changes
+        g_ob = gram(Y_o, Y_b)
+        c = np.einsum("nij,nj->ni", A, g_ob)
+        partials[which] = InvariantPartial(A_b, g_ob, c - linear_b[0] if linear_b else c, m_b)
+    return Invariants(A, packed_gram(Y_o), m, linear[0] if linear else None, partials)
 
 
 def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invariants:

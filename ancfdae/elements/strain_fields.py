@@ -72,21 +72,6 @@ def section_functions(offsets: Array, factors: Array, radii: Array) -> Array:
     return np.stack(products, axis=-1)
 
 
-def section_functions_partial(
-    at: tuple[Array, Array, Array], b: tuple[Array, Array, Array]
-) -> Array:
-    """Return the derivative of `section_functions` at its arguments, along their derivatives."""
-    (offsets, factors, radii), (offsets_b, factors_b, radii_b) = at, b
-    (y, z), (y_b, z_b) = (np.moveaxis(x, -1, 0) for x in (offsets, offsets_b))
-    none = np.zeros_like(y)
-    k, (k_yb, k_zb, k_b) = factors[:, 2, None], factors_b.T[:, :, None]
-    products = [none, y_b, z_b, 2 * y * y_b, y_b * z + y * z_b, 2 * z * z_b]
-    products += [none + k_yb, none + k_zb, y_b * k + y * k_b, z_b * k + z * k_b]
-    squares_b = 2 * radii[:, :2] * radii_b[:, :2]
-    products += [none + r_b for r_b in (*squares_b.T[:, :, None], *radii_b.T[:, :, None])]
-    return np.stack(products, axis=-1)
-
-
 @lru_cache(maxsize=16)
 def axial_functions(d: int, xi: tuple[float, ...], assumed: bool, straight: bool) -> Array:
     """Return the beta_k, shape (15, n_xi, n_v, n_g); components in the order of `components`."""
@@ -146,14 +131,14 @@ def turn_count(d: int) -> int:
     return 1 if d == 2 else 3
 
 
-def turn_stiffness(d: int, E: Array, G: Array, straight: bool) -> Array:
+def turn_stiffness(d: int, E: Array, nu: Array, straight: bool) -> Array:
     """Stiffness of the turns: the diagonal of what follows C, shape (n, turn_count).
 
     What is missing is (k - k_o)^2 (k^2 + k k_o + k_o^2) of a curvature or twist k, what is added
     (k^2 - k_o^2)^2: the same for k_o = 0, and 4/3 of it near the reference of a curved beam, whose
     volume is short by phi^2/12 of it, too: 1 - phi^2/12 - phi^2/2 + 2/3 share phi^2 = 1.
     """
-    share = 1.0 if straight else 7 / 8
+    share, G = 1.0 if straight else 7 / 8, E / (2 * (1 + nu))
     turns = [E / 6] if d == 2 else [E / 6, E / 6, G / 3]
     return share * np.stack(turns, axis=-1)
 

@@ -20,33 +20,26 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements.element import ElementParameter, ElementType, SectionLaw
+from ancfdae.elements.element import Batch, ElementParameter, SectionLaw
 from ancfdae.elements.hermite import end_weight_xi
 from ancfdae.elements.packing import packed_gram
-from ancfdae.elements.strain_fields import components, frame_products, turn_stiffness
+from ancfdae.elements.strain_fields import (
+    components,
+    frame_products,
+    turn_count,
+    turn_stiffness,
+)
 from ancfdae.elements.volume import AXIS_POINTS, Fibres, Region, fibres, gauss_rule
 from ancfdae.kernels import strain
 from ancfdae.numerics.arrays import Array
 
 # Points along an element in its mean forces: of degree 4 times 2 where the reference is straight.
 _ALONG = 5
-_LENGTH_AND_TIME = [ElementParameter.LENGTH, ElementParameter.DAMPING_TIME]
 
 
 @final
 class StressMap:
     """Stresses at fibres and places of elements, linear in the strains of the law.
-
-    Parameters
-    ----------
-    d : int
-    kind : ElementType
-    parameters : array, shape (n, 9)
-    Y_unit : array, shape (n, n_y, d)
-        As in `invariants.prepare`.
-    xi : array, shape (n_xi,)
-    fibres : Fibres
-        Where in the section.
 
     Attributes
     ----------
@@ -56,22 +49,18 @@ class StressMap:
         Strains and volume there.
     """
 
-    def __init__(
-        self, d: int, kind: ElementType, parameters: Array, Y_unit: Array, xi: Array, own: Fibres
-    ) -> None:
-        assert kind.energy is not None
-        E, nu = parameters[:, [ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO]].T
-        volume, *rest = kind.energy.stiffness(d, E, nu)
+    def __init__(self, own: Batch, xi: Array, at: Fibres) -> None:
+        volume, *rest = own.stiffness
         # Strains carry the roots of shear factors; stresses, work conjugate to true strains, both.
-        squared, n_v = replace(own, factors=own.factors**2), len(components(d))
-        owners = np.full(len(parameters), "stress")
-        self.region = Region(d, kind, squared, Y_unit, (xi, np.ones(len(xi))), owners)
+        squared, n_v = replace(at, factors=at.factors**2), len(components(own.d))
+        owners = np.full(len(own.parameters), "stress")
+        self.region = Region(own, squared, (xi, np.ones(len(xi))), owners)
         D: Array = volume[:, None] @ self.region.P[:, :, :n_v]
         self.D: Array = D.reshape(len(D), -1, len(xi), *D.shape[2:])
         for C in rest:
             # The law asks for it at these points only: linear between and beyond them.
             places, _ = gauss_rule(AXIS_POINTS)
-            axis = Region(d, kind, own.axis(), Y_unit, (places, np.ones(AXIS_POINTS)), owners)
+            axis = Region(own, at.axis(), (places, np.ones(AXIS_POINTS)), owners)
             share = (xi - places[0]) / (places[1] - places[0])
             S = C[:, None] @ axis.P[:, :, :n_v]
             first, second = S[:, None, :1], S[:, None, 1:]
@@ -104,23 +93,13 @@ def scaled(Y: Array, l: Array) -> Array:
 
 @final
 class ContinuumSectionLaw(SectionLaw):
-    """Forces in the sections at xi of n elements.
+    """Forces in the sections at xi of n elements."""
 
-    Parameters
-    ----------
-    d, kind, parameters, Y_unit
-        As in `StressMap`.
-    xi : float
-    """
-
-    def __init__(
-        self, d: int, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
-    ) -> None:
-        assert kind.energy is not None
-        self._l, self._tau = parameters[:, _LENGTH_AND_TIME].T
-        self._g_o, self._assumed = packed_gram(Y_unit), kind.energy.assumed_strains
-        self._maps = _resultants(d, kind, parameters, Y_unit, xi)
-        self._frame = frame_products(d, xi, self._assumed, kind.straight)
+    def __init__(self, own: Batch, xi: float) -> None:
+        self._l, self._tau = own.lengths, own.of(ElementParameter.DAMPING_TIME)
+        self._g_o, self._assumed = packed_gram(own.Y_unit), own.energy.assumed_strains
+        self._maps = _resultants(own, xi)
+        self._frame = frame_products(own.d, xi, self._assumed, own.kind.straight)
 
     def forces(self, Y: Array, V: Array) -> Array:
         """Return integrals of tractions, and of tractions times arms."""
@@ -148,26 +127,22 @@ def _applied(R: Array, x: Array) -> Array:
     return values.reshape(*x.shape[:-1], *R.shape[1:-1])
 
 
-def _resultants(
-    d: int, kind: ElementType, parameters: Array, Y_unit: Array, xi: float
-) -> tuple[Array, Array, Array]:
+def _resultants(own: Batch, xi: float) -> tuple[Array, Array, Array]:
     """Integrals over the section as maps of x; lengths are divided by l.
 
     Of y_i y_j S_xx and y_i S_xj with y_0 = 1, shape (n, d, d, n_g) and (n, d, d - 1, n_g), and what
     is work conjugate to the squares of curvatures and twist, shape (n, n_t, n_g).
     """
-    assert kind.energy is not None
+    d, at = own.d, fibres(own)
     smooth, weights = smoothing(xi)
-    places = np.concatenate([[xi], smooth])
-    own, l = fibres(kind, parameters), parameters[:, ElementParameter.LENGTH]
-    law, n_v = StressMap(d, kind, parameters, Y_unit, places, own), len(components(d))
+    law, n_v = StressMap(own, np.concatenate([[xi], smooth]), at), len(components(d))
     n, n_f, n_xi = law.D.shape[:3]
     T = law.region.T[..., :n_v, :n_v]
-    T = T if kind.straight else T.reshape(n, n_f, n_xi, n_v, n_v)
+    T = T if own.kind.straight else T.reshape(n, n_f, n_xi, n_v, n_v)
     S = np.swapaxes(T, -1, -2) @ law.D
-    dA = law.region.dV.reshape(n, n_f, n_xi) / l[:, None, None]
+    dA = law.region.dV.reshape(n, n_f, n_xi) / own.lengths[:, None, None]
     one = np.ones((n, n_f, 1))
-    y = np.concatenate([one, own.offsets[..., : d - 1]], axis=-1)
+    y = np.concatenate([one, at.offsets[..., : d - 1]], axis=-1)
     index = {pair: v for v, pair in enumerate(components(d))}
     S_xx, S_x = 2 * S[:, :, :, 0], S[:, :, :, [index[0, j] for j in range(1, d)]]
     axial = np.einsum("nfp,nfi,nfj,nfpg->pnijg", dA, y, y, S_xx, optimize=True)
@@ -175,10 +150,10 @@ def _resultants(
     smooth_N, smooth_V = (np.einsum("p,pn...->n...", weights, x[1:, :, 0]) for x in (axial, shear))
     axial, shear = axial[0], shear[0]
     axial[:, 0, 0] = smooth_N[:, 0]
-    if not kind.energy.assumed_strains:
+    if not own.energy.assumed_strains:
         shear[:, 0] = smooth_V
     rows = law.region.P.reshape(n, n_f, n_xi, *law.region.P.shape[2:])[:, :, 0, n_v:]
-    return axial, shear, _conjugate_to_squares(d, kind, parameters, rows, own, dA[..., 0], axial)
+    return axial, shear, _conjugate_to_squares(own, rows, at, dA[..., 0], axial)
 
 
 def smoothing(xi: float) -> tuple[Array, Array]:
@@ -193,26 +168,15 @@ def smoothing(xi: float) -> tuple[Array, Array]:
     return places, weights
 
 
-def _conjugate_to_squares(
-    d: int,
-    kind: ElementType,
-    parameters: Array,
-    rows: Array,
-    own: Fibres,
-    dA: Array,
-    axial: Array,
-) -> Array:
+def _conjugate_to_squares(own: Batch, rows: Array, at: Fibres, dA: Array, axial: Array) -> Array:
     """Stresses work conjugate to the squares of l kappa_z(, l kappa_y and l tau)."""
-    assert kind.energy is not None
-    turns = 1 if d == 2 else 3
-    none = np.zeros((len(dA), turns, axial.shape[-1]), dtype=axial.dtype)
-    if not kind.energy.assumed_strains:
-        return none
-    E, nu = parameters[:, [ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO]].T
-    C = turn_stiffness(d, E, E / (2 * (1 + nu)), kind.straight)
-    radii = own.radii[:, :turns]
+    d, straight, turns = own.d, own.kind.straight, turn_count(own.d)
+    if not own.energy.assumed_strains:
+        return np.zeros((len(dA), turns, axial.shape[-1]), dtype=axial.dtype)
+    C = turn_stiffness(d, *own.moduli, straight)
+    radii = at.radii[:, :turns]
     Q: Array = np.einsum("nf,nft...->nt...", dA, rows) * (radii * C)[..., None]
-    if kind.straight:
+    if straight:
         lowered = np.zeros_like(radii)
         lowered[:, : d - 1] = 1.5 * radii[:, : d - 1] ** 2
         Q = Q - lowered[..., None] * axial[:, None, 0, 0]

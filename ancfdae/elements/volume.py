@@ -6,19 +6,15 @@ that the length enters through the fibres only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from typing import final
 
 import numpy as np
 
-from ancfdae.elements.element import ElementParameter, ElementType
-from ancfdae.elements.hermite import end_weight, end_weight_xi, slope_weights, slope_weights_xi
-from ancfdae.elements.strain_fields import (
-    axial_functions,
-    components,
-    section_functions,
-    section_functions_partial,
-)
+from ancfdae.elements.element import Batch, ElementParameter, Quantity
+from ancfdae.elements.hermite import shape_weights
+from ancfdae.elements.strain_fields import axial_functions, components, section_functions
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.quadrature import box_rule
@@ -66,16 +62,15 @@ class Fibres:
         return Fibres(self.centroid, volume, self.factors, self.radii, self.centroid)
 
 
-def fibres(kind: ElementType, parameters: Array) -> Fibres:
-    """Return the fibres of elements of one type, parameters of shape (n, 9)."""
-    l, nu = parameters[:, ElementParameter.LENGTH], parameters[:, ElementParameter.POISSON_RATIO]
-    sizes = kind.sizes(parameters)
+def fibres(own: Batch) -> Fibres:
+    """Return the fibres of elements."""
+    l, kind, sizes = own.lengths, own.kind, own.sizes
     y, z, dA = kind.section.points(sizes, not kind.straight)
     centroid, moments = central_moments(y, z, dA)
     polar = moments.sum(axis=1)
-    factors = np.ones((len(l), 3), dtype=parameters.dtype)
+    factors = np.ones((len(l), 3), dtype=own.parameters.dtype)
     if kind.energy is not None and kind.energy.corrected:
-        k_y, k_z, J = kind.section.properties(sizes, nu)
+        k_y, k_z, J = kind.section.properties(sizes, own.moduli[1])
         factors = np.sqrt(np.stack([k_y, k_z, J / polar], axis=1))
     twist = factors[:, 2] ** 2 * polar
     squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
@@ -84,17 +79,11 @@ def fibres(kind: ElementType, parameters: Array) -> Fibres:
     return Fibres(offsets, dA * l[:, None], factors, radii, centroid)
 
 
-def fibres_partial(kind: ElementType, parameters: Array, which: ElementParameter) -> Fibres:
+def fibres_partial(own: Batch, which: ElementParameter) -> Fibres:
     """Return the derivative of `fibres` in a parameter."""
-    at, step = fibres(kind, parameters), step_of(parameters, which)
-    moved = fibres(kind, shifted(parameters, which))
-    return Fibres(
-        change(moved.offsets, at.offsets, step),
-        change(moved.volume, at.volume, step),
-        change(moved.factors, at.factors, step),
-        change(moved.radii, at.radii, step),
-        change(moved.centroid, at.centroid, step),
-    )
+    at, moved, step = fibres(own), fibres(own.moved(which)), own.step(which)
+    names = [each.name for each in fields(Fibres)]
+    return Fibres(*(change(getattr(moved, name), getattr(at, name), step) for name in names))
 
 
 def gauss_rule(count: int) -> tuple[Array, Array]:
@@ -103,21 +92,14 @@ def gauss_rule(count: int) -> tuple[Array, Array]:
     return corner[:, 0], rule
 
 
-def shifted(parameters: Array, which: ElementParameter) -> Array:
-    """Return parameters with one of them moved by an imaginary `step_of`."""
-    moved = parameters.astype(complex)
-    moved[:, which] += 1j * step_of(parameters, which)
-    return moved
-
-
-def step_of(parameters: Array, which: ElementParameter) -> Array:
-    """Return STEP times the power of two next to each value, so that it vanishes in any units."""
-    step: Array = np.ldexp(STEP, np.frexp(parameters[:, which].real)[1])
-    return step
+def along(function: Callable[..., Array], at: Sequence[Array], b: Sequence[Array]) -> Array:
+    """Return the derivative of a function along changes of its arguments, by an imaginary step."""
+    moved = (x.real + 1j * STEP * x_b.real for x, x_b in zip(at, b, strict=True))
+    return np.asarray(function(*moved).imag / STEP)
 
 
 def change(moved: Array, at: Array, step: Array) -> Array:
-    """Return the derivative out of a value at `shifted` parameters and at the parameters.
+    """Return the derivative out of a value at `Batch.moved` parameters and at the parameters.
 
     What is imaginary already, in a complex-step run, does not count.
     """
@@ -130,11 +112,8 @@ class Region:
 
     Parameters
     ----------
-    d : int
-    kind : ElementType
+    own : Batch
     fibres : Fibres
-    Y_unit : array, shape (n, n_y, d)
-        Relative node vectors of the reference configuration, the chord divided by l.
     along : (array, array), shape (n_xi,) each
         Places xi along the axis and their weights, such as those of `gauss_rule`.
     owners : array of str, shape (n,)
@@ -155,27 +134,21 @@ class Region:
     """
 
     def __init__(
-        self,
-        d: int,
-        kind: ElementType,
-        fibres: Fibres,
-        Y_unit: Array,
-        along: tuple[Array, Array],
-        owners: Array,
+        self, own: Batch, fibres: Fibres, along: tuple[Array, Array], owners: Array
     ) -> None:
         self._xi, self._rule = along
-        self._d, self._fibres = d, fibres
-        assert kind.energy is not None
-        assumed = kind.energy.assumed_strains
-        self._beta = axial_functions(d, tuple(self._xi.tolist()), assumed, kind.straight)
+        self._d, self._fibres = own.d, fibres
+        assumed, straight = own.energy.assumed_strains, own.kind.straight
+        self._beta = axial_functions(own.d, tuple(self._xi.tolist()), assumed, straight)
         self._B = self._metric(section_functions(fibres.offsets, fibres.factors, fibres.radii))
-        self._J_inv: Array | None = None
+        self._straight, self._J_inv = straight, np.eye(own.d)
         self.dV = self._measure(fibres.volume)
-        if not kind.straight:
-            J = self._gradient(Y_unit, fibres.offsets, 1.0)
+        if not straight:
+            self._Y = own.Y_unit
+            J = self._gradient(fibres.offsets)
             det_J = np.linalg.det(J)
             _refuse_folds(det_J, owners)
-            self._Y, self._axes = Y_unit, _section_axes(J)
+            self._axes = _section_axes(J)
             self._J_inv = np.linalg.inv(self._axes @ J)
             self.dV = self.dV * det_J
         self.T = self._transform(self._J_inv, self._J_inv, 1.0)
@@ -184,33 +157,29 @@ class Region:
     def partial(self, fibres_b: Fibres) -> tuple[Array, Array]:
         """Return the derivatives of P and dV."""
         own = self._fibres
-        phi_b = section_functions_partial(
-            (own.offsets, own.factors, own.radii),
-            (fibres_b.offsets, fibres_b.factors, fibres_b.radii),
-        )
+        parts = [(x.offsets, x.factors, x.radii) for x in (own, fibres_b)]
+        phi_b = along(section_functions, *parts)
         P_b = self.T @ self._metric(phi_b)
         dV_b = self._measure(fibres_b.volume)
-        if self._J_inv is None:
+        if self._straight:
             return P_b, dV_b
         # The section slopes of the reference, and so its axes, depend on no parameter.
-        J_b = self._axes @ self._gradient(self._Y, fibres_b.offsets, 0.0)
+        J_b = self._axes @ along(self._gradient, (own.offsets,), (fibres_b.offsets,))
         K_b = -self._J_inv @ J_b @ self._J_inv
         T_b = self._transform(K_b, self._J_inv, 0.0) + self._transform(self._J_inv, K_b, 0.0)
         trace = np.einsum("npij,npji->np", self._J_inv, J_b)
         det_J = self.dV / self._measure(own.volume)
         return P_b + T_b @ self._B, dV_b * det_J + self.dV * trace
 
-    def shape(self, offsets: Array, one: float) -> Array:
-        """Scaled shape functions, shape (n, n_p, n_a); `one` is zero for their derivative."""
-        xi, n_s = self._xi, self._d + 1
-        s5, (p2, p6) = end_weight(xi), slope_weights(xi)
-        s = np.zeros((*offsets.shape[:2], len(xi), 2 * n_s), dtype=offsets.dtype)
-        s[..., 0], s[..., n_s] = one * (1 - s5), one * s5
-        s[..., 1], s[..., n_s + 1] = one * p2, one * p6
-        for k in range(self._d - 1):
-            y = offsets[..., None, k]
-            s[..., 2 + k], s[..., n_s + 2 + k] = y * (1 - xi), y * xi
-        return s.reshape(len(s), -1, 2 * n_s)
+    def shape(self, offsets: Array) -> Array:
+        """Scaled shape functions, shape (n, n_p, n_a)."""
+        return self._weights(Quantity.POSITION, offsets)
+
+    def _weights(self, quantity: Quantity, offsets: Array) -> Array:
+        """Weights of the node vectors at all points, shape (n, n_p, n_a)."""
+        y, z = np.moveaxis(offsets[:, :, None], -1, 0)
+        weights = shape_weights(self._d, quantity, self._xi, y, z)
+        return weights.reshape(len(weights), -1, weights.shape[-1])
 
     def _metric(self, phi: Array) -> Array:
         """B at all points, shape (n, n_p, n_v, n_g)."""
@@ -222,26 +191,20 @@ class Region:
         measure: Array = volume[:, :, None] * self._rule
         return measure.reshape(len(volume), -1)
 
-    def _gradient(self, Y: Array, offsets: Array, one: float) -> Array:
-        """dr_o/dx (eq. 16), shape (n, n_p, d, d); `one` is zero for its derivative."""
-        d, xi = self._d, self._xi
-        N = np.zeros((*offsets.shape[:2], len(xi), 2 * d + 1, d), dtype=offsets.dtype)
-        N[..., 0, 0] = one * end_weight_xi(xi)
-        N[..., 1, 0], N[..., 1 + d, 0] = (one * s for s in slope_weights_xi(xi))
-        for k in range(1, d):
-            y = offsets[..., None, k - 1]
-            N[..., 1 + k, 0], N[..., 1 + d + k, 0] = -y, y
-            N[..., 1 + k, k], N[..., 1 + d + k, k] = one * (1 - xi), one * xi
-        J: Array = Y.transpose(0, 2, 1)[:, None] @ N.reshape(len(N), -1, 2 * d + 1, d)
+    def _gradient(self, offsets: Array) -> Array:
+        """dr_o/dx (eq. 16), shape (n, n_p, d, d)."""
+        n_s = self._d + 1
+        slopes = [self._weights(quantity, offsets) for quantity in tuple(Quantity)[1:n_s]]
+        # Of both positions the weights are opposite: that of the chord is the second one.
+        N = np.stack(slopes, axis=-1)[..., np.r_[n_s, 1:n_s, n_s + 1 : 2 * n_s], :]
+        J: Array = self._Y.transpose(0, 2, 1)[:, None] @ N
         return J
 
-    def _transform(self, K_1: Array | None, K_2: Array | None, turn: float) -> Array:
+    def _transform(self, K_1: Array, K_2: Array, turn: float) -> Array:
         """T of the module `continuum`, bilinear in (K_1, K_2), both J_o^-1; (..., n_v, n_v)."""
         pairs = np.array(components(self._d))
         i, j = pairs.T[:, :, None]
         alpha, beta = pairs.T[:, None]
-        if K_1 is None or K_2 is None:
-            K_1 = K_2 = np.eye(self._d)
         product = K_1[..., alpha, i] * K_2[..., beta, j] + K_1[..., beta, i] * K_2[..., alpha, j]
         # 1/2 from 2 E = ..., doubled for engineering shear, halved where both terms are one entry.
         T = product * np.where(i == j, 0.5, 1.0) * np.where(alpha == beta, 0.5, 1.0)

@@ -1,6 +1,5 @@
 """Integrators, and the consistent start that all of them share."""
 
-from ancfdae.errors import MissingPackage
 from ancfdae.integrators.explicit import Explicit
 from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.integrand import Density, Integrand, PartialIntegral, Points
@@ -15,24 +14,3 @@ from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenS
 from ancfdae.integrators.sundials.ida import IDA
 from ancfdae.integrators.sundials.idas import IDAS
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
-
-__all__ = [
-    "HHT",
-    "IDA",
-    "IDAS",
-    "AdjointIntegrator",
-    "ControlledSteps",
-    "Density",
-    "Explicit",
-    "FixedSteps",
-    "GivenSteps",
-    "IndexReduction",
-    "Integrand",
-    "Integrator",
-    "PartialIntegral",
-    "Points",
-    "QuadratureIntegrator",
-    "Seeds",
-    "Static",
-    "StepControl",
-]

@@ -4,18 +4,16 @@
 
 with (a, lam) and (a_b, lam_b) from one factorised matrix per stage, which is one for the whole run
 where M and Phi_q are constant. What positions, velocities and their derivatives drift from the
-constraints is removed after each step and from the instants (`projection`).
+constraints is removed after each step and from the instants (`Accelerations.projected`).
 
 The stages of a step make a quadrature of order 8 for functions of the states, with the error
 estimate of the method; where that says that they are too few for an integrand, points within the
 step come from its dense output.
-
-The solver runs in the time s = t / t_end from 0 to 1: SciPy's guess of the first step contains
-times in seconds.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -25,18 +23,28 @@ import numpy as np
 import scipy
 
 from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.integrators.dop853 import EXPONENT, Between, Dop853
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
-from ancfdae.integrators.index_1 import State, project
+from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrand import Points, Rule
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 
-# SciPy raises smaller ones to 100 eps with a warning.
+# Below this, the round-off of a step is as large as its error.
 _LEAST_RTOL = 3e-14
 # Absolute tolerance relative to the scales, per unit of rtol.
 _SMALL = 1e-2
+# Change of the step: part of what the error estimate asks for, least and largest. The error before
+# takes part (Soderlind's PI.4.2): steps at the limit of stability, or where the error swings, then
+# settle below it instead of being rejected time and again.
+_SAFETY, _LEAST, _LARGEST = 0.95, 0.2, 10.0
+_NOW, _BEFORE = 0.6, -0.2
+# Errors that count as no less, now and before.
+_NO_ERROR, _NO_ERROR_BEFORE = 1e-10, 1e-4
+# Shortest step, in gaps between floating-point numbers at its begin.
+_SHORTEST = 10
 # Panels of a step whose stages are too few.
 _PANELS = (1, 4, 16)
 # Steps that are taken into the integrals together: an evaluation of observables costs half a step.
@@ -50,7 +58,7 @@ class Explicit(HighOrder):
     """Explicit integration of order 8 with error control; for soft scenes.
 
     The step is bounded by the highest frequency, so stiff scenes need many steps; a small system
-    takes 1,000 in a second. Parameters: see `HighOrder`.
+    takes 5,000 in a second. Parameters: see `HighOrder`.
     """
 
     def __post_init__(self) -> None:
@@ -62,90 +70,130 @@ class Explicit(HighOrder):
 
 
 @cache
-def _stages() -> tuple[Array, Rule]:
+def _weighted() -> tuple[Array, Rule]:
     """Return which stages carry weight, the first is the state before, and their quadrature."""
     method = scipy.integrate.DOP853
     used = np.flatnonzero(method.B)
     return used, Rule(method.B[used], method.E5[used], method.E3[used])
 
 
-class _Stage(NamedTuple):
-    """A vector at which the rate was evaluated, with the multipliers there."""
-
-    s: float
-    y: Array
-    lam: Array
-    lam_b: Array | None
-
-
 class _Step(NamedTuple):
-    """A step from left to right, the vector before it, and its stages that carry weight."""
+    """A step from left to right, the state before it, and its stages that carry weight.
+
+    Multipliers and their derivatives are rows, (k, 1 + n_b, n_lam).
+    """
 
     left: float
     right: float
-    y: Array
-    stages: list[_Stage]
-    between: scipy.integrate.DenseOutput | None
+    t: Array
+    states: Array
+    multipliers: Array
+    between: Between | None
 
 
 @final
 class _ExplicitMarch(March):
-    """One run; the vector y holds q and all q_b as rows, then v and all v_b, scaled."""
+    """One run; states are rows q and q_b, then v and v_b, shape (2, 1 + n_b, n_q)."""
 
     def __init__(
         self, settings: Explicit, problem: Problem, t_end: float, quadrature: Quadrature
     ) -> None:
         super().__init__(t_end, settings.max_steps)
-        self._quadrature, self._stages = quadrature, list[_Stage]()
-        self._problem, self._trouble = problem, Verdict.ERROR_TEST
-        system, s, b = problem.system, problem.scales, problem.derivative
-        self._m = 0 if b is None else system.n_b
-        own = np.stack([s.q, s.v])[:, None]
-        self._size = np.concatenate([own, own / s.b[: self._m, None]], axis=1)
-        first = problem.initial
-        start = State(first.q, first.v, *(b or ())[:2])
-        self._between: scipy.integrate.DenseOutput | None = None
-        self._rtol, self._steps, self._dense = settings.rtol, list[_Step](), False
-        self._solver = self._new_solver(0.0, self._vector(start), 1.0)
-        self._first = self._stages[0]
+        self._quadrature, self._problem, self._rtol = quadrature, problem, settings.rtol
+        self._trouble, self._multipliers = Verdict.ERROR_TEST, list[Array]()
+        self._wanted = quadrature.wanted
+        self._steps, self._dense, self._between = list[_Step](), False, list[Between]()
+        first, b, s = problem.initial, problem.derivative, problem.scales
+        rows = stacked(first.q, first.v, *(b or ())[:2])
+        variables = np.concatenate([[1.0], s.b])[: rows.shape[1], None]
+        self._floor = _SMALL * self._rtol * np.stack([s.q, s.v])[:, None] / variables
+        self._method = Dop853(self._accelerations, 0.0, rows)
+        self._before = self._multipliers[:1]
+        self._h, self._error = self._first_step(), _NO_ERROR_BEFORE
+
+    def _first_step(self) -> float:
+        """Guess the first step (Hairer, Norsett & Wanner, II.4); the unit of time is t_end."""
+        method, T = self._method, self._t_end
+        state = method.states[0]
+        rate = T * np.stack([state[1], method.accelerations[0]])
+        scale = self._floor + self._rtol * np.abs(state)
+        size, speed = _mean(state / scale), _mean(rate / scale)
+        share = 1e-6 if min(size, speed) < 1e-5 else min(0.01 * size / speed, 1.0)
+        moved = state + share * rate
+        try:
+            later = T * np.stack([moved[1], self._accelerations(share * T, moved)])
+        except (NotFinite, SingularMatrix):
+            return share * T
+        fastest = max(_mean((later - rate) / scale) / share, speed)
+        if not math.isfinite(fastest):
+            return share * T
+        longest = (0.01 / fastest) ** -EXPONENT if fastest > 0 else 1.0
+        return T * min(100 * share, longest, 1.0)
 
     def _step(self) -> Verdict | None:
-        solver, y = self._solver, self._solver.y
+        method, largest = self._method, _LARGEST
         self._trouble = Verdict.ERROR_TEST
-        self._stages.clear()
-        solver.step()
-        if solver.status == "failed":
-            return self._trouble
+        if self.steps:
+            method.advance()
+        while self._h >= _SHORTEST * math.ulp(method.t):
+            error = self._attempt(min(method.t + self._h, self._t_end))
+            h = method.end - method.t
+            if error < 1:
+                ratio = max(error, _NO_ERROR) ** _NOW * self._error**_BEFORE
+                self._h = h * min(largest, _SAFETY * ratio**EXPONENT)
+                self._error = max(error, _NO_ERROR_BEFORE)
+                self._accept()
+                return None
+            self._h, largest = h * max(_LEAST, _SAFETY * error**EXPONENT), 1.0
+        return self._trouble
+
+    def _attempt(self, end: float) -> float:
+        """Try a step and return its error, in tolerances; infinite where the equations fail."""
+        method = self._method
+        self._multipliers.clear()
+        try:
+            after = method.attempt(end)
+            scale = np.maximum(np.abs(method.states[0]), np.abs(after))
+            scale *= self._rtol
+            scale += self._floor
+            fine, coarse = map(_mean, method.errors() / scale)
+            error = fine * (fine / (math.hypot(fine, 0.1 * coarse) or 1.0))
+            if error < 1 and not finite(method.accept(self._projected(end, after))):
+                raise NotFinite
+        except NotFinite:
+            self._trouble = Verdict.NOT_FINITE
+        except SingularMatrix:
+            self._trouble = Verdict.SINGULAR
+        else:
+            return error
+        return np.inf
+
+    def _accept(self) -> None:
+        """Go on to the end of the step, and keep its stages for the integrals."""
+        method = self._method
         self.steps += 1
-        self._t, self._between = solver.t * self._t_end, None
-        self._accept(y)
-        return None
-
-    def _state(self, t: float) -> State:
-        solver, s = self._solver, t / self._t_end
-        if solver.t == s:
-            return self._point(solver.y)
-        if self._between is None:
-            self._between = solver.dense_output()
-        return self._projected(s, self._between(s))
-
-    def _accept(self, y: Array) -> None:
-        """Project the end of a step from y, and keep its stages for the integrals."""
-        solver = self._solver
-        # The last twelve evaluations: stages 1 to 11, and the state after the step.
-        stages = [self._first, *self._stages[-12:]]
-        if self._problem.system.n_lam:
-            solver.y = self._vector(self._projected(solver.t, solver.y))
-            solver.f = self._rate(solver.t, solver.y)
-        self._first = self._stages[-1]
-        if not self._quadrature.wanted:
+        self._t, self._between = method.end, []
+        if not self._wanted:
             return
-        if self._dense:
-            self._between = solver.dense_output()
-        used = [stages[i] for i in _stages()[0]]
-        self._steps.append(_Step(solver.t_old, solver.t, y, used, self._between))
+        used, t = _weighted()[0], method.times()
+        multipliers = np.array([*self._before, *self._multipliers])
+        self._before = self._multipliers[-1:]
+        between = self._dense_output() if self._dense else None
+        kept = t[used], method.states[used], multipliers[used], between
+        self._steps.append(_Step(method.t, method.end, *kept))
         if len(self._steps) == _TOGETHER:
             self.finish()
+
+    def _dense_output(self) -> Between:
+        if not self._between:
+            self._between = [self._method.between()]
+        return self._between[0]
+
+    def _state(self, t: float) -> Array:
+        method = self._method
+        if t == method.end:
+            return method.after
+        return self._projected(t, self._dense_output()(t))
 
     def finish(self) -> None:
         self._dense = False
@@ -155,87 +203,54 @@ class _ExplicitMarch(March):
 
     def _choices(self, steps: list[_Step]) -> Iterator[Points]:
         """Points within steps: their stages, then their dense output on ever more panels."""
-        h = np.array([x.right - x.left for x in steps]) * self._t_end
-        used = [stage for x in steps for stage in x.stages]
-        s, y = np.array([x.s for x in used]), np.array([x.y for x in used])
-        points = self._points(_stages()[1], h, s, y)
-        lam_b = [x.lam_b for x in used if x.lam_b is not None]
-        yield replace(
-            points, lam=np.array([x.lam for x in used]), lam_b=np.array(lam_b) if lam_b else None
+        h = np.array([x.right - x.left for x in steps])
+        t, states, multipliers = (
+            np.concatenate(parts)
+            for parts in zip(*((x.t, x.states, x.multipliers) for x in steps), strict=True)
         )
+        points = _points(_weighted()[1], h, t, states)
+        lam, lam_b = multipliers[:, 0], multipliers[:, 1:].swapaxes(1, 2)
+        yield replace(points, lam=lam, lam_b=None if points.q_b is None else lam_b)
         self._dense = True
         dense = [x.between or self._repeated(x) for x in steps]
         for n in _PANELS:
             shares = (np.arange(n)[:, None] + SHARES).ravel() / n
             within = [np.minimum(x.left + shares * (x.right - x.left), x.right) for x in steps]
-            rows = [between(times).T for between, times in zip(dense, within, strict=True)]
-            yield self._points(
+            rows = [between(times) for between, times in zip(dense, within, strict=True)]
+            yield _points(
                 KRONROD, np.repeat(h / n, n), np.concatenate(within), np.concatenate(rows)
             )
 
-    def _repeated(self, step: _Step) -> scipy.integrate.DenseOutput:
+    def _repeated(self, step: _Step) -> Between:
         """Return the dense output of a step that was accepted before."""
-        solver = self._new_solver(step.left, step.y, step.right, step.right - step.left)
-        solver.step()
-        return solver.dense_output()
+        method = Dop853(self._accelerations, step.left, step.states[0])
+        method.accept(self._projected(step.right, method.attempt(step.right)))
+        return method.between()
 
-    def _new_solver(
-        self, s: float, y: Array, end: float, first: float | None = None
-    ) -> scipy.integrate.DOP853:
-        rtol = self._rtol
-        atol = _SMALL * rtol
-        return scipy.integrate.DOP853(self._rate, s, y, end, first_step=first, rtol=rtol, atol=atol)
-
-    def residual(self) -> float:
-        return 0.0  # An explicit step has no equations left over.
-
-    def _vector(self, point: State) -> Array:
-        rows = np.empty(self._size.shape)
-        rows[0, 0], rows[1, 0] = point.q, point.v
-        if point.q_b is not None and point.v_b is not None:
-            rows[0, 1:], rows[1, 1:] = point.q_b.T, point.v_b.T
-        rows /= self._size
-        return rows.ravel()
-
-    def _point(self, y: Array) -> State:
-        x = y.reshape(self._size.shape) * self._size
-        q, v = x[0, 0], x[1, 0]
-        return State(q, v) if self._m == 0 else State(q, v, x[0, 1:].T, x[1, 1:].T)
-
-    def _points(self, rule: Rule, h: Array, s: Array, y: Array) -> Points:
-        x = y.reshape(-1, *self._size.shape) * self._size
-        q, v = x[:, 0], x[:, 1]
-        own = (q[:, 1:].swapaxes(1, 2), v[:, 1:].swapaxes(1, 2)) if self._m else ()
-        return Points(rule, h, s * self._t_end, q[:, 0], v[:, 0], *own)
-
-    def _projected(self, s: float, y: Array) -> State:
-        if not finite(y):
+    def _projected(self, t: float, rows: Array) -> Array:
+        if not finite(rows):
             raise NotFinite
-        problem, t = self._problem, s * self._t_end
-        return project(problem.system, problem.accelerations, t, self._point(y))
+        problem = self._problem
+        return problem.accelerations.projected(t, rows) if problem.system.n_lam else rows
 
-    def _rate(self, s: float, y: Array) -> Array:
-        """Return dy/ds; NaN if there is none, from which the solver tries a shorter step."""
+    def _accelerations(self, t: float, rows: Array) -> Array:
+        """Return a above a_b, and keep the multipliers."""
         self.residuals += 1
-        try:
-            return self._finite_rate(s, y)
-        except NotFinite:
-            self._trouble = Verdict.NOT_FINITE
-        except SingularMatrix:
-            self._trouble = Verdict.SINGULAR
-        return np.full_like(y, np.nan)
+        if not finite(rows):
+            raise NotFinite
+        problem = self._problem
+        x, n = problem.accelerations.rows(t, rows[0], rows[1]), rows.shape[2]
+        if self._wanted:
+            self._multipliers.append(x[:, n:])
+        return x[:, :n]
 
-    def _finite_rate(self, s: float, y: Array) -> Array:
-        if not finite(y):
-            raise NotFinite
-        t, x, accelerations = s * self._t_end, self._point(y), self._problem.accelerations
-        a, lam = accelerations.solve(t, x.q, x.v)
-        rate, lam_b = State(x.v, a), None
-        if x.q_b is not None and x.v_b is not None:
-            a_b, lam_b = accelerations.solve_b(t, (x.q, x.v, a, lam), x.q_b, x.v_b)
-            rate = State(x.v, a, x.v_b, a_b)
-        vector = self._vector(rate) * self._t_end
-        if not finite(vector):
-            raise NotFinite
-        self._stages.append(_Stage(s, y, lam, lam_b))
-        return vector
+
+def _mean(x: Array) -> float:
+    """Root of the mean square."""
+    return math.sqrt(np.vdot(x, x) / x.size)
+
+
+def _points(rule: Rule, h: Array, t: Array, states: Array) -> Points:
+    q, v = states[:, 0], states[:, 1]
+    own = (q[:, 1:].swapaxes(1, 2), v[:, 1:].swapaxes(1, 2)) if q.shape[1] > 1 else ()
+    return Points(rule, h, t, q[:, 0], v[:, 0], *own)

@@ -16,7 +16,6 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_count
-from ancfdae.integrators.index_1 import State
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.problem import Problem
@@ -60,7 +59,11 @@ class NotFinite(Exception):
 
 
 class March(abc.ABC):
-    """One run of a solver, step by step, in a context; it counts as `Statistics` do."""
+    """One run of a solver, step by step, in a context; it counts as `Statistics` do.
+
+    `residual` is the size of the last finite scaled residual, zero where a step leaves none; it is
+    kept, for after an interrupt or a failure the equations must not be called once more.
+    """
 
     def __init__(
         self,
@@ -69,12 +72,12 @@ class March(abc.ABC):
         context: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self.steps = self.iterations = self.factorisations = self.residuals = 0
-        self._t, self._t_end, self._max_steps = 0.0, t_end, max_steps
+        self.residual, self._t, self._t_end, self._max_steps = 0.0, 0.0, t_end, max_steps
         self._progress, self._context = Progress(t_end), context
 
     @final
-    def to(self, t: float) -> State | Verdict:
-        """Step until t lies behind; return the state there, or why it was not reached.
+    def to(self, t: float) -> Array | Verdict:
+        """Step until t lies behind; return the state there (`stacked`), or why it is not reached.
 
         NotFinite if the equations yield NaN or infinity, or SingularMatrix, may be raised.
         """
@@ -94,19 +97,12 @@ class March(abc.ABC):
         """Take a step, or return why there is none."""
 
     @abc.abstractmethod
-    def _state(self, t: float) -> State:
-        """Interpolate in the last step."""
+    def _state(self, t: float) -> Array:
+        """Interpolate in the last step; `stacked`."""
 
     @abc.abstractmethod
     def finish(self) -> None:
         """Take the last steps into the integrals."""
-
-    @abc.abstractmethod
-    def residual(self) -> float:
-        """Size of the last finite scaled residual; it is kept, not evaluated again.
-
-        After an interrupt or a failure the equations must not be called once more.
-        """
 
 
 @dataclass(frozen=True)
@@ -162,21 +158,7 @@ class HighOrder(QuadratureIntegrator):
         *,
         sensitivities: bool = False,
         progress: bool = False,
-    ) -> Solution:
-        """Integrate from t = 0 to `t_end`."""
-        return self.integrate_with(
-            system, t_end, (), sensitivities=sensitivities, progress=progress
-        )
-
-    @final
-    def integrate_with(
-        self,
-        system: MechanicalSystem,
-        t_end: float,
-        integrands: Sequence[Integrand],
-        *,
-        sensitivities: bool = False,
-        progress: bool = False,
+        integrands: Sequence[Integrand] = (),
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, integrals beside the motion."""
         from tqdm import tqdm
@@ -217,19 +199,16 @@ class HighOrder(QuadratureIntegrator):
             recorder.accepted, recorder.iterations = march.steps, march.iterations
             recorder.residuals = march.residuals
             recorder.factorisations += march.factorisations
-            size = 0.0 if verdict is Verdict.FINISHED else march.residual()
+            size = 0.0 if verdict is Verdict.FINISHED else march.residual
         return recorder.solution(Outcome(verdict, recorder.time, recorder.accepted, size))
 
 
-def _record(problem: Problem, recorder: Recorder, t: float, point: State) -> None:
+def _record(problem: Problem, recorder: Recorder, t: float, state: Array) -> None:
     """Complete a state by accelerations and multipliers, and store it."""
-    q, v, q_b, v_b = point.q, point.v, point.q_b, point.v_b
-    a, lam = problem.accelerations.solve(t, q, v)
-    found: tuple[Array, ...] = (a, lam)
-    derivatives: tuple[Array, ...] = ()
-    if q_b is not None and v_b is not None:
-        found += problem.accelerations.solve_b(t, (q, v, a, lam), q_b, v_b)
-        derivatives = (q_b, v_b, *found[2:])
-    if not all(finite(x) for x in found):
+    (q, v), n = state, problem.system.n_q
+    x = problem.accelerations.rows(t, q, v)
+    if not finite(x):
         raise NotFinite
-    recorder.record(t, q, v, a, lam, derivatives)
+    a, lam = x[:, :n], x[:, n:]
+    own = () if len(q) == 1 else (q[1:].T, v[1:].T, a[1:].T, lam[1:].T)
+    recorder.record(t, q[0], v[0], a[0], lam[0], own)

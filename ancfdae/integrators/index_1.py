@@ -17,30 +17,30 @@ design derivatives of the state are moved onto the derivatives of the constraint
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Callable
+from typing import TypeAlias, final
 
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.total_derivatives import acceleration_totals
+from ancfdae.protocol.total_derivatives import held_totals
 
 # Up to this size a product with the inverse takes a third of the time of a band solve (measured:
 # 106 unknowns, six columns, 6 against 27 us).
 _INVERTED_SIZE = 200
 
+# Solves for rows of right sides, (..., n_q) and (..., n_lam); None for zeros, not for both.
+Solve: TypeAlias = Callable[[Array | None, Array | None], Array]
 
-@final
-@dataclass(frozen=True)
-class State:
-    """Coordinates and velocities with their design derivatives, or None without."""
 
-    q: Array
-    v: Array
-    q_b: Array | None = None
-    v_b: Array | None = None
+def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = None) -> Array:
+    """Return a state and its design derivatives as rows, (2, 1 + n_b, n_q): q, q_b; v, v_b."""
+    own = np.stack([q, v])[:, None]
+    if q_b is None or v_b is None:
+        return own
+    return np.concatenate([own, np.stack([q_b.T, v_b.T])], axis=1)
 
 
 @final
@@ -54,7 +54,8 @@ class Accelerations:
         self._system, self._matrices = system, matrices
         self._Phi_q: Array | None = None
         self._factors: Factorization | None = None
-        self._inverse: Array | None = None
+        self._by_inverse: Solve | None = None
+        self._constant = system.constant_mass and system.constant_constraints
         self.factorisations = 0
 
     def factors(self, t: float, q: Array) -> Factorization:
@@ -62,7 +63,7 @@ class Accelerations:
         Phi_q = self._system.constraint_q(q, t)
         if self._factors is None or not self._unchanged(Phi_q):
             self._factors = self._matrices.factor(self._system.mass(q), Phi_q)
-            self._Phi_q, self._inverse = Phi_q, None
+            self._Phi_q, self._by_inverse = Phi_q, None
             self.factorisations += 1
         return self._factors
 
@@ -71,22 +72,62 @@ class Accelerations:
             return False
         return Phi_q is self._Phi_q or np.array_equal(Phi_q, self._Phi_q)
 
-    def _solved(self, t: float, q: Array, right: Array) -> Array:
-        """Solve; by the inverse, which is formed when a matrix is met again."""
-        before = self._factors
+    def _solver(self, t: float, q: Array) -> Solve:
+        """Return how to solve at q: by the inverse where a matrix is met again."""
+        if self._by_inverse is not None and self._constant:
+            return self._by_inverse
+        before, size, n = self._factors, self._matrices.size, len(q)
         factors = self.factors(t, q)
-        if factors is not before or len(right) > _INVERTED_SIZE:
-            return factors.solve(right)
-        if self._inverse is None:
-            self._inverse = factors.solve(np.eye(len(right)))
-        return self._inverse @ right
+        if factors is before and self._by_inverse is None and size <= _INVERTED_SIZE:
+            self._by_inverse = _by_inverse(factors.solve(np.eye(size)).T, n)
+        return self._by_inverse or (
+            lambda force, side: factors.solve(_joined(force, side, n, size).T).T
+        )
 
     def solve(self, t: float, q: Array, v: Array) -> tuple[Array, Array]:
         """Return a and lam."""
-        system = self._system
-        right = np.concatenate([system.force(q, v, t), system.acceleration_side(q, v, t)])
-        x = self._solved(t, q, right)
-        return x[: system.n_q], x[system.n_q :]
+        x, n = self.rows(t, q[None], v[None])[0], self._system.n_q
+        return x[:n], x[n:]
+
+    def rows(self, t: float, q: Array, v: Array) -> Array:
+        """Return (a, lam), and below it design derivatives if q and v have those as rows."""
+        system, side = self._system, None
+        if not system.constant_constraints:
+            side = system.acceleration_side(q[0], v[0], t)
+        solve = self._solver(t, q[0])
+        if len(q) == 1:
+            return solve(system.force(q[0], v[0], t), side)[None]
+        Q = system.force_and_total(q, v, t)
+        x = np.empty((len(q), self._matrices.size))
+        first = x[0] = solve(Q[0], side)
+        force, side_b = held_totals(system, t, q, v, first)
+        x[1:] = solve(Q[1:] - force, None if side_b is None else -side_b)
+        return x
+
+    def projected(self, t: float, rows: Array) -> Array:
+        """Return the rows of a state moved onto the constraints."""
+        system, n, dot = self._system, self._system.n_q, self._system.constraint_pattern.dot
+        solve = self._solver(t, rows[0, 0])
+
+        def nearest(defect: Array) -> Array:
+            """Smallest changes x with Phi_q x = defect, one row for each column."""
+            return solve(None, defect.T)[..., :n]
+
+        if system.constant_constraints:
+            all_rows = rows.reshape(-1, n)
+            defect = dot(system.constraint_q(rows[0, 0], t), all_rows.T)
+            defect[:, 0] = system.constraint(rows[0, 0], t)
+            return (all_rows - nearest(defect)).reshape(rows.shape)
+        q, v = rows = rows.copy()
+        q[0] -= nearest(system.constraint(q[0], t))
+        Phi_q = system.constraint_q(q[0], t)
+        v[0] -= nearest(dot(Phi_q, v[0]) - system.velocity_side(q[0], t))
+        if len(q) > 1:
+            q[1:] -= nearest(dot(Phi_q, q[1:].T) + system.constraint_b(q[0], t))
+            q_b, v_b = q[1:].T, v[1:].T
+            defect = system.constraint_q_times_total(q[0], v[0], t, q_b) + dot(Phi_q, v_b)
+            v[1:] -= nearest(defect - system.velocity_side_total(q[0], t, q_b))
+        return rows
 
     @property
     def weights(self) -> Array:
@@ -98,35 +139,29 @@ class Accelerations:
         force = self._system.constraint_force(q, lam, t) / np.sqrt(self._system.weights)
         return float(np.linalg.norm(force))
 
-    def solve_b(
-        self, t: float, state: tuple[Array, Array, Array, Array], q_b: Array, v_b: Array
-    ) -> tuple[Array, Array]:
-        """Return a_b and lam_b at the state (q, v, a, lam)."""
-        right = np.concatenate(acceleration_totals(self._system, t, state, q_b, v_b))
-        x = self._solved(t, state[0], right)
-        return x[: self._system.n_q], x[self._system.n_q :]
+
+def _by_inverse(inverse: Array, n: int) -> Solve:
+    """Solve by the inverse of the transposed matrix."""
+    on_force, on_side = inverse[:n], inverse[n:]
+
+    def solve(force: Array | None, side: Array | None) -> Array:
+        if side is None:
+            assert force is not None
+            x: Array = np.dot(force, on_force)
+            return x
+        x = np.dot(side, on_side)
+        return x if force is None else x + np.dot(force, on_force)
+
+    return solve
 
 
-def project(
-    system: MechanicalSystem, accelerations: Accelerations, t: float, state: State
-) -> State:
-    """Return the state moved onto the constraints."""
-    factors = accelerations.factors(t, state.q)
-    q = state.q - _nearest(factors, system.n_q, system.constraint(state.q, t))
-    B, pattern = system.constraint_q(q, t), system.constraint_pattern
-    v = state.v - _nearest(
-        factors, system.n_q, pattern.dot(B, state.v) - system.velocity_side(q, t)
-    )
-    if state.q_b is None or state.v_b is None:
-        return State(q, v)
-    defect = pattern.dot(B, state.q_b) + system.constraint_b(q, t)
-    q_b = state.q_b - _nearest(factors, system.n_q, defect)
-    defect = system.constraint_q_times_total(q, v, t, q_b) + pattern.dot(B, state.v_b)
-    defect = defect - system.velocity_side_total(q, t, q_b)
-    return State(q, v, q_b, state.v_b - _nearest(factors, system.n_q, defect))
-
-
-def _nearest(factors: Factorization, n_q: int, defect: Array) -> Array:
-    """Smallest change x with Phi_q x = defect; also for columns."""
-    zero = np.zeros((n_q, *defect.shape[1:]))
-    return factors.solve(np.concatenate([zero, defect]))[:n_q]
+def _joined(force: Array | None, side: Array | None, n: int, size: int) -> Array:
+    """Return right sides as rows; zeros for None."""
+    known = force if force is not None else side
+    assert known is not None
+    right = np.zeros((*known.shape[:-1], size), dtype=known.dtype)
+    if force is not None:
+        right[..., :n] = force
+    if side is not None:
+        right[..., n:] = side
+    return right

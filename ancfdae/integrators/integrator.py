@@ -90,14 +90,14 @@ class QuadratureIntegrator(Integrator):
     """An integrator that takes integrals beside the motion; others sum over their instants."""
 
     @abc.abstractmethod
-    def integrate_with(
+    def integrate(
         self,
         system: MechanicalSystem,
         t_end: float,
-        integrands: Sequence[Integrand],
         *,
         sensitivities: bool = False,
         progress: bool = False,
+        integrands: Sequence[Integrand] = (),
     ) -> Solution:
         """Integrate, and feed the integrands; they are complete where the run reached `t_end`."""
 

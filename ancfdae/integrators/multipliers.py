@@ -12,7 +12,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.integrators.index_1 import Accelerations
+from ancfdae.integrators.index_1 import Accelerations, stacked
 from ancfdae.numerics.arrays import Array
 
 # Nodes of a polynomial, and steps from one to the next.
@@ -127,12 +127,9 @@ class Multipliers:
                 found.append(found[-1])
                 rates.append(rates[-1])
                 continue
-            q, v = motion.q[k], motion.v[k]
-            a, lam = self._accelerations.solve(float(t), q, v)
-            found.append(lam[:, None])
-            rates.append(a)
-            if motion.q_b is not None and motion.v_b is not None:
-                state, states_b = (q, v, a, lam), (motion.q_b[k], motion.v_b[k])
-                lam_b = self._accelerations.solve_b(float(t), state, *states_b)[1]
-                found[-1] = np.concatenate([found[-1], lam_b], axis=1)
+            own = () if motion.q_b is None or motion.v_b is None else (motion.q_b[k], motion.v_b[k])
+            x = self._accelerations.rows(float(t), *stacked(motion.q[k], motion.v[k], *own))
+            n_q = motion.q.shape[1]
+            found.append(x[:, n_q:].T)
+            rates.append(x[0, :n_q])
         return np.array(found), np.array(rates)

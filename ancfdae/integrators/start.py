@@ -24,8 +24,8 @@ from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import refuse_redundant, solve, solve_transposed
 from ancfdae.protocol.total_derivatives import (
-    acceleration_totals,
     constraint_force_total,
+    held_totals,
     inertia_total,
 )
 
@@ -67,27 +67,18 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
         raise InvalidInput("start", "must be finite", "NaN or infinity", "Check the start.")
     if not system.project_start:
         _refuse_inconsistent(system, q, v, t)
-    # Forces that are not finite at the start are refused below, not warned about.
+    # Forces that are not finite at the start are refused here, not warned about.
     with np.errstate(all="ignore"):
-        return _solve_start(system, matrices, q, v, t)
-
-
-def _solve_start(
-    system: MechanicalSystem, matrices: SaddlePoint, q: Array, v: Array, t: float
-) -> InitialState:
-    q, _ = _project_position(system, matrices, q, t)
-    if not system.linear_constraints:
-        refuse_redundant(system, system.constraint_q(q, t))
-    factors = _factor_mass(system, matrices, q, t)
-    zero = np.zeros(system.n_lam)
-    v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
-    Q = system.force(q, v, t)
-    if not finite(Q):
-        raise InvalidInput(
-            "forces at the start", "must be finite", "NaN or infinity", "Check forces and start."
-        )
-    a, lam = solve(factors, Q, zero + system.acceleration_side(q, v, t))
-    return InitialState(t, q, v, a, lam)
+        q, _ = _project_position(system, matrices, q, t)
+        if not system.linear_constraints:
+            refuse_redundant(system, system.constraint_q(q, t))
+        factors = _factor_mass(system, matrices, q, t)
+        v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
+        Q = system.force(q, v, t)
+        if not finite(Q):
+            repair = "Check forces and start."
+            raise InvalidInput("forces at the start", "must be finite", "NaN or infinity", repair)
+        return InitialState(t, q, v, *solve(factors, Q, system.acceleration_side(q, v, t)))
 
 
 def start_sensitivity(
@@ -113,7 +104,11 @@ def start_sensitivity(
     v_b, _ = solve(factors, right, side)
 
     # 3. The same for the accelerations.
-    a_b, lam_b = solve(factors, *acceleration_totals(system, t, (q, v, a, lam), q_b, v_b))
+    rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
+    force, held = held_totals(system, t, rows[0], rows[1], np.concatenate([a, lam]))
+    Q_b = system.force_and_total(rows[0], rows[1], t)[1:]
+    side = np.zeros((system.n_lam, system.n_b)) if held is None else -held.T
+    a_b, lam_b = solve(factors, (Q_b - force).T, side)
     return InitialSensitivity(q_b, v_b, a_b, lam_b)
 
 

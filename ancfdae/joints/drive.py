@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement
-from ancfdae.errors import InvalidInput, require_direction
+from ancfdae.errors import require_direction
 from ancfdae.joints.frames import (
     OUT_OF_PLANE,
     across,
@@ -69,7 +69,7 @@ class Drive(DrivenJoint):
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Return what does not turn: along the axis, shear, and right angles."""
-        a, d = self._axis(p, reference), reference.shape[1]
+        a, d = self._axis(p), reference.shape[1]
         if self.other is None:
             return self._against_ground(p, reference, lambda m: (a @ m) * a, still=True)
         own, other = sections(self.points, reference)
@@ -82,7 +82,7 @@ class Drive(DrivenJoint):
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
         """Return what goes with the cosine and the sine of the angle."""
-        a = self._axis(p, reference)
+        a = self._axis(p)
         if self.other is None:
             cosine = self._against_ground(p, reference, lambda m: m - (a @ m) * a)
             return cosine, self._against_ground(p, reference, lambda m: np.cross(a, m))
@@ -114,7 +114,7 @@ class Drive(DrivenJoint):
         m_w = (a - 1/2 (a . n) n) x w: in the reference a turn phi of the section changes F w . m_w
         by a . phi in all (theory.md).
         """
-        d, a = slopes.shape[1], self._axis(p, slopes)
+        d, a = slopes.shape[1], self._axis(p)
         n, axes, weights = spanned(slopes)
         twisting = d == 3 and abs((a @ n).real) > OUT_OF_PLANE
         c = empty_coefficients(1, p, slopes, flat_angle(self.point) if twisting else ())
@@ -136,18 +136,9 @@ class Drive(DrivenJoint):
             other.meet(c, 0, own.carried(e), e_other, 0.5)
         return c
 
-    def _axis(self, p: Array, reference: Array) -> Array:
+    def _axis(self, p: Array) -> Array:
         axis = self.split(p)[1]
-        if axis is None:
-            return np.array([0.0, 0.0, 1.0])
-        if reference.shape[1] == 3:
-            return unit(axis)
-        raise InvalidInput(
-            f"joint {self.name!r}, axis",
-            "is a choice of spatial scenes only",
-            self.axis,
-            "Leave it out: in the plane it is z.",
-        )
+        return np.array([0.0, 0.0, 1.0]) if axis is None else unit(axis)
 
 
 def cosine_and_sine(theta: Sequence[Array]) -> Array:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement, Quantity
-from ancfdae.errors import require_direction
 from ancfdae.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
-from ancfdae.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients
-from ancfdae.laws import Law
-from ancfdae.laws.law import require_law
+from ancfdae.joints.joint import SECTION, Equations, Travelling, empty_coefficients
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
 
 @final
 @dataclass(frozen=True)
-class Guide(DrivenJoint):
+class Guide(Travelling):
     """Move a point along a direction by a law of time.
 
     direction . (r(point) - r(other)) = x(t) more than in the reference configuration, the ground
@@ -39,15 +35,11 @@ class Guide(DrivenJoint):
         By default ``guide(beam@fraction)``.
     """
 
-    point: Point
-    direction: Sequence[float]
-    travel: Law
     other: Point | None = None
     name: str = ""
 
     kind = "guide"
     takes_part = SECTION
-    design_fields = (("direction", require_direction), ("travel", require_law))
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Return the position to ground; both positions and the slopes of the other point."""
@@ -72,11 +64,3 @@ class Guide(DrivenJoint):
         travel = empty_coefficients(len(c.offset), p, reference)
         travel.offset[0] = 1.0
         return (travel,)
-
-    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
-        """Return true: travel has no other side."""
-        return True
-
-    def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Its law."""
-        return self.travel.derivative(self.split(p)[1], t, order)[None]

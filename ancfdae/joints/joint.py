@@ -19,7 +19,11 @@ from typing import ClassVar, final
 
 import numpy as np
 
+from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement, Quantity
+from ancfdae.errors import require_direction
+from ancfdae.laws import Law
+from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Part, Vectors
 
@@ -118,6 +122,25 @@ class DrivenJoint(Joint):
 
         The instants t have the shape (k,), the result (n_factors, k).
         """
+
+
+@dataclass(frozen=True)
+class Travelling(DrivenJoint):
+    """A joint that moves its point along a direction, not zero, by one law, its one factor."""
+
+    point: Point
+    direction: Sequence[float]
+    travel: Law
+
+    design_fields = (("direction", require_direction), ("travel", require_law))
+
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Return true: travel has no other side."""
+        return True
+
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Return the travel."""
+        return self.travel.derivative(self.split(p)[1], t, order)[None]
 
 
 def spanning(element: BeamElement) -> tuple[Quantity, ...]:

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
-import numpy as np
-
-from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement
-from ancfdae.errors import require_direction
 from ancfdae.joints.clamp import Clamp
 from ancfdae.joints.frames import unit
-from ancfdae.joints.joint import DrivenJoint, Equations, empty_coefficients
-from ancfdae.laws import Law
-from ancfdae.laws.law import require_law
+from ancfdae.joints.joint import Equations, Travelling, empty_coefficients
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
 
 @final
 @dataclass(frozen=True)
-class MovingBase(DrivenJoint):
+class MovingBase(Travelling):
     """Hold a section as a `Clamp` does, on a base that moves along a direction by a law of time.
 
     r(point) = r_o(point) + direction x(t). A base that turns is a `Revolute`, in the plane a `Pin`,
@@ -39,13 +32,9 @@ class MovingBase(DrivenJoint):
         By default ``base(beam@fraction)``.
     """
 
-    point: Point
-    direction: Sequence[float]
-    travel: Law
     name: str = ""
 
     kind = "base"
-    design_fields = (("direction", require_direction), ("travel", require_law))
     holds_position = True
 
     def vectors(self, element: BeamElement) -> Vectors:
@@ -62,11 +51,3 @@ class MovingBase(DrivenJoint):
         c = empty_coefficients(len(still.offset), p, reference)
         c.offset[: reference.shape[1]] = unit(self.split(p)[0])
         return (c,)
-
-    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
-        """Return true: travel has no other side."""
-        return True
-
-    def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the travel."""
-        return np.asarray(self.travel.derivative(self.split(p)[1], t, order))[None]

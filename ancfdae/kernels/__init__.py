@@ -38,16 +38,22 @@ class Block(NamedTuple):
 
 
 add_scaled = _kernels.add_scaled
+balance = _kernels.balance
 band_factor = _kernels.band_factor
 band_solve = _kernels.band_solve
 csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
+csr_subtract = _kernels.csr_subtract
 finite = _kernels.finite
+force_totals = _kernels.force_totals
 forces = _kernels.forces
 forces_along = _kernels.forces_along
 gram = _kernels.gram
+ldl_factor = _kernels.ldl_factor
+ldl_solve = _kernels.ldl_solve
 lifted = _kernels.lifted
 norm = _kernels.norm
+recombine = _kernels.recombine
 relative = _kernels.relative
 strain = _kernels.strain
 stressed = _kernels.stressed

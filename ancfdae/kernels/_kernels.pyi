@@ -17,19 +17,30 @@ def lifted(block: Block, F: Array, /) -> Array:
 def forces(block: Block, q: Array, v: Array | None, /) -> Array:
     """Return R^T of the internal forces (eqs. 13, 17); v is None without damping."""
 
-def forces_along(
+def forces_along(block: Block, q: Array, v: Array | None, u: Array, z: Array | None, /) -> Array:
+    """Return derivatives of `forces` along rows of u and z, directions of q and v.
+
+    At one state for all rows, shape (1, n_q) or (n_q,), or at one for each.
+    """
+
+def force_totals(
     block: Block,
     q: Array,
     v: Array | None,
-    u: Array,
-    z: Array | None,
-    p_b: Array | None,
+    A_b: Array,
+    c_b: Array,
+    tau_b: Array,
+    first: Array,
+    pairs: Array,
+    variables: Array,
     /,
 ) -> Array:
-    """Return derivatives of `forces` along rows of u and z, directions of q and v.
+    """Return `forces` at the first row of q and v, then the total derivatives along the others.
 
-    At one state for all rows, shape (1, n_q) or (n_q,), or at one for each. With p_b, shape
-    (n, k, n_g), the stresses change too.
+    Row i + 1 belongs to design variable i. What variables change is said pair by pair of an element
+    and a variable: element e has pairs[first[e]] to pairs[first[e + 1] - 1], sorted by variables.
+    One below len(A_b) changes stresses by A_b x - c_b, shapes (n, n_g, n_g) and (n, n_g), the
+    further ones change tau by tau_b.
     """
 
 def tangents(
@@ -57,8 +68,29 @@ def csr_rows_transposed(
 ) -> Array:
     """Return M^T x for rows of x; M has `size` columns."""
 
-def norm(x: Array, weights: Array, /) -> float:
-    """Return sqrt(sum(weights x^2)) of the real part."""
+def csr_subtract(
+    first: Array,
+    columns: Array,
+    values: Array,
+    x: Array,
+    out: Array,
+    offset: int,
+    transposed: bool,
+    /,
+) -> None:
+    """Take M x, or M^T x, for rows of x, from rows of `out`, in place, from the offset on."""
+
+def recombine(matrix: Array, z: Array, after: Array, ahead: Array, /) -> None:
+    """Write matrix z, 6 x 4 times four rows, to three rows of `after` and three of `ahead`.
+
+    These may be rows of z.
+    """
+
+def norm(*pairs: Array) -> float:
+    """Return sqrt(sum(weights x^2)) of the real part, the sum over pairs (x, weights)."""
+
+def balance(inertia: Array, reaction: Array, force: Array, constraint: Array, s: float, /) -> Array:
+    """Return inertia + reaction - force, and behind it s times the constraint."""
 
 def band_factor(
     K: Array, B: Array, factors: Array, flat: Array, n: int, half: int, /
@@ -83,6 +115,24 @@ def band_solve(
 
     P numbers the rows: row i of the band is row order[i] of x.
     """
+
+def ldl_factor(
+    terms: tuple[tuple[float, Array], ...],
+    B: Array,
+    chosen: Array,
+    places: Array,
+    first: Array,
+    signs: Array,
+    /,
+) -> tuple[Array, int]:
+    """Return L D L^T in an envelope, and 0 or the number of the pivot without its sign.
+
+    K is a sum of numbers times values. Its values `chosen` and all of B are written to `places`;
+    column k of the envelope begins at first[k], with its diagonal. Nothing is exchanged.
+    """
+
+def ldl_solve(factors: Array, first: Array, order: Array, right: Array, /) -> Array:
+    """Return P^T (L D L^T)^-1 P x for right sides x along the last axis; P as in `band_solve`."""
 
 def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
     """Return x + s y for arrays of one shape, or whatever NumPy makes of it."""

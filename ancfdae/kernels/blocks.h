@@ -61,8 +61,9 @@ INLINE void NAME(spread_tangent)(int n_y, int d, int wide, const npy_int32 *inde
             for (int b = 0; b < n_a; b++) {
                 int column = b == 0 || b == n_s ? 0 : b < n_s ? b : b - 1;
                 T sign = (a == 0) != (b == 0) ? -1 : 1;
+                const T *from = K + (column * d * n_y + row) * wide + i;
                 for (int j = 0; j < d; j++, index++)
-                    values[*index] += sign * K[((column * d + j) * n_y + row) * wide + i];
+                    values[*index] += sign * from[j * n_y * wide];
             }
     }
 }
@@ -101,7 +102,7 @@ INLINE void NAME(forces_)(int n_y, int d, const NAME(block) *b, const T *q, cons
 
 /* Q += R^T of the derivatives of the forces along k directions u and z, at k states or at one. */
 INLINE void NAME(forces_along_)(int n_y, int d, const NAME(block) *b, int one, const T *q,
-                                const T *v, const T *u, const T *z, const T *p_b, T *Q)
+                                const T *v, const T *u, const T *z, T *Q)
 {
     T Y[MOST_M], V[MOST_M], U[MOST_M], Z[MOST_M], F[MOST_M], p[MOST_G] = {0};
     int n_g = n_y * (n_y + 1) / 2;
@@ -121,8 +122,7 @@ INLINE void NAME(forces_along_)(int n_y, int d, const NAME(block) *b, int one, c
                 NAME(gather)(n_y, d, vectors, z + at, Z);
             for (int i = 0; i < n_y * d; i++)
                 F[i] = 0;
-            NAME(force_along)(n_y, d, &own, p, Y, v ? V : NULL, U, Z,
-                              p_b ? p_b + (e * b->k + k) * n_g : NULL, F);
+            NAME(force_along)(n_y, d, &own, p, Y, v ? V : NULL, U, Z, NULL, F);
             NAME(spread)(n_y, d, vectors, F, Q + at);
         }
     }
@@ -195,9 +195,9 @@ CLONES static void NAME(forces)(int n_y, int d, const NAME(block) *b, const T *q
 }
 
 CLONES static void NAME(forces_along)(int n_y, int d, const NAME(block) *b, int one, const T *q,
-                                      const T *v, const T *u, const T *z, const T *p_b, T *Q)
+                                      const T *v, const T *u, const T *z, T *Q)
 {
-    OF_SIZE(forces_along_, b, one, q, v, u, z, p_b, Q)
+    OF_SIZE(forces_along_, b, one, q, v, u, z, Q)
 }
 
 CLONES static void NAME(tangents)(int n_y, int d, const NAME(block) *b, const T *q, const T *v,
@@ -205,7 +205,6 @@ CLONES static void NAME(tangents)(int n_y, int d, const NAME(block) *b, const T 
 {
     OF_SIZE(tangents_, b, q, v, damping, index, nnz, values)
 }
-#undef OF_SIZE
 
 static void NAME(stressed_each)(int n_y, int d, npy_intp n, const T *p, const T *Y, T *F)
 {

@@ -31,22 +31,20 @@ INLINE void NAME(apply)(int n_g, const T *A, const T *x, T *p)
             p[l] += A[k * n_g + l] * x[k];
 }
 
-/* Packed place of entry (i, j). */
-INLINE int NAME(place)(int n_y, int i, int j)
-{
-    int least = i < j ? i : j, most = i < j ? j : i;
-    return least * n_y - least * (least - 1) / 2 + most - least;
-}
-
 /* F += W(p) Y: the gradient of p . g(Y). */
 INLINE void NAME(stressed)(int n_y, int d, const T *p, const T *Y, T *F)
 {
+    T W[MOST_Y * MOST_Y];
+    for (int i = 0; i < n_y; i++)
+        for (int j = i; j < n_y; j++, p++)
+            W[i * n_y + j] = W[j * n_y + i] = (i == j ? 2 : 1) * *p;
     for (int i = 0; i < n_y; i++) {
         T sum[4] = {0, 0, 0, 0};
         for (int j = 0; j < n_y; j++) {
-            T W = (i == j ? 2 : 1) * p[NAME(place)(n_y, i, j)];
+            T w = W[i * n_y + j];
+            UNROLL_NOT
             for (int c = 0; c < d; c++)
-                sum[c] += W * Y[j * d + c];
+                sum[c] += w * Y[j * d + c];
         }
         for (int c = 0; c < d; c++)
             F[i * d + c] += sum[c];
@@ -69,14 +67,18 @@ INLINE void NAME(strain)(int n_y, int d, const T *g_o, const T *Y, T tau, const 
 }
 
 /* p = A x + p_o. */
-INLINE void NAME(stress)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *p)
+INLINE void NAME(stress_of)(int n_g, const NAME(element) *e, const T *x, T *p)
 {
-    int n_g = n_y * (n_y + 1) / 2;
-    T x[MOST_G];
-    NAME(strain)(n_y, d, e->g_o, Y, e->tau, V, x);
     for (int k = 0; k < n_g; k++)
         p[k] = e->p_o ? e->p_o[k] : 0;
     NAME(apply)(n_g, e->A, x, p);
+}
+
+INLINE void NAME(stress)(int n_y, int d, const NAME(element) *e, const T *Y, const T *V, T *p)
+{
+    T x[MOST_G];
+    NAME(strain)(n_y, d, e->g_o, Y, e->tau, V, x);
+    NAME(stress_of)(n_y * (n_y + 1) / 2, e, x, p);
 }
 
 /* F += W(p) Y with p = A x + p_o (eqs. 13, 17). */
@@ -110,7 +112,7 @@ INLINE void NAME(force_along)(int n_y, int d, const NAME(element) *e, const T *p
     NAME(stressed)(n_y, d, p, U, F);
 }
 
-/* K^T += (G(Y)^T A G(X))^T, column by column: A g'(X, U) of each unit vector U, times W(.) Y.
+/* K^T += (G(Y)^T A G(X))^T: A g'(X, U) of each unit vector U, a row of P, times W(.) Y.
  *
  * Rows of d numbers have room for `wide`, so that they are vectors of the processor; those of Y
  * are filled with zeros.
@@ -119,19 +121,22 @@ INLINE void NAME(add_stress_columns)(int n_y, int d, int wide, const T *A, const
                                      T *K)
 {
     int n_g = n_y * (n_y + 1) / 2;
-    T p[MOST_G];
+    T P[MOST_M * MOST_G];
+    for (int k = 0; k < n_y * d * n_g; k++)
+        P[k] = 0;
     for (int i = 0; i < n_y; i++)
-        for (int c = 0; c < d; c++, K += n_y * wide) {
-            for (int l = 0; l < n_g; l++)
-                p[l] = 0;
-            for (int j = 0; j < n_y; j++) {
-                const T *A_k = A + NAME(place)(n_y, i, j) * n_g;
-                T x = (i == j ? 2 : 1) * X[j * wide + c];
+        for (int j = i; j < n_y; j++, A += n_g)
+            for (int c = 0; c < d; c++) {
+                T *of_i = P + (i * d + c) * n_g, *of_j = P + (j * d + c) * n_g;
+                T x = (i == j ? 2 : 1) * X[j * wide + c], y = X[i * wide + c];
                 for (int l = 0; l < n_g; l++)
-                    p[l] += A_k[l] * x;
+                    of_i[l] += A[l] * x;
+                if (i != j)
+                    for (int l = 0; l < n_g; l++)
+                        of_j[l] += A[l] * y;
             }
-            NAME(stressed)(n_y, wide, p, Y, K);
-        }
+    for (int k = 0; k < n_y * d; k++)
+        NAME(stressed)(n_y, wide, P + k * n_g, Y, K + k * n_y * wide);
 }
 
 /* Copy rows of d numbers, scaled, into rows of `wide`. */

@@ -38,7 +38,16 @@
 #else
 #define WITH_WIDE_VECTORS
 #endif
+/* Before a short loop that is to become one of vectors; GCC would unroll it first, and then take
+ * the loop around it (measured: five times slower). */
+#if defined(__GNUC__) && !defined(__clang__)
+#define UNROLL_NOT _Pragma("GCC unroll 1")
+#else
+#define UNROLL_NOT
+#endif
 
+/* A pivot this small against the diagonal has no digit left. */
+#define ROUND_OFF 1e-13
 /* The largest element: 8 relative node vectors of 3 numbers. */
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
@@ -47,8 +56,11 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #define CLONES WITH_WIDE_VECTORS
 #include "elements.h"
 #include "blocks.h"
+#include "totals.h"
+#undef OF_SIZE
 #include "sparse.h"
 #include "band.h"
+#include "symmetric.h"
 #undef T
 #undef NAME
 #undef CLONES
@@ -57,8 +69,11 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #define CLONES
 #include "elements.h"
 #include "blocks.h"
+#include "totals.h"
+#undef OF_SIZE
 #include "sparse.h"
 #include "band.h"
+#include "symmetric.h"
 #undef T
 #undef NAME
 #undef CLONES
@@ -325,27 +340,72 @@ static PyObject *py_forces(PyObject *const *args)
 /* Whether k directions belong to one state or to k, with velocities of both or of none. */
 static int directed(const Arguments *a, npy_intp k)
 {
-    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {a->n, k, n_g};
     npy_intp states = leading_size(a->states[0], 1);
-    if ((states != 1 && states != k) || (a->states[1] && !a->states[3]))
-        return wrong("there must be one state for all directions or one for each");
-    return !a->states[4] || ends_with(a->states[4], 3, shape) ||
-           wrong("stresses must be those of all elements in all directions");
+    return ((states == 1 || states == k) && (!a->states[1] || a->states[3])) ||
+           wrong("there must be one state for all directions or one for each");
 }
 
 static PyObject *py_forces_along(PyObject *const *args)
 {
     Arguments a;
     PyArrayObject *out = NULL;
-    if (filled(&a, args[0], args + 1, 5) && fitting(&a, 4) && lawful(&a)) {
+    if (filled(&a, args[0], args + 1, 4) && fitting(&a, 4) && lawful(&a)) {
         npy_intp k = leading_size(a.states[2], 1);
         if (directed(&a, k))
             out = zeros_like(a.states[2], 1, 1, &a.n_q, a.type);
         if (out)
             FOR_TYPE(forces_along, leading_size(a.states[0], 1) == 1, data_of(a.states[0]),
                      data_of(a.states[1]), data_of(a.states[2]), data_of(a.states[3]),
-                     data_of(a.states[4]), PyArray_DATA(out));
+                     PyArray_DATA(out));
     }
+    dropped(&a);
+    return (PyObject *)out;
+}
+
+/* Whether partials A_b, c_b and tau_b are those of the pairs of n elements and k - 1 variables. */
+static int paired(const Arguments *a, PyArrayObject *const *index, npy_intp k)
+{
+    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g};
+    PyArrayObject *A_b = a->states[2], *c_b = a->states[3], *tau_b = a->states[4];
+    npy_intp n_stiff = A_b ? leading_size(A_b, 2) : 0, n_damped = tau_b ? PyArray_SIZE(tau_b) : 0;
+    const npy_int64 *first = PyArray_DATA(index[0]);
+    npy_intp size = PyArray_SIZE(index[1]);
+    int in_order = PyArray_SIZE(index[0]) == a->n + 1 && first[0] == 0 && first[a->n] == size;
+    for (npy_intp e = 0; in_order && e < a->n; e++)
+        in_order = first[e] <= first[e + 1];
+    return (in_order && A_b && c_b && ends_with(A_b, 2, shape) && ends_with(c_b, 1, shape) &&
+            leading_size(c_b, 1) == n_stiff && (n_damped == 0 || a->states[1]) &&
+            size == PyArray_SIZE(index[2]) && within_64(index[1], n_stiff + n_damped - 1) &&
+            within_64(index[2], k - 2)) ||
+           wrong("partials must be those of pairs of elements and variables, one row each");
+}
+
+static PyObject *py_force_totals(PyObject *const *args)
+{
+    Arguments a;
+    PyArrayObject *out = NULL, *index[3] = {NULL, NULL, NULL};
+    int whole = filled(&a, args[0], args + 1, 5) && fitting(&a, 2) && lawful(&a);
+    for (int i = 0; whole && i < 3; i++)
+        whole = taken(args[6 + i], NPY_INT64, 1, &index[i]);
+    if (whole && paired(&a, index, leading_size(a.states[0], 1))) {
+        npy_intp k = leading_size(a.states[0], 1), n_stiff = leading_size(a.states[2], 2);
+        const npy_int64 *at[] = {data_of(index[0]), data_of(index[1]), data_of(index[2])};
+        const void *law[] = {data_of(a.states[2]), data_of(a.states[3]), data_of(a.states[4])};
+        law_partials_real real = {n_stiff, at[0], at[1], at[2], law[0], law[1], law[2]};
+        law_partials_complex complex_ = {n_stiff, at[0], at[1], at[2], law[0], law[1], law[2]};
+        out = zeros_like(a.states[0], 1, 1, &a.n_q, a.type);
+        if (out && k && a.type == NPY_DOUBLE) {
+            BLOCK_OF_TYPE(real)
+            force_totals_real(a.n_y, a.d, &b, &real, data_of(a.states[0]), data_of(a.states[1]),
+                              PyArray_DATA(out));
+        } else if (out && k) {
+            BLOCK_OF_TYPE(complex)
+            force_totals_complex(a.n_y, a.d, &b, &complex_, data_of(a.states[0]),
+                                 data_of(a.states[1]), PyArray_DATA(out));
+        }
+    }
+    for (int i = 0; i < 3; i++)
+        Py_XDECREF(index[i]);
     dropped(&a);
     return (PyObject *)out;
 }
@@ -465,31 +525,75 @@ static int is_csr(PyArrayObject *first, PyArrayObject *columns, PyArrayObject *v
 }
 
 /* Rows of x times the matrix (transposed), or times its transpose, with `size` numbers then. */
+/* A matrix in compressed sparse rows with rows x, all of one type. */
+typedef struct {
+    PyArrayObject *first, *columns, *values, *x;
+    npy_intp n, k, width;
+    int type;
+} Csr;
+
+static int csr_taken(PyObject *const *args, Csr *m, PyObject *x)
+{
+    memset(m, 0, sizeof *m);
+    m->type = is_complex(args[2]) || is_complex(x) ? NPY_CDOUBLE : NPY_DOUBLE;
+    if (!taken(args[0], NPY_INT32, 1, &m->first) || !taken(args[1], NPY_INT32, 1, &m->columns) ||
+        !taken(args[2], m->type, 1, &m->values) || !taken(x, m->type, 1, &m->x))
+        return 0;
+    m->k = leading_size(m->x, 1);
+    m->n = PyArray_SIZE(m->first) - 1;
+    m->width = PyArray_DIM(m->x, PyArray_NDIM(m->x) - 1);
+    return 1;
+}
+
+static void csr_dropped(Csr *m)
+{
+    Py_XDECREF(m->first);
+    Py_XDECREF(m->columns);
+    Py_XDECREF(m->values);
+    Py_XDECREF(m->x);
+}
+
+/* Add s M x, or s M^T x, to rows of `width` numbers. */
+static int csr_added(const Csr *m, int transposed, double s, npy_intp width, void *out)
+{
+    const npy_int32 *first = data_of(m->first), *columns = data_of(m->columns);
+    int is_c = m->type == NPY_CDOUBLE;
+    if (transposed) {
+        if (is_c)
+            csr_rows_transposed_complex(m->n, first, columns, data_of(m->values), m->k,
+                                        data_of(m->x), s, width, out);
+        else
+            csr_rows_transposed_real(m->n, first, columns, data_of(m->values), m->k,
+                                     data_of(m->x), s, width, out);
+        return 1;
+    }
+    void *work = m->k > 1 ? PyMem_Malloc(8 * (size_t)m->width * (is_c ? 16 : 8) + 1) : NULL;
+    if (m->k > 1 && !work)
+        return PyErr_NoMemory(), 0;
+    if (is_c)
+        csr_rows_complex(m->n, first, columns, data_of(m->values), m->k, m->width, data_of(m->x),
+                         work, s, width, out);
+    else
+        csr_rows_real(m->n, first, columns, data_of(m->values), m->k, m->width, data_of(m->x),
+                      work, s, width, out);
+    PyMem_Free(work);
+    return 1;
+}
+
 static PyObject *csr(PyObject *const *args, npy_intp size, int transposed)
 {
-    int type = is_complex(args[2]) || is_complex(args[3]) ? NPY_CDOUBLE : NPY_DOUBLE;
-    PyArrayObject *first = NULL, *columns = NULL, *values = NULL, *x = NULL, *out = NULL;
-    if (taken(args[0], NPY_INT32, 1, &first) && taken(args[1], NPY_INT32, 1, &columns) &&
-        taken(args[2], type, 1, &values) && taken(args[3], type, 1, &x)) {
-        npy_intp k = leading_size(x, 1), n = PyArray_SIZE(first) - 1;
-        npy_intp width = PyArray_DIM(x, PyArray_NDIM(x) - 1);
-        if (transposed && width != n)
+    Csr m;
+    PyArrayObject *out = NULL;
+    if (csr_taken(args, &m, args[3])) {
+        npy_intp of_x = transposed ? size : m.width, of_out = transposed ? size : m.n;
+        if (transposed && m.width != m.n)
             wrong("x must have one number for each row of the matrix");
-        else if (is_csr(first, columns, values, transposed ? size : width))
-            out = zeros_like(x, 1, 1, transposed ? &size : &n, type);
-        if (out && type == NPY_DOUBLE)
-            (transposed ? csr_rows_transposed_real : csr_rows_real)(
-                n, data_of(first), data_of(columns), data_of(values), k, transposed ? size : width,
-                data_of(x), PyArray_DATA(out));
-        else if (out)
-            (transposed ? csr_rows_transposed_complex : csr_rows_complex)(
-                n, data_of(first), data_of(columns), data_of(values), k, transposed ? size : width,
-                data_of(x), PyArray_DATA(out));
+        else if (is_csr(m.first, m.columns, m.values, of_x))
+            out = zeros_like(m.x, 1, 1, &of_out, m.type);
+        if (out && !csr_added(&m, transposed, 1, of_out, PyArray_DATA(out)))
+            Py_CLEAR(out);
     }
-    Py_XDECREF(first);
-    Py_XDECREF(columns);
-    Py_XDECREF(values);
-    Py_XDECREF(x);
+    csr_dropped(&m);
     return (PyObject *)out;
 }
 
@@ -504,27 +608,96 @@ static PyObject *py_csr_rows_transposed(PyObject *const *args)
     return taken_number(args[4], NPY_MAX_INTP, &size) ? csr(args, size, 1) : NULL;
 }
 
-/* norm(x, weights): sqrt(sum(weights x^2)) of the real part. */
-static PyObject *py_norm(PyObject *const *args)
+/* csr_subtract(first, columns, values, x, out, offset, transposed): takes M x, or M^T x, from rows
+ * of out, in place, at the numbers from the offset on. */
+static PyObject *py_csr_subtract(PyObject *const *args)
 {
-    int stride = is_complex(args[0]) ? 2 : 1;
-    PyArrayObject *x = NULL, *weights = NULL;
-    PyObject *result = NULL;
-    if (taken(args[0], stride == 2 ? NPY_CDOUBLE : NPY_DOUBLE, 0, &x) &&
-        taken(args[1], NPY_DOUBLE, 0, &weights)) {
-        const double *from = data_of(x), *w = data_of(weights);
-        double sum = 0;
-        if (PyArray_SIZE(x) != PyArray_SIZE(weights))
-            wrong("there must be one weight for each number");
-        else {
-            for (npy_intp i = 0; i < PyArray_SIZE(x); i++)
-                sum += w[i] * from[i * stride] * from[i * stride];
-            result = PyFloat_FromDouble(sqrt(sum));
+    Csr m;
+    npy_intp offset;
+    int done = 0, transposed = PyObject_IsTrue(args[6]);
+    PyArrayObject *out = (PyArrayObject *)args[4];
+    if (csr_taken(args, &m, args[3]) && taken_number(args[5], NPY_MAX_INTP, &offset)) {
+        int rows = PyArray_Check(args[4]) && PyArray_ISCARRAY(out) && PyArray_NDIM(out) > 0;
+        npy_intp width = rows ? PyArray_DIM(out, PyArray_NDIM(out) - 1) : 0, left = width - offset;
+        if (!rows || PyArray_TYPE(out) != m.type || leading_size(out, 1) != m.k || left < 0 ||
+            (transposed ? m.width != m.n : left < m.n))
+            wrong("out must be rows of the type of the product, one for each of x");
+        else if (is_csr(m.first, m.columns, m.values, transposed ? left : m.width))
+            done = csr_added(&m, transposed, -1, width,
+                             PyArray_BYTES(out) + offset * PyArray_ITEMSIZE(out));
+    }
+    csr_dropped(&m);
+    return done ? Py_NewRef(Py_None) : NULL;
+}
+
+/* recombine(matrix, z, after, ahead): rows of matrix times z; three of them to `after`, and three
+ * to `ahead`, in place, which may be rows of z. */
+static PyObject *py_recombine(PyObject *const *args)
+{
+    enum { BLOCK = 64, ROWS = 6, FROM = 4 };
+    PyArrayObject *matrix = NULL, *z = (PyArrayObject *)args[1], *to[2];
+    for (int k = 0; k < 2; k++)
+        to[k] = (PyArrayObject *)args[2 + k];
+    if (!taken(args[0], NPY_DOUBLE, 2, &matrix))
+        return Py_XDECREF(matrix), NULL;
+    npy_intp shape[] = {ROWS, FROM}, size = 0;
+    int good = PyArray_NDIM(matrix) == 2 && ends_with(matrix, 2, shape);
+    for (int k = 0; good && k < 3; k++) {
+        PyArrayObject *x = (PyArrayObject *)args[1 + k];
+        good = PyArray_Check(args[1 + k]) && PyArray_ISCARRAY(x) &&
+               PyArray_TYPE(x) == NPY_DOUBLE && PyArray_NDIM(x) > 0 &&
+               PyArray_DIM(x, 0) == (k ? 3 : FROM);
+        if (good && k == 0)
+            size = PyArray_SIZE(x) / FROM;
+        good = good && PyArray_SIZE(x) == (k ? 3 : FROM) * size;
+    }
+    if (!good)
+        wrong("there must be a matrix of 6 x 4, four rows in place and twice three");
+    else {
+        const double *m = data_of(matrix), *from = data_of(z);
+        for (npy_intp at = 0; at < size; at += BLOCK) {
+            int count = size - at < BLOCK ? (int)(size - at) : BLOCK;
+            double own[FROM][BLOCK];
+            for (int j = 0; j < FROM; j++)
+                memcpy(own[j], from + j * size + at, (size_t)count * sizeof(double));
+            for (int i = 0; i < ROWS; i++) {
+                double *row = (double *)PyArray_DATA(to[i / 3]) + i % 3 * size + at;
+                const double *c = m + i * FROM;
+                for (int k = 0; k < count; k++)
+                    row[k] = c[0] * own[0][k] + c[1] * own[1][k] + c[2] * own[2][k] +
+                             c[3] * own[3][k];
+            }
         }
     }
-    Py_XDECREF(x);
-    Py_XDECREF(weights);
-    return result;
+    Py_DECREF(matrix);
+    return good ? Py_NewRef(Py_None) : NULL;
+}
+
+/* norm(x, weights, ...): sqrt(sum(weights x^2)) of the real part, added up over pairs. */
+static PyObject *py_norm(PyObject *const *args, Py_ssize_t count)
+{
+    double total = 0;
+    int good = count > 0 && count % 2 == 0;
+    if (!good)
+        wrong("norm takes pairs of arguments");
+    for (Py_ssize_t k = 0; good && k < count; k += 2) {
+        int stride = is_complex(args[k]) ? 2 : 1;
+        PyArrayObject *x = NULL, *weights = NULL;
+        good = taken(args[k], stride == 2 ? NPY_CDOUBLE : NPY_DOUBLE, 0, &x) &&
+               taken(args[k + 1], NPY_DOUBLE, 0, &weights) &&
+               (PyArray_SIZE(x) == PyArray_SIZE(weights) ||
+                wrong("there must be one weight for each number"));
+        if (good) {
+            const double *from = data_of(x), *w = data_of(weights);
+            double sum = 0;
+            for (npy_intp i = 0; i < PyArray_SIZE(x); i++)
+                sum += w[i] * from[i * stride] * from[i * stride];
+            total += sqrt(sum);
+        }
+        Py_XDECREF(x);
+        Py_XDECREF(weights);
+    }
+    return good ? PyFloat_FromDouble(total) : NULL;
 }
 
 /* add_scaled(x, s, y): x + s y; NumPy's own operators where these are not real arrays alike. */
@@ -548,6 +721,40 @@ static PyObject *py_add_scaled(PyObject *const *args)
         for (npy_intp i = 0; i < PyArray_SIZE(x); i++)
             to[i] = from[i] + s * added[i];
     }
+    return (PyObject *)out;
+}
+
+/* balance(inertia, reaction, force, constraint, s): inertia + reaction - force, and behind it
+ * s times the constraint. */
+static PyObject *py_balance(PyObject *const *args)
+{
+    int type = NPY_DOUBLE;
+    PyArrayObject *x[4] = {NULL}, *out = NULL;
+    double s = PyFloat_AsDouble(args[4]);
+    int good = !PyErr_Occurred();
+    for (int k = 0; k < 4; k++)
+        if (is_complex(args[k]))
+            type = NPY_CDOUBLE;
+    for (int k = 0; good && k < 4; k++)
+        good = taken(args[k], type, 1, &x[k]);
+    if (good && (PyArray_SIZE(x[0]) != PyArray_SIZE(x[1]) || PyArray_SIZE(x[0]) != PyArray_SIZE(x[2])))
+        good = wrong("forces must have one size");
+    if (good) {
+        npy_intp n = PyArray_SIZE(x[0]), size = n + PyArray_SIZE(x[3]);
+        out = (PyArrayObject *)PyArray_SimpleNew(1, &size, type);
+        if (out) {
+            /* Real and imaginary parts go the same way. */
+            int parts = type == NPY_CDOUBLE ? 2 : 1;
+            const double *a = data_of(x[0]), *b = data_of(x[1]), *c = data_of(x[2]), *d = data_of(x[3]);
+            double *to = PyArray_DATA(out);
+            for (npy_intp i = 0; i < n * parts; i++)
+                to[i] = a[i] + b[i] - c[i];
+            for (npy_intp i = 0; i < (size - n) * parts; i++)
+                to[n * parts + i] = s * d[i];
+        }
+    }
+    for (int k = 0; k < 4; k++)
+        Py_XDECREF(x[k]);
     return (PyObject *)out;
 }
 
@@ -754,6 +961,144 @@ static PyObject *py_band_solve(PyObject *const *args)
     return (PyObject *)out;
 }
 
+/* An envelope (symmetric.h): where its columns begin, and how many numbers it has. */
+typedef struct {
+    PyArrayObject *first;
+    npy_intp n, size;
+} Envelope;
+
+static int envelope_taken(PyObject *object, Envelope *e)
+{
+    if (!taken(object, NPY_INT32, 1, &e->first))
+        return 0;
+    const npy_int32 *first = PyArray_DATA(e->first);
+    e->n = PyArray_SIZE(e->first) - 1;
+    e->size = e->n < 0 ? 0 : first[e->n];
+    int good = PyArray_NDIM(e->first) == 1 && e->n >= 0 && first[0] == 0;
+    npy_int64 last = 0;
+    for (npy_intp k = 0; good && k < e->n; k++) {
+        npy_int64 height = (npy_int64)first[k + 1] - first[k], end = k + height;
+        good = height >= 1 && end >= last && end <= e->n;
+        last = end;
+    }
+    return good || wrong("columns of an envelope begin at their diagonal and end in order");
+}
+
+enum { MOST_TERMS = 3 };
+
+/* Take terms (number, values) of a sum, all of one size. */
+static int terms_taken(PyObject *terms, int type, int *count, double *s, PyArrayObject **K)
+{
+    if (!PyTuple_Check(terms) || PyTuple_GET_SIZE(terms) < 1 || PyTuple_GET_SIZE(terms) > MOST_TERMS)
+        return wrong("a sum is a tuple of at most three terms");
+    *count = (int)PyTuple_GET_SIZE(terms);
+    for (int i = 0; i < *count; i++) {
+        PyObject *term = PyTuple_GET_ITEM(terms, i);
+        if (!PyTuple_Check(term) || PyTuple_GET_SIZE(term) != 2)
+            return wrong("a term is a number with values");
+        s[i] = PyFloat_AsDouble(PyTuple_GET_ITEM(term, 0));
+        if (PyErr_Occurred() || !taken(PyTuple_GET_ITEM(term, 1), type, 0, &K[i]))
+            return 0;
+        if (PyArray_SIZE(K[i]) != PyArray_SIZE(K[0]))
+            return wrong("terms must have one size");
+    }
+    return 1;
+}
+
+static int terms_type(PyObject *terms)
+{
+    for (Py_ssize_t i = 0; PyTuple_Check(terms) && i < PyTuple_GET_SIZE(terms); i++) {
+        PyObject *term = PyTuple_GET_ITEM(terms, i);
+        if (PyTuple_Check(term) && PyTuple_GET_SIZE(term) == 2 &&
+            is_complex(PyTuple_GET_ITEM(term, 1)))
+            return NPY_CDOUBLE;
+    }
+    return NPY_DOUBLE;
+}
+
+/* ldl_factor(terms, B, chosen, places, first, signs): factors in their envelope, and the pivot
+ * that fails. The numbers `chosen` of the values of K, a sum, then all of B, go to `places`. */
+static PyObject *py_ldl_factor(PyObject *const *args)
+{
+    int type = is_complex(args[1]) ? NPY_CDOUBLE : terms_type(args[0]), count = 0, info;
+    Envelope e = {NULL, 0, 0};
+    PyArrayObject *K[MOST_TERMS] = {NULL}, *B = NULL, *chosen = NULL, *places = NULL;
+    PyArrayObject *signs = NULL, *a = NULL;
+    PyObject *result = NULL;
+    double s[MOST_TERMS], *least = NULL;
+    if (terms_taken(args[0], type, &count, s, K) && taken(args[1], type, 0, &B) &&
+        taken(args[2], NPY_INT32, 1, &chosen) && taken(args[3], NPY_INT32, 1, &places) &&
+        envelope_taken(args[4], &e) && taken(args[5], NPY_DOUBLE, 1, &signs) &&
+        (a = (PyArrayObject *)PyArray_ZEROS(1, &e.size, type, 0))) {
+        npy_intp n_K = PyArray_SIZE(chosen), n_B = PyArray_SIZE(B);
+        if (PyArray_SIZE(places) != n_K + n_B || PyArray_SIZE(signs) != e.n ||
+            !within_32(chosen, 0, PyArray_SIZE(K[0]) - 1) || !within_32(places, 0, e.size - 1))
+            wrong("there must be a place in the envelope for each value, and a sign for each row");
+        else if (!(least = PyMem_Malloc((size_t)e.n * sizeof(double) + 1)))
+            PyErr_NoMemory();
+        else {
+            const npy_int32 *from = data_of(chosen), *to = data_of(places);
+            void *own = PyArray_DATA(a);
+            if (type == NPY_DOUBLE) {
+                for (int i = 0; i < count; i++)
+                    ldl_placed_real(n_K, from, to, s[i], data_of(K[i]), own);
+                ldl_placed_real(n_B, NULL, to + n_K, 1, data_of(B), own);
+                info = ldl_factor_real(e.n, data_of(e.first), data_of(signs), own, least);
+            } else {
+                for (int i = 0; i < count; i++)
+                    ldl_placed_complex(n_K, from, to, s[i], data_of(K[i]), own);
+                ldl_placed_complex(n_B, NULL, to + n_K, 1, data_of(B), own);
+                info = ldl_factor_complex(e.n, data_of(e.first), data_of(signs), own, least);
+            }
+            result = Py_BuildValue("Oi", a, info);
+        }
+    }
+    PyMem_Free(least);
+    for (int i = 0; i < MOST_TERMS; i++)
+        Py_XDECREF(K[i]);
+    Py_XDECREF(B);
+    Py_XDECREF(chosen);
+    Py_XDECREF(places);
+    Py_XDECREF(e.first);
+    Py_XDECREF(signs);
+    Py_XDECREF(a);
+    return result;
+}
+
+/* ldl_solve(factors, first, order, right): right sides are the last axis. */
+static PyObject *py_ldl_solve(PyObject *const *args)
+{
+    int own = is_complex(args[0]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    int type = own == NPY_CDOUBLE || is_complex(args[3]) ? NPY_CDOUBLE : NPY_DOUBLE;
+    Envelope e = {NULL, 0, 0};
+    PyArrayObject *a = NULL, *order = NULL, *right = NULL, *out = NULL;
+    void *work = NULL;
+    if (taken(args[0], own, 1, &a) && envelope_taken(args[1], &e) &&
+        taken(args[2], NPY_INT64, 1, &order) && taken(args[3], type, 1, &right)) {
+        int parts = type == own ? 1 : 2;
+        npy_intp columns = leading_size(right, 1) * parts;
+        if (PyArray_SIZE(a) != e.size || PyArray_SIZE(order) != e.n ||
+            !within_64(order, e.n - 1) || !ends_with(right, 1, &e.n))
+            wrong("factors, order and right sides must be those of one matrix");
+        else if (!(work = PyMem_Malloc(8 * (size_t)e.n * sizeof(double complex) + 1)))
+            PyErr_NoMemory();
+        else if ((out = zeros_like(right, 0, 0, NULL, type))) {
+            if (own == NPY_DOUBLE)
+                ldl_solve_real(e.n, data_of(e.first), data_of(a), data_of(order), columns, parts,
+                               data_of(right), work, PyArray_DATA(out));
+            else
+                ldl_solve_complex(e.n, data_of(e.first), data_of(a), data_of(order), columns,
+                                  parts, data_of(right), work, PyArray_DATA(out));
+        }
+    }
+    PyMem_Free(work);
+    Py_XDECREF(a);
+    Py_XDECREF(e.first);
+    Py_XDECREF(order);
+    Py_XDECREF(right);
+    return (PyObject *)out;
+}
+
 /* ---- module -------------------------------------------------------------------------------- */
 
 /* Each function takes exactly this many arguments; see `__init__.py`. */
@@ -770,34 +1115,51 @@ FUNCTION(finite, 1)
 FUNCTION(relative, 2)
 FUNCTION(lifted, 2)
 FUNCTION(forces, 3)
-FUNCTION(forces_along, 6)
+FUNCTION(forces_along, 5)
+FUNCTION(force_totals, 9)
 FUNCTION(tangents, 6)
 FUNCTION(gram, 2)
 FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
 FUNCTION(csr_rows, 4)
 FUNCTION(csr_rows_transposed, 5)
-FUNCTION(norm, 2)
+FUNCTION(csr_subtract, 7)
+FUNCTION(recombine, 4)
+FUNCTION(balance, 5)
 FUNCTION(band_factor, 6)
 FUNCTION(band_solve, 7)
+FUNCTION(ldl_factor, 6)
+FUNCTION(ldl_solve, 4)
+
+static PyObject *any_norm(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    (void)self;
+    return py_norm(args, count);
+}
 
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))counted_##name, METH_FASTCALL, NULL}
 static PyMethodDef methods[] = {
     METHOD(add_scaled),
+    {"norm", (PyCFunction)(void (*)(void))any_norm, METH_FASTCALL, NULL},
     METHOD(finite),
     METHOD(relative),
     METHOD(lifted),
     METHOD(forces),
     METHOD(forces_along),
+    METHOD(force_totals),
     METHOD(tangents),
     METHOD(gram),
     METHOD(strain),
     METHOD(stressed),
     METHOD(csr_rows),
     METHOD(csr_rows_transposed),
-    METHOD(norm),
+    METHOD(csr_subtract),
+    METHOD(recombine),
+    METHOD(balance),
     METHOD(band_factor),
     METHOD(band_solve),
+    METHOD(ldl_factor),
+    METHOD(ldl_solve),
     {NULL, NULL, 0, NULL},
 };
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from ancfdae.design import require_numbers
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_function
 from ancfdae.laws.law import Law
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.numerics.differentiable import FAILURES, require_derivative
@@ -58,9 +58,7 @@ class UserLaw(Law):
     def check(self) -> None:
         """Refuse what is no function, or has no derivatives."""
         where = "UserLaw, function"
-        if not callable(self.function):
-            got, repair = repr(self.function), "Give a function of time."
-            raise InvalidInput(where, "must be callable", got, repair)
+        require_function(where, self.function)
         p = np.array(self.values, dtype=float)
         with np.errstate(all="ignore"):
             try:

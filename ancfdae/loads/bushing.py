@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.bodies import Point, Quantity
 from ancfdae.elements import BeamElement
-from ancfdae.errors import InvalidInput, require_axial, require_vector
+from ancfdae.errors import require_axial, require_vector
 from ancfdae.laws import Law
 from ancfdae.loads.load import LAW, Load
 from ancfdae.loads.sections import Carrier, rate_of, section_of, turn
@@ -75,12 +75,6 @@ class Bushing(Load):
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Positions of the points and slopes of their sections."""
-        for name in ("turn_stiffness", "turn_damping"):
-            value = getattr(self, name)
-            if value is not None and np.ndim(value) != element.d - 2:
-                rule = "must be a number in the plane and have 3 components in space"
-                repair = f"The scene has {element.d} dimensions."
-                raise InvalidInput(f"load {self.name!r}, {name}", rule, value, repair)
         places = tuple((point, Quantity.POSITION) for point in self.points)
         return (*places, *section_of(self.points, element))
 

@@ -6,7 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.design import numbers
+from ancfdae.errors import InvalidInput, require_positive
+
+#: Design fields of the levels, in the order that `friction` takes them, and those that damp.
+LEVELS = (
+    *numbers("coulomb"),
+    ("smooth_speed", require_positive),
+    *numbers("viscous", "breakaway"),
+    ("stribeck_speed", require_positive),
+)
+DAMPING = ("coulomb", "viscous", "breakaway")
 
 
 def friction(speed: Any, levels: tuple[Any, ...]) -> Any:

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from ancfdae.bodies import Point
-from ancfdae.design import numbers
 from ancfdae.elements import BeamElement
-from ancfdae.errors import require_direction, require_positive
+from ancfdae.errors import require_direction
 from ancfdae.laws import Law
-from ancfdae.loads.friction import friction, require_stribeck
+from ancfdae.loads.friction import DAMPING, LEVELS, friction, require_stribeck
 from ancfdae.loads.load import LAW, Load
-from ancfdae.loads.sections import rate_of, require_axis, section_of, turn, unit_axes
+from ancfdae.loads.sections import rate_of, section_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
@@ -63,22 +62,13 @@ class JointFriction(Load):
 
     kind = "friction"
     elastic = True
-    design_fields = (
-        *numbers("coulomb"),
-        ("smooth_speed", require_positive),
-        *numbers("viscous", "breakaway"),
-        ("stribeck_speed", require_positive),
-        ("axis", require_direction),
-        LAW,
-    )
-    damping_fields = ("coulomb", "viscous", "breakaway")
+    design_fields = (*LEVELS, ("axis", require_direction), LAW)
+    damping_fields = DAMPING
     refers = True
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Slopes of the sections."""
-        where = f"load {self.name!r}"
-        require_axis(where, self.axis, element)
-        require_stribeck(where, self.breakaway, self.stribeck_speed)
+        require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
         return section_of(self.points, element)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-import numpy as np
-
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement
-from ancfdae.errors import InvalidInput, require_axial, require_flag
+from ancfdae.errors import require_axial, require_flag
 from ancfdae.laws import Law
 from ancfdae.loads.load import LAW, Load
 from ancfdae.loads.sections import QUARTER_TURN, section_of
@@ -60,13 +58,6 @@ class Moment(Load):
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Slopes of the section."""
-        if np.ndim(self.moment) != element.d - 2:
-            raise InvalidInput(
-                f"load {self.name!r}, moment",
-                "must be a number in the plane and have 3 components in space",
-                self.moment,
-                f"The scene has {element.d} dimensions.",
-            )
         return section_of(self.points, element)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

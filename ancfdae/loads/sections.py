@@ -23,7 +23,6 @@ import numpy as np
 
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement
-from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import angle, concatenate, cross, direction, dot
 from ancfdae.parts import Vectors
@@ -36,13 +35,6 @@ def section_of(points: tuple[Point, ...], element: BeamElement) -> Vectors:
     """Return the slopes that span sections; of an element without any the tangents."""
     slopes = element.quantities[1 - element.d :]
     return tuple((point, slope) for point in points for slope in slopes)
-
-
-def require_axis(where: str, axis: object, element: BeamElement) -> None:
-    """Refuse an axis in the plane, where there is one only."""
-    if axis is not None and element.d == 2:
-        repair = "Leave it out: in the plane it is z."
-        raise InvalidInput(f"{where}, axis", "is a choice of spatial scenes only", axis, repair)
 
 
 @final

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from ancfdae.bodies import Point, Quantity
-from ancfdae.design import numbers
 from ancfdae.elements import BeamElement
-from ancfdae.errors import require_direction, require_positive
+from ancfdae.errors import require_direction
 from ancfdae.laws import Law
-from ancfdae.loads.friction import friction, require_stribeck
+from ancfdae.loads.friction import DAMPING, LEVELS, friction, require_stribeck
 from ancfdae.loads.load import LAW, Load
 from ancfdae.loads.sections import Carrier, rate_of, section_of
 from ancfdae.numerics.arrays import Array
@@ -62,15 +61,8 @@ class SlideFriction(Load):
 
     kind = "slide-friction"
     elastic = True
-    design_fields = (
-        ("direction", require_direction),
-        *numbers("coulomb"),
-        ("smooth_speed", require_positive),
-        *numbers("viscous", "breakaway"),
-        ("stribeck_speed", require_positive),
-        LAW,
-    )
-    damping_fields = ("coulomb", "viscous", "breakaway")
+    design_fields = (("direction", require_direction), *LEVELS, LAW)
+    damping_fields = DAMPING
     refers = True
 
     def vectors(self, element: BeamElement) -> Vectors:

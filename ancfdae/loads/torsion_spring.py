@@ -12,7 +12,7 @@ from ancfdae.elements import BeamElement
 from ancfdae.errors import require_direction
 from ancfdae.laws import Law
 from ancfdae.loads.load import LAW, Load
-from ancfdae.loads.sections import rate_of, require_axis, section_of, turn, unit_axes
+from ancfdae.loads.sections import rate_of, section_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
 from ancfdae.parts import Vectors
 
@@ -67,7 +67,6 @@ class TorsionSpring(Load):
 
     def vectors(self, element: BeamElement) -> Vectors:
         """Slopes of the sections."""
-        require_axis(f"load {self.name!r}", self.axis, element)
         return section_of(self.points, element)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

@@ -5,15 +5,3 @@ from ancfdae.modes.analysis import modes_about
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.periods import StepSuggestion, advice, suggestion
 from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
-
-__all__ = [
-    "Configuration",
-    "ModeDerivatives",
-    "Modes",
-    "MotionKind",
-    "PullBack",
-    "StepSuggestion",
-    "advice",
-    "modes_about",
-    "suggestion",
-]

@@ -13,7 +13,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.linearised import Linearised, split
 from ancfdae.numerics.arrays import STEP, Array
 
 # Takes covectors on q, lam and b; returns the design derivative, shape (n_b,).
@@ -23,12 +23,7 @@ PullBack: TypeAlias = Callable[[Array, Array, Array], Array]
 @final
 @dataclass(frozen=True)
 class Transposed:
-    """Products of covectors with total derivatives; each returns (on_q, on_lam, on_b) in one array.
-
-    Attributes
-    ----------
-    small : Linearised
-    """
+    """Products of covectors with total derivatives, each (on_q, on_lam, on_b) in one array."""
 
     small: Linearised
 
@@ -100,17 +95,10 @@ class Transposed:
 
 def pulled_back(small: Linearised, pull_back: PullBack, total: Array) -> Array:
     """Return the design derivative of a packed covector, real or complex, shape (n_b,)."""
-    if total.dtype.kind == "c":
-        real, imaginary = (pulled_back(small, pull_back, x) for x in (total.real, total.imag))
-        return real + 1j * imaginary
     n, m = small.system.n_q, small.system.n_lam
-    return pull_back(total[:n], total[n : n + m], total[n + m :])
+    return split(lambda on: pull_back(on[:n], on[n : n + m], on[n + m :]), total)
 
 
 def _bilinear(product: Callable[[Array, Array], Array], y: Array, x: Array) -> Array:
     """Apply a product that is bilinear over the real numbers to complex vectors."""
-    if y.dtype.kind == "c":
-        return _bilinear(product, y.real, x) + 1j * _bilinear(product, y.imag, x)
-    if x.dtype.kind == "c":
-        return product(y, x.real) + 1j * product(y, x.imag)
-    return product(y, x)
+    return split(lambda y: split(lambda x: product(y, x), x), y)

@@ -23,25 +23,10 @@ def modes_about(
     damped: bool | None,
     pull_back: PullBack | None,
 ) -> Modes:
-    """Return modes about a configuration.
+    """Return modes about a configuration; InvalidInput if it does not fit, or without inertia.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    at : Configuration
-    count : int
-    highest : bool
-        Whether the highest are wanted.
-    damped : bool, optional
-        Whether velocity forces count; by default if there are any.
-    pull_back : callable, optional
-        What takes derivatives in q, lam and b back to the design; by default derivatives go
-        forward, along those of the configuration.
-
-    Raises
-    ------
-    InvalidInput
-        If the configuration does not fit the system or a motion has no inertia.
+    Velocity forces count if `damped`, by default if there are any. `pull_back` takes derivatives in
+    q, lam and b back to the design; without it they go forward, along those of the configuration.
     """
     small = Linearised.of(system, at, damped)
     pairs = solve(small, count, highest)
@@ -51,8 +36,9 @@ def modes_about(
     derivatives = None
     if system.n_b:
         parts = small, pairs, mu, groups
-        own = differentiate(*parts) if pull_back is None else differentiate_back(*parts, pull_back)
-        derivatives = ModeDerivatives(system.design_names, _exponents_b(small, s, own.z_b), own.X_b)
+        back = pull_back
+        z_b, X_b = differentiate(*parts) if back is None else differentiate_back(*parts, back)
+        derivatives = ModeDerivatives(system.design_names, _exponents_b(small, s, z_b), X_b)
     rigid = pairs.X[:, s == 0].real
     return Modes(
         s,

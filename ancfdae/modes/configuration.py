@@ -67,13 +67,7 @@ class Configuration:
         )
 
     def check(self, system: MechanicalSystem) -> None:
-        """Refuse what does not fit a system.
-
-        Raises
-        ------
-        InvalidInput
-            If shapes are others or a value is not finite.
-        """
+        """Refuse other shapes than those of a system, and values that are not finite."""
         require_array("Configuration.q", self.q, (system.n_q,))
         require_array("Configuration.lam", self.lam, (system.n_lam,))
         if self.q_b is not None:

@@ -36,13 +36,8 @@ def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
 
         p' = P^T S w,     w' = -S^T (K_N P p + D_N S w)
 
-    Where K or D is not symmetric shapes lack their part in T, which inverse iteration adds.
-
-    Parameters
-    ----------
-    small : Linearised
-    rigid : array, shape (n_q, n_rigid)
-        Orthonormal in M.
+    Where K or D is not symmetric shapes lack their part in T, which inverse iteration adds. The
+    columns of `rigid` are orthonormal in M.
     """
     assert small.D is not None
     N, K = _reduced(small, small.K)
@@ -59,13 +54,7 @@ def damped(small: Linearised, rigid: Array) -> tuple[Array, Array]:
 
 
 def _reduced(small: Linearised, values: Array) -> tuple[Array, Array]:
-    """Return N and the matrix in its coordinates.
-
-    Raises
-    ------
-    InvalidInput
-        If a motion that the constraints leave has no inertia.
-    """
+    """Return N and the matrix in its coordinates."""
     system = small.system
     scale = 1 / np.sqrt(system.weights)
     N = np.diag(scale)

@@ -16,8 +16,7 @@ rest, c x, follows from the norm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from typing import TypeAlias
 
 import numpy as np
 import scipy
@@ -29,21 +28,9 @@ from ancfdae.modes.totals import Totals
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 
-
-@final
-@dataclass(frozen=True)
-class Derivatives:
-    """Design derivatives of eigenpairs.
-
-    Attributes
-    ----------
-    z_b : array, shape (count, n_b)
-    X_b : tuple of array, shape (n_q, n_b), or None
-        None for a mode that coincides with another, whose shape is not unique, and for adjoints.
-    """
-
-    z_b: Array
-    X_b: tuple[Array | None, ...]
+#: z_b, shape (count, n_b), and for each mode X_b, shape (n_q, n_b): None for a mode that coincides
+#: with another, whose shape is not unique, and by adjoints.
+Derivatives: TypeAlias = tuple[Array, tuple[Array | None, ...]]
 
 
 def differentiate(
@@ -61,7 +48,7 @@ def differentiate(
         if len(group) == 1:
             j = group[0]
             X_b[j] = _shape_b(small, pairs.z[j], pairs.X[:, j], z_b[j], R_b[:, 0])
-    return Derivatives(z_b, tuple(X_b))
+    return z_b, tuple(X_b)
 
 
 def differentiate_back(
@@ -75,7 +62,7 @@ def differentiate_back(
         Y = left_vectors(small, pairs, mu, group)
         products = [[_product(small, y, pairs, mu[:, j], j, pull_back) for j in group] for y in Y.T]
         z_b[group] = _values_b(small, pairs, group, Y, np.moveaxis(np.array(products), -1, 0))
-    return Derivatives(z_b, (None,) * len(pairs.z))
+    return z_b, (None,) * len(pairs.z)
 
 
 def _product(

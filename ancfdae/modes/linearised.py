@@ -11,6 +11,7 @@ Motions x e^{st} make two pencils F(z) x + Phi_q^T mu = 0, Phi_q x = 0:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -34,18 +35,9 @@ ROUND_OFF = 64
 @final
 @dataclass(frozen=True)
 class Linearised:
-    """Matrices of small motions as values on the system's patterns.
+    """Matrices of small motions as values on the system's patterns; D is None without damping.
 
-    Attributes
-    ----------
-    system : MechanicalSystem
-    at : Configuration
-    q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b)
-        Design derivatives of q and lam.
-    M, K : array, shape (nnz,)
-    D : array, shape (nnz,), or None
-        None for motions without damping.
-    Phi_q : array, shape (nnz of the constraint pattern,)
+    q_b, (n_q, n_b), and lam_b, (n_lam, n_b), are the design derivatives of the configuration.
     """
 
     system: MechanicalSystem
@@ -59,19 +51,9 @@ class Linearised:
 
     @staticmethod
     def of(system: MechanicalSystem, at: Configuration, damped: bool | None) -> Linearised:
-        """Linearise about a configuration.
+        """Linearise about a configuration; velocity forces count by default if there are any.
 
-        Parameters
-        ----------
-        system : MechanicalSystem
-        at : Configuration
-        damped : bool, optional
-            Whether velocity forces count; by default if there are any.
-
-        Raises
-        ------
-        InvalidInput
-            If the configuration does not fit the system or a matrix is not finite.
+        InvalidInput if the configuration does not fit the system or a matrix is not finite.
         """
         at.check(system)
         rest = np.zeros((1, system.n_q))
@@ -139,13 +121,7 @@ class Linearised:
 
     @cached_property
     def saddle(self) -> SaddlePoint:
-        """Saddle-point matrices with Phi_q.
-
-        Raises
-        ------
-        RedundantConstraints
-            If constraints depend on each other here.
-        """
+        """Saddle-point matrices with Phi_q; RedundantConstraints if it has dependent rows."""
         return saddle_point(self.system, self.at.t, self.at.q)
 
     @cached_property
@@ -208,3 +184,10 @@ class Linearised:
         if left <= 1e3 * system.force_round_off:
             return 0.0
         return left / (norm(Q, inverse) + norm(reaction, inverse))
+
+
+def split(linear: Callable[[Array], Array], x: Array) -> Array:
+    """Apply a function that is linear over the real numbers to a complex vector."""
+    if x.dtype.kind != "c":
+        return linear(x)
+    return linear(x.real) + 1j * linear(x.imag)

@@ -49,13 +49,7 @@ class StepSuggestion:
 def suggestion(
     system: MechanicalSystem, at: Configuration, per_period: float, follow: int | None
 ) -> StepSuggestion:
-    """Return a step that follows the slowest `follow` motions, or all; see `suggest_step`.
-
-    Raises
-    ------
-    InvalidInput
-        If nothing vibrates or grows.
-    """
+    """Return a step that follows the slowest `follow` motions, or all; see `suggest_step`."""
     small = Linearised.of(system, at, False)
     fastest = 2 * np.pi / _speeds(small, 1, True)[-1]
     slow = 2 * np.pi / _speeds(small, 1 if follow is None else follow, False)

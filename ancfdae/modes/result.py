@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_index
 from ancfdae.modes.configuration import Configuration
 from ancfdae.numerics.arrays import Array
 from ancfdae.text import columns, listed
@@ -137,7 +137,9 @@ class Modes:
             If there are no design variables, the mode coincides with others, or the derivatives
             are adjoint.
         """
-        shape_b = self._known().shapes_b[mode]
+        shapes_b = self._known().shapes_b
+        require_index("shape_b, mode", mode, len(shapes_b), "They are counted from 0.")
+        shape_b = shapes_b[mode]
         if shape_b is not None:
             return shape_b
         where = f"derivative of the shape of mode {mode}"

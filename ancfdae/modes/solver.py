@@ -33,16 +33,10 @@ class NoModes(AncfdaeError):
 @final
 @dataclass(frozen=True)
 class Eigenpairs:
-    """Solutions of F(z) x + Phi_q^T mu = 0, Phi_q x = 0.
+    """Solutions of F(z) x + Phi_q^T mu = 0, Phi_q x = 0, columns of X, with the round-off in z.
 
-    Attributes
-    ----------
-    z : array, shape (count,)
-        -s^2 without damping, s with it; exactly zero for rigid motions.
-    X : array, shape (n_q, count)
-        x^H M x = 1; the largest entry is real and positive.
-    noise : array, shape (count,)
-        Round-off in z.
+    z is -s^2 without damping, s with it; exactly zero for rigid motions. x^H M x = 1, and the
+    largest entry of x is real and positive.
     """
 
     z: Array
@@ -63,30 +57,18 @@ def coincident(pairs: Eigenpairs) -> list[list[int]]:
     they, and derivatives that take them for simple, have lost as much as those that take them
     for one.
     """
-    groups: list[list[int]] = []
     size = np.abs(pairs.z)
     near = np.sqrt(pairs.noise * np.maximum(size, pairs.noise))
-    for j in range(len(pairs.z)):
-        if groups:
-            i = groups[-1][-1]
-            if abs(pairs.z[j] - pairs.z[i]) <= near[i] + near[j]:
-                groups[-1].append(j)
-                continue
-        groups.append([j])
-    return groups
+    joined = np.abs(np.diff(pairs.z)) <= near[:-1] + near[1:]
+    groups = np.split(np.arange(len(pairs.z)), np.flatnonzero(~joined) + 1)
+    return [group.tolist() for group in groups if len(group)]
 
 
 def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     """Return the lowest modes, growing ones first, or the highest, by falling frequency.
 
-    A group of modes that coincide is not cut.
-
-    Raises
-    ------
-    InvalidInput
-        If nothing can move, or a motion has no inertia.
-    NoModes
-        If ARPACK finds none.
+    A group of modes that coincide is not cut. InvalidInput if nothing can move, or a motion has no
+    inertia; NoModes if ARPACK finds none.
     """
     asked, n = min(count, small.n_modes), small.n_modes
     if n <= 0:

@@ -77,13 +77,7 @@ def damped(small: Linearised, count: int, size: float, highest: bool) -> tuple[A
         size u,   -M^{-1} (K x / size + D u)                                 of farthest exponents s
         x' = -F(size)^{-1} (size M u + (D + size M) x),   u' = x' + x / size            1/(s - size)
 
-    Parameters
-    ----------
-    small : Linearised
-    count : int
-    size : float
-        Size of the exponents asked for, for example their natural frequencies.
-    highest : bool
+    The size is that of the exponents asked for, for example their natural frequencies.
     """
     n, root = small.system.n_q, np.sqrt(small.system.weights)
     advance, factors = (_outwards if highest else _inwards)(small, size)

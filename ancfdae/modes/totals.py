@@ -6,13 +6,12 @@ that of Q along accelerations x.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from ancfdae.modes.linearised import Linearised
+from ancfdae.modes.linearised import Linearised, split
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
 
@@ -20,19 +19,14 @@ from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_t
 @final
 @dataclass(frozen=True)
 class Totals:
-    """Total design derivatives along q_b and lam_b of a configuration.
-
-    Attributes
-    ----------
-    small : Linearised
-    """
+    """Total design derivatives along q_b and lam_b of a configuration."""
 
     small: Linearised
 
     def stiffness(self, x: Array) -> Array:
         """Return the derivative of K x, shape (n_q, n_b)."""
         system, at, q_b = self.small.system, self.small.at, self.small.q_b
-        total = -_split(lambda x: system.force_q_times_total(at.q, x, at.t, q_b), x)
+        total = -split(lambda x: system.force_q_times_total(at.q, x, at.t, q_b), x)
         if system.linear_constraints:
             return total
         none = np.zeros_like(q_b)
@@ -42,7 +36,7 @@ class Totals:
             return system.constraint_force_rate_total(*states, q_b, none, self.small.lam_b)
 
         # Without the part of prescribed motions.
-        return total + _split(lambda x: reaction(x) - reaction(np.zeros_like(x)), x)
+        return total + split(lambda x: reaction(x) - reaction(np.zeros_like(x)), x)
 
     def damping(self, x: Array) -> Array:
         """Return the derivative of D x, shape (n_q, n_b)."""
@@ -52,12 +46,12 @@ class Totals:
         def force(x: Array) -> Array:
             return system.force_rate_total(at.q, still, x, at.t, q_b, none, none)
 
-        return -_split(lambda x: force(x) - force(still), x)
+        return -split(lambda x: force(x) - force(still), x)
 
     def mass(self, x: Array) -> Array:
         """Return the derivative of M x, shape (n_q, n_b)."""
         system, at = self.small.system, self.small.at
-        return _split(lambda x: inertia_total(system, at.q, x, self.small.q_b), x)
+        return split(lambda x: inertia_total(system, at.q, x, self.small.q_b), x)
 
     def pencil(self, z: complex, x: Array, mu: Array) -> tuple[Array, Array]:
         """Return the derivatives of F(z) x + Phi_q^T mu and of Phi_q x with z, x and mu held."""
@@ -67,15 +61,8 @@ class Totals:
             force = force - z * mass
         else:
             force = force + z * z * mass + z * self.damping(x)
-        reaction = _split(
+        reaction = split(
             lambda mu: constraint_force_total(system, at.q, mu, at.t, self.small.q_b), mu
         )
-        side = _split(lambda x: system.constraint_q_times_total(at.q, x, at.t, self.small.q_b), x)
+        side = split(lambda x: system.constraint_q_times_total(at.q, x, at.t, self.small.q_b), x)
         return force + reaction, side
-
-
-def _split(linear: Callable[[Array], Array], x: Array) -> Array:
-    """Apply a function that is linear over the real numbers to a complex vector."""
-    if x.dtype.kind != "c":
-        return linear(x)
-    return linear(x.real) + 1j * linear(x.imag)

@@ -15,7 +15,8 @@ class LinearMap:
     """A constant matrix, shape (n, m), that is only ever multiplied with."""
 
     def __init__(self, matrix: scipy.sparse.csr_array) -> None:
-        self._rows = matrix.indptr.astype("int32"), matrix.indices.astype("int32"), matrix.data
+        first, columns = (x.astype("int32", copy=False) for x in (matrix.indptr, matrix.indices))
+        self._rows = first, columns, matrix.data
         self._width = matrix.shape[1]
 
     @staticmethod

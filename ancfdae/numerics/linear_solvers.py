@@ -3,31 +3,45 @@
     [ K      B^T ]     K on the system's pattern (n x n),
     [ B      0   ]     B on its constraint pattern (m x n).
 
-The matrix is scaled symmetrically before it is factorised, coordinates by
-1/sqrt(weight) and constraints so that their scaled rows have unit length:
-pivoting then does not depend on the units of the scene. It is factorised as a
-band after a reverse Cuthill-McKee numbering of the coordinates, multipliers
-behind their nodes; SuperLU takes over where the band is wide (many closed loops
-meeting in one body).
+Unknowns are ordered so that factors stay small (`orders`), multipliers behind their coordinates.
+Where K is symmetric and positive definite, L D L^T then needs no exchange of rows: the pivots of
+coordinates are positive, those of multipliers negative. Signs do not depend on the units of the
+scene; a pivot that has not its sign tells that K is not positive definite.
+
+Such a matrix, and one that is not symmetric, is scaled symmetrically, coordinates by
+1/sqrt(weight) and constraints so that their scaled rows have unit length (pivoting then does not
+depend on the units either), and factorised with exchanges, as a band. Where the band is wide (trees
+and grids of bodies) SuperLU takes over, after an order of minimum degree.
 """
 
 from __future__ import annotations
 
 import abc
 import warnings
-from collections.abc import Iterator
-from typing import Any, final
+from functools import cached_property
+from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
 
 from ancfdae.errors import SingularMatrix
-from ancfdae.kernels import band_factor, band_solve
+from ancfdae.kernels import add_scaled, band_factor, band_solve, ldl_factor, ldl_solve
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.orders import little_fill, narrow_band
 from ancfdae.numerics.patterns import Pattern
 
-# Band LU costs N k^2; at k = 25 it is 3.6 times faster than SuperLU, so they meet near here.
+# Half-width at which a band takes as long as SuperLU (docs/measurements.md, section 9).
 _BAND_HALF_WIDTH = 64
+# In the order as given; rows are exchanged where a pivot is below a tenth of its column's largest.
+_SUPERLU: dict[str, Any] = {
+    "permc_spec": "NATURAL",
+    "diag_pivot_thresh": 0.1,
+    "panel_size": 1,
+    "options": {"SymmetricMode": True},
+}
+
+# Terms of a sum of matrices: numbers and values on the pattern.
+Terms: TypeAlias = tuple[tuple[float, Array], ...]
 
 
 class Factorization(abc.ABC):
@@ -58,7 +72,8 @@ class SaddlePoint:
     """Saddle-point matrices of one system: constant patterns of K and B, numbering and scaling.
 
     The weights of the coordinates, (n,), are positive, usually the diagonal of the mass matrix;
-    the rows of constraints are scaled by the values of B at the start.
+    the rows of constraints are scaled by the values of B at the start. K is symmetric where that
+    is said.
     """
 
     def __init__(
@@ -67,58 +82,103 @@ class SaddlePoint:
         constraint_pattern: Pattern,
         weights: Array,
         constraint_values: Array,
+        symmetric: bool = False,
     ) -> None:
-        n, m = pattern.shape[0], constraint_pattern.shape[0]
-        self.size = n + m
+        self._patterns, m = (pattern, constraint_pattern), constraint_pattern.shape[0]
         scale = 1.0 / np.sqrt(weights)
         squared = (constraint_values.real * scale[constraint_pattern.columns]) ** 2
         length = np.sqrt(np.bincount(constraint_pattern.rows, squared, minlength=m))
         self.scale = np.concatenate([scale, 1.0 / np.where(length > 0, length, 1.0)])
-        r, c = constraint_pattern.rows + n, constraint_pattern.columns
-        rows = np.concatenate([pattern.rows, r, c])
-        columns = np.concatenate([pattern.columns, c, r])
-        self._storage = _choose_storage(self.scale, rows, columns, n)
+        self._order = narrow_band(*self._patterns)
+        rows, columns = self._places(self._order)
+        self._half_width = int(np.max(np.abs(rows - columns), initial=0))
+        self._envelope = None
+        if symmetric and self._half_width <= _BAND_HALF_WIDTH:
+            self._envelope = _Envelope(self._order, rows, columns, *self._patterns)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return len(self.scale)
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.
 
         Raises SingularMatrix for one that is singular to working precision or not finite.
         """
+        return self.factor_sum(((1.0, K),), B)
+
+    def factor_sum(self, terms: Terms, B: Array) -> Factorization:
+        """Factorise for a sum K of at most three terms, each a number and values.
+
+        Raises SingularMatrix as `factor`.
+        """
+        factors = self._envelope and self._envelope.factor(terms, B)
+        if factors:
+            return factors
+        (s, K), *more = terms
+        K = K if s == 1.0 else s * K
+        for s, values in more:
+            K = add_scaled(K, s, values)
         return self._storage.factor(K, B)
 
-    def factor_each(self, K: Array, B: Array) -> Iterator[Factorization]:
-        """Factorise matrices, given as rows of values, as they are asked for."""
-        return map(self.factor, K, B)
+    @cached_property
+    def _storage(self) -> _Storage:
+        """What factorises with exchanges."""
+        if self._half_width <= _BAND_HALF_WIDTH:
+            at = self._places(self._order)
+            return _BandStorage(self.scale, self._order, *at, self._half_width)
+        order = little_fill(*self._patterns)
+        return _SparseStorage(self.scale, order, *self._places(order))
+
+    def _places(self, order: Array) -> tuple[Array, Array]:
+        """Return rows and columns of all entries in an order: of K, of B, and of B^T."""
+        place = np.empty(len(order), dtype=np.int32)
+        place[order] = np.arange(len(order))
+        K, B = self._patterns
+        r, c = place[B.rows + K.shape[0]], place[B.columns]
+        rows = np.concatenate([place[K.rows], r, c])
+        return rows, np.concatenate([place[K.columns], c, r])
 
 
-def _choose_storage(scale: Array, rows: Array, columns: Array, n: int) -> _Storage:
-    size = len(scale)
-    order = _numbered(rows, columns, n, size)
-    place = np.empty(size, dtype=np.int64)
-    place[order] = np.arange(size)
-    half_width = int(np.max(np.abs(place[rows] - place[columns]), initial=0))
-    if half_width <= _BAND_HALF_WIDTH:
-        return _BandStorage(scale, order, place[rows], place[columns], half_width)
-    return _SparseStorage(scale, rows, columns)
+@final
+class _Envelope:
+    """L D L^T of symmetric K: the lower triangle, each column from its diagonal to its end.
 
-
-def _numbered(rows: Array, columns: Array, n: int, size: int) -> Array:
-    """Return the order of unknowns: a narrow band, and each multiplier behind its coordinates.
-
-    These are eliminated first, by pivots of K; what a constraint asks is then met to the round-off
-    of its own row, and not to that of a stiff body's.
+    A column ends with its last entry, but not before the one to its left, so that the factors fill
+    the same places.
     """
-    graph = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size))
-    B = graph[n:, :n]
-    coordinates = scipy.sparse.csgraph.reverse_cuthill_mckee(
-        (graph[:n, :n] + B.T @ B).tocsr(), symmetric_mode=True
-    )
-    place = np.zeros(size)
-    place[coordinates] = np.arange(n)
-    own = rows >= n
-    np.maximum.at(place, rows[own], place[columns[own]])
-    # Coordinates come before multipliers of the same place.
-    return np.argsort(place, kind="stable")
+
+    def __init__(self, order: Array, rows: Array, columns: Array, K: Pattern, B: Pattern) -> None:
+        """Take the places of all entries: of K, of B, and of B^T, which is left out."""
+        size, n_K, n_B = len(order), K.size, B.size
+        lower = rows >= columns
+        lower[n_K : n_K + n_B], lower[n_K + n_B :] = True, False
+        row, column = rows[lower], columns[lower]
+        end = np.arange(size)
+        np.maximum.at(end, column, row)
+        first = np.append(0, np.cumsum(np.maximum.accumulate(end) - np.arange(size) + 1))
+        self._order, self._first = order, first.astype(np.int32)
+        self._chosen = np.flatnonzero(lower[:n_K]).astype(np.int32)
+        self._places = self._first[column] + row - column
+        self._signs = np.where(order < K.shape[0], 1.0, -1.0)
+
+    def factor(self, terms: Terms, B: Array) -> Factorization | None:
+        """Factorise; None where a pivot has not its sign."""
+        factors, failed = ldl_factor(terms, B, self._chosen, self._places, self._first, self._signs)
+        return None if failed else _SymmetricFactorization(factors, self._first, self._order)
+
+
+@final
+class _SymmetricFactorization(Factorization):
+    def __init__(self, factors: Array, first: Array, order: Array) -> None:
+        self._factors = factors, first, order
+
+    def solve(self, right: Array) -> Array:
+        return ldl_solve(*self._factors, right.T).T
+
+    def solve_transposed(self, right: Array) -> Array:
+        return self.solve(right)
 
 
 @final
@@ -128,7 +188,8 @@ class _BandStorage(_Storage):
     ) -> None:
         self._scale, self._order, self._half_width = scale, order, half_width
         # LAPACK band storage with room for fill-in: entry (i, j) at row 2 k + i - j of column j.
-        self._flat = columns * (3 * half_width + 1) + 2 * half_width + rows - columns
+        self._flat = columns.astype(np.int64) * (3 * half_width)
+        self._flat += 2 * half_width + rows
         numbered = scale[order]
         self._factors = numbered[rows] * numbered[columns]
 
@@ -159,12 +220,12 @@ class _BandFactorization(Factorization):
 
 @final
 class _SparseStorage(_Storage):
-    def __init__(self, scale: Array, rows: Array, columns: Array) -> None:
-        self._scale = scale
-        self._order = np.lexsort((rows, columns))
-        self._rows = rows[self._order]
-        self._indptr = np.searchsorted(columns[self._order], np.arange(len(scale) + 1))
-        self._factors = scale[rows] * scale[columns]
+    def __init__(self, scale: Array, order: Array, rows: Array, columns: Array) -> None:
+        self._order, self._scale = order, scale[order]
+        self._sorted = np.lexsort((rows, columns))
+        self._rows = rows[self._sorted]
+        self._first = np.searchsorted(columns[self._sorted], np.arange(len(order) + 1))
+        self._factors = self._scale[rows] * self._scale[columns]
 
     def factor(self, K: Array, B: Array) -> Factorization:
         values = self._factors * np.concatenate([K, B, B])
@@ -172,21 +233,21 @@ class _SparseStorage(_Storage):
             raise SingularMatrix("the saddle-point matrix is not finite")
         size = len(self._scale)
         matrix = scipy.sparse.csc_array(
-            (values[self._order], self._rows, self._indptr), shape=(size, size)
+            (values[self._sorted], self._rows, self._first), shape=(size, size)
         )
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
-                lu = scipy.sparse.linalg.splu(matrix)
+                lu = scipy.sparse.linalg.splu(matrix, **_SUPERLU)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
-        return _SparseFactorization(lu, values.dtype, self._scale)
+        return _SparseFactorization(lu, values.dtype, self._order, self._scale)
 
 
 @final
 class _SparseFactorization(Factorization):
-    def __init__(self, lu: Any, dtype: np.dtype, scale: Array) -> None:
-        self._lu, self._dtype, self._scale = lu, dtype, scale
+    def __init__(self, lu: Any, dtype: np.dtype, order: Array, scale: Array) -> None:
+        self._lu, self._dtype, self._order, self._scale = lu, dtype, order, scale
 
     def solve(self, right: Array) -> Array:
         return self._solved(right, "N")
@@ -199,5 +260,7 @@ class _SparseFactorization(Factorization):
             return self._solved(right.real, transposed) + 1j * self._solved(right.imag, transposed)
         # Undoes the symmetric scaling.
         scale = self._scale if right.ndim == 1 else self._scale[:, None]
-        scaled = np.ascontiguousarray(scale * right, dtype=self._dtype)
-        return np.asarray(scale * self._lu.solve(scaled, transposed))
+        scaled = np.ascontiguousarray(scale * right[self._order], dtype=self._dtype)
+        solution = np.empty_like(scaled)
+        solution[self._order] = scale * self._lu.solve(scaled, transposed)
+        return solution

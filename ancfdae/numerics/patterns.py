@@ -12,24 +12,27 @@ from typing import final
 import numpy as np
 import scipy
 
-from ancfdae.kernels import csr_rows, csr_rows_transposed
+from ancfdae.kernels import csr_rows, csr_rows_transposed, csr_subtract
 from ancfdae.numerics.arrays import Array
 
 
 @final
 class Pattern:
-    """Positions of the entries of a matrix, sorted; duplicates in `rows`, `columns` are merged."""
+    """Positions of the entries of a matrix, sorted; duplicates in `rows`, `columns` are merged.
+
+    Stored is the column of every entry only, with the place of the first entry of every row:
+    a scene of 10,000 elements has four million entries.
+    """
 
     def __init__(self, shape: tuple[int, int], rows: Array, columns: Array) -> None:
         self.shape = shape
-        flat = np.asarray(rows, dtype=np.int64) * shape[1] + columns
+        flat = self._flattened(rows, columns)
         # `np.unique` hashes, which takes 20 times as long: the entries are almost in order.
         flat.sort(kind="stable")
-        self._flat = flat[np.append(flat[:1] == flat[:1], flat[1:] != flat[:-1])]
-        self.rows = self._flat // max(shape[1], 1)
-        self.columns = self._flat - self.rows * shape[1]
-        self._indptr = np.searchsorted(self.rows, np.arange(shape[0] + 1))
-        self._csr = self._indptr.astype(np.int32), self.columns.astype(np.int32)
+        flat = flat[np.append(flat[:1] == flat[:1], flat[1:] != flat[:-1])]
+        starts = np.arange(shape[0] + 1) * shape[1]
+        self._first = np.searchsorted(flat, starts).astype(np.int32)
+        self.columns = (flat % max(shape[1], 1)).astype(np.int32)
 
     @staticmethod
     def full(shape: tuple[int, int]) -> Pattern:
@@ -40,13 +43,24 @@ class Pattern:
     @property
     def size(self) -> int:
         """Number of stored entries."""
-        return len(self._flat)
+        return len(self.columns)
+
+    @property
+    def rows(self) -> Array:
+        """Row of every entry."""
+        return np.repeat(np.arange(self.shape[0], dtype=np.int32), np.diff(self._first))
 
     def index(self, rows: Array, columns: Array) -> Array:
-        """Where the given positions stand in the value vector; they must be in the pattern."""
-        return np.searchsorted(
-            self._flat, np.asarray(rows, dtype=np.int64) * self.shape[1] + columns
-        )
+        """Where the given positions stand in the value vector; they must be in the pattern.
+
+        Rows and columns are broadcast.
+        """
+        own = self._flattened(self.rows, self.columns)
+        return np.searchsorted(own, self._flattened(rows, columns))
+
+    def _flattened(self, rows: Array, columns: Array) -> Array:
+        """Return the places of entries in the dense matrix, row by row."""
+        return np.asarray(rows, dtype=np.int64) * self.shape[1] + columns
 
     def gather(self, rows: Array, columns: Array, contributions: Array) -> Array:
         """Return the values that sum contributions at the given positions."""
@@ -57,17 +71,23 @@ class Pattern:
     def dense(self, values: Array) -> Array:
         """Return the matrix as a two-dimensional array."""
         matrix = np.zeros(self.shape[0] * self.shape[1], dtype=values.dtype)
-        matrix[self._flat] = values
+        matrix[self._flattened(self.rows, self.columns)] = values
         return matrix.reshape(self.shape)
 
     def csr(self, values: Array) -> scipy.sparse.csr_array:
         """Return the matrix in compressed sparse row form."""
-        return scipy.sparse.csr_array((values, self.columns, self._indptr), shape=self.shape)
+        return scipy.sparse.csr_array((values, self.columns, self._first), shape=self.shape)
 
     def dot(self, values: Array, x: Array) -> Array:
         """Product of the matrix with a vector or with the columns of an array."""
-        return csr_rows(*self._csr, values, x.T).T
+        return csr_rows(self._first, self.columns, values, x.T).T
+
+    def subtract_dot(
+        self, values: Array, x: Array, out: Array, offset: int = 0, *, transposed: bool = False
+    ) -> None:
+        """Take the matrix times rows of x from rows of `out`, in place, from the offset on."""
+        csr_subtract(self._first, self.columns, values, x, out, offset, transposed)
 
     def dot_transposed(self, values: Array, x: Array) -> Array:
         """Product of the transposed (not conjugated) matrix with a vector or columns."""
-        return csr_rows_transposed(*self._csr, values, x.T, self.shape[1]).T
+        return csr_rows_transposed(self._first, self.columns, values, x.T, self.shape[1]).T

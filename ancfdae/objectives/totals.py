@@ -16,7 +16,7 @@ from ancfdae.objectives.objective import (
     ObjectivePartials,
 )
 from ancfdae.objectives.reductions import OverTime
-from ancfdae.observables import ObservablePartials, States
+from ancfdae.observables import States
 from ancfdae.observables.expression import leaves
 from ancfdae.protocol import MechanicalSystem
 
@@ -53,7 +53,7 @@ class Total(Integrand, Integrated):
         if self._differentiated:
             weight = reduction.integrand_slope(x, value)
             partials = observable.weighted_partials(self._system, states, values, weight)
-            x_b = _total(partials, points)
+            x_b = partials.total(points.q_b, points.v_b, points.lam_b)
             slopes, rows = w @ x_b, np.concatenate([rows, x_b * self._b], axis=1)
         bad = np.flatnonzero(~np.isfinite(rows).all(axis=1) | ~np.isfinite(x))
         not_finite = float(points.t[bad[0]]) if len(bad) else None
@@ -132,14 +132,3 @@ def _states(system: MechanicalSystem, points: Points) -> States:
     if lam is None:
         lam = np.full((len(points.t), system.n_lam), np.nan)
     return States(points.t, points.q, points.v, lam)
-
-
-def _total(partials: ObservablePartials, points: Points) -> Array:
-    """Total derivative at every point, shape (k, n_b)."""
-    total = partials.b
-    pairs = (partials.q, points.q_b), (partials.v, points.v_b), (partials.lam, points.lam_b)
-    for rows, x_b in pairs:
-        if rows is not None and x_b is not None:
-            used = np.flatnonzero(rows.any(axis=0))
-            total = total + np.einsum("kn,knb->kb", rows[:, used], x_b[:, used])
-    return total

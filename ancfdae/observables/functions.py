@@ -15,11 +15,8 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.differentiable import FAILURES
-
-#: Imaginary step: its square vanishes against one.
-STEP = 1e-40
 
 # Analytic on the whole real line, or infinite at their poles.
 _WHOLE = (

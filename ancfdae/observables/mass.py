@@ -141,13 +141,14 @@ class MassIntegral(Leaf):
         """M b and M a where a and b come from, and a^T M_b b by polarisation."""
         scene = known_scene(system)
         a, b = self._factors(scene, states)
-        parts: dict[str, Array] = {}
+        parts, d = dict[str, Array](), scene.naming.layout.d
         for factor, other, name in (
             (self.left, b, "q"),
             (self.right, a, "v" if self.rate else "q"),
         ):
             if factor is not None:
-                along = self._in_slot(scene, scene.energies.momenta(other, self.beam), factor)
+                momenta = scene.energies.momenta(other, self.beam)
+                along = _spread(momenta.reshape(len(momenta), -1, d)[..., 0], factor, d)
                 parts[name] = parts[name] + along if name in parts else along
         rows = {name: Rows(slice(None), part) for name, part in parts.items()}
         both, own, others = (scene.energies.kinetic_b(x, self.beam) for x in (a + b, a, b))
@@ -161,14 +162,9 @@ class MassIntegral(Leaf):
 
     def _factor(self, scene: AncfSystem, x: Array, axis: int | None) -> Array:
         d = scene.naming.layout.d
-        if axis is None:
-            return _spread(scene.energies.places[None], 0, d)
-        return _spread(x.reshape(len(x), -1, d)[..., axis], 0, d)
-
-    def _in_slot(self, scene: AncfSystem, x: Array, axis: int) -> Array:
-        """Move what stands along the first axis to another one."""
-        d = scene.naming.layout.d
-        return _spread(x.reshape(len(x), -1, d)[..., 0], axis, d)
+        one = axis is None
+        component = scene.energies.places[None] if one else x.reshape(len(x), -1, d)[..., axis]
+        return _spread(component, 0, d)
 
 
 def _spread(component: Array, axis: int, d: int) -> Array:

@@ -8,6 +8,7 @@ from typing import cast, final
 
 import numpy as np
 
+from ancfdae.ancf import StatePartials
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.differentiable import require_derivative
@@ -52,6 +53,12 @@ class LeafGradient:
     lam: Rows | None = None
     b: Array | None = None
 
+    @staticmethod
+    def of(p: StatePartials) -> LeafGradient:
+        """Return partials in some columns as those of a leaf."""
+        v = Rows(p.columns, p.v) if np.any(p.v) else None
+        return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)
+
 
 @final
 @dataclass(frozen=True)
@@ -72,6 +79,15 @@ class ObservablePartials:
     v: Array | None
     lam: Array | None
     b: Array
+
+    def total(self, q_b: Array | None, v_b: Array | None, lam_b: Array | None) -> Array:
+        """Return the derivatives along those of the states, shape (k, n_b); None is held."""
+        total = self.b
+        for rows, x_b in ((self.q, q_b), (self.v, v_b), (self.lam, lam_b)):
+            if rows is not None and x_b is not None:
+                used = np.flatnonzero(rows.any(axis=0))
+                total = total + np.einsum("kn,knb->kb", rows[:, used], x_b[:, used])
+        return total
 
 
 class Observable(Expression["Observable"]):
@@ -179,6 +195,7 @@ def observe(
     require_kind("observe, solution", solution, (Solution,), "Call simulate or differentiate.")
     if system is not None:
         require_kind("observe, system", system, (MechanicalSystem,), "For example assemble(scene).")
+        _require_same_sizes(system, solution)
     held = system is not None and system.n_b > 0 and not np.iscomplexobj(system.b)
     if held and np.iscomplexobj(solution.q):
         raise InvalidInput(
@@ -190,6 +207,14 @@ def observe(
     names = solution if system is None else system
     observable.check(names)
     return observable.value(names, states_of(solution))
+
+
+def _require_same_sizes(system: MechanicalSystem, solution: Solution) -> None:
+    own, got = (system.n_q, system.n_lam), (solution.q.shape[1], solution.lam.shape[1])
+    if own != got:
+        rule, repair = "must be that of the solution", "Pass the system that was integrated."
+        counts = f"{own[0]} coordinates and {own[1]} multipliers where that has {got[0]}, {got[1]}"
+        raise InvalidInput("observe, system", rule, counts, repair)
 
 
 def _require_derivatives(values: dict[object, Array]) -> None:

@@ -21,12 +21,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import final
 
-import numpy as np
-
 from ancfdae.bodies import Point, require_point
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
-from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.observables.observable import Leaf, LeafGradient, Observable
 from ancfdae.observables.states import Named, States, known_scene, require_index
 from ancfdae.protocol import MechanicalSystem
 
@@ -121,6 +119,4 @@ class Section(Leaf):
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Complex steps of the element's coordinates and parameters."""
         own = known_scene(system).sections.forces(self.point)
-        p = own.partials(self.component, states.q, states.v, system.n_b)
-        v = Rows(p.columns, p.v) if np.any(p.v) else None
-        return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)
+        return LeafGradient.of(own.partials(self.component, states.q, states.v, system.n_b))

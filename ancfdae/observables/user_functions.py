@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, require_function, require_kind
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.differentiable import require_derivative
-from ancfdae.observables.functions import STEP, Function, require_vectorised
+from ancfdae.observables.functions import Function, require_vectorised
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
 from ancfdae.observables.states import Named, States, known_system
 from ancfdae.protocol import MechanicalSystem

@@ -65,7 +65,8 @@ def axial_strain(point: Point) -> Observable:
 
     For reference shapes with unit tangents, as beams have them on their centre line.
     """
-    return AxialStrain(point)
+    x, y, z = (Component(point, Quantity.SLOPE_X, i, may_lack=True) for i in range(3))
+    return 0.5 * (x * x + y * y + z * z - 1.0)
 
 
 def _continuous_angle(x: Array, y: Array) -> Array:
@@ -79,12 +80,16 @@ def _continuous_angle(x: Array, y: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class Component(Leaf):
-    """A component of a position or slope vector, or of its time derivative if `rate`."""
+    """A component of a position or slope vector, or of its time derivative if `rate`.
+
+    If it `may_lack`, it is zero where the plane has none.
+    """
 
     point: Point
     quantity: Quantity
     axis: int
     rate: bool = False
+    may_lack: bool = False
 
     def __post_init__(self) -> None:
         require_point("observable, point", self.point)
@@ -94,21 +99,21 @@ class Component(Leaf):
         """Refuse a point or an axis that does not exist."""
         naming = known_naming(system)
         naming.layout.body(self.point.beam)
-        require_index("observable, axis", self.axis, naming.layout.d)
+        if not self.may_lack:
+            require_index("observable, axis", self.axis, naming.layout.d)
         if self.quantity is not Quantity.POSITION:
             require_index("slope, along", int(self.quantity) - 1, naming.layout.d)
         naming.vector(self.point, self.quantity)
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Weights times coordinates or velocities."""
-        columns, weights, _ = _combination(system, self.point, self.quantity)
-        value: Array = self._of(states)[:, columns + self.axis] @ weights
+        columns, weights, _ = self._combination(system)
+        value: Array = self._of(states)[:, columns] @ weights
         return value
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Return the weights, and their design derivatives times the coordinates."""
-        columns, weights, weights_b = _combination(system, self.point, self.quantity)
-        columns = columns + self.axis
+        columns, weights, weights_b = self._combination(system)
         rows = Rows(columns, weights[None])
         b = self._of(states)[:, columns] @ weights_b if np.any(weights_b) else None
         return LeafGradient(v=rows, b=b) if self.rate else LeafGradient(q=rows, b=b)
@@ -116,47 +121,11 @@ class Component(Leaf):
     def _of(self, states: States) -> Array:
         return states.v if self.rate else states.q
 
-
-@final
-@dataclass(frozen=True)
-class AxialStrain(Leaf):
-    """(r_x . r_x - 1)/2 at a material point."""
-
-    point: Point
-
-    def __post_init__(self) -> None:
-        require_point("observable, point", self.point)
-
-    def check_leaf(self, system: Named) -> None:
-        """Refuse a point that does not exist."""
-        known_naming(system).vector(self.point, Quantity.SLOPE_X)
-
-    def leaf_value(self, system: Named, states: States) -> Array:
-        """Half the squared tangent, less one half."""
-        X, weights, _, _ = self._nodes(system, states)
-        tangent = np.einsum("a,kad->kd", weights, X)
-        value: Array = 0.5 * (np.sum(tangent * tangent, axis=1) - 1.0)
-        return value
-
-    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Return the tangent times the derivatives of the tangent."""
-        X, weights, weights_b, columns = self._nodes(system, states)
-        tangent = np.einsum("a,kad->kd", weights, X)
-        rows = (weights[:, None] * tangent[:, None, :]).reshape(len(X), -1)
-        b = np.einsum("kd,kad,ab->kb", tangent, X, weights_b) if np.any(weights_b) else None
-        return LeafGradient(q=Rows(columns.ravel(), rows), b=b)
-
-    def _nodes(self, system: Named, states: States) -> tuple[Array, Array, Array, Array]:
-        """Node vectors (k, m, d), their weights and derivatives, and their columns (m, d)."""
-        first, weights, weights_b = _combination(system, self.point, Quantity.SLOPE_X)
-        columns = first[:, None] + np.arange(known_naming(system).layout.d)
-        return states.q[:, columns], weights, weights_b, columns
-
-
-def _combination(system: Named, point: Point, quantity: Quantity) -> tuple[Array, Array, Array]:
-    """First columns, weights and their design derivatives of the node vectors that matter."""
-    naming = known_naming(system)
-    vector = naming.vector(point, quantity)
-    # A weight is a power of the length times a number, and vanishes with its derivative.
-    used = vector.weights != 0
-    return vector.vectors[used] * naming.layout.d, vector.weights[used], vector.weights_b[used]
+    def _combination(self, system: Named) -> tuple[Array, Array, Array]:
+        """Columns, weights and their design derivatives of the coordinates that matter."""
+        naming = known_naming(system)
+        vector = naming.vector(self.point, self.quantity)
+        # A weight is a power of the length times a number, and vanishes with its derivative.
+        used = (vector.weights != 0) & (self.axis < naming.layout.d)
+        columns = vector.vectors[used] * naming.layout.d + self.axis
+        return columns, vector.weights[used], vector.weights_b[used]

@@ -12,6 +12,7 @@ are set as mathematics (`mathematics`).
 """
 
 import math
+import os
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -28,7 +29,7 @@ from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.plotting.looks import Look, looks
 from ancfdae.plotting.mathematics import set_as_mathematics
 
@@ -203,19 +204,20 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
     return figure
 
 
-def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
+def save(figure: Figure, path_without_suffix: str | os.PathLike[str]) -> tuple[Path, Path]:
     """Write a figure as SVG and PNG and return the two paths in that order.
 
     The same figure gives the same bytes: the SVG carries no date and no random identifiers. Missing
     folders are created; a path that ends with .svg or .png is refused.
     """
+    require_kind("save, path", path_without_suffix, (str, os.PathLike), "Give the name of a file.")
     path = Path(path_without_suffix)
-    if path.suffix in (".svg", ".png"):
+    if not path.name or path.suffix in (".svg", ".png"):
         raise InvalidInput(
             "save",
-            "the path must come without suffix, as both .svg and .png are written",
+            "the path must be a name without suffix, as both .svg and .png are written",
             repr(str(path)),
-            f"Leave out {path.suffix!r}.",
+            "For example 'figures/motion'.",
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     svg, png = path.with_name(path.name + ".svg"), path.with_name(path.name + ".png")

@@ -70,19 +70,16 @@ class _OfBeams(Field):
 class StrainEnergyDensity(_OfBeams):
     """Strain energy over volume, the mean over each element; J/m^3."""
 
-    @property
-    def label(self) -> str:
-        """Quantity and unit."""
-        return "strain energy density [J/m³]"
+    label = "strain energy density [J/m³]"
 
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
         """Energy of each element over its volume."""
         own = mesh.elements
         assert own is not None
-        law = prepare(own.element, own.kind, own.parameters, own.Y_unit)
+        law = prepare(own.element, own.batch)
         Y = own.relative(motion.q[:, own.coordinates])
         energy = elastic.energy(law.A, law.g_o, Y, law.p_o)
-        areas = own.kind.section.points(own.kind.sizes(own.parameters), False)[2].sum(axis=1)
+        areas = own.batch.kind.section.points(own.batch.sizes, False)[2].sum(axis=1)
         density: Array = energy / (areas * mesh.body.reference().lengths)
         return density[..., None, None]
 
@@ -92,10 +89,7 @@ class StrainEnergyDensity(_OfBeams):
 class VonMisesStress(_OfBeams):
     """Von Mises' stress as the observable `von_mises` has it; Pa. Cables have none."""
 
-    @property
-    def label(self) -> str:
-        """Quantity and unit."""
-        return "von Mises stress [Pa]"
+    label = "von Mises stress [Pa]"
 
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
         """Stresses at all points."""
@@ -129,11 +123,7 @@ class AxialForce(_SectionForce):
     """Axial force, positive in tension, as the observable `axial_force`; N."""
 
     component = _AXIAL
-
-    @property
-    def label(self) -> str:
-        """Quantity and unit."""
-        return "axial force [N]"
+    label = "axial force [N]"
 
 
 @final
@@ -160,10 +150,7 @@ class BendingMoment(_SectionForce):
         """M_y or M_z."""
         return _TORQUE + self.about
 
-    @property
-    def label(self) -> str:
-        """Quantity and unit."""
-        return "bending moment [N m]"
+    label = "bending moment [N m]"
 
 
 @final
@@ -171,10 +158,7 @@ class BendingMoment(_SectionForce):
 class Speed(Field):
     """Size of the velocity; m/s."""
 
-    @property
-    def label(self) -> str:
-        """Quantity and unit."""
-        return "speed [m/s]"
+    label = "speed [m/s]"
 
     def values(self, mesh: Mesh, motion: Solution) -> Array:
         """Size of the velocity of every point."""
@@ -215,7 +199,5 @@ def section_forces(mesh: BeamMesh, motion: Solution) -> Array:
     own = mesh.elements
     assert own is not None
     Y, V = (own.relative(x[:, own.coordinates]) for x in (motion.q, motion.v))
-    laws = (
-        own.element.section_law(own.kind, own.parameters, own.Y_unit, xi) for xi in mesh.xi.tolist()
-    )
+    laws = (own.element.section_law(own.batch, xi) for xi in mesh.xi.tolist())
     return np.stack([law.forces(Y, V) for law in laws], axis=2)

@@ -19,14 +19,9 @@ _UNITS: Final = {"force": "N", "force per length": "N/m", "moment": "N m"}
 
 @final
 class Glyphs:
-    """Signs of a mechanism in the size of its picture.
+    """Signs of a mechanism in the size of its picture, the largest extent of everything; m.
 
-    Attributes
-    ----------
-    extent : float
-        Largest extent of everything at all instants; m.
-    labels : dict
-        By kind of arrow a text with its largest size, which the longest arrow stands for.
+    `labels` has by kind of arrow a text with its largest size, which the longest arrow stands for.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:

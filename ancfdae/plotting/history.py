@@ -8,12 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_positive
-from ancfdae.numerics.arrays import Array
 from ancfdae.observables import Observable
 from ancfdae.observables.states import states_of
 from ancfdae.plotting.charts import require_unit, settings
 from ancfdae.plotting.looks import COLOURS
-from ancfdae.protocol import MechanicalSystem, Solution
+from ancfdae.protocol import MechanicalSystem, Sensitivities, Solution
 
 _SIZE = (7.5, 2.7)  # inches, of each observable
 
@@ -53,49 +52,37 @@ def history(
     if not observables:
         rule, repair = "needs at least one observable", "For example {'tip [m]': ...}."
         raise InvalidInput("history", rule, "none", repair)
-    for label in observables:
+    for label, observable in observables.items():
         require_unit("history, observables", label)
-    names = _checked_variables(system, solution)
+        require_kind("history, observable", observable, (Observable,), "For example position(...).")
+        observable.check(system)
+    own, states = _checked_sensitivities(system, solution), states_of(solution)
     with settings():
         figure = Figure(figsize=(_SIZE[0], _SIZE[1] * len(observables) + 0.6), layout="constrained")
         rows = figure.subplots(len(observables), sharex=True, squeeze=False)[:, 0]
         for axes, (label, observable) in zip(rows, observables.items(), strict=True):
-            value, slopes = total_derivatives(system, solution, observable)
+            partials = observable.partials(system, states)
+            value, slopes = partials.value, partials.total(own.q_b, own.v_b, own.lam_b)
             axes.set_ylabel(label)
             axes.plot(solution.t, value, color="black", lw=1.4, label=label, zorder=3)
             widths = np.abs(slopes * system.b) * percent / 100
             # The widest first, so that none hides another.
             for i in np.argsort(-widths.max(axis=0)).tolist():
                 low, high = value - widths[:, i], value + widths[:, i]
-                own = {"color": COLOURS[i % len(COLOURS)], "alpha": 0.45, "lw": 0.5}
-                axes.fill_between(solution.t, low, high, label=names[i], **own)
+                look = {"color": COLOURS[i % len(COLOURS)], "alpha": 0.45, "lw": 0.5}
+                axes.fill_between(solution.t, low, high, label=own.names[i], **look)
         rows[-1].set_xlabel("t [s]")
         bands = dict(zip(*rows[0].get_legend_handles_labels()[::-1], strict=True))
         figure.legend(
-            [bands[name] for name in names],
-            [f"{name} ± {percent:g} %" for name in names],
+            [bands[name] for name in own.names],
+            [f"{name} ± {percent:g} %" for name in own.names],
             loc="outside lower center",
-            ncols=min(4, len(names)),
+            ncols=min(4, len(own.names)),
         )
     return figure
 
 
-def total_derivatives(
-    system: MechanicalSystem, solution: Solution, observable: Observable
-) -> tuple[Array, Array]:
-    """Return an observable over time and its total design derivative, (n_t,) and (n_t, n_b)."""
-    require_kind("history, observable", observable, (Observable,), "For example position(...).")
-    observable.check(system)
-    own, p = solution.sensitivities, observable.partials(system, states_of(solution))
-    assert own is not None
-    total = p.b.copy()
-    for partial, states_b in ((p.q, own.q_b), (p.v, own.v_b), (p.lam, own.lam_b)):
-        if partial is not None:
-            total += np.einsum("tq,tqb->tb", partial, states_b)
-    return p.value, total
-
-
-def _checked_variables(system: MechanicalSystem, solution: Solution) -> tuple[str, ...]:
+def _checked_sensitivities(system: MechanicalSystem, solution: Solution) -> Sensitivities:
     own = solution.sensitivities
     if own is None or not own.names:
         rule, repair = "must have derivatives", "Call differentiate with a design."
@@ -114,4 +101,4 @@ def _checked_variables(system: MechanicalSystem, solution: Solution) -> tuple[st
         at = system.design_names[int(np.argmin(np.abs(system.b)))]
         rule, repair = "a variable at zero has no per cent", "Leave it out of the design."
         raise InvalidInput(f"history, design variable {at!r}", rule, "0", repair)
-    return own.names
+    return own

@@ -5,36 +5,12 @@ from __future__ import annotations
 import re
 from typing import Final
 
-_GREEK: Final = [
-    "alpha",
-    "beta",
-    "gamma",
-    "delta",
-    "eps",
-    "epsilon",
-    "zeta",
-    "eta",
-    "theta",
-    "kappa",
-    "lambda",
-    "mu",
-    "nu",
-    "xi",
-    "rho",
-    "sigma",
-    "tau",
-    "phi",
-    "psi",
-    "omega",
-    "Phi",
-    "Psi",
-    "Omega",
-]
-_NAMES: Final = {name: rf"\{name}" for name in _GREEK} | {
-    "eps": r"\varepsilon",
-    "hht_alpha": r"\alpha",
-}
-_SYMBOL: Final = "|".join(sorted(_NAMES, key=len, reverse=True))
+_SYMBOL: Final = (
+    "hht_alpha|alpha|beta|gamma|delta|eps|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|rho|sigma|"
+    "tau|phi|psi|omega|Phi|Psi|Omega"
+)
+# Symbols that matplotlib has under another name.
+_OTHERS: Final = {"eps": "varepsilon", "hht_alpha": "alpha"}
 # 1e-7; 2^-7; a symbol, Greek or one letter with an index, maybe after the d of a derivative.
 _MATHEMATICS: Final = re.compile(
     r"(?<![\w.$\\])(?:"
@@ -64,4 +40,5 @@ def _one(found: re.Match[str]) -> str:
     if parts["letter"]:
         return rf"${parts['d_letter']}{parts['letter']}_{{{parts['letter_index']}}}$"
     index = f"_{{{parts['index']}}}" if parts["index"] else ""
-    return rf"${parts['d']}{_NAMES[parts['symbol']]}{index}$"
+    symbol = _OTHERS.get(parts["symbol"], parts["symbol"])
+    return rf"${parts['d']}\{symbol}{index}$"

@@ -31,21 +31,10 @@ _SAME = 1e-9
 @final
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """A scene at the instants of a solution.
+    """A scene at k instants of a motion.
 
-    Attributes
-    ----------
-    d : int
-        Dimension of space.
-    motion : Solution
-        At these instants.
-    meshes : tuple of Mesh
-    places : tuple of array, shape (k, n, d)
-        Points of each mesh.
-    values : tuple of array, shape (k, n)
-        The field there; empty without one. NaN where there is none.
-    marks, lines, arrows : tuple
-    field : Field or None
+    `places` are the points of each mesh, (k, n, d), `values` the field there, (k, n): NaN where
+    there is none; empty without a field.
     """
 
     d: int
@@ -68,6 +57,13 @@ class Mechanism:
         return np.stack([every.min(axis=0), every.max(axis=0)])
 
     @property
+    def faces(self) -> Array:
+        """Points of the faces of all meshes, numbered through, shape (n_faces, 4)."""
+        firsts = np.cumsum([0, *(x.shape[1] for x in self.places)])
+        faces = [mesh.faces + n for mesh, n in zip(self.meshes, firsts, strict=False)]
+        return np.concatenate(faces)
+
+    @property
     def limits(self) -> tuple[float, float]:
         """Least and largest value of the field; symmetric about zero if it is signed."""
         own = np.concatenate([np.zeros(0), *(x[np.isfinite(x)] for x in self.values)])
@@ -86,10 +82,7 @@ def mechanism(
 ) -> Mechanism:
     """Put a scene at instants of a motion, or as declared without one.
 
-    Raises
-    ------
-    InvalidInput
-        If the solution is that of another scene or a field needs what it lacks.
+    InvalidInput if the solution is that of another scene or a field needs what it lacks.
     """
     require_kind("picture, scene", scene, (Scene,), "Give the Scene that was integrated.")
     if field is not None:
@@ -141,6 +134,7 @@ def _meshes(scene: Scene, mapping: ParameterMap, naming: Naming, n_q: int) -> tu
 
 def frames_of(motion: Solution, count: int) -> Array:
     """Return equally spaced instants of a whole motion."""
+    require_kind("film, solution", motion, (Solution,), "Call simulate.")
     if len(motion.t) < 2:
         rule, repair = "needs a motion of several instants", "Use snapshots for a state of rest."
         raise InvalidInput("film", rule, f"{len(motion.t)}", repair)

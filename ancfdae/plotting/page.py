@@ -35,7 +35,7 @@ def write_page(own: Mechanism, file: Path, seconds: float, title: str) -> None:
 def page_data(own: Mechanism, seconds: float, title: str) -> dict[str, Any]:
     """Return what the program in the page reads."""
     low, high = (_spatial(x) for x in own.bounds)
-    span = high - low
+    span, faces = high - low, own.faces
     x = _spatial(np.concatenate([*own.places], axis=1))
     scale = np.where(span, span, 1.0)
     signs, items = _signs(own)
@@ -48,7 +48,7 @@ def page_data(own: Mechanism, seconds: float, title: str) -> dict[str, Any]:
         "span": span.tolist(),
         "points": x.shape[1],
         "places": _packed(np.round(65535 * (x - low) / scale), np.uint16),
-        "triangles": _packed(_triangles(own), np.uint32),
+        "triangles": _packed(np.concatenate([faces[:, :3], faces[:, [0, 2, 3]]]), np.uint32),
         "shades": _packed(_shades(own), np.uint8),
         "map": _packed(255 * colour_map(own)(np.linspace(0, 1, 256)), np.uint8),
         "label": "" if own.field is None else own.field.label,
@@ -66,15 +66,6 @@ def _packed(array: Array, kind: npt.DTypeLike) -> str:
 def _spatial(x: Array) -> Array:
     """Return places with three components."""
     return x if x.shape[-1] == 3 else np.concatenate([x, 0.0 * x[..., :1]], axis=-1)
-
-
-def _triangles(own: Mechanism) -> Array:
-    """Split the faces of all meshes, numbered through."""
-    firsts = np.cumsum([0, *(x.shape[1] for x in own.places)])
-    faces = np.concatenate(
-        [mesh.faces + first for mesh, first in zip(own.meshes, firsts, strict=False)]
-    )
-    return np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
 
 
 def _shades(own: Mechanism) -> Array:

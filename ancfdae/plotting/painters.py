@@ -53,27 +53,17 @@ _LIGHT: Final = np.array([-0.35, -0.55, 0.75])
 
 
 class Painter(abc.ABC):
-    """Axes with equal scales for all instants of a mechanism.
+    """Axes with equal scales for all instants of a mechanism."""
 
-    Parameters
-    ----------
-    figure : Figure
-    mechanism : Mechanism
-    place : tuple of int
-        Of the axes in the figure, as in `Figure.add_subplot`.
-    """
-
-    def __init__(
-        self, figure: Figure, mechanism: Mechanism, place: tuple[int, int, int] = (1, 1, 1)
-    ) -> None:
+    def __init__(self, figure: Figure, mechanism: Mechanism) -> None:
         self.mechanism, self._bounds = mechanism, mechanism.bounds
         self.glyphs = Glyphs(mechanism)
         self.extent = self.glyphs.extent
         self.colours = ScalarMappable(Normalize(*mechanism.limits), colour_map(mechanism))
-        self.axes = self._make_axes(figure, place)
+        self.axes = self._make_axes(figure)
 
     @abc.abstractmethod
-    def _make_axes(self, figure: Figure, place: tuple[int, int, int]) -> Any:
+    def _make_axes(self, figure: Figure) -> Any:
         """Return axes with equal scales that hold everything."""
 
     @abc.abstractmethod
@@ -151,7 +141,7 @@ class Painter(abc.ABC):
         faces = self.mechanism.meshes[mesh].faces
         if self.mechanism.field is None:
             return np.tile(to_rgba(BODY), (len(faces), 1))
-        return self._coloured(face_values(self.mechanism, mesh, k))
+        return self._coloured(self.mechanism.values[mesh][k][faces].mean(axis=1))
 
     @final
     def _coloured(self, values: Array) -> Array:
@@ -167,8 +157,8 @@ class Painter(abc.ABC):
 class PlanePainter(Painter):
     """A mechanism in the plane."""
 
-    def _make_axes(self, figure: Figure, place: tuple[int, int, int]) -> Any:
-        axes = figure.add_subplot(*place, aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    def _make_axes(self, figure: Figure) -> Any:
+        axes = figure.add_subplot(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         margin = _MARGIN * self.extent
         (left, bottom), (right, top) = self._bounds
         axes.set(xlim=(left - margin, right + margin), ylim=(bottom - margin, top + margin))
@@ -235,8 +225,8 @@ class PlanePainter(Painter):
 class SpacePainter(Painter):
     """A mechanism in space, its faces lit from above."""
 
-    def _make_axes(self, figure: Figure, place: tuple[int, int, int]) -> Any:
-        axes = figure.add_subplot(*place, projection="3d")
+    def _make_axes(self, figure: Figure) -> Any:
+        axes = figure.add_subplot(projection="3d")
         low, high = self._bounds
         middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.12 * self.extent)
         half = half + 0.4 * _MARGIN * self.extent
@@ -279,21 +269,13 @@ def colour_map(mechanism: Mechanism) -> Colormap:
     return colormaps[SIGNED if signed else PLAIN].with_extremes(bad=BODY)
 
 
-def painter(
-    figure: Figure, mechanism: Mechanism, place: tuple[int, int, int] = (1, 1, 1)
-) -> Painter:
-    """Return the painter for the space of a mechanism."""
-    kind = PlanePainter if mechanism.d == 2 else SpacePainter
-    return kind(figure, mechanism, place)
-
-
 def canvas(own: Mechanism, title: str, signs: bool = False) -> tuple[Figure, Painter]:
     """Make a figure as high as the mechanism needs, with colour bar and a legend of signs."""
     span = np.ptp(own.bounds, axis=0) + 0.24 * np.ptp(own.bounds, axis=0).max()
     ratio = 0.65 if own.d == 3 else span[1] / span[0]
     height = _WIDTH * float(np.clip(0.9 * ratio, _NARROW, _WIDE)) + 1.2
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    brush = painter(figure, own)
+    brush = PlanePainter(figure, own) if own.d == 2 else SpacePainter(figure, own)
     brush.axes.set_title(title)
     entries = brush.legend() if signs else []
     if entries:
@@ -304,12 +286,6 @@ def canvas(own: Mechanism, title: str, signs: bool = False) -> tuple[Figure, Pai
         )
         bar.set_label(own.field.label)
     return figure, brush
-
-
-def face_values(mechanism: Mechanism, mesh: int, k: int) -> Array:
-    """Return the field on the faces of a mesh: the mean over their points, shape (n_faces,)."""
-    own: Array = mechanism.values[mesh][k][mechanism.meshes[mesh].faces].mean(axis=1)
-    return own
 
 
 def lit(colours: Array, corners: Array) -> Array:

@@ -15,7 +15,7 @@ from ancfdae.errors import (
     InvalidInput,
     MissingPackage,
     require_count,
-    require_kind,
+    require_path,
     require_positive,
     require_text,
 )
@@ -70,7 +70,7 @@ def snapshots(
         If the solution is not that of the scene, or lacks what is asked for.
     """
     require_text("snapshots, title", title)
-    if solution is not None and times is None and len(solution.t) > 1:
+    if isinstance(solution, Solution) and times is None and len(solution.t) > 1:
         times = frames_of(solution, _INSTANTS).tolist()
     own = mechanism(scene, solution, times, colour)
     with settings():
@@ -145,13 +145,13 @@ def animate(
 
 def checked_path(where: str, path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
     """Return a path with one of some suffixes; InvalidInput for another."""
-    require_kind(f"{where}, path", path, (str, os.PathLike), "Give the name of a file.")
-    if Path(path).suffix not in suffixes:
+    file = require_path(f"{where}, path", path)
+    if file.suffix not in suffixes:
         rule = f"must be a path that ends with {' or '.join(suffixes)}"
         raise InvalidInput(
             f"{where}, path", rule, repr(path), f"For example 'motion{suffixes[0]}'."
         )
-    return Path(path)
+    return file
 
 
 def _film(own: Mechanism, file: Path, rate: float, title: str, dpi: int) -> None:

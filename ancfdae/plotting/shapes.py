@@ -36,13 +36,8 @@ _AROUND, _POLES = 24, 12
 class Mesh(abc.ABC):
     """Points and faces of one body.
 
-    Attributes
-    ----------
-    name : str
-    faces : array of int, shape (n_faces, 4)
-        Points of each face; a triangle repeats its last one.
-    loop : array of int, shape (n_loop,)
-        Points of the closed outline in the plane.
+    `faces` are the points of each face, (n_faces, 4): a triangle repeats its last one; `loop` those
+    of the closed outline in the plane, (n_loop,).
     """
 
     name: str
@@ -74,20 +69,8 @@ class Mesh(abc.ABC):
 class BeamMesh(Mesh):
     """The surface of a beam, in the plane the area between its lowest and highest fibres.
 
-    Parameters
-    ----------
-    body : BeamBody
-    naming : Naming
-    n_q : int
-    elements : BeamElements or None
-        Its elements; None if it is rigid.
-
-    Attributes
-    ----------
-    xi : array, shape (n_xi,)
-        Places along every element.
-    y, z : array, shape (n, n_f)
-        Fibres of each element. Points are numbered element by element, station by station.
+    `elements` are None if it is rigid. Its points lie at the places xi, (n_xi,), of every element
+    and at fibres y, z, (n, n_f); they are numbered element by element, station by station.
     """
 
     def __init__(

@@ -7,7 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
-from ancfdae.ancf.vectors import Vectors
+from ancfdae.ancf.vectors import Vectors, point_vectors
 from ancfdae.bodies import Point, Quantity, RigidBody
 from ancfdae.joints import (
     Cylindrical,
@@ -25,7 +25,8 @@ from ancfdae.joints import (
 from ancfdae.loads import Load, SpringDamper
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array
-from ancfdae.parts import CentreLine, Direction
+from ancfdae.parts import CentreLine
+from ancfdae.parts import Vectors as Names
 from ancfdae.protocol import Solution
 from ancfdae.scene import Scene
 
@@ -73,15 +74,7 @@ class Arrows:
 
 @final
 class Symbols:
-    """What of a scene has no extent of its own.
-
-    Parameters
-    ----------
-    scene : Scene
-    naming : Naming
-    q_o : array, shape (n_q,)
-        Its reference configuration.
-    """
+    """What of a scene, with its reference configuration q_o, has no extent of its own."""
 
     def __init__(self, scene: Scene, naming: Naming, q_o: Array) -> None:
         self._scene, self._naming, self._q_o = scene, naming, q_o
@@ -150,18 +143,9 @@ class Symbols:
         F = np.asarray(load.force(U, V, p, vectors.of(self._q_o[None])[0]))
         return F * load.factor(p, motion.t, 0)[:, None, None]
 
-    def _vectors(
-        self, names: tuple[tuple[Point, Quantity] | CentreLine | Direction, ...]
-    ) -> Vectors:
-        naming, own = self._naming, []
-        for name in names:
-            if isinstance(name, CentreLine):
-                own.append(naming.centre_line(name.beam))
-            elif isinstance(name, Direction):
-                own.append(naming.direction(name.body, name.number))
-            else:
-                own.append(naming.vector(*name))
-        return Vectors(own, self._d, len(self._q_o), naming.lengths_b.shape[1])
+    def _vectors(self, names: Names) -> Vectors:
+        own, n_b = point_vectors(self._naming, names), self._naming.lengths_b.shape[1]
+        return Vectors(own, self._d, len(self._q_o), n_b)
 
     def _of(self, names: list[tuple[Point, Quantity]], q: Array) -> Array:
         """Return vectors of points, shape (k, n, d)."""
@@ -195,14 +179,11 @@ class Symbols:
         places = self._places(joint.points[0], motion.q)
         if len(joint.points) == 1:
             return np.stack([places, places + e], axis=1)
-        slopes = [(point, q) for q in self._quantities(point)]
+        slopes = [(point, Quantity(k)) for k in range(1, self._d + 1)]
         reference = self._of(slopes, self._q_o[None])[0]
         carried = np.linalg.solve(reference.T, e) @ self._of(slopes, motion.q)
         carried = carried / np.linalg.norm(carried, axis=-1, keepdims=True)
         return np.stack([places, places + carried], axis=1)
-
-    def _quantities(self, point: Point) -> list[Quantity]:
-        return [q for q in Quantity if q is not Quantity.POSITION and q <= self._d]
 
     def _frame(self, body: RigidBody, motion: Solution) -> list[Line]:
         """Return the axes of a body of which only mass and inertia are known, from its centre."""

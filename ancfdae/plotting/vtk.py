@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ancfdae.elements import Quantity
-from ancfdae.errors import require_package
+from ancfdae.errors import InvalidInput, require_package
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.fields import StrainEnergyDensity, VonMisesStress, section_forces
 from ancfdae.plotting.mechanism import Mechanism, mechanism
@@ -67,8 +67,12 @@ def write_vtk(
     group = require_package("write_vtk", "pyevtk.vtk", "vtk")
     own, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
     folder = file.with_suffix("")
+    if folder.is_file():
+        rule, repair = "needs a folder of its name beside it", "Choose another name."
+        raise InvalidInput("write_vtk, path", rule, f"the file {folder}", repair)
     folder.mkdir(parents=True, exist_ok=True)
-    faces, bodies, points = _cells(own), _bodies(own), point_data(own, declared)
+    faces, points = own.faces, point_data(own, declared)
+    bodies = np.repeat(np.arange(len(own.meshes)), [len(mesh.faces) for mesh in own.meshes])
     series = group.VtkGroup(str(folder))
     for k, t in enumerate(own.motion.t.tolist()):
         x = np.concatenate([place[k] for place in own.places])
@@ -137,13 +141,3 @@ def _components(x: Array) -> tuple[Array, Array, Array]:
     """Return three arrays in a row each, the third zero in the plane."""
     columns = [np.ascontiguousarray(x[:, axis]) for axis in range(x.shape[1])]
     return (*columns, np.zeros(len(x)))[:3]  # type: ignore[return-value]
-
-
-def _cells(own: Mechanism) -> Array:
-    firsts = np.cumsum([0, *(x.shape[1] for x in own.places)])
-    faces = [mesh.faces + first for mesh, first in zip(own.meshes, firsts, strict=False)]
-    return np.concatenate(faces)
-
-
-def _bodies(own: Mechanism) -> Array:
-    return np.repeat(np.arange(len(own.meshes)), [len(mesh.faces) for mesh in own.meshes])

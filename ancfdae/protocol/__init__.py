@@ -4,14 +4,3 @@ from ancfdae.naming import Naming
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
-
-__all__ = [
-    "DesignPartials",
-    "EstimatedErrors",
-    "Linearisation",
-    "MechanicalSystem",
-    "Naming",
-    "Sensitivities",
-    "Solution",
-    "Statistics",
-]

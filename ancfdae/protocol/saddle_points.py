@@ -18,21 +18,12 @@ _DEPENDENT = 1e-11
 def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> SaddlePoint:
     """Check the constraints and return the system's saddle-point matrices.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    t : float
-    q : array, shape (n_q,), optional
-        Where the constraints are checked and scaled; the start by default.
-
-    Raises
-    ------
-    RedundantConstraints
-        If constraint rows are linearly dependent.
+    They are checked and scaled at q, by default the start; RedundantConstraints if dependent.
     """
     values = system.constraint_q(system.start()[0] if q is None else q, t)
     refuse_redundant(system, values)
-    return SaddlePoint(system.pattern, system.constraint_pattern, system.weights, values)
+    patterns = system.pattern, system.constraint_pattern
+    return SaddlePoint(*patterns, system.weights, values, system.symmetric)
 
 
 def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:

@@ -19,8 +19,11 @@ from ancfdae.errors import (
     UnknownName,
     Verdict,
     require_array,
+    require_flag,
     require_function,
-    require_kind,
+    require_index,
+    require_path,
+    require_text,
 )
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import Array, Numbers
@@ -99,10 +102,7 @@ class Solution:
     def slope(self, point: Point, along: int = 0) -> Array:
         """Slope vector along a section axis (0: along the beam), shape (n_t, d)."""
         d = self._known_naming().layout.d
-        if along not in range(d):
-            raise InvalidInput(
-                "slope, along", f"must lie in 0 to {d - 1}", repr(along), "0 is along the beam."
-            )
+        require_index("slope, along", along, d, "0 is along the beam.")
         return self._vector(self.q, point, Quantity(along + 1))
 
     def multipliers(self, joint: str) -> Array:
@@ -209,6 +209,7 @@ class Solution:
     def design_index(self, name: str) -> int:
         """Return the place of a design variable in the last axis of every sensitivity."""
         names = self._known_sensitivities().names
+        require_text("design variable", name)
         if name not in names:
             raise UnknownName("design variable", name, names)
         return names.index(name)
@@ -271,12 +272,12 @@ class Solution:
         (``pip install "ancfdae[hdf5]"``); any other an archive of NumPy, as ``.npz`` is.
         docs/results.md has the format.
         """
-        return solution_file.write(_path(path), vars(self))
+        return solution_file.write(require_path("path of a solution", path), vars(self))
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Solution:
         """Read a solution written by `save`; InvalidInput if the file is no such solution."""
-        return Solution(**solution_file.read(_path(path)))
+        return Solution(**solution_file.read(require_path("path of a solution", path)))
 
     def to_dataframe(
         self, columns: Mapping[str, ArrayLike] | None = None, *, derivatives: bool = False
@@ -302,10 +303,11 @@ class Solution:
             If a column is not as long as the solution or has the name of another, or there are no
             derivatives.
         """
+        require_flag("to_dataframe, derivatives", derivatives)
         own = self._known_sensitivities() if derivatives else None
         q_b, variables = (None, ()) if own is None else (own.q_b, own.names)
         names = tables.coordinate_names(self.naming, self.q.shape[1])
-        return tables.states_table(self.t, self.q, q_b, names, variables, columns or {})
+        return tables.states_table(self.t, self.q, q_b, names, variables, columns)
 
     def __repr__(self) -> str:
         own, errors = self.sensitivities, self.estimated_errors
@@ -325,8 +327,3 @@ class Solution:
         rows += [] if errors is None else [("estimated error", f"{errors.motion:.3g}")]
         told = page("", rows, str(self.outcome))
         return told if own is None else told + own._repr_html_()
-
-
-def _path(path: object) -> Path:
-    require_kind("path of a solution", path, (str, os.PathLike), "Give the name of a file.")
-    return Path(path)  # type: ignore[arg-type]  # as was just seen

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict
+from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict, require_folder
 from ancfdae.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, RigidNodes
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
@@ -46,9 +46,7 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
     text = json.dumps(meta, default=np.generic.item)
     put = _put_hdf5 if path.suffix.lower() in _HDF5 else _put_npz
     # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
-    if not path.parent.is_dir():
-        rule, repair = "must lie in a folder that exists", "Create the folder, or correct the path."
-        raise InvalidInput("solution file", rule, repr(os.fspath(path)), repair)
+    require_folder("solution file", path)
     temporary = path.parent / f"{path.name}.{uuid.uuid4().hex}.part"
     try:
         with temporary.open("x+b") as file:

@@ -83,8 +83,14 @@ class MechanicalSystem(abc.ABC):
         Whether M does not depend on q; it is then formed once.
     linear_constraints : bool
         Whether Phi is linear in q, so that (Phi_q^T lam)_q vanishes.
+    constant_constraints : bool
+        Whether they are linear and the same at all times and designs: all that remains is Phi_q q
+        minus a constant, with one Phi_q.
     velocity_forces : bool
         Whether Q depends on v.
+    symmetric : bool
+        Whether M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q are symmetric matrices; systems of
+        equations then take less than half the time.
     force_round_off : float
         Size of the round-off in Q in the norm sqrt(sum Q^2 / weights); zero where it is that of
         Q itself. Newton corrections that stop shrinking at this size are accepted.
@@ -100,7 +106,9 @@ class MechanicalSystem(abc.ABC):
     b: Array
     constant_mass: bool = False
     linear_constraints: bool = False
+    constant_constraints: bool = False
     velocity_forces: bool = True
+    symmetric: bool = False
     force_round_off: float = 0.0
     project_start: bool = False
     naming: Naming | None = None
@@ -239,6 +247,14 @@ class MechanicalSystem(abc.ABC):
     def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
         """Return the total design derivative of Q, shape (n_q, n_b)."""
         return self.along(lambda s, q, v: s.force(q, v, t), (q, q_b), (v, v_b))
+
+    def force_and_total(self, q: Array, v: Array, t: float) -> Array:
+        """Return Q and its total design derivatives as rows, shape (1 + n_b, n_q).
+
+        The first rows of q and v are the state, the others its derivatives; shape (1 + n_b, n_q).
+        """
+        total = self.force_total(q[0], v[0], t, q[1:].T, v[1:].T)
+        return np.concatenate([self.force(q[0], v[0], t)[None], total.T])
 
     def following_load(self, q: Array, t: float) -> Array:
         """Return the loads in Q that turn with the motion, at rest, shape (n_q,).

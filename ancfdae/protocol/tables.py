@@ -56,6 +56,7 @@ def states_table(
         for i, variable in enumerate(variables):
             own = (f"d {name}/d {variable}" for name in names)
             table |= dict(zip(own, q_b[..., i].T, strict=True))
+    more = {} if more is None else more
     require_kind("to_dataframe, columns", more, (Mapping,), "For example {'tip [m]': values}.")
     assert isinstance(more, Mapping)
     for name, values in more.items():

@@ -24,20 +24,21 @@ def constraint_force_total(
     return total + system.pattern.dot(system.constraint_force_q(q, lam, t), q_b)
 
 
-def acceleration_totals(
-    system: MechanicalSystem,
-    t: float,
-    state: tuple[Array, Array, Array, Array],
-    q_b: Array,
-    v_b: Array,
-) -> tuple[Array, Array]:
-    """Right sides of the saddle-point system for a_b and lam_b, (n_q, n_b) and (n_lam, n_b).
+def held_totals(
+    system: MechanicalSystem, t: float, q: Array, v: Array, x: Array
+) -> tuple[Array, Array | None]:
+    """Total derivatives of M a + Phi_q^T lam and Phi_q a - gamma with x = (a, lam) held.
 
-    M a_b + Phi_q^T lam_b = Q_total - (M a)_total - (Phi_q^T lam)_total
-    Phi_q a_b             = gamma_total - (Phi_q a)_total,     a and lam held in the totals.
+    q and v are a state above its derivatives, as rows; so are the results, (n_b, n_q) and
+    (n_b, n_lam), the second None for zero. With Q_total they make the right sides
+
+    M a_b + Phi_q^T lam_b = Q_total - (M a + Phi_q^T lam)_total
+    Phi_q a_b             = -(Phi_q a - gamma)_total
     """
-    q, v, a, lam = state
-    force = system.force_total(q, v, t, q_b, v_b) - inertia_total(system, q, a, q_b)
-    force = force - constraint_force_total(system, q, lam, t, q_b)
-    side = system.acceleration_side_total(q, v, t, q_b, v_b)
-    return force, side - system.constraint_q_times_total(q, a, t, q_b)
+    state, q_b, a = q[0], q[1:].T, x[: system.n_q]
+    force = inertia_total(system, state, a, q_b)
+    if system.constant_constraints:
+        return force.T, None
+    force = force + constraint_force_total(system, state, x[system.n_q :], t, q_b)
+    side = system.constraint_q_times_total(state, a, t, q_b)
+    return force.T, (side - system.acceleration_side_total(state, v[0], t, q_b, v[1:].T)).T

@@ -5,14 +5,3 @@ from ancfdae.sections.general import MomentSection, PointSection
 from ancfdae.sections.rectangle import Rectangle
 from ancfdae.sections.section import Section
 from ancfdae.sections.walled import Box, ISection
-
-__all__ = [
-    "Box",
-    "Circle",
-    "ISection",
-    "MomentSection",
-    "PointSection",
-    "Rectangle",
-    "Section",
-    "Tube",
-]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 from dataclasses import dataclass
 from typing import final
 
@@ -15,9 +16,59 @@ from ancfdae.sections.section import Section, SectionPoints, require_smaller
 _AROUND = 16
 
 
+@dataclass(frozen=True)
+class _Round(Section):
+    """A section between two circles, of which the inner one may be a point."""
+
+    radius: float
+
+    @abc.abstractmethod
+    def inner(self, sizes: Array) -> Array:
+        """Return the radius of the hole, shape (n,)."""
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """The outer radius."""
+        return self.radius, self.radius
+
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Points at equal angles: of stresses linear in y and z none misses the largest by 2 %."""
+        radius, angle = sizes[:, :1], 2 * np.pi * np.arange(_AROUND) / _AROUND
+        return radius * np.cos(angle), radius * np.sin(angle)
+
+    def contour(self, sizes: Array) -> tuple[Array, Array]:
+        """Points at equal angles from the bottom on, none of them at the bottom itself."""
+        radius, angle = sizes[:, :1], 2 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
+        return -radius * np.cos(angle), -radius * np.sin(angle)
+
+    def points(self, sizes: Array, fine: bool) -> SectionPoints:
+        """Gauss points in the squared radius, equal angles; exact to degree 5 (fine: 11)."""
+        radial, angular = (6, 12) if fine else (3, 6)
+        corner, rule = box_rule((radial,))
+        share, n = corner[:, 0], len(sizes)
+        hole, whole = self.inner(sizes)[:, None] ** 2, sizes[:, :1] ** 2
+        angle = 2 * np.pi * (np.arange(angular) + 0.5) / angular
+        r = np.sqrt(hole * (1 - share) + whole * share)[:, :, None]
+        dA = np.pi * (whole - hole) * np.repeat(rule / angular, angular)
+        y, z = r * np.cos(angle), r * np.sin(angle)
+        return y.reshape(n, -1), z.reshape(n, -1), dA
+
+    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
+        """Cowper (1966); m is the ratio of inner to outer radius."""
+        m = self.inner(sizes) / sizes[:, 0]
+        round_trip = (1 + m**2) ** 2
+        factor = 6 * (1 + nu) * round_trip / ((7 + 6 * nu) * round_trip + (20 + 12 * nu) * m**2)
+        return factor, factor
+
+    def torsion(self, sizes: Array) -> Array:
+        """Polar moment of area: circles do not warp."""
+        J: Array = np.pi / 2 * (sizes[:, 0] ** 4 - self.inner(sizes) ** 4)
+        return J
+
+
 @final
 @dataclass(frozen=True)
-class Circle(Section):
+class Circle(_Round):
     """Solid circular cross-section.
 
     Parameters
@@ -31,39 +82,14 @@ class Circle(Section):
         If the radius is not finite and positive.
     """
 
-    radius: float
-
-    @property
-    def half_extents(self) -> tuple[float, float]:
-        """The radius."""
-        return self.radius, self.radius
-
-    def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Points of an annulus without a hole."""
-        return _annulus(0.0 * sizes[:, 0], sizes[:, 0], fine)
-
-    def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Points around the circumference."""
-        return _around(sizes[:, 0])
-
-    def contour(self, sizes: Array) -> tuple[Array, Array]:
-        """Return a polygon."""
-        return _polygon(sizes[:, 0])
-
-    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Cowper (1966)."""
-        factor = 6 * (1 + nu) / (7 + 6 * nu)
-        return factor, factor
-
-    def torsion(self, sizes: Array) -> Array:
-        """Polar moment of area: circles do not warp."""
-        J: Array = np.pi / 2 * sizes[:, 0] ** 4
-        return J
+    def inner(self, sizes: Array) -> Array:
+        """No hole."""
+        return 0.0 * sizes[:, 0]
 
 
 @final
 @dataclass(frozen=True)
-class Tube(Section):
+class Tube(_Round):
     """Circular tube.
 
     Parameters
@@ -79,7 +105,6 @@ class Tube(Section):
         If a size is not finite and positive, or the wall is as thick as the radius.
     """
 
-    radius: float
     thickness: float
 
     def __post_init__(self) -> None:
@@ -88,62 +113,6 @@ class Tube(Section):
         rule = "must be less than the radius"
         require_smaller("Tube.thickness", self.thickness, self.radius, rule)
 
-    @property
-    def half_extents(self) -> tuple[float, float]:
-        """The outer radius."""
-        return self.radius, self.radius
-
-    def points(self, sizes: Array, fine: bool) -> SectionPoints:
-        """Points of the annulus."""
-        radius, thickness = sizes.T
-        return _annulus(radius - thickness, radius, fine)
-
-    def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Points around the circumference."""
-        return _around(sizes[:, 0])
-
-    def contour(self, sizes: Array) -> tuple[Array, Array]:
-        """Return a polygon."""
-        return _polygon(sizes[:, 0])
-
-    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Cowper (1966); m is the ratio of inner to outer radius."""
-        m = 1 - sizes[:, 1] / sizes[:, 0]
-        round_trip = (1 + m**2) ** 2
-        factor = 6 * (1 + nu) * round_trip / ((7 + 6 * nu) * round_trip + (20 + 12 * nu) * m**2)
-        return factor, factor
-
-    def torsion(self, sizes: Array) -> Array:
-        """Polar moment of area."""
-        radius, thickness = sizes.T
-        J: Array = np.pi / 2 * (radius**4 - (radius - thickness) ** 4)
-        return J
-
-
-def _around(radius: Array) -> tuple[Array, Array]:
-    """Points at equal angles: of stresses linear in y and z none misses the largest by 2 %."""
-    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
-    return radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
-
-
-def _polygon(radius: Array) -> tuple[Array, Array]:
-    """Points at equal angles from the bottom on, none of them at the bottom itself."""
-    angle = 2 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND
-    return -radius[:, None] * np.cos(angle), -radius[:, None] * np.sin(angle)
-
-
-def _annulus(inner: Array, outer: Array, fine: bool) -> SectionPoints:
-    """Gauss points in the squared radius, equal angles; exact to degree 5 (fine: 11)."""
-    radial, angular = (6, 12) if fine else (3, 6)
-    corner, rule = box_rule((radial,))
-    share = corner[:, 0]
-    squared = inner[:, None] ** 2 * (1 - share) + outer[:, None] ** 2 * share
-    angle = 2 * np.pi * (np.arange(angular) + 0.5) / angular
-    r, n = np.sqrt(squared)[:, :, None], len(inner)
-    area = np.pi * (outer**2 - inner**2)
-    dA = area[:, None, None] * np.broadcast_to((rule / angular)[:, None], (radial, angular))
-    return (
-        (r * np.cos(angle)).reshape(n, -1),
-        (r * np.sin(angle)).reshape(n, -1),
-        dA.reshape(n, -1),
-    )
+    def inner(self, sizes: Array) -> Array:
+        """Return what the wall leaves."""
+        return np.asarray(sizes[:, 0] - sizes[:, 1])

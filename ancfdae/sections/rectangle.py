@@ -18,9 +18,26 @@ from ancfdae.sections.section import Section, SectionPoints
 _COARSE, _FINE = 3, 6
 
 
+@dataclass(frozen=True)
+class Rectangular(Section):
+    """A section with a rectangle around it: height along y and width along z."""
+
+    height: float
+    width: float
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """Half of height and width."""
+        return self.height / 2, self.width / 2
+
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Corners."""
+        return corners(sizes[:, 0], sizes[:, 1])
+
+
 @final
 @dataclass(frozen=True)
-class Rectangle(Section):
+class Rectangle(Rectangular):
     """Rectangular cross-section.
 
     Parameters
@@ -36,22 +53,10 @@ class Rectangle(Section):
         If an extent is not finite and positive.
     """
 
-    height: float
-    width: float
-
-    @property
-    def half_extents(self) -> tuple[float, float]:
-        """Half of height and width."""
-        return self.height / 2, self.width / 2
-
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
         """Gauss points."""
         h, w = sizes.T
         return rectangles_points([(h, w, 0.0 * h, 0.0 * h)], fine)
-
-    def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Corners."""
-        return corners(*sizes.T)
 
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """Cowper (1966)."""

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
-from ancfdae.sections.rectangle import corners, rectangle_torsion, rectangles_points
-from ancfdae.sections.section import Section, SectionPoints, require_smaller
+from ancfdae.sections.rectangle import Rectangular, rectangle_torsion, rectangles_points
+from ancfdae.sections.section import SectionPoints, require_smaller
 
 
 @dataclass(frozen=True)
-class _Walled(Section):
+class _Walled(Rectangular):
     """Two flanges of the full width, joined by webs."""
 
-    height: float
-    width: float
+    webs: ClassVar[int] = 2
+
     web_thickness: float
     flange_thickness: float
 
@@ -26,25 +26,10 @@ class _Walled(Section):
         super().__post_init__()
         for name, walls, outer, extent in (
             ("flange_thickness", 2 * self.flange_thickness, self.height, "height"),
-            ("web_thickness", self._webs * self.web_thickness, self.width, "width"),
+            ("web_thickness", self.webs * self.web_thickness, self.width, "width"),
         ):
             rule = f"the walls together must be thinner than the {extent}"
             require_smaller(f"{type(self).__name__}.{name}", walls, outer, rule)
-
-    @property
-    def _webs(self) -> int:
-        """Number of webs."""
-        return 2
-
-    @property
-    def half_extents(self) -> tuple[float, float]:
-        """Half of height and width."""
-        return self.height / 2, self.width / 2
-
-    def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Corners of the flanges."""
-        h, w, _, _ = sizes.T
-        return corners(h, w)
 
 
 @final
@@ -91,27 +76,9 @@ class Box(_Walled):
 @final
 @dataclass(frozen=True)
 class ISection(_Walled):
-    """I section, one web in the middle.
+    """I section, one web in the middle; parameters and errors as of `Box`."""
 
-    Parameters
-    ----------
-    height, width : float
-        Outer extents along y and z; m.
-    web_thickness : float
-        Of each wall along y; m.
-    flange_thickness : float
-        Of each wall along z; m.
-
-    Raises
-    ------
-    InvalidInput
-        If a size is not finite and positive, or the walls leave no hole.
-    """
-
-    @property
-    def _webs(self) -> int:
-        """One web."""
-        return 1
+    webs = 1
 
     def contour(self, sizes: Array) -> tuple[Array, Array]:
         """Return the twelve corners."""

@@ -87,9 +87,10 @@ class ContinuousAdjoint(GradientMethod):
             value = objective.value(system, states_of(solution))
             started = time.perf_counter()
             with keeping(solution):
-                smooth = _with_smooth_multipliers(system, solution)
+                smooth = _with_smooth_multipliers(system, solution, run.progress)
                 partials = objective.partials(system, states_of(smooth))
-                total = _BackwardRun(system, integrator, smooth, partials).gradient()
+                backward = _BackwardRun(system, integrator, smooth, partials)
+                total = backward.gradient(run.progress)
             # Two factorisations per step: for the multipliers and backward; one more at the end.
             factorised, seconds = 2 * len(solution.t) - 1, time.perf_counter() - started
             done = solution.with_pass(factorised, seconds)
@@ -97,15 +98,20 @@ class ContinuousAdjoint(GradientMethod):
         return results
 
 
-def _with_smooth_multipliers(system: MechanicalSystem, solution: Solution) -> Solution:
+def _with_smooth_multipliers(
+    system: MechanicalSystem, solution: Solution, progress: bool
+) -> Solution:
     """Recompute the multipliers from positions and velocities.
 
     Those of HHT-I3 carry transients of O(h^2) from the start and from changes of the step. (37)
     would hand them to zeta divided by h^2, and the gradient would err by O(h).
     """
+    from tqdm import tqdm
+
     accelerations = Accelerations(system, saddle_point(system, 0.0))
-    states = zip(solution.t[1:], solution.q[1:], solution.v[1:], strict=True)
-    later = [accelerations.solve(float(t), q, v)[1] for t, q, v in states]
+    states = list(zip(solution.t[1:], solution.q[1:], solution.v[1:], strict=True))
+    bar = tqdm(states, "multipliers", disable=not progress, unit="step")
+    later = [accelerations.solve(float(t), q, v)[1] for t, q, v in bar]
     # At the start the reported v has no shift, unlike at later instants.
     near, t = slice(0, _LEAST_STEPS), solution.t
     first = scipy.interpolate.BarycentricInterpolator(t[1:][near], later[near])(t[0])
@@ -164,13 +170,16 @@ class _BackwardRun:
         M: Array = self._local.M[0 if self._system.constant_mass else n]
         return M
 
-    def gradient(self) -> Array:
+    def gradient(self, progress: bool) -> Array:
         """Eq. (42)."""
+        from tqdm import tqdm
+
         system, s = self._system, self._solution
         state, epsilon, gamma = self._end()
         mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)
         mu[-1], zeta[-1] = state.mu, state.zeta
-        for n in range(len(s.t) - 2, -1, -1):
+        steps = range(len(s.t) - 2, -1, -1)
+        for n in tqdm(steps, "adjoint", disable=not progress, unit="step"):
             state = self._step(state, n)
             mu[n], zeta[n] = state.mu, state.zeta
         weighted = mu * self._w[:, None], zeta * self._w[:, None]

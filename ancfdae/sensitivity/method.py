@@ -8,12 +8,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, final
 
+import numpy as np
+
 from ancfdae.errors import (
     AncfdaeError,
     PassFailed,
     SingularMatrix,
     Verdict,
     require_flag,
+    require_kind,
     uninterrupted,
 )
 from ancfdae.integrators import Integrator, QuadratureIntegrator
@@ -21,6 +24,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.objectives.objective import NO_TOTALS, Totals
 from ancfdae.objectives.totals import totals_of
+from ancfdae.observables import states_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.tables import pandas
@@ -109,7 +113,11 @@ class Run:
 
     def __post_init__(self) -> None:
         """Validate."""
+        repair = "For example HHT(step=0.01)."
+        require_kind("integrator", self.integrator, (Integrator,), repair)
         require_flag("progress", self.progress)
+        if self.after is not None:
+            require_kind("after", self.after, (Solution,), "Pass what simulate returned.")
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
         """Integrate."""
@@ -127,14 +135,20 @@ class Run:
         if self.after is not None or not isinstance(self.integrator, QuadratureIntegrator):
             return finished(self.solution(sensitivities=sensitivities)), NO_TOTALS
         totals = totals_of(self.system, objectives, differentiated)
-        run = self.integrator.integrate_with(
+        run = self.integrator.integrate(
             self.system,
             self.t_end,
-            list(totals.values()),
             sensitivities=sensitivities,
             progress=self.progress,
+            integrands=list(totals.values()),
         )
         return finished(run), totals
+
+    def values(self, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
+        """Return a finished run and the values of objectives, without derivatives."""
+        solution, totals = self.integrals(objectives, differentiated=False)
+        states = states_of(solution)
+        return solution, np.array([each.value(self.system, states, totals) for each in objectives])
 
     def at(self, b: Array) -> Run:
         """Return the run at other design values."""

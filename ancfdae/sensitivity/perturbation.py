@@ -16,7 +16,6 @@ import numpy as np
 from ancfdae.errors import InvalidInput, require_flag, require_positive
 from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
-from ancfdae.observables import states_of
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities
 from ancfdae.sensitivity.method import Gradient, Method, Run
@@ -67,10 +66,10 @@ class Perturbation(Method):
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """Differentiate the objectives of whole runs."""
         self.check(run)
-        solution, base = _values(run, objectives)
+        solution, base = run.values(objectives)
         slopes = np.zeros((len(objectives), run.system.n_b))
         for i, (b, runs) in enumerate(self._changed(run, solution)):
-            slopes[:, i] = self.quotient(b, base, [_values(each, objectives)[1] for each in runs])
+            slopes[:, i] = self.quotient(b, base, [each.values(objectives)[1] for each in runs])
         return [
             Gradient(float(value), slope, run.system.design_names, self, solution)
             for value, slope in zip(base, slopes, strict=True)
@@ -160,9 +159,3 @@ class ComplexStep(Perturbation):
     def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
         """Imaginary part over the step."""
         return np.asarray(moved[0].imag / (_STEP * (abs(b) or 1.0)))
-
-
-def _values(run: Run, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
-    solution, totals = run.integrals(objectives, differentiated=False)
-    states = states_of(solution)
-    return solution, np.array([each.value(run.system, states, totals) for each in objectives])

@@ -5,15 +5,3 @@ from ancfdae.statics.equilibrium import MAX_STEPS, Equilibrium, NoEquilibrium, f
 from ancfdae.statics.mobility import FreeMechanism, motions_in_words
 from ancfdae.statics.outcome import LoadOutcome
 from ancfdae.statics.rest import RestingStart
-
-__all__ = [
-    "MAX_STEPS",
-    "Equilibrium",
-    "FreeMechanism",
-    "LoadOutcome",
-    "NoEquilibrium",
-    "RestingStart",
-    "Tangent",
-    "find_equilibrium",
-    "motions_in_words",
-]

@@ -69,16 +69,7 @@ class Failure:
 @final
 @dataclass(frozen=True)
 class Balance:
-    """The equations of one search; see the module.
-
-    Attributes
-    ----------
-    system : MechanicalSystem
-    t : float
-    q_0, lam_0 : array
-        Where the search starts.
-    work : Work
-    """
+    """The equations of one search, which starts at q_0 and lam_0; see the module."""
 
     system: MechanicalSystem
     t: float
@@ -160,16 +151,7 @@ class Balance:
         mu: float = 0.0,
         anchor: Array | None = None,
     ) -> Solved | Failure:
-        """Solve the equations by Newton's method from a guess.
-
-        Parameters
-        ----------
-        s : float
-        q, lam : array
-            The guess.
-        mu, anchor : float and array
-            mu and q_a.
-        """
+        """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a."""
         test = _Convergence(self)
         try:
             with np.errstate(all="ignore"):

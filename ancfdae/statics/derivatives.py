@@ -19,15 +19,7 @@ from ancfdae.statics.balance import Balance
 
 @final
 class Tangent:
-    """The factorised tangent of an equilibrium; raises SingularMatrix where there is none.
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-    t : float
-    q, lam : array
-        The equilibrium.
-    """
+    """The factorised tangent of an equilibrium; raises SingularMatrix where there is none."""
 
     def __init__(self, system: MechanicalSystem, t: float, q: Array, lam: Array) -> None:
         balance = Balance(system, t, q, lam)

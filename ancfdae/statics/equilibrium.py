@@ -13,7 +13,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Sensitivities, Statistics
-from ancfdae.statics.balance import Balance, Work
+from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.outcome import LoadOutcome
 from ancfdae.statics.search import Found, search
@@ -90,21 +90,11 @@ def find_equilibrium(
     start: Equilibrium | None = None,
     max_steps: int = MAX_STEPS,
     sensitivities: bool = False,
-    t: float = 0.0,
 ) -> Equilibrium:
-    """Search for q and lam with Q(q) = Phi_q^T lam and Phi(q) = 0.
+    """Search for q and lam with Q(q) = Phi_q^T lam and Phi(q) = 0 at t = 0.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-    start : Equilibrium, optional
-        Where to start instead of at the start of the system.
-    max_steps : int
-        Attempted steps of the load.
-    sensitivities : bool
-        Whether to differentiate what was found.
-    t : float
-        Instant at which forces and constraints count; s.
+    From `start`, or the start of the system, in at most `max_steps` attempted steps of the load;
+    what was found is differentiated if asked for.
 
     Raises
     ------
@@ -115,19 +105,20 @@ def find_equilibrium(
     """
     began = time.perf_counter()
     q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else (start.q, start.lam)
-    balance = Balance.of(system, t, q, lam)
+    balance = Balance.of(system, 0.0, q, lam)
     found, derivatives = search(balance, max_steps), None
     if sensitivities and found.outcome.success:
         balance.work.factorisations += 1
-        derivatives = Tangent(system, t, found.q, found.lam).sensitivities()
-    statistics = _statistics(balance.work, time.perf_counter() - began)
-    solution = _solution(system, t, found, derivatives, statistics)
+        derivatives = Tangent(system, 0.0, found.q, found.lam).sensitivities()
+    work, seconds = balance.work, time.perf_counter() - began
+    counted = (work.steps, work.iterations, work.factorisations, work.residuals)
+    statistics = Statistics(*counted, 0, seconds, work.rejected)
+    solution = _solution(system, found, derivatives, statistics)
     return Equilibrium(found.q, found.lam, found.outcome, solution, *(derivatives or (None, None)))
 
 
 def _solution(
     system: MechanicalSystem,
-    t: float,
     found: Found,
     derivatives: tuple[Array, Array] | None,
     statistics: Statistics,
@@ -138,10 +129,4 @@ def _solution(
         still = np.zeros_like(q_b)
         own = Sensitivities(system.design_names, system.b, q_b, still, still, lam_b)
     zero, outcome = np.zeros_like(q), found.outcome.of_run()
-    at = np.array([t])
-    return Solution(at, q, zero, zero, lam, statistics, outcome, system.naming, own)
-
-
-def _statistics(work: Work, seconds: float) -> Statistics:
-    counted = (work.steps, work.iterations, work.factorisations, work.residuals)
-    return Statistics(*counted, 0, seconds, work.rejected)
+    return Solution(np.zeros(1), q, zero, zero, lam, statistics, outcome, system.naming, own)

@@ -27,14 +27,9 @@ _SMALL = 1.0 / 128.0
 @final
 @dataclass(frozen=True)
 class PathPoint:
-    """A point of the path with its derivatives in the load fraction.
+    """A point of the path with its derivatives in the load fraction s.
 
-    Attributes
-    ----------
-    s : float
-    q, lam, q_s, lam_s : array
-    stable : bool
-        Whether no motion meets a negative stiffness.
+    It is stable if no motion meets a negative stiffness.
     """
 
     s: float
@@ -47,22 +42,10 @@ class PathPoint:
 
 @final
 class LoadPath:
-    """Follows the path from s = 0 to s = 1.
+    """Follows the path from s = 0 to s = 1 in at most `max_steps` attempted steps.
 
-    Parameters
-    ----------
-    balance : Balance
-    first : PathPoint
-        The start.
-    max_steps : int
-        Attempted steps.
-
-    Attributes
-    ----------
-    places : list of PathPoint
-        What converged, the start first.
-    residual : float
-        Size of the last correction of the last failure.
+    `places` are what converged, the start first, `residual` is the size of the last correction of
+    the last failure.
     """
 
     def __init__(self, balance: Balance, first: PathPoint, max_steps: int) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from ancfdae.errors import InvalidInput
 from ancfdae.naming import BodyLayout, Naming
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.rotations import generators
 from ancfdae.text import listed
 
 # Parts of a motion below this are round-off of its null vector.
@@ -101,11 +102,10 @@ class _Fit:
 @final
 @dataclass(frozen=True)
 class _Body:
-    """A beam or a rigid body as it stands: nodes r (n, d), slopes (n, n_s - 1, d), and size."""
+    """A beam or a rigid body as it stands: node vectors X, shape (n, n_s, d), and size."""
 
     name: str
-    r: Array
-    slopes: Array
+    X: Array
     length: float
     columns: slice
 
@@ -113,26 +113,27 @@ class _Body:
     def of(naming: Naming, beam: BodyLayout, q: Array) -> _Body:
         d = naming.layout.d
         columns = slice(beam.first_vector * d, (beam.first_vector + beam.count) * d)
-        X = q[columns].reshape(-1, beam.stride, d)
-        return _Body(beam.name, X[:, 0], X[:, 1:], beam.size, columns)
+        return _Body(beam.name, q[columns].reshape(-1, beam.stride, d), beam.size, columns)
+
+    @property
+    def r(self) -> Array:
+        """Positions of the nodes, shape (n, d)."""
+        return self.X[:, 0]
 
     def fit(self, motions: Array) -> _Fit:
         """Fit rigid motions to the given ones."""
-        d, count = self.r.shape[1], motions.shape[1]
-        turns = _generators(d)
-        arms = (self.r - self.r[0]) / self.length
-        # Columns: translations, then turns; rows: positions over the length, then slopes.
-        n_r, n_s = len(self.r), self.slopes.shape[1]
-        positions = np.concatenate(
-            [np.broadcast_to(np.eye(d), (n_r, d, d)), np.einsum("kij,nj->nik", turns, arms)], axis=2
-        )
-        turned = np.einsum("kij,nsj->nsik", turns, self.slopes)
-        slopes = np.concatenate([np.zeros((n_r, n_s, d, d)), turned], axis=3)
-        A = np.concatenate([positions.reshape(n_r * d, -1), slopes.reshape(n_r * n_s * d, -1)])
-        own = motions[self.columns].reshape(n_r, n_s + 1, d, count)
-        right = np.concatenate(
-            [own[:, 0].reshape(-1, count) / self.length, own[:, 1:].reshape(-1, count)]
-        )
+        (*_, n_s, d), count = self.X.shape, motions.shape[1]
+        # Positions count over the length.
+        unit = np.ones((n_s, 1))
+        unit[0] = self.length
+        arms = self.X / unit
+        arms[:, 0] -= arms[0, 0]
+        turned = np.einsum("kij,nsj->nsik", generators(d), arms)
+        shifted = np.zeros((*self.X.shape, d))
+        shifted[:, 0] = np.eye(d)
+        A = np.concatenate([shifted, turned], axis=3).reshape(self.X.size, -1)
+        right = motions[self.columns].reshape(*self.X.shape, count) / unit[..., None]
+        right = right.reshape(-1, count)
         x = np.linalg.lstsq(A, right, rcond=None)[0]
         return _Fit(x, float(np.max(np.abs(right))), float(np.max(np.abs(right - A @ x))))
 
@@ -170,13 +171,6 @@ class _Body:
         if axis is not None:
             arm = arm - (arm @ axis) * axis
         return bool(np.linalg.norm(arm) <= _SMALL * self.length)
-
-
-def _generators(d: int) -> Array:
-    """Skew matrices of unit turns, shape (1, 2, 2) or (3, 3, 3): axis, row, column."""
-    if d == 2:
-        return np.array([[[0.0, -1.0], [1.0, 0.0]]])
-    return np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
 
 
 def _direction(v: Array) -> str:

@@ -16,11 +16,8 @@ from ancfdae.statics.equilibrium import Equilibrium, NoEquilibrium, find_equilib
 class RestingStart:
     """The equilibrium of a system at t = 0; found, and factorised, when first asked for.
 
-    Parameters
-    ----------
-    system : MechanicalSystem
-        With the coordinates and design variables of the system that moves; its own start is where
-        the search starts.
+    The system has the coordinates and design variables of the one that moves; the search starts
+    at its own start.
     """
 
     def __init__(self, system: MechanicalSystem) -> None:

@@ -28,18 +28,9 @@ _FAILURES = 30
 
 @final
 class Settling:
-    """Goes downhill under the full load.
+    """Goes downhill under the full load, and tells where it has come: q, lam.
 
-    Attributes
-    ----------
-    q, lam : array
-        Where it has come.
-    steps : int
-        Steps that converged.
-    residual : float
-        Size of the last one.
-    gone : bool
-        Whether it ran away.
+    `steps` have converged, the last of the size `residual`; `gone` tells whether it ran away.
     """
 
     def __init__(self, balance: Balance, max_steps: int) -> None:

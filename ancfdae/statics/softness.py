@@ -29,15 +29,9 @@ _FREE, _NEGATIVE, _SHIFT = 4e-15, -1e-14, 1e-14
 @final
 @dataclass(frozen=True)
 class Softness:
-    """Softest motions of a configuration.
+    """Softest motions of a configuration, (n_q, k), with the stiffness kappa of each, rising.
 
-    Attributes
-    ----------
-    kappa : array, shape (k,)
-        Stiffness of each, rising.
-    motions : array, shape (n_q, k)
-    stable : bool
-        Whether none of these motions meets a negative stiffness.
+    It is stable if none of these motions meets a negative stiffness.
     """
 
     kappa: Array

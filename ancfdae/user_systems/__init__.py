@@ -2,5 +2,3 @@
 
 from ancfdae.user_systems.complex_step import ComplexStepSystem
 from ancfdae.user_systems.conformance import Conformance, Finding, check_system
-
-__all__ = ["ComplexStepSystem", "Conformance", "Finding", "check_system"]

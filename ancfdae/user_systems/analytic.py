@@ -148,23 +148,14 @@ def _probes(
     def at(s: complex) -> tuple[Any, Array, Array, complex]:
         return system.with_values(b + s * db), q + s * dq, v + s * dv, 0.01 + s
 
-    def mass(s: complex) -> Array:
-        x, q, _, _ = at(s)
-        return np.asarray(x.mass(q))
-
-    def force(s: complex) -> Array:
-        x, q, v, t = at(s)
-        return np.asarray(x.force(q, v, t))
-
-    def constraint(s: complex) -> Array:
-        x, q, _, t = at(s)
-        return np.asarray(x.constraint(q, t))
+    def along(value: Callable[..., Array]) -> Callable[[complex], Array]:
+        return lambda s: value(*at(s))
 
     return [
-        ("start", lambda s: np.concatenate(at(s)[0].start()), (2 * n_q,)),
-        ("mass_matrix", mass, (n_q * n_q,)),
-        ("force", force, (n_q,)),
-        ("constraint", constraint, (n_lam,)),
+        ("start", along(lambda x, q, v, t: np.concatenate(x.start())), (2 * n_q,)),
+        ("mass_matrix", along(lambda x, q, v, t: x.mass(q)), (n_q * n_q,)),
+        ("force", along(lambda x, q, v, t: x.force(q, v, t)), (n_q,)),
+        ("constraint", along(lambda x, q, v, t: x.constraint(q, t)), (n_lam,)),
     ]
 
 

@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_count, require_kind
+from ancfdae.errors import InvalidInput, require_count, require_index, require_kind
 from ancfdae.protocol.system import MechanicalSystem
 from ancfdae.text import listed
 from ancfdae.user_systems.conformance_checks import CHECKS
@@ -106,6 +106,7 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
     """
     require_kind("system", system, (MechanicalSystem,), "Assemble a scene first.")
     require_count("samples", samples, "2 is plenty.")
+    require_index("seed", seed, 2**32, "For example 0.")
     if np.asarray(system.b).dtype.kind != "f":
         raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
     rng = np.random.default_rng(seed)

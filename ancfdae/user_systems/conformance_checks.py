@@ -77,9 +77,26 @@ def declarations(add: Add, p: Probe) -> None:
     if s.linear_constraints:
         bent = s.constraint_q(m.q + d.q, m.t)
         add("linear_constraints", gap(bent, s.constraint_q(m.q, m.t), 0.0), _SAME)
+    if s.constant_constraints:
+        other, q, t = s.with_values(s.b * 1.01 + 1e-3 * (s.b == 0)), m.q + d.q, m.t + p.time
+        B = s.constraint_q(m.q, m.t)
+        add("constant_constraints, Phi_q", gap(other.constraint_q(q, t), B, 0.0), _SAME)
+        Phi = s.constraint(m.q, m.t) + s.constraint_pattern.dot(B, d.q)
+        size = np.max(np.abs(s.constraint_pattern.dot(np.abs(B), np.abs(m.q))), initial=0.0)
+        add("constant_constraints", gap(other.constraint(q, t), Phi, size), _SAME)
     if not s.velocity_forces:
         Q = s.force(m.q, m.v, m.t)
         add("velocity_forces", gap(s.force(m.q, m.v + d.v, m.t), Q, 0.0), _SAME)
+    if s.symmetric:
+        matrices = [s.force_q(m.q, m.v, m.t)]
+        if s.velocity_forces:
+            matrices.append(s.force_v(m.q, m.v, m.t))
+        if not s.linear_constraints:
+            matrices.append(s.constraint_force_q(m.q, m.lam, m.t))
+        if not s.constant_mass:
+            matrices.append(s.inertia_q(m.q, m.a))
+        error = max(gap(K, K.T, 0.0) for K in map(s.pattern.dense, matrices))
+        add("symmetric", error, _SAME)
 
 
 def products(add: Add, p: Probe) -> None:
@@ -91,6 +108,12 @@ def products(add: Add, p: Probe) -> None:
     both = np.stack([m.a, d.a], axis=1)
     add("mass_times: M x", gap(s.mass_times(m.q, m.a), M @ m.a, 0.0), _SAME)
     add("mass_times: M x, columns", gap(s.mass_times(m.q, both), M @ both, 0.0), _SAME)
+    rows = [np.concatenate([x[None], p.arguments[y].T]) for x, y in ((m.q, "q_b"), (m.v, "v_b"))]
+    expected = np.concatenate(
+        [call(s, "force", p.arguments)[None], call(s, "force_total", p.arguments).T]
+    )
+    error = gap(s.force_and_total(rows[0], rows[1], m.t), expected, 0.0)
+    add("force_and_total: force, force_total", error, _SAME)
     reaction = s.constraint_force(m.q, m.lam, m.t)
     expected = dot_t(s.constraint_q(m.q, m.t), m.lam)
     add("constraint_force: Phi_q^T lam", gap(reaction, expected, 0.0), _SAME)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ancfdae import HHT, Point, Scene, Solution, StabilityWarning, assemble, simulate
 from ancfdae.errors import AncfdaeError
-from ancfdae.integrators.hht.equations import Coefficients, iteration_matrices
+from ancfdae.integrators.hht.equations import Coefficients, iteration_terms
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.saddle_points import saddle_point
 from validation.report import Report
@@ -230,7 +230,7 @@ def _condition(system: MechanicalSystem, case: Case) -> float | None:
     t, zero = np.zeros(1), np.zeros((1, n))
     local = system.linearise(t, q[None], v[None], zero, np.zeros((1, m)))
     c = Coefficients(case.step, case.alpha)
-    K = system.pattern.dense(iteration_matrices(c, local)[0])
+    K = system.pattern.dense(np.sum([s * K for s, K in iteration_terms(c, local, 0)], axis=0))
     B = system.constraint_pattern.dense(local.Phi_q[0])
     scale = saddle_point(system, 0.0).scale
     matrix = np.block([[K, B.T], [B, np.zeros((m, m))]]) * np.outer(scale, scale)

@@ -1,19 +1,14 @@
 """A thousand variables: the adjoint against the dynamics, and within a limit of memory."""
 
-import multiprocessing
-import resource
 import statistics
 import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from typing import Any
 
 import numpy as np
 
 from ancfdae import HHT, Adjoint, Integral, assemble, gradient, position, simulate
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol import MechanicalSystem
-from validation.performance.row import Row
+from validation.performance.row import Row, in_a_process, largest_memory
 from validation.performance.scale import cantilever, variables
 
 __all__ = ["measure"]
@@ -24,10 +19,10 @@ _LIMIT = "50 MB"
 
 def measure(elements: int = 1_000, steps: int = 512, repeats: int = 3) -> list[Row]:
     """Return the cost of the adjoint of a height per element, its memory, and what a limit does."""
-    found = {limit: _in_a_process(_gradient, elements, steps, limit) for limit in (None, _LIMIT)}
-    ratio = _in_a_process(_ratio, elements, steps, repeats)
+    found = {limit: in_a_process(_gradient, elements, steps, limit) for limit in (None, _LIMIT)}
+    ratio = in_a_process(_ratio, elements, steps, repeats)
     (whole, peak, _), (parts, limited, taken) = found[None], found[_LIMIT]
-    base = _in_a_process(_gradient, elements, 2, None)[1]
+    base = in_a_process(_gradient, elements, 2, None)[1]
     away = float(np.max(np.abs(parts - whole)) / np.max(np.abs(whole)))
     what = f"{elements} variables, {steps} steps"
     return [
@@ -39,19 +34,12 @@ def measure(elements: int = 1_000, steps: int = 512, repeats: int = 3) -> list[R
     ]
 
 
-def _in_a_process(function: Callable[..., Any], *arguments: object) -> Any:
-    """Call in a process of its own, so that its largest memory is that of the call."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
-        return process.submit(function, *arguments).result()
-
-
 def _gradient(elements: int, steps: int, limit: str | None) -> tuple[Array, float, int]:
     """Return the gradient, the largest memory in bytes, and the steps taken."""
     system = assemble(cantilever(elements), variables(elements))
     method = Adjoint(memory=limit)
     answer = gradient(system, _objective(elements), steps * _STEP, HHT(_STEP), method=method)
-    largest = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # kilobytes, on Linux
-    return answer.gradient, largest, answer.solution.statistics.steps
+    return answer.gradient, largest_memory(), answer.solution.statistics.steps
 
 
 def _ratio(elements: int, steps: int, repeats: int) -> float:

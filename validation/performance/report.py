@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 
 from ancfdae.plotting import Panel, Series
-from validation.performance import explicit_path, memory, scale, start, steps, sweep, unit
+from validation.performance import explicit_path, long_run, memory, scale, start, steps, sweep, unit
 from validation.performance.row import Row
 from validation.report import Agreement, Report
 
@@ -40,6 +40,7 @@ def _subjects(quick: bool) -> list[tuple[str, list[Row]]]:
             ("The explicit path", explicit_path.measure),
             ("From ten to ten thousand elements", scale.measure),
             ("A thousand variables", memory.measure),
+            ("A long run", long_run.measure),
             ("Two hundred runs on two cores", sweep.measure),
         ]
     return [(title, measure()) for title, measure in subjects]

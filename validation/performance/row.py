@@ -1,11 +1,14 @@
-"""One figure of a subject, and how a time is measured."""
+"""One figure of a subject, and how times and memory are measured."""
 
+import multiprocessing
+import resource
 import statistics
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any, NamedTuple
 
-__all__ = ["Row", "seconds"]
+__all__ = ["Row", "in_a_process", "largest_memory", "seconds"]
 
 
 class Row(NamedTuple):
@@ -26,3 +29,14 @@ def seconds(call: Callable[[], object], repeats: int) -> float:
         call()
         times.append(time.perf_counter() - clock)
     return statistics.median(times)
+
+
+def in_a_process(function: Callable[..., Any], *arguments: object) -> Any:
+    """Call in a process of its own, so that its largest memory is that of the call."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
+        return process.submit(function, *arguments).result()
+
+
+def largest_memory() -> float:
+    """Return the largest resident set of this process so far, bytes."""
+    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # kilobytes, on Linux

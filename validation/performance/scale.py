@@ -1,14 +1,11 @@
 """From ten to ten thousand spatial elements: assembly, steps and memory of a chain."""
 
-import multiprocessing
-import resource
 import statistics
 import time
-from concurrent.futures import ProcessPoolExecutor
 
 from ancfdae import HHT, Beam, Clamp, Material, Rectangle, Scene, assemble, simulate
 from ancfdae.protocol import MechanicalSystem
-from validation.performance.row import Row, seconds
+from validation.performance.row import Row, in_a_process, largest_memory, seconds
 
 __all__ = ["cantilever", "measure", "variables"]
 
@@ -33,9 +30,7 @@ def measure(repeats: int = 3) -> list[Row]:
     """Return times of assemblies and steps, and memory; each size in a process of its own."""
     rows, per_element, memory = [], dict[int, float](), dict[int, float]()
     for n in (10, 100, 1_000, _MOST):
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context) as process:
-            assembly, step, memory[n] = process.submit(_measured, n, repeats).result()
+        assembly, step, memory[n] = in_a_process(_measured, n, repeats)
         per_element[n] = step / n
         asked = ("at most 2", "at most 150") if n == _MOST else ("-", "-")
         rows.append(Row(f"{n} elements assembled", assembly, "s", asked[0]))
@@ -56,9 +51,7 @@ def _measured(n: int, repeats: int) -> tuple[float, float, float]:
     for _ in range(repeats):
         clocks = [_seconds_of_run(system, count) for count in (2, 2 + steps)]
         times.append((clocks[1] - clocks[0]) / steps)
-    # Kilobytes, on Linux.
-    largest = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return assembly, statistics.median(times), largest
+    return assembly, statistics.median(times), largest_memory()
 
 
 def _seconds_of_run(system: MechanicalSystem, steps: int) -> float:

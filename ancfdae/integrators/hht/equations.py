@@ -32,9 +32,9 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.kernels import add_scaled
+from ancfdae.kernels import add_scaled, balance
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint, Terms
 from ancfdae.protocol import Linearisation, MechanicalSystem
 
 
@@ -160,25 +160,30 @@ def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
 
 
 def residual(
-    system: MechanicalSystem, c: Coefficients, q: Array, A: Array, force: Array, Phi: Array
+    system: MechanicalSystem,
+    c: Coefficients,
+    q: Array,
+    A: Array,
+    forces: tuple[Array, Array],
+    Phi: Array,
 ) -> Array:
-    """Eqs. (4) and (5), shape (n_q + n_lam,); the force is Phi_q^T lam - Q."""
-    return np.concatenate([system.mass_times(q, A) + force, Phi * (1 / c.in_q)])
+    """Eqs. (4) and (5), shape (n_q + n_lam,); forces are Phi_q^T lam and Q."""
+    return balance(system.mass_times(q, A), *forces, Phi, 1 / c.in_q)
 
 
-def iteration_matrices(c: Coefficients, local: Linearisation) -> Array:
-    """Upper left block of eq. (6) for k instants, shape (k, nnz)."""
-    K = c.in_q * local.f_q + c.in_A * local.M
-    return np.asarray(K if local.f_v is None else K + c.in_v * local.f_v)
+def iteration_terms(c: Coefficients, local: Linearisation, k: int) -> Terms:
+    """Upper left block of eq. (6) at instant k, a sum; h is that of one step."""
+    terms = (c.in_A, local.M[k if len(local.M) > 1 else 0]), (c.in_q, local.f_q[k])
+    return terms if local.f_v is None else (*terms, (c.in_v, local.f_v[k]))
 
 
 def factor_jacobian(
     system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, node: Node
 ) -> Factorization:
     """Factorise eq. (6) at a state."""
-    states = (x[None] for x in (node.q, node.v, node.A, node.lam))
-    local = system.linearise(np.array([node.t]), *states)
-    return matrices.factor(iteration_matrices(c, local)[0], local.Phi_q[0])
+    _, q, v, _, lam, A = node
+    local = system.linearise(np.array([node.t]), q[None], v[None], A[None], lam[None])
+    return matrices.factor_sum(iteration_terms(c, local, 0), local.Phi_q[0])
 
 
 def constraint_error(c: Coefficients) -> float:

@@ -36,11 +36,12 @@ from ancfdae.integrators.hht.equations import (
     Steps,
     correct,
     increment_from_velocities,
-    iteration_matrices,
+    iteration_terms,
     predict,
 )
 from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes
 from ancfdae.integrators.integrator import Seeds
+from ancfdae.kernels import recombine
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import DesignPartials, Linearisation, MechanicalSystem
@@ -76,9 +77,11 @@ class LinearSteps:
 
     def factorised(self, matrices: SaddlePoint, order: range) -> Iterator[Factorization]:
         """Factorise eq. (6) step by step, forward or backward."""
-        forward = slice(None) if order.step > 0 else slice(None, None, -1)
-        K = iteration_matrices(self.c, self.local)[forward]
-        return matrices.factor_each(K, self.local.Phi_q[forward])
+        c = Coefficients(0.0, self.c.alpha)
+        for k in order:
+            h = float(self.c.h[k, 0])
+            c = c if c.h == h else Coefficients(h, c.alpha)
+            yield matrices.factor_sum(iteration_terms(c, self.local, k), self.local.Phi_q[k])
 
     def given(self, partials: DesignPartials) -> Array:
         """Return the part of the right sides that is known before the pass, (k, n_b, n)."""
@@ -102,11 +105,11 @@ class LinearSteps:
         The side is that of the constraints over a small step.
         """
         system, n_q = self.system, self.system.n_q
-        right[:, :n_q] -= system.pattern.dot(self.local.f_q[k], z[0].T).T
-        right[:, n_q:] -= system.constraint_pattern.dot(self.constraints_q[k], z[0].T).T
+        system.pattern.subtract_dot(self.local.f_q[k], z[0], right)
+        system.constraint_pattern.subtract_dot(self.constraints_q[k], z[0], right, n_q)
         right[:, :n_q] -= system.mass_times(self.q[k], z[2].T).T
         if self.local.f_v is not None:
-            right[:, :n_q] -= system.pattern.dot(self.local.f_v[k], z[1].T).T
+            system.pattern.subtract_dot(self.local.f_v[k], z[1], right)
         if side is not None:
             right[:, n_q:] = side
         x = jacobian.solve(right.T).T
@@ -114,23 +117,24 @@ class LinearSteps:
 
     def solve_transposed(
         self, k: int, jacobian: Factorization, on: Array, on_lam: Array, small: bool
-    ) -> tuple[Array, Array, Array]:
+    ) -> tuple[Array, Array]:
         """Transpose of `solve`: from covectors on (q~, v~, A~, a) and lam to those on (q~, v~, A~).
 
-        Returns them with mu and zeta, which `MechanicalSystem.pull_back` takes to the design. What
-        the constraints add to q~ is left out where the step is small: they then have their side.
+        They are left in the first rows of `on`. Returns mu and zeta, which
+        `MechanicalSystem.pull_back` takes to the design. What the constraints add to q~ is left
+        out where the step is small: they then have their side.
         """
         system, local, n_q = self.system, self.local, self.system.n_q
         solved = jacobian.solve_transposed(np.concatenate([on[3], on_lam]))
         mu, zeta = solved[:n_q], solved[n_q:]
-        through = on[:3].copy()
-        through[0] -= system.pattern.dot_transposed(local.f_q[k], mu)
+        system.pattern.subtract_dot(local.f_q[k], mu, on[0], transposed=True)
         if not small:
-            through[0] -= system.constraint_pattern.dot_transposed(self.constraints_q[k], zeta)
+            pattern, values = system.constraint_pattern, self.constraints_q[k]
+            pattern.subtract_dot(values, zeta, on[0], transposed=True)
         if local.f_v is not None:
-            through[1] -= system.pattern.dot_transposed(local.f_v[k], mu)
-        through[2] -= system.mass_times(self.q[k], mu)
-        return through, mu, zeta / float(self.c.beta * self.c.h[k, 0] ** 2)
+            system.pattern.subtract_dot(local.f_v[k], mu, on[1], transposed=True)
+        on[2] -= system.mass_times(self.q[k], mu)
+        return mu, zeta / (self.c.beta * float(self.c.h[k, 0]) ** 2)
 
 
 def differentiate(
@@ -182,8 +186,7 @@ def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) 
                 Phi_q, before = linear.local.Phi_q[k], states[n - 1]
                 side = _small_side(system, all_steps.of(n), Phi_q, row, before, z[1])
             z[3], lam_b[n] = linear.solve(k, jacobian, given[k], z, side)
-            after = (matrix[n - 1] @ z.reshape(4, -1)).reshape(6, n_b, n_q)
-            states[n], z[:3] = after[:3], after[3:]
+            recombine(matrix[n - 1], z, states[n], z[:3])
             yield
 
 
@@ -243,6 +246,7 @@ def pull_back_part(
     system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
     n_t, n_q = len(nodes.run.t), system.n_q
     gradient, change = np.zeros(system.n_b), 0.0
+    still, nothing = np.zeros((3, n_q)), np.zeros(system.n_lam)
     from tqdm import tqdm
 
     chunks = _chunks(system, n_t, 0)
@@ -254,13 +258,15 @@ def pull_back_part(
             order, linear.factorised(nodes.problem.matrices, order), strict=True
         ):
             n = steps.start + k
-            on[0], on[1] = _seeded(on[0], seeds.q, n), _seeded(on[1], seeds.v, n)
-            on_lam = _seeded(np.zeros(system.n_lam), seeds.lam, n)
+            if seeds.q is not None:
+                on[0] += seeds.q[n]
+            if seeds.v is not None:
+                on[1] += seeds.v[n]
+            on_lam = nothing if seeds.lam is None else seeds.lam[n]
             row = nodes.row(n) if maybe_small[n] else None
-            on_step, before = matrix[n - 1].T @ on, np.zeros((6, n_q))
-            before[3:], mu[k], zeta[k] = linear.solve_transposed(
-                k, jacobian, on_step, on_lam, row is not None
-            )
+            on_step = matrix[n - 1].T @ on
+            mu[k], zeta[k] = linear.solve_transposed(k, jacobian, on_step, on_lam, row is not None)
+            before = np.concatenate([still, on_step[:3]])
             if defects is not None:
                 change += before[3] @ defects.q[n] + before[4] @ defects.v[n]
                 change += before[5] @ defects.A[n]
@@ -334,10 +340,6 @@ def step_matrices(steps: Steps) -> Array:
     q_next, v_next = predict(ahead, q, v, A + following / h * (a - A))
     rows = [np.broadcast_to(x, q.shape) for x in (q, v, A, q_next, v_next)]
     return np.stack([*rows, np.broadcast_to(alpha / (1 + alpha) * A, q.shape)], axis=1)
-
-
-def _seeded(back: Array, seeds: Array | None, n: int) -> Array:
-    return back if seeds is None else back + seeds[n]
 
 
 def _chunks(system: MechanicalSystem, n_t: int, extra: int) -> Sequence[slice]:

@@ -225,19 +225,18 @@ class HHT(AdjointIntegrator):
 
         The accelerations at the instants serve as those of the recurrence.
         """
-        own, delta_b = solution.sensitivities, None
         scale = constraint_error(Coefficients(1.0, self.hht_alpha)) * np.diff(solution.t) ** 2
         with np.errstate(over="ignore", invalid="ignore"):
-            delta = scale[:, None] * np.diff(solution.a.real, axis=0)
-            if own is not None:
-                delta_b = scale[:, None, None] * np.diff(own.a_b, axis=0)
-        return replace(solution, estimated_errors=estimated_errors(scales, delta, delta_b, own))
+            rise = np.diff(solution.a.real, axis=0)
+        found = estimated_errors(scales, scale, rise, solution.sensitivities)
+        return replace(solution, estimated_errors=found)
 
     def _rough(self) -> HHT:
         """Return the integrator of the run from which the sizes of the derivatives are read."""
         assert isinstance(self.steps, ControlledSteps)
-        tolerance = max(self.newton_tolerance, _LOOSEST)
-        return self._changed(steps=self.steps.rough(), newton_tolerance=tolerance)
+        # What Newton's method leaves of the forces must not pass for the derivative in a variable
+        # that scales masses and forces alike.
+        return self._changed(steps=self.steps.rough(), newton_tolerance=_EXACT)
 
     def _changed(self, **changes: Any) -> HHT:
         """Return a copy with other settings, without repeating their warnings."""

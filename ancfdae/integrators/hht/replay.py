@@ -1,7 +1,7 @@
 """A run at known steps, taken part by part, forward and backward.
 
-A part begins with the node that the one before ends with. Newton's method begins it with a fresh
-matrix, so that a part is the same whenever it is taken.
+A part begins with the node that the one before ends with, which is all that Newton's method needs,
+so that a part is the same whenever it is taken.
 """
 
 from __future__ import annotations

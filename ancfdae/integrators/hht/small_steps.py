@@ -46,8 +46,7 @@ def motion_size(
 
     `inverse` is one over the weights of the system.
     """
-    size = norm(a, system.weights)
-    return size + norm(reaction, inverse) + norm(Q, inverse)
+    return norm(a, system.weights, reaction, inverse, Q, inverse)
 
 
 def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion: float) -> float:

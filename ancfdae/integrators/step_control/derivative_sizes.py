@@ -48,15 +48,15 @@ def derivative_sizes(scales: Scales, q_b: Array) -> Array:
     Infinite if they are not finite, and zero if they are round-off.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        squares = mean_squares(q_b / scales.q[:, None])
+        squares = mean_squares(q_b, scales.q)
         sizes = np.sqrt(np.max(squares, axis=0, initial=0.0))
     sizes = np.where(np.isfinite(sizes), sizes, np.inf)
     return np.where(sizes * scales.b > _ROUND_OFF, sizes, 0.0)
 
 
-def mean_squares(x: Array) -> Array:
-    """Return means of squares over coordinates, shape (n, n_q, ...) to (n, ...)."""
-    return np.asarray(np.einsum("kq...,kq...->k...", x, x) / x.shape[1])
+def mean_squares(x: Array, sizes: Array) -> Array:
+    """Return means of (x / sizes)^2 over coordinates, shape (n, n_q, ...) to (n, ...)."""
+    return np.asarray(np.square(np.moveaxis(x, 1, -1)) @ (1 / (sizes**2 * x.shape[1])))
 
 
 def sizes_hold(assumed: Array, found: Array) -> bool:

@@ -35,8 +35,20 @@ class _KnownSteps(StepControl):
         return self
 
     @abc.abstractmethod
+    def instants(self, t_end: float) -> Array:
+        """Return the instants of a run to `t_end`, which must be one of them."""
+
+    @abc.abstractmethod
     def _known(self, count: int) -> Array:
         """Return the first instants, `count` of them or as many as there are."""
+
+    @final
+    def controller(
+        self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
+    ) -> Controller:
+        """Return the plan."""
+        t = self.instants(t_end)
+        return _Plan(self.sizes(t), t[1:])
 
     @final
     def continues(self, t: Array, state: tuple[float, ...]) -> bool:
@@ -71,16 +83,9 @@ class FixedSteps(_KnownSteps):
             )
         return count
 
-    def controller(
-        self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
-    ) -> Controller:
-        """Return the plan; its instants are multiples, without accumulated round-off."""
-        t = self.instants(t_end)
-        return _Plan(self.sizes(t), t[1:])
-
     def instants(self, t_end: float) -> Array:
-        """Return the instants from 0 on."""
-        return self.step * np.arange(self.count(t_end) + 1)
+        """Return multiples of the step, without accumulated round-off."""
+        return self._known(self.count(t_end) + 1)
 
     def _known(self, count: int) -> Array:
         return self.step * np.arange(count)
@@ -142,16 +147,9 @@ class GivenSteps(_KnownSteps):
     def _known(self, count: int) -> Array:
         return np.array(self.times[:count])
 
-    def controller(
-        self, t_end: float, method: OneStepMethod[Any], state: tuple[float, ...] = ()
-    ) -> Controller:
-        """Return the plan."""
-        return _Plan(np.diff(self.times), np.array(self.times[1:]))
-
     def instants(self, t_end: float) -> Array:
-        """Return the instants."""
-        self.count(t_end)
-        return np.array(self.times)
+        """Return those given."""
+        return self._known(self.count(t_end) + 1)
 
     def sizes(self, t: Array) -> Array:
         """Return the distances of the instants."""

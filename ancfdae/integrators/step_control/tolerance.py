@@ -61,25 +61,26 @@ class Tolerance:
 
 
 def estimated_errors(
-    scales: Scales, delta: Array, delta_b: Array | None, own: Sensitivities | None
+    scales: Scales, scale: Array, rise: Array, own: Sensitivities | None
 ) -> EstimatedErrors:
     """Add up the errors of all n steps of a run, relative to Q_i and Q_i S_j.
 
-    Shapes (n, n_q) and (n, n_q, n_b); `own` are the derivatives that `delta_b` belongs to.
+    They are the scale, (n,), times the rises of the accelerations, (n, n_q), and of a_b of the
+    derivatives.
     """
     # A run that diverged overflows; its error counts as infinite.
     with np.errstate(over="ignore", invalid="ignore"):
-        motion = float(_added_up(delta / scales.q))
-        if delta_b is None or own is None:
+        motion = float(_added_up(scale, rise, scales.q))
+        if own is None:
             return EstimatedErrors(motion)
-        sums = _FED * _added_up(delta_b / scales.q[:, None])
+        sums = _FED * _added_up(scale, np.diff(own.a_b, axis=0), scales.q)
         sizes_b = derivative_sizes(scales, own.q_b)
         relative = np.divide(sums, sizes_b, out=np.full_like(sums, np.nan), where=sizes_b > 0)
     relative = np.where(np.isfinite(sizes_b), relative, np.inf)
     return EstimatedErrors(motion, tuple(float(x) for x in relative))
 
 
-def _added_up(errors: Array) -> Array:
+def _added_up(scale: Array, rises: Array, sizes: Array) -> Array:
     """Add up, over steps, root mean squares over coordinates; infinite where that is no number."""
-    total = np.sum(np.sqrt(mean_squares(errors)), axis=0)
+    total = np.abs(scale) @ np.sqrt(mean_squares(rises, sizes))
     return np.where(np.isfinite(total), total, np.inf)

@@ -27,7 +27,7 @@ import scipy
 
 from ancfdae.errors import Verdict, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
-from ancfdae.integrators.index_1 import State
+from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.sundials.bindings import verdict
@@ -127,8 +127,8 @@ class _IdaMarch(March):
         Y, Yp = self._form.start(problem.initial)
         if b is not None:
             blocks, rates = self._form.start_b(b)
-            Y, Yp = _join(Y, blocks), _join(Yp, rates)
-        self._y, self._last = Y, 0.0
+            Y, Yp = np.append(Y, blocks.T), np.append(Yp, rates.T)
+        self._y = Y
         self._points = StepPoints(self._form, quadrature, self._m)
         self._points.add(0.0, Y, Yp)
         self._solver = self._set_up(settings)
@@ -149,7 +149,7 @@ class _IdaMarch(March):
                 self._points.add(self._t, self._y, result.yp.copy())
         return None
 
-    def _state(self, t: float) -> State:
+    def _state(self, t: float) -> Array:
         y = self._y
         if self._t != t:
             y = self._solver.step(t, "normal", self._t_end).y.copy()
@@ -157,13 +157,10 @@ class _IdaMarch(March):
             raise NotFinite
         states, blocks = self._split(y)
         derivatives = self._form.coordinates_b(blocks) if self._m else ()
-        return State(*self._form.coordinates(states), *derivatives)
+        return stacked(*self._form.coordinates(states), *derivatives)
 
     def finish(self) -> None:
         self._points.finish()
-
-    def residual(self) -> float:
-        return self._last
 
     def _set_up(self, settings: IDA) -> Any:
         import sksundae
@@ -201,7 +198,7 @@ class _IdaMarch(March):
             R[n:] = self._form.residual_b(t, x, xp, Y, Yp).T.ravel()
         if not finite(R):
             raise NotFinite
-        self._last = float(np.max(np.abs(R[:n])))
+        self.residual = float(np.max(np.abs(R[:n])))
 
     def _fill_jacobian(self, t: float, y: Array, yp: Array, R: Array, c_j: float, J: Array) -> None:
         self.factorisations += 1
@@ -238,8 +235,3 @@ def _keep(solver: Any) -> None:
 def _release(solver: Any) -> None:
     """Remove the extra reference after a successful step."""
     ctypes.pythonapi.Py_DecRef(ctypes.py_object(solver))
-
-
-def _join(first: Array, blocks: Array) -> Array:
-    """Stack a vector and the columns of an array."""
-    return np.concatenate([first, blocks.T.ravel()])

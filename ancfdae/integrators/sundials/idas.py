@@ -14,7 +14,7 @@ import numpy as np
 
 from ancfdae.errors import Verdict, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
-from ancfdae.integrators.index_1 import State
+from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
@@ -102,15 +102,15 @@ class _IdasMarch(March):
             self._points.add(reached, *self._reached(reached))
         return None
 
-    def _state(self, t: float) -> State:
+    def _state(self, t: float) -> Array:
         self._bindings.check(self._bindings.idas.IDAGetDky(self._memory, t, 0, self._out))
         y = self._bindings.array(self._out)
         if not finite(y):
             raise NotFinite
         q, v = self._form.coordinates(y)
         if self._m == 0:
-            return State(q, v)
-        return State(q, v, *self._form.coordinates_b(self._sensitivities(t, 0).T))
+            return stacked(q, v)
+        return stacked(q, v, *self._form.coordinates_b(self._sensitivities(t, 0).T))
 
     def finish(self) -> None:
         self._points.finish()
@@ -133,9 +133,6 @@ class _IdasMarch(March):
             )
             row[:] = self._bindings.array(self._out)
         return rows
-
-    def residual(self) -> float:
-        return self._equations.last
 
     def _add_sensitivities(self, Y: Array, Yp: Array) -> None:
         bindings, idas, context = self._bindings, self._bindings.idas, self._equations.context
@@ -167,3 +164,4 @@ class _IdasMarch(March):
         self.residuals = idas.IDAGetNumResEvals(memory)[1]
         self.iterations = idas.IDAGetNumNonlinSolvIters(memory)[1]
         self.factorisations = idas.IDAGetNumLinSolvSetups(memory)[1]
+        self.residual = self._equations.last

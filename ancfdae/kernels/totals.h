@@ -1,0 +1,71 @@
+/* Forces of a block with their total design derivatives, for one scalar type. */
+
+/* What design variables change in the law of elements, pair by pair of the two. Of element e these
+ * are pairs[first[e]] to pairs[first[e + 1] - 1] in the order of their variables: one below n_stiff
+ * changes stresses by A_b x - c_b, one above changes tau by tau_b. */
+typedef struct {
+    npy_intp n_stiff;
+    const npy_int64 *first, *pairs, *variables;
+    const T *A_b, *c_b, *tau_b;
+} NAME(law_partials);
+
+/* p_b += partial of the stress in the variable of a pair, at the strain x of Y and V. */
+INLINE void NAME(add_stress_partial)(int n_y, int d, const NAME(element) *e,
+                                     const NAME(law_partials) *of, npy_int64 pair, const T *x,
+                                     const T *Y, const T *V, T *p_b)
+{
+    int n_g = n_y * (n_y + 1) / 2;
+    T rate[MOST_G];
+    if (pair < of->n_stiff) {
+        for (int k = 0; k < n_g; k++)
+            p_b[k] -= of->c_b[pair * n_g + k];
+        NAME(apply)(n_g, of->A_b + pair * n_g * n_g, x, p_b);
+        return;
+    }
+    NAME(gram)(n_y, d, Y, V, rate);
+    for (int k = 0; k < n_g; k++)
+        rate[k] *= of->tau_b[pair - of->n_stiff];
+    NAME(apply)(n_g, e->A, rate, p_b);
+}
+
+/* Rows of Q += R^T of the forces at the first row of q and v, then of their total derivatives in
+ * the variables, along the further rows. */
+INLINE void NAME(force_totals_)(int n_y, int d, const NAME(block) *b, const NAME(law_partials) *of,
+                                const T *q, const T *v, T *Q)
+{
+    T Y[MOST_M], V[MOST_M], U[MOST_M], Z[MOST_M], F[MOST_M], x[MOST_G], p[MOST_G], p_b[MOST_G];
+    int n_g = n_y * (n_y + 1) / 2;
+    for (npy_intp e = 0; e < b->n; e++) {
+        const npy_int64 *vectors = b->vectors + e * (n_y + 1);
+        NAME(element) own = NAME(element_of)(n_g, b, e);
+        npy_int64 at = of->first[e];
+        NAME(gather)(n_y, d, vectors, q, Y);
+        if (v)
+            NAME(gather)(n_y, d, vectors, v, V);
+        NAME(strain)(n_y, d, own.g_o, Y, own.tau, v ? V : NULL, x);
+        NAME(stress_of)(n_g, &own, x, p);
+        for (int i = 0; i < n_y * d; i++)
+            F[i] = 0;
+        NAME(stressed)(n_y, d, p, Y, F);
+        NAME(spread)(n_y, d, vectors, F, Q);
+        for (npy_intp k = 1; k < b->k; k++) {
+            NAME(gather)(n_y, d, vectors, q + k * b->n_q, U);
+            if (v)
+                NAME(gather)(n_y, d, vectors, v + k * b->n_q, Z);
+            for (int i = 0; i < n_g; i++)
+                p_b[i] = 0;
+            for (; at < of->first[e + 1] && of->variables[at] == k - 1; at++)
+                NAME(add_stress_partial)(n_y, d, &own, of, of->pairs[at], x, Y, V, p_b);
+            for (int i = 0; i < n_y * d; i++)
+                F[i] = 0;
+            NAME(force_along)(n_y, d, &own, p, Y, v ? V : NULL, U, Z, p_b, F);
+            NAME(spread)(n_y, d, vectors, F, Q + k * b->n_q);
+        }
+    }
+}
+
+CLONES static void NAME(force_totals)(int n_y, int d, const NAME(block) *b,
+                                      const NAME(law_partials) *of, const T *q, const T *v, T *Q)
+{
+    OF_SIZE(force_totals_, b, of, q, v, Q)
+}

@@ -1,0 +1,168 @@
+"""Steps of DOP853 for equations of second order, against SciPy's for those of first order."""
+
+import numpy as np
+import pytest
+import scipy
+
+from ancfdae import (
+    Beam,
+    Drive,
+    Explicit,
+    Harmonic,
+    Material,
+    Pin,
+    Rectangle,
+    Scene,
+    assemble,
+    differentiate,
+    simulate,
+)
+from ancfdae.integrators.dop853 import Dop853
+from ancfdae.integrators.index_1 import stacked
+from ancfdae.integrators.problem import Problem
+from validation.scenes import pendulum
+
+# States, rates and coefficients are of size 1 to 40, and sums have sixteen terms.
+ROUND_OFF = 1e-12
+START = np.array([[[0.3, -0.7], [0.2, 0.4]], [[0.9, 0.1], [-0.5, 0.6]]])
+
+
+def accelerations(t, state):
+    """Of two oscillators with two rows each, by positions, velocities and time."""
+    y, u = state
+    return -np.sin(3 * y) - 0.3 * u * np.abs(u) ** 2 + np.cos(5 * t) * y[::-1]
+
+
+def scipy_step(t, end):
+    def rate(t, x):
+        state = x.reshape(START.shape)
+        return np.stack([state[1], accelerations(t, state)]).ravel()
+
+    solver = scipy.integrate.DOP853(
+        rate, t, START.ravel(), end, first_step=end - t, rtol=1e-2, atol=1.0
+    )
+    solver.step()
+    assert solver.t == end
+    return solver
+
+
+def test_a_step_is_that_of_scipy():
+    t, end = 0.4, 0.55
+    method, other = Dop853(accelerations, t, START), scipy_step(t, end)
+    after = method.attempt(end)
+    assert np.max(np.abs(after.ravel() - other.y)) < ROUND_OFF
+    errors = (end - t) * np.stack([other.K[:-1].T @ e[:-1] for e in (other.E5, other.E3)])
+    assert np.max(np.abs(method.errors().reshape(2, -1) - errors)) < ROUND_OFF
+    assert np.min(np.abs(errors[0])) > 1e3 * ROUND_OFF
+    method.accept(after)
+    between, times = method.between(), np.linspace(t, end, 7)
+    assert np.max(np.abs(between(times).reshape(7, -1).T - other.dense_output()(times))) < ROUND_OFF
+    assert np.max(np.abs(between(times[2]) - between(times)[2])) == 0
+    method.advance()
+    assert method.t == end
+    assert np.array_equal(method.states[0], after)
+    assert np.array_equal(method.accelerations[0], accelerations(end, after))
+
+
+def test_dense_output_ends_at_a_state_that_was_moved():
+    method = Dop853(accelerations, 0.0, START)
+    moved = method.attempt(0.1) + 1e-3
+    method.accept(moved)
+    between = method.between()
+    assert np.max(np.abs(between(0.1) - moved)) < ROUND_OFF
+    # Its rate there is that of the moved state.
+    slope = (between(0.1) - between(0.1 - 1e-6)) / 1e-6
+    expected = np.stack([moved[1], accelerations(0.1, moved)])
+    assert np.max(np.abs(slope - expected)) < 1e-4
+
+
+def test_an_evaluation_that_fails_leaves_the_state_before():
+    def failing(t, state):
+        if t > 0.25:
+            raise FloatingPointError
+        return accelerations(t, state)
+
+    method, other = Dop853(failing, 0.2, START), Dop853(accelerations, 0.2, START)
+    with pytest.raises(FloatingPointError):
+        method.attempt(0.4)
+    assert np.array_equal(method.attempt(0.24), other.attempt(0.24))
+
+
+@pytest.fixture(scope="module", name="swinging")
+def _swinging():
+    return assemble(pendulum(), ["pendulum.youngs_modulus", "pendulum.height"])
+
+
+def test_steps_at_the_limit_of_stability_are_hardly_rejected(swinging):
+    run = simulate(swinging, 0.25, Explicit(1e-3, 1))
+    steps, residuals = run.statistics.steps, run.statistics.residuals
+    # At the limit of stability: the fastest wave of the section, 4108 rad/s, has w h = 5.7.
+    assert 5.5 < 4108 * 0.25 / steps < 5.96
+    # Twelve evaluations a step, three for each instant of the dense output, two for the first. With
+    # the error estimate of one step alone a tenth of the steps is rejected.
+    rejected = (residuals - 12 * steps - 3 * 8 - 2) / 11
+    assert 0 <= rejected < 0.05 * steps
+
+
+def test_derivatives_are_those_of_runs(swinging):
+    explicit, share = Explicit(1e-11, 1), 1e-4
+    found = differentiate(swinging, 0.02, explicit).sensitivities
+    for i, b in enumerate(swinging.b):
+        moved = share * b * np.eye(2)[i]
+        ends = [
+            simulate(swinging.with_values(swinging.b + x), 0.02, explicit) for x in (moved, -moved)
+        ]
+        for name in ("q", "v", "a", "lam"):
+            values = [getattr(run, name)[-1] for run in ends]
+            expected = (values[0] - values[1]) / (2 * share * b)
+            own = getattr(found, f"{name}_b")[-1, :, i]
+            # Differences err by share^2 = 1e-8 times the square of the phase of waves at the end,
+            # 4108 rad/s times 0.02 s at most; slow motions dominate.
+            assert np.max(np.abs(own - expected)) < 1e-5 * np.max(np.abs(expected)), name
+
+
+def test_constant_constraints_hold_to_round_off(swinging):
+    assert swinging.constant_constraints
+    run = differentiate(swinging, 0.05, Explicit(1e-4, 2))
+    B, b = swinging.constraint_pattern, run.sensitivities
+    Phi_q, size = swinging.constraint_q(run.q[0], 0.0), np.max(np.abs(run.q[-1]))
+    for q, v, q_b, v_b in zip(run.q, run.v, b.q_b, b.v_b, strict=True):
+        assert np.max(np.abs(swinging.constraint(q, 0.0))) < 1e-14 * size
+        for x in (v, q_b, v_b):
+            assert np.max(np.abs(B.dot(Phi_q, x))) < 1e-13 * np.max(np.abs(x), initial=1.0)
+
+
+def test_states_move_to_the_nearest_on_constant_constraints():
+    # Away from the origin, where Phi is not Phi_q q.
+    rod = Beam("a", (0.3, 0.2), (0.8, 0.2), 2, Rectangle(0.05, 0.04), Material(4000, 1e6, 0.3))
+    system = assemble(Scene([rod], [Pin(rod.at_start)], (0, -9.81)), ["a.density", "a.height"])
+    assert system.constant_constraints
+    problem = Problem.of(system, 1.0).differentiated()
+    first, b = problem.initial, problem.derivative
+    rows = stacked(first.q, first.v, b.q_b, b.v_b)
+    rows = rows + np.random.default_rng(1).uniform(-1e-2, 1e-2, rows.shape)
+    # By the factors, then by the inverse that is formed where they are met again.
+    for _ in range(2):
+        moved = problem.accelerations.projected(0.0, rows)
+        B, Phi_q = system.constraint_pattern, system.constraint_q(first.q, 0.0)
+        assert np.max(np.abs(system.constraint(moved[0, 0], 0.0))) < 1e-15
+        assert np.max(np.abs(B.dot(Phi_q, moved.reshape(6, -1)[1:].T))) < 1e-15
+        # M dx + Phi_q^T sigma = 0: no inertia along motions that the constraints allow, but for the
+        # round-off of solving with M, whose condition number is 1e4.
+        free = scipy.linalg.null_space(B.dense(Phi_q))
+        change = system.mass_times(first.q, (moved - rows).reshape(6, -1).T)
+        assert np.max(np.abs(free.T @ change)) < 1e-11 * np.max(np.abs(change))
+        assert np.max(np.abs(moved - rows)) > 1e-4
+
+
+def test_which_constraints_are_constant():
+    rod = Beam("a", (0, 0), (0.5, 0), 1, Rectangle(0.05, 0.04), Material(4000, 1e6, 0.3))
+    base, drive = Pin(rod.at_start, name="base"), Drive(rod.at_start, Harmonic(0.5, 4.0), name="m")
+    for joints, design, constant in (
+        ([base], ["a.height"], True),
+        ([base], ["base.point_y"], False),
+        ([base, drive], ["a.height"], False),
+    ):
+        system = assemble(Scene([rod], joints, (0, -9.81), project_start=True), design)
+        assert system.linear_constraints
+        assert system.constant_constraints == constant
