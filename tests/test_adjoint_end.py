@@ -198,7 +198,7 @@ def test_multipliers_at_the_start_continue_those_of_four_instants():
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.1, 0.1), Material(1000.0, 1e7, 0.3))
     force = PointForce(rod.at_start, (0.0, 1.0), law=UserLaw(lambda t: t**3))
     system = assemble(Scene([rod], [Pin(rod.at_start, name="pin")], loads=[force]))
-    smooth = _with_smooth_multipliers(system, simulate(system, 0.6, HHT(0.1)))
+    smooth = _with_smooth_multipliers(system, simulate(system, 0.6, HHT(0.1)), False)
     # The cubic through four instants is exact, up to round-off of 0.6^3 times the weights of an
     # extrapolation by one step, 15; the parabola through three would be off by 6 h^3 = 6e-3.
     np.testing.assert_allclose(np.abs(smooth.lam[:, 1]), smooth.t**3, rtol=0, atol=1e-13)
