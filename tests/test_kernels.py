@@ -499,6 +499,14 @@ def test_pivots_without_their_sign_are_told():
     assert matrix.factor()[1] == 1
 
 
+@pytest.mark.parametrize(("more", "failed"), [(1e-14, 2), (1e-12, 0)])
+def test_pivots_that_are_round_off_are_told(more, failed):
+    K, first = np.array([1.0, 1.0, 1 + more]), np.array([0, 2, 3], np.int32)
+    every = np.arange(3, dtype=np.int32)
+    found = kernels.ldl_factor(((1.0, K),), K[:0], every, every, first, np.ones(2))
+    assert found[1] == failed
+
+
 # ---------------------------------------------------------------- what is refused
 
 
