@@ -34,6 +34,7 @@ TESTS = {
         ["tests/test_cable.py"],
         ["tests/test_strain_energies.py"],
         ["tests/test_invariants.py", "-k", "not papers"],
+        ["tests/test_section_forces.py"],
         ["tests/test_assembler.py"],
     ],
     "joints/": [["tests/test_joints.py"], ["tests/test_assembler.py"], ["tests/test_bad_input.py"]],

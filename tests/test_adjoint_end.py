@@ -8,7 +8,24 @@ is compared with what `docs/theory.md`, section 8, says of it.
 import numpy as np
 import pytest
 
-from ancfdae import HHT, Adjoint, ComplexStepSystem, ContinuousAdjoint, Integral, custom, gradient
+from ancfdae import (
+    HHT,
+    Adjoint,
+    Beam,
+    ComplexStepSystem,
+    ContinuousAdjoint,
+    Integral,
+    Material,
+    Pin,
+    PointForce,
+    Rectangle,
+    Scene,
+    UserLaw,
+    assemble,
+    custom,
+    gradient,
+    simulate,
+)
 from ancfdae.observables import states_of
 from ancfdae.sensitivity.continuous_adjoint import _BackwardRun, _with_smooth_multipliers
 
@@ -174,3 +191,14 @@ def test_the_gradient_is_that_of_the_discrete_adjoint_with_order_two(system):
         )
         errors.append(np.linalg.norm(ours.gradient - exact.gradient))
     assert errors[0] > 2**1.8 * errors[1], errors
+
+
+def test_multipliers_at_the_start_continue_those_of_four_instants():
+    # A force t^3 on the pin of a beam at rest: the multiplier is a cubic, and nothing moves.
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.1, 0.1), Material(1000.0, 1e7, 0.3))
+    force = PointForce(rod.at_start, (0.0, 1.0), law=UserLaw(lambda t: t**3))
+    system = assemble(Scene([rod], [Pin(rod.at_start, name="pin")], loads=[force]))
+    smooth = _with_smooth_multipliers(system, simulate(system, 0.6, HHT(0.1)), False)
+    # The cubic through four instants is exact, up to round-off of 0.6^3 times the weights of an
+    # extrapolation by one step, 15; the parabola through three would be off by 6 h^3 = 6e-3.
+    np.testing.assert_allclose(np.abs(smooth.lam[:, 1]), smooth.t**3, rtol=0, atol=1e-13)

@@ -362,6 +362,7 @@ def test_scaled_sum_of_any_kind():
     close(kernels.add_scaled(x[0], 0.3, y), x[0] + 0.3 * y)
     close(kernels.add_scaled(x, 0.3j, y), x + 0.3j * y)
     close(kernels.add_scaled(x, 0.3, 1j * y), x + 0.3j * y)
+    close(kernels.add_scaled(1j * x, 0.3, y), 1j * x + 0.3 * y)
     close(kernels.add_scaled(x, y[:, :1], y), x + y[:, :1] * y)
     assert kernels.add_scaled(1, 2.0, 3) == 7
     with pytest.raises(ValueError, match="broadcast"):
