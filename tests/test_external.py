@@ -245,9 +245,10 @@ def pendulum_error(integrator, rows=6):
 @pytest.mark.parametrize(
     ("kind", "rtol"),
     # IDA at 3e-12: what Newton's iteration leaves behind decides between 3e-9 and 2e-8 at 10 s, and
-    # the order of additions in the factorisation decides that. At 5e-13 it is below 2e-9 either
-    # way; from about 3e-13 on, IDAS from 1.2e-12 on, round-off may end the iteration.
-    [(IDA, 5e-13), (Explicit, 1e-11), pytest.param(IDAS, 1.5e-12, marks=needs_idas)],
+    # the order of additions decides that. At 5e-13 it is below 2e-9 either way; from about 3e-13 on,
+    # IDAS from 1.6e-12 on, round-off may end the iteration. IDAS from 2e-12 up: 4e-10 to 3e-8; at
+    # 1.7e-12 2e-10 and 3e-10 with two orders of additions.
+    [(IDA, 5e-13), (Explicit, 1e-11), pytest.param(IDAS, 1.7e-12, marks=needs_idas)],
 )
 def test_pendulum_table_to_1e_8(kind, rtol):
     # The claim of issue 4: every column, all six instants.
@@ -317,18 +318,10 @@ def test_integrators_of_high_order_end_cleanly_at_the_singular_configuration(kin
 
 
 @needs_idas
-@pytest.mark.parametrize("rtol", [1e-4, 1e-6])
+@pytest.mark.parametrize("rtol", [5e-5, 1e-6])
 def test_adjoint_of_idas_ends_cleanly_at_the_singular_configuration(rtol):
-    # The motion goes through; the covectors become infinite there, and steps of the pass back fall
-    # before and behind it only by chance (at 1e-4 they may).
+    # The motion goes through; the covectors become infinite there, and the pass back ends. (At 1e-4
+    # its steps may fall before and behind it, by chance, with any gradient: README, Limits.)
     place = custom(lambda t, q, v, lam, b: q[:, 0] ** 2, "place")
-    found, told = None, ""
-    try:
-        found = gradient(double_four_bar(), Integral(place), 2.0, IDAS(rtol), method=Adjoint())
-    except UnfinishedRun as error:
-        told = str(error)
-    if found is None:
-        assert "no gradient" in told
-    else:
-        # What direct differentiation gives at 3e-5; a pass that gets through keeps two digits.
-        np.testing.assert_allclose(found.gradient, [1.8159, -0.0340], rtol=0.05)
+    with pytest.raises(UnfinishedRun, match="no gradient"):
+        gradient(double_four_bar(), Integral(place), 2.0, IDAS(rtol), method=Adjoint())
