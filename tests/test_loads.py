@@ -818,3 +818,21 @@ def test_a_follower_force_on_a_straight_beam_acts_on_the_position_alone():
     expected = np.zeros((2, 3, 2))
     expected[1, 0] = 4.0, -3.0
     np.testing.assert_allclose(change, expected, rtol=0, atol=1e-14)  # of 5 N, by eps
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_loads_that_follow_are_those_without_an_energy(follows):
+    # Statics increases them along the path; a spring is there from its beginning.
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, FLAT, STEEL)
+    spring = SpringDamper(rod.at_end, 30.0, ground=(0.0, 1.0))
+    load = FollowerForce(rod.at_end, (0.0, 1.0)) if follows else spring
+    system = assemble(Scene([rod], [Clamp(rod.at_start)], loads=[load]))
+    q, v = system.start()
+    assert np.any(system.force(q, v, 0.0))
+    assert np.any(system.following_load(q, 0.0)) == follows
+    assert np.any(system.following_load_q(q, 0.0)) == follows
+
+
+def test_loads_with_an_energy_are_known():
+    springs = {Bushing, JointFriction, SlideFriction, SpringDamper, TorsionSpring}
+    assert {kind for kind in concrete_subclasses(Load) if kind.elastic} == springs
