@@ -26,8 +26,8 @@ from ancfdae.protocol import MechanicalSystem
 
 # A matrix is replaced when an iteration shrinks the correction by less than this factor, or the
 # first correction is larger than this part of the motion; and from corrections of the second size
-# on where it would take more than two iterations. (So at any size, 23 of 202 hard runs end early
-# where 15 do otherwise: full steps far from a solution lead to others.)
+# on where it would take more than two iterations. (So at any size, 25 of 202 hard runs end early
+# where 14 do otherwise: full steps far from a solution lead to others.)
 _SLOW, _NEAR = 0.2, 1e-5
 # The guess looks a step ahead along the line through a and A, over this multiple of the time
 # between them at most, and where that changes a by less than this part of the forces: else they
