@@ -164,8 +164,10 @@ def observations(
 def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
     """Return an array in a new file, filled with NaN."""
     path = require_folder("file", require_path("file", file))
-    rows: Array = np.lib.format.open_memmap(path, mode="w+", dtype=float, shape=shape)
-    rows[:] = np.nan
+    # Who reads it meanwhile finds a part of a file, and then rows of NaN, never of zeros.
+    with open(path, "wb") as out:
+        np.save(out, np.broadcast_to(np.nan, shape))
+    rows: Array = np.lib.format.open_memmap(path, mode="r+")
     return rows
 
 
