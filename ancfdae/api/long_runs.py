@@ -165,7 +165,7 @@ def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
     """Return an array in a new file, filled with NaN."""
     path = require_folder("file", require_path("file", file))
     # Who reads it meanwhile finds a part of a file, and then rows of NaN, never of zeros.
-    with open(path, "wb") as out:
+    with path.open("wb") as out:
         np.save(out, np.broadcast_to(np.nan, shape))
     rows: Array = np.lib.format.open_memmap(path, mode="r+")
     return rows
