@@ -157,11 +157,13 @@ from ancfdae.observables import (
 )
 from ancfdae.point_mass import PointMass
 from ancfdae.protocol import (
+    Direction,
     EstimatedErrors,
     MechanicalSystem,
     Sensitivities,
     Solution,
     Statistics,
+    Traits,
 )
 from ancfdae.scene import Scene
 from ancfdae.sections import (
@@ -219,6 +221,7 @@ __all__ = [
     "Cylindrical",
     "DesignVariable",
     "Direct",
+    "Direction",
     "Distance",
     "DistributedForce",
     "Drive",
@@ -311,6 +314,7 @@ __all__ = [
     "Torque",
     "TorsionSpring",
     "Tradeoff",
+    "Traits",
     "Tube",
     "UnfinishedRun",
     "Uniform",

@@ -15,6 +15,7 @@ from ancfdae import (
     RigidMotion,
     Scene,
     SpringDamper,
+    Traits,
     assemble,
 )
 
@@ -29,7 +30,7 @@ class CartesianPendulum(MechanicalSystem):
     n_q, n_lam = 2, 1
     design_names = ("L", "g")
     constraint_names = ("rod",)
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
 
     def __init__(self, angle=-np.pi / 2, spin=0.0, b=(1.0, 9.81)):
         self.angle, self.spin, self.b = angle, spin, np.asarray(b)
@@ -45,29 +46,23 @@ class CartesianPendulum(MechanicalSystem):
     def mass(self, q):
         return np.eye(2).ravel()
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return np.array([0.0, -1.0]) * self.b[1]
 
-    def force_rate(self, q, v, a, t):
+    def force_along(self, t, q, v, direction):
         return np.zeros(2)
 
-    def constraint(self, q, t):
-        return np.array([(q @ q - self.b[0] ** 2) / 2])
+    def constraint(self, t, q, v=None, a=None, jerk=None):
+        if v is None:
+            return np.array([(q @ q - self.b[0] ** 2) / 2])
+        if a is None:
+            return np.array([q @ v])
+        if jerk is None:
+            return np.array([v @ v + q @ a])
+        return np.array([3 * v @ a + q @ jerk])
 
-    def constraint_q(self, q, t):
-        return q
-
-    def constraint_q_rate(self, q, v, t):
-        return v
-
-    def velocity_side(self, q, t):
-        return np.zeros(1)
-
-    def acceleration_side(self, q, v, t):
-        return -np.array([v @ v])
-
-    def jerk_side(self, q, v, a, t):
-        return -3 * np.array([v @ a])
+    def constraint_q(self, t, *motion):
+        return motion[-1]
 
 
 class NeverRight(CartesianPendulum):
@@ -76,8 +71,8 @@ class NeverRight(CartesianPendulum):
     def with_values(self, b):
         return NeverRight(self.angle, self.spin, b)
 
-    def force(self, q, v, t):
-        return super().force(q, v, t) * (np.nan if t > 0 else 1.0)
+    def force(self, t, q, v):
+        return super().force(t, q, v) * (np.nan if t > 0 else 1.0)
 
 
 class WrittenPendulum(ComplexStepSystem):
@@ -85,7 +80,7 @@ class WrittenPendulum(ComplexStepSystem):
 
     n_q, n_lam = 2, 1
     design_names = ("L", "g")
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
 
     def __init__(self, angle=-np.pi / 2, spin=0.0, b=(1.0, 9.81)):
         self.angle, self.spin = angle, spin
@@ -102,10 +97,10 @@ class WrittenPendulum(ComplexStepSystem):
     def mass_matrix(self, q):
         return np.eye(2)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return np.array([0.0, -1.0]) * self.b[1]
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return np.array([(q @ q - self.b[0] ** 2) / 2])
 
 
@@ -144,7 +139,7 @@ class GuidedDoublePendulum(ComplexStepSystem):
         coupling = m2 * L1 * self.second * np.cos(q[0] - q[1])
         return np.array([[(1 + m2) * L1**2, coupling], [coupling, m2 * self.second**2]])
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         m2, L1, c, _ = self.b
         pull = m2 * L1 * self.second * np.sin(q[0] - q[1])
         joint = c * (v[1] - v[0])
@@ -155,7 +150,7 @@ class GuidedDoublePendulum(ComplexStepSystem):
             ]
         )
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return np.array([self.tip(q) - self.tip(self.angles) - self.b[3] * np.sin(self.w * t)])
 
 

@@ -173,7 +173,7 @@ class Assembly:
     def left(self, q: Array, moved: Declared | None = None) -> Array:
         """Return Phi in units of the size of the mechanism."""
         declared = self._declared if moved is None else moved
-        return self._weights * declared.constraints.constraint(q, 0.0)
+        return self._weights * declared.constraints.constraint(0.0, q)
 
     # -- positions -----------------------------------------------------------------------------
 
@@ -295,7 +295,7 @@ class Assembly:
         lam = self._spread(multipliers)
         constraints, matrix = self._declared.constraints, self._motions.matrix(T)
         values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
-        force = constraints.constraint_force(q, lam, 0.0).real
+        force = constraints.reaction(0.0, q, lam).real
         own = self._motions.curvature(Z, motion, force)
         bend = matrix.T @ (self._pattern.csr(values) @ matrix) + self._motions.blocks(own)
         return self._scaled(bend.tocsr()[self._free], self._units)
@@ -326,7 +326,7 @@ class Assembly:
         return y
 
     def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: _Unknowns) -> Array:
-        rate = (self._weights * declared.constraints.rate(0.0, q, (v,)))[: self._rows]
+        rate = (self._weights * declared.constraints.constraint(0.0, q, v))[: self._rows]
         return self._rates._equations(declared, q, self._rigid(q), y, rate)
 
     @cached_property
@@ -367,7 +367,7 @@ class Assembly:
         """(F_1, F_2, F_3), with `left` for what is left of the joints' equations."""
 
         def work(multipliers: Array) -> Array:
-            force = declared.constraints.constraint_force(q, self._spread(multipliers), 0.0)
+            force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
             collected: Array = self._motions.collect(T, force).ravel()[self._free]
             return self._units * collected
 
@@ -387,7 +387,7 @@ class Assembly:
     def _jacobian(self, q: Array, T: Array) -> scipy.sparse.csr_array:
         """J, dimensionless, shape (n_rows, n_free)."""
         constraints = self._declared.constraints
-        B = constraints.pattern.csr(constraints.constraint_q(q, 0.0).real)[: self._rows]
+        B = constraints.pattern.csr(constraints.constraint_q(0.0, q).real)[: self._rows]
         return self._scaled(B @ self._motions.matrix(T), self._weights[: self._rows])
 
     def _scaled(self, matrix: scipy.sparse.csr_array, rows: Array) -> scipy.sparse.csr_array:
@@ -417,7 +417,7 @@ class Assembly:
         """One over the size for equations of lengths, which displacements change; else one."""
         Z = self._declared.Z.real
         constraints = self._declared.constraints
-        B = constraints.pattern.csr(constraints.constraint_q(Z.ravel(), 0.0).real)
+        B = constraints.pattern.csr(constraints.constraint_q(0.0, Z.ravel()).real)
         T = self._motions.matrix(self._motions.tangent(Z, self._motions.none))
         J = abs(B @ T).tocsr()
         shifts = np.arange(J.shape[1]) % self._motions.n_x < Z.shape[1]
@@ -465,7 +465,7 @@ class Assembly:
         # change are seen along a direction of no special kind.
         q = self.q.real
         along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
-        terms = self._weights * moved.constraints.rate(0.0, q, (along,)).imag / STEP
+        terms = self._weights * moved.constraints.constraint(0.0, q, along).imag / STEP
         size = held + np.max(np.abs(terms), initial=0.0)
         size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self._size
         # A variable that moves nothing leaves round-off of its own share of the mechanism.

@@ -186,11 +186,19 @@ class JointConstraints:
 
     # -- values, one instant -------------------------------------------------------------------
 
-    def constraint(self, q: Array, t: float) -> Array:
-        """Phi, one instant."""
+    def constraint(self, t: float, *motion: Array) -> Array:
+        """Phi or its time derivative, of the order of the number of rates."""
         if self._simple:
-            return self._B(q) - self._coefficients.at(0.0).offset
-        return self._poly.phi(self._coefficients.at(t), self._U(q))
+            value = self._B(motion[-1])
+            return value if len(motion) > 1 else value - self._coefficients.at(0.0).offset
+        if len(motion) == 1:
+            return self._poly.phi(self._coefficients.at(t), self._U(motion[0]))
+        return self._rate(t, *motion)
+
+    def _rate(self, t: float, *motion: Array) -> Array:
+        """Phi or its time derivative, whether or not constant maps are there."""
+        series = self._coefficients.series(t, len(motion))
+        return self._poly.rate(series, *self._states(motion))
 
     def refuse_opposite(self, q: Array, t: float) -> None:
         """Refuse a start at which a drive is half a turn off, where its equation holds as well."""
@@ -215,25 +223,24 @@ class JointConstraints:
                 return item.joint.name
         return None
 
-    def constraint_q(self, q: Array, t: float) -> Array:
-        """Values of Phi_q, one instant."""
+    def constraint_q(self, t: float, *motion: Array) -> Array:
+        """Values of Phi_q or its time derivative, one instant."""
         if self._simple:
-            return self._B_values
-        return self._to_values(self._poly.raw(self._coefficients.at(t), self._U(q)))
+            return self._B_values if len(motion) == 1 else np.zeros(self.pattern.size)
+        if len(motion) == 1:
+            return self._to_values(self._poly.raw(self._coefficients.at(t), self._U(motion[0])))
+        return self._to_values(self._raw_rate(t, *motion))
 
-    def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
+    def reaction(self, t: float, q: Array, lam: Array) -> Array:
         """Phi_q^T lam, one instant."""
-        if self._simple:
-            return self._B.transposed(lam)
-        raw = self._poly.raw(self._coefficients.at(t), self._U(q))
-        return self._to_force(raw * lam[self._poly.raw_row])
+        return self.pattern.dot_transposed(self.constraint_q(t, q), lam)
 
     def constraint_force_q(self, lam: Array, t: Array) -> Array:
         """Values of (Phi_q^T lam)_q for rows of lam, shape (k, nnz); independent of q."""
         return self._curvature.rows(lam[:, self._poly.entries.s_row] * self._coefficients.over(t).s)
 
-    def constraint_force_rate_q(self, lam: Array, t: float) -> Array:
-        """Values of ((dPhi_q^T/dt) lam)_q, one instant; only driven products depend on time."""
+    def constraint_force_t_q(self, lam: Array, t: float) -> Array:
+        """Values of (Phi_qt^T lam)_q, one instant; only driven products depend on time."""
         weights = lam[self._poly.entries.s_row] * self._coefficients.at(t, 1).s
         return only(self._curvature.rows(weights[None]))
 
@@ -297,61 +304,48 @@ class JointConstraints:
         on_q = self._to_force.rows(self._poly.raw(c, U) * lam[:, self._poly.raw_row])
         return on_q, self._poly.phi(c, U), self._partial(lambda x: x.works(q, lam, t), (len(q),))
 
-    # -- start: rates and their total derivatives, one instant -----------------------------------
+    # -- rates and their total derivatives, one instant ------------------------------------------
 
-    def constraint_q_rate(self, t: float, *states: Array) -> Array:
-        """Values of the time derivative of Phi_q of order 1 to 3; states are q and its rates."""
-        return self._to_values(self._raw_rate(t, *states))
+    def _raw_rate(self, t: float, *motion: Array) -> Array:
+        """Time derivative of the raw entries of Phi_U, of the order of the number of rates."""
+        series = self._coefficients.series(t, len(motion))
+        return self._poly.raw_rate(series, *self._states(motion))
 
-    def _raw_rate(self, t: float, *states: Array) -> Array:
-        series = self._coefficients.series(t, len(states))
-        return self._poly.raw_rate(series, *self._states(states))
-
-    def rate(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
-        """Time derivative of Phi, of the order of the number of rates."""
-        U, *V = self._vectors.of(np.stack([q, *rates]))
-        series = self._coefficients.series(t, len(V) + 1)
-        return self._poly.jacobian_times(series, U, V[-1]) - self._poly.side(series, U, *V[:-1])
-
-    def rate_b(self, t: float, q: Array, rates: tuple[Array, ...]) -> Array:
-        """Design partial of the time derivative of Phi of order 1 to 3, its rates held."""
-        return self._partial(lambda moved: moved.rate(t, q, rates), (self.n_lam,))
-
-    def constraint_force_rate_pull_back(
-        self, q: Array, v: Array, lam: Array, t: float, mu: Array
+    def constraint_total(
+        self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None
     ) -> Array:
-        """Design partial of mu . (dPhi_q^T/dt) lam with everything else held, shape (n_b,)."""
-        return self._partial(lambda moved: mu @ moved.constraint_force_rate(q, v, lam, t), ())
-
-    def side(self, t: float, *states: Array) -> Array:
-        """Right side of Phi_q v, Phi_q a or Phi_q q''', by how many of q, v and a are given.
-
-        -Phi_t; -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt; the third is S of the theory.
-        """
-        if self._simple:
-            return np.zeros(self.n_lam)
-        return self._poly.side(self._coefficients.series(t, len(states) + 1), *self._states(states))
-
-    def side_total(self, t: float, states: tuple[Array, ...], states_b: tuple[Array, ...]) -> Array:
-        """Total design derivative of `side`."""
-        if self._simple:
-            return np.zeros((self.n_lam, self._n_b))
-        return self._total(self._poly.side, t, len(states) + 1, states, states_b)
-
-    def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Total design derivative of Phi_q x with x held."""
+        """Total design derivative of `constraint`; partial, with the motion held, without b."""
         if self._simple and not self.active:
-            return np.zeros((self.n_lam, self._n_b))
-        return self._total(self._poly.jacobian_times, t, 1, (q, x), (q_b, np.zeros_like(q_b)))
+            if motion_b is None:
+                return np.zeros((self.n_lam, self._n_b))
+            return np.asarray(self._B.columns(motion_b[-1]))
+        if motion_b is None:
+            return self._partial(lambda moved: moved._rate(t, *motion), (self.n_lam,))
+        return self._total(self._poly.rate, t, len(motion), motion, motion_b)
 
-    def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
-        """(dPhi_q^T/dt) lam."""
-        return self._to_force(self._raw_rate(t, q, v) * lam[self._poly.raw_row])
-
-    def constraint_force_rate_total(
-        self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
+    def force_along_total(
+        self,
+        t: float,
+        states: tuple[Array, Array, Array],
+        states_b: tuple[Array, Array, Array],
+        share: float,
     ) -> Array:
-        """Total design derivative of `constraint_force_rate`."""
+        """Total design derivative of the derivative of Phi_q^T lam along (share, dq).
+
+        States are q, dq and lam. What the rate is at rest belongs to time.
+        """
+        total = self._force_rate_total(t, states, states_b)
+        if share == 1 or not self.driven:
+            return total
+        (q, dq, lam), (q_b, dq_b, lam_b) = states, states_b
+        rest = (q, 0 * dq, lam), (q_b, 0 * dq_b, lam_b)
+        return total - (1 - share) * self._force_rate_total(t, *rest)
+
+    def _force_rate_total(
+        self, t: float, states: tuple[Array, ...], states_b: tuple[Array, ...]
+    ) -> Array:
+        """Total design derivative of (dPhi_q^T/dt) lam; states are q, its rate and lam."""
+        (q, v, lam), (q_b, v_b, lam_b) = states, states_b
         loads = (lam + 1j * STEP * lam_b.T)[:, self._poly.raw_row]
 
         def entries(series: Sequence[Values], U: Array, V: Array) -> Array:
@@ -363,6 +357,20 @@ class JointConstraints:
             moved = self._reaching(int(i))
             total[:, i] += moved._to_force(still[moved._rows[self._poly.raw_row]]).imag / STEP
         return total
+
+    def force_along_pull_back(
+        self, t: float, states: tuple[Array, Array, Array], share: float, mu: Array
+    ) -> Array:
+        """Design partial of mu . the derivative of Phi_q^T lam along (share, dq), shape (n_b,)."""
+        q, dq, lam = states
+
+        def work(moved: JointConstraints) -> Array:
+            raw = moved._raw_rate(t, q, dq)
+            if share != 1 and moved.driven:
+                raw = raw - (1 - share) * moved._raw_rate(t, q, 0 * dq)
+            return mu @ moved._to_force(raw * lam[moved._poly.raw_row])
+
+        return self._partial(work, ())
 
     def _total(
         self,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -162,17 +161,23 @@ class ElasticForces:
             per_pair = np.concatenate([per_pair, weighted])
         return -np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
 
-    def force_rate(self, q: Array, v: Array, a: Array) -> Array:
-        """d(Q_s)/dt along the motion, shape (n_q,), for one instant."""
-        return -only(self._along((q, v), (v[None], a[None])))
+    def force_along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
+        """Differentiate Q_s of one instant along rates of q and v, shape (n_q,)."""
+        u, z = rates
+        return -only(self._along(states, (u[None], z[None])))
 
-    def force_rate_total(self, states: Sequence[Array], states_b: Sequence[Array]) -> Array:
-        """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
-        q, v, a = states
-        own = self._pair_rates(q, v, (v, a))
-        total = only(self._by_variable(own))
-        q, v, a = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
-        along: Array = self._along((q, v), (v, a)).imag.T / STEP
+    def force_along_total(
+        self, states: tuple[Array, ...], rates: tuple[Array, ...], moved_by: tuple[Array, ...]
+    ) -> Array:
+        """Total design derivative of `force_along`, shape (n_q, n_b).
+
+        `moved_by` are the derivatives of the states and of the rates.
+        """
+        q, v = states
+        total = only(self._by_variable(self._pair_rates(q, v, (rates[0], rates[1]))))
+        pairs = zip((*states, *rates), moved_by, strict=True)
+        q, v, u, z = (x + 1j * STEP * x_b.T for x, x_b in pairs)
+        along: Array = self._along((q, v), (u, z)).imag.T / STEP
         return -(total + along)
 
     def _pair_rates(self, q: Array, v: Array, rates: tuple[Array, Array]) -> Array:

@@ -68,19 +68,20 @@ class JointPolynomials:
         """Phi_U X."""
         return self._raw_row_map.rows(self.raw(series[0], U) * _flat(X)[..., self.raw_at])
 
-    def side(self, series: Sequence[Values], *X: Array) -> Array:
-        """Leibniz' rule for the n-th time derivative of Phi without Phi_q q^(n); X_k is U^(k)."""
-        n = len(X)
-        side = series[n].offset
-        for k in range(1, n + 1):
-            side = side - math.comb(n, k) * self._linear(series[k], X[n - k])
+    def rate(self, series: Sequence[Values], *X: Array) -> Array:
+        """Time derivative of Phi of order n by Leibniz' rule; X_k is U^(k), k to n."""
+        n, last = len(X) - 1, 0 if np.any(X[-1]) else 1
+        # Where the last rate vanishes, its terms are left out: k and j begin behind it.
+        rate = -series[n].offset
+        for k in range(last, n + 1):
+            rate = rate + math.comb(n, k) * self._linear(series[k], X[n - k])
         for k in range(n + 1 if self._turning else 1):
-            # Of s^(k) and the derivative of order m of the products; U^(n) is what is asked for.
+            # Of s^(k) and the derivative of order m of the products.
             m = n - k
-            for j in range(1 if k == 0 else 0, m // 2 + 1):
+            for j in range(last if k == 0 else 0, m // 2 + 1):
                 share = math.comb(n, k) * math.comb(m, j) / (2 if 2 * j == m else 1)
-                side = side - share * self._product(series[k], X[j], X[m - j])
-        return side
+                rate = rate + share * self._product(series[k], X[j], X[m - j])
+        return rate
 
     def _linear(self, c: Values, U: Array) -> Array:
         return self._row_map.rows(c.a * _flat(U)[..., self.entries.a_at])

@@ -7,7 +7,6 @@ and a new load needs no derivative of its own.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,8 +26,7 @@ from ancfdae.numerics.patterns import Pattern
 class LoadInput:
     """One load with its vectors, parameters, (n_p,), and vectors of the reference, (n_v, d).
 
-    Instants t have the leading axes of the vectors. A load that is `held` is one whose law stands
-    still.
+    Instants t have the leading axes of the vectors.
     """
 
     load: Load
@@ -37,7 +35,6 @@ class LoadInput:
     p_b: Array
     reference: Array
     reference_b: dict[int, Array]
-    held: bool = False
 
     @property
     def uses_velocity(self) -> bool:
@@ -53,8 +50,6 @@ class LoadInput:
 
     def factor(self, t: Array, order: int) -> Array:
         """Return the law of time or its derivative, shape (..., 1, 1)."""
-        if self.held and order:
-            return np.zeros((1, 1))
         return self.load.factor(self.p, t, order)[..., None, None]
 
     def force(self, U: Array, V: Array, t: Array) -> Array:
@@ -62,13 +57,15 @@ class LoadInput:
         F: Array = self.load.force(U, V, self.p, self.reference)
         return F if self.load.law is None else self.factor(t, 0) * F
 
-    def force_rate(self, U: Array, V: Array, Z: Array, t: Array) -> Array:
-        """Return their rate along the motion."""
-        rate = self.load.force_rate(U, V, Z, self.p, self.reference)
+    def force_along(
+        self, U: Array, V: Array, rates: tuple[Array, Array], t: Array, dt: float
+    ) -> Array:
+        """Return their derivative along rates of the vectors, of their velocities and of time."""
+        dF = self.load.force_along(U, V, rates, self.p, self.reference)
         if self.load.law is None:
-            return rate
+            return dF
         F = self.load.force(U, V, self.p, self.reference)
-        return np.asarray(self.factor(t, 0) * rate + self.factor(t, 1) * F)
+        return np.asarray(self.factor(t, 0) * dF + dt * self.factor(t, 1) * F)
 
     @property
     def active(self) -> list[int]:
@@ -115,17 +112,6 @@ class LoadForces:
         """Whether a load depends on positions or velocities."""
         return len(self._moving) > 0
 
-    @cached_property
-    def held(self) -> LoadForces:
-        """The loads with their laws standing still."""
-        if all(item.load.law is None for item in self._inputs):
-            return self
-        held = copy.copy(self)
-        held._inputs = [replace(item, held=True) for item in self._inputs]
-        held._moving = [item for item in held._inputs if not item.load.constant]
-        held._timed = [(replace(item, held=True), row) for item, row in self._timed]
-        return held
-
     def couplings(self) -> tuple[Array, Array]:
         """Rows and columns of all entries that tangents may have."""
         rows, columns = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
@@ -137,7 +123,7 @@ class LoadForces:
 
     def place(self, pattern: Pattern) -> None:
         """Prepare tangents on the system's pattern, which must hold the couplings."""
-        self._maps = []
+        self._maps, self._size = [], pattern.size
         for item in self._moving:
             L = item.vectors.matrix.toarray()
             size = len(L)
@@ -159,31 +145,31 @@ class LoadForces:
             Q = Q + item.vectors.lift(item.force(item.vectors.of(q), item.vectors.of(v), t))
         return Q
 
-    def following(self, q: Array, t: Array) -> Array:
-        """Return the loads that turn with the motion, at rest, of one instant, shape (n_q,)."""
-        Q = np.zeros(self._n_q, dtype=q.dtype)
-        for item in self._moving:
+    def following(self, q: Array, t: Array) -> tuple[Array, Array]:
+        """Return the loads that turn with the motion, at rest, of one instant, and their tangent.
+
+        Shape (n_q,), and values on the pattern.
+        """
+        Q, Q_q = np.zeros(self._n_q, dtype=q.dtype), np.zeros((1, self._size))
+        for item, to_values in zip(self._moving, self._maps, strict=True):
             if not item.load.elastic:
                 U = item.vectors.of(q[None])
                 Q = Q + item.vectors.lift(item.force(U, 0 * U, t))[0]
-        return Q
+                real = U.real
+                Q_q = Q_q + to_values.rows(_flat(_jacobian(_at(item, t), real, 0 * real, True)))
+        return Q, only(Q_q)
 
-    def add_following_tangents(self, q: Array, t: Array, values: Array) -> None:
-        """Add the partial of `following` to values on the pattern, shape (1, nnz)."""
-        for item, to_values in zip(self._moving, self._maps, strict=True):
-            if not item.load.elastic:
-                U = item.vectors.of(q[None]).real
-                values += to_values.rows(_flat(_jacobian(_at(item, t), U, 0 * U, True)))
-
-    def force_rate(self, q: Array, v: Array, a: Array, t: Array) -> Array:
-        """dQ/dt along the motion, shape (k, n_q)."""
-        rate = np.zeros((len(q), self._n_q), dtype=q.dtype)
+    def force_along(
+        self, states: tuple[Array, Array], rates: tuple[Array, Array], t: Array, dt: float
+    ) -> Array:
+        """Differentiate Q along rates of (q, v) and of time, shape (k, n_q)."""
+        change = np.zeros((len(states[0]), self._n_q), dtype=np.result_type(*states, *rates))
         for item, row in self._timed:
-            rate = rate + item.factor(t, 1)[..., 0] * row
+            change = change + dt * item.factor(t, 1)[..., 0] * row
         for item in self._moving:
-            U, V, Z = (item.vectors.of(x) for x in (q, v, a))
-            rate = rate + item.vectors.lift(item.force_rate(U, V, Z, t))
-        return rate
+            U, V, dU, dV = (item.vectors.of(x) for x in (*states, *rates))
+            change = change + item.vectors.lift(item.force_along(U, V, (dU, dV), t, dt))
+        return change
 
     def subtract_tangents(self, q: Array, v: Array, t: Array, K: Array, D: Array | None) -> None:
         """Subtract Q_q, and Q_v where asked for, from values on the pattern, shape (k, nnz)."""
@@ -193,43 +179,71 @@ class LoadForces:
             if D is not None and item.uses_velocity:
                 D -= to_values.rows(_flat(_jacobian(_at(item, t), U, V, False)))
 
-    def add_tangent_rates(
-        self, states: tuple[Array, Array, Array], t: Array, Q_q: Array, Q_v: Array | None
+    def add_tangents_along(
+        self,
+        states: tuple[Array, Array],
+        rates: tuple[Array, Array],
+        t: Array,
+        dt: float,
+        Q_q: Array,
+        Q_v: Array | None,
     ) -> None:
-        """Add the time derivatives of Q_q and Q_v along (q, v, a) of one instant, shape (1, nnz).
+        """Add the derivatives of Q_q and Q_v along rates of one instant, shape (1, nnz).
 
-        With F' = F_U V + F_V Z + F_t of a load, F'_U = (F_U)' and F'_V = F_U + (F_V)'.
+        They are the partials of the derivative of Q, the rates held.
         """
         for item, to_values in zip(self._moving, self._maps, strict=True):
-            U, V, Z = (item.vectors.of(x[None]).real for x in states)
+            U, V, dU, dV = (item.vectors.of(x[None]).real for x in (*states, *rates))
             real = item.real
 
-            def rate(U: Array, V: Array, Z: Array = Z, real: LoadInput = real) -> Array:
-                return real.force_rate(U, V, Z[:, None] + 0 * V, t[:, None])
+            def along(
+                U: Array, V: Array, dU: Array = dU, dV: Array = dV, real: LoadInput = real
+            ) -> Array:
+                moving = dU[:, None] + 0 * U, dV[:, None] + 0 * V
+                return real.force_along(U, V, moving, t[:, None], dt)
 
-            Q_q += to_values.rows(_flat(_jacobian(rate, U, V, True)))
+            Q_q += to_values.rows(_flat(_jacobian(along, U, V, True)))
             if Q_v is not None and item.uses_velocity:
-                own = _jacobian(_at(item, t), U, V, True)
-                Q_v += to_values.rows(_flat(_jacobian(rate, U, V, False) - own))
+                Q_v += to_values.rows(_flat(_jacobian(along, U, V, False)))
 
-    def pull_back_rate(self, states: tuple[Array, Array, Array], t: Array, mu: Array) -> Array:
-        """Design partial of mu . dQ/dt with the states held, shape (n_b,)."""
-        q, v, a = (x[None] for x in states)
-        return self._partial(lambda moved: np.sum(moved.force_rate(q, v, a, t) * mu), ())
+    def force_along_pull_back(
+        self,
+        states: tuple[Array, Array],
+        rates: tuple[Array, Array],
+        t: Array,
+        dt: float,
+        mu: Array,
+    ) -> Array:
+        """Design partial of mu . `force_along` with everything else held, shape (n_b,)."""
+        q, v, u, z = (x[None] for x in (*states, *rates))
+        return self._partial(
+            lambda moved: np.sum(moved.force_along((q, v), (u, z), t, dt) * mu), ()
+        )
 
     def force_total(self, q: Array, v: Array, t: Array, q_b: Array, v_b: Array) -> Array:
         """Total design derivative of Q for one instant, shape (n_q, n_b)."""
         along = self.force(q + 1j * STEP * q_b.T, v + 1j * STEP * v_b.T, t)
         return along.imag.T / STEP + only(self.force_b(q[None], v[None], t))
 
-    def force_rate_total(
-        self, states: Sequence[Array], t: Array, states_b: Sequence[Array]
+    def force_along_total(
+        self,
+        states: tuple[Array, ...],
+        rates: tuple[Array, ...],
+        t: Array,
+        dt: float,
+        moved_by: tuple[Array, ...],
     ) -> Array:
-        """Total design derivative of `force_rate` for one instant, shape (n_q, n_b)."""
-        q, v, a = (x[None] for x in states)
-        own = self._partial(lambda moved: only(moved.force_rate(q, v, a, t)), (self._n_q,))
-        q, v, a = (x + 1j * STEP * x_b.T for x, x_b in zip(states, states_b, strict=True))
-        return self.force_rate(q, v, a, t).imag.T / STEP + own
+        """Total design derivative of `force_along` for one instant, shape (n_q, n_b).
+
+        `moved_by` are the derivatives of the states and of the rates.
+        """
+        q, v, u, z = (x[None] for x in (*states, *rates))
+        total = self._partial(
+            lambda moved: only(moved.force_along((q, v), (u, z), t, dt)), (self._n_q,)
+        )
+        pairs = zip((*states, *rates), moved_by, strict=True)
+        q, v, u, z = (x + 1j * STEP * x_b.T for x, x_b in pairs)
+        return self.force_along((q, v), (u, z), t, dt).imag.T / STEP + total
 
     def force_b(self, q: Array, v: Array, t: Array) -> Array:
         """Q_b, shape (k, n_q, n_b)."""

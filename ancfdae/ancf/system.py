@@ -15,7 +15,6 @@ from ancfdae.ancf.block import element_block
 from ancfdae.ancf.elastic_forces import ElasticForces
 from ancfdae.ancf.energies import Energies
 from ancfdae.ancf.inertia import Inertia
-from ancfdae.ancf.load_forces import LoadForces
 from ancfdae.ancf.mass_blocks import element_masses, other_masses
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
@@ -26,9 +25,16 @@ from ancfdae.design import DesignVariable, as_design
 from ancfdae.elements import ElementParameter
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.naming import Layout, Naming
-from ancfdae.numerics.arrays import STEP, Array, only
+from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.patterns import Pattern
-from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
+from ancfdae.protocol.system import (
+    DesignPartials,
+    Direction,
+    Linearisation,
+    MechanicalSystem,
+    States,
+    Traits,
+)
 from ancfdae.scene import Scene
 from ancfdae.statics import RestingStart
 from ancfdae.text import listed
@@ -90,7 +96,6 @@ class AncfSystem(MechanicalSystem):
         self._scene, self._design, self._mapping, self.b = scene, design, mapping, np.asarray(b)
         self.n_b = len(design)
         self.design_names = mapping.names
-        self.project_start = scene.project_start
         parameters = mapping.values(self.b)
         self._numbering = number(scene)
         self.element, self.n_q = self._numbering.element, self._numbering.n_q
@@ -141,17 +146,22 @@ class AncfSystem(MechanicalSystem):
     def _describe(self) -> None:
         self.n_lam = self._constraints.n_lam
         self.constraint_pattern = self._constraints.pattern
-        self.constant_mass = True
-        self.linear_constraints = self._constraints.linear
-        self.constant_constraints = self._constraints.constant
-        self.velocity_forces = self._elastic.damped or self._loads.uses_velocity
-        # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that move.
-        self.symmetric = not (self._elastic.damped or self._loads.moving)
+        joints, moving = self._constraints, self._loads.moving
         self.weights = self._inertia.weights
-        self.force_round_off = self._elastic.round_off(self._reference.Z.ravel(), self.weights)
-        joints = self._constraints.joints
-        self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=joints))
-        self.constraint_names = tuple(joint.name for joint in joints for _ in range(joint.rows))
+        self.traits = Traits(
+            constant_mass=True,
+            linear_constraints=joints.linear,
+            constant_constraints=joints.constant,
+            velocity_forces=self._elastic.damped or self._loads.uses_velocity,
+            # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that
+            # move.
+            symmetric=not (self._elastic.damped or moving),
+            project_start=self._scene.project_start,
+            force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
+        )
+        rows = joints.joints
+        self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=rows))
+        self.constraint_names = tuple(joint.name for joint in rows for _ in range(joint.rows))
 
     # -- the protocol --------------------------------------------------------------------------
 
@@ -214,36 +224,23 @@ class AncfSystem(MechanicalSystem):
         """M x."""
         return self._inertia.times(x)
 
-    def mass_b_times(self, q: Array, a: Array) -> Array:
-        """(M a)_b."""
-        return self._inertia.times_b(a)
-
-    def force(self, q: Array, v: Array, t: float) -> Array:
+    def force(self, t: float, q: Array, v: Array) -> Array:
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
         Q = self._inertia.gravity - self._elastic.internal(q, v)
         if self._scene.loads:
             Q = Q + self._loads.force(q[None], v[None], np.array([t]))[0]
         return Q
 
-    def force_q(self, q: Array, v: Array, t: float) -> Array:
-        """Q_q (eq. 19)."""
-        return -only(self._tangents(q[None], v[None], np.array([t]))[0])
+    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+        """Q_q dq + Q_v dv + Q_t dt."""
+        dt, *rates = direction
+        dQ = self._elastic.force_along((q, v), (rates[0], rates[1]))
+        if self._scene.loads:
+            states, moving = (q[None], v[None]), (rates[0][None], rates[1][None])
+            dQ = dQ + self._loads.force_along(states, moving, np.array([t]), dt)[0]
+        return dQ
 
-    def force_v(self, q: Array, v: Array, t: float) -> Array:
-        """Q_v."""
-        D = self._tangents(q[None], v[None], np.array([t]))[1]
-        return np.zeros(self.pattern.size) if D is None else -only(D)
-
-    def force_b(self, q: Array, v: Array, t: float) -> Array:
-        """Q_b (eqs. 24, 25)."""
-        return only(self._forces_b(q[None], v[None], np.array([t])))
-
-    def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
-        """Total design derivative of Q."""
-        rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
-        return self.force_and_total(rows[0], rows[1], t)[1:].T
-
-    def force_and_total(self, q: Array, v: Array, t: float) -> Array:
+    def force_and_total(self, t: float, q: Array, v: Array) -> Array:
         """Q and its total design derivatives as rows."""
         rows = self._inertia.gravity_rows - self._elastic.totals(q, v)
         if self._scene.loads:
@@ -252,212 +249,109 @@ class AncfSystem(MechanicalSystem):
             rows = rows + np.concatenate([self._loads.force(q[:1], v[:1], time), total.T])
         return rows
 
-    def following_load(self, q: Array, t: float) -> Array:
+    def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
         """Follower forces and moments."""
         return self._loads.following(q, np.array([t]))
 
-    def following_load_q(self, q: Array, t: float) -> Array:
-        """Their tangents."""
-        values = np.zeros((1, self.pattern.size), dtype=np.result_type(q, self.b, float))
-        self._loads.add_following_tangents(q, np.array([t]), values)
-        return only(values)
+    def constraint(self, t: float, *motion: Array) -> Array:
+        """Phi and its time derivatives."""
+        return self._constraints.constraint(t, *motion)
 
-    def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Q_q v + Q_v a + Q_t."""
-        rate = self._elastic.force_rate(q, v, a)
-        if self._scene.loads:
-            rate = rate + self._loads.force_rate(q[None], v[None], a[None], np.array([t]))[0]
-        return rate
+    def constraint_q(self, t: float, *motion: Array) -> Array:
+        """Phi_q and its time derivatives."""
+        return self._constraints.constraint_q(t, *motion)
 
-    def force_rate_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
+    def constraint_total(
+        self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:
-        """Total design derivative of `force_rate`."""
-        states, states_b = (q, v, a), (q_b, v_b, a_b)
-        return self._force_rate_total(self._loads, states, t, states_b)
+        """Total design derivative of Phi and its time derivatives."""
+        return self._constraints.constraint_total(t, motion, motion_b)
 
-    def _force_rate_total(
-        self, loads: LoadForces, states: Sequence[Array], t: float, states_b: Sequence[Array]
-    ) -> Array:
-        total = self._elastic.force_rate_total(states, states_b)
-        return total + loads.force_rate_total(states, np.array([t]), states_b)
+    # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------
 
-    def force_q_times(self, q: Array, x: Array, t: float) -> Array:
-        """Q_q x at rest: the rate along a tiny velocity while laws of time stand still."""
-        still, tiny = np.zeros_like(x), STEP * x
-        rate = self._elastic.force_rate(q, tiny, still)
-        held = self._loads.held.force_rate(q[None], tiny[None], still[None], np.array([t]))[0]
-        return np.asarray((rate + held) / STEP)
-
-    def force_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Total design derivative of Q_q x at rest."""
-        still, none = np.zeros_like(x), np.zeros_like(q_b)
-        states, states_b = (q, STEP * x, still), (q_b, none, none)
-        return self._force_rate_total(self._loads.held, states, t, states_b) / STEP
-
-    def force_q_times_q(self, q: Array, x: Array, t: float) -> Array:
-        """(Q_q x)_q at rest: the rate of Q_q."""
-        still, tiny = np.zeros_like(x), STEP * x
-        Q_q, _ = self._elastic.tangent_rates(q, tiny, (tiny, still))
-        if self._scene.loads:
-            self._loads.held.add_tangent_rates((q, tiny, still), np.array([t]), Q_q, None)
-        return only(Q_q) / STEP
-
-    def pull_back_force_q_times(self, q: Array, x: Array, t: float, mu: Array) -> Array:
-        """Contract forces pair by pair."""
-        still, tiny = np.zeros_like(x), STEP * x
-        total = self._elastic.pull_back_rate(q, tiny, (tiny, still), mu)
-        if self._scene.loads:
-            total = total + self._loads.held.pull_back_rate((q, tiny, still), np.array([t]), mu)
-        return total / STEP
-
-    def constraint(self, q: Array, t: float) -> Array:
-        """Phi."""
-        return self._constraints.constraint(q, t)
-
-    def constraint_q(self, q: Array, t: float) -> Array:
-        """Phi_q."""
-        return self._constraints.constraint_q(q, t)
-
-    def constraint_b(self, q: Array, t: float) -> Array:
-        """Phi_b."""
-        return only(self._constraints.constraints_b(q[None], np.array([t])))
-
-    def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
-        """Phi_q^T lam."""
-        return self._constraints.constraint_force(q, lam, t)
-
-    def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
-        """(Phi_q^T lam)_q."""
-        return only(self._constraints.constraint_force_q(lam[None], np.array([t])))
-
-    def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
-        """(Phi_q^T lam)_b."""
-        return only(self._constraints.constraint_forces_b(q[None], lam[None], np.array([t])))
-
-    def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Total design derivative of Phi_q x."""
-        return self._constraints.constraint_q_times_total(q, x, t, q_b)
-
-    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
-        """dPhi_q/dt."""
-        return self._constraints.constraint_q_rate(t, q, v)
-
-    def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """d^2 Phi_q/dt^2."""
-        return self._constraints.constraint_q_rate(t, q, v, a)
-
-    def velocity_side(self, q: Array, t: float) -> Array:
-        """-Phi_t."""
-        return self._constraints.side(t, q)
-
-    def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
-        """Total design derivative of `velocity_side`."""
-        return self._constraints.side_total(t, (q,), (q_b,))
-
-    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
-        """Right side of Phi_q a."""
-        return self._constraints.side(t, q, v)
-
-    def acceleration_side_total(
-        self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
-    ) -> Array:
-        """Total design derivative of `acceleration_side`."""
-        return self._constraints.side_total(t, (q, v), (q_b, v_b))
-
-    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Right side of Phi_q q'''."""
-        return self._constraints.side(t, q, v, a)
-
-    def jerk_side_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Total design derivative of `jerk_side`."""
-        return self._constraints.side_total(t, (q, v, a), (q_b, v_b, a_b))
-
-    def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
-        """(dPhi_q^T/dt) lam."""
-        return self._constraints.constraint_force_rate(q, v, lam, t)
-
-    def constraint_force_rate_total(
-        self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
-    ) -> Array:
-        """Total design derivative of `constraint_force_rate`."""
-        return self._constraints.constraint_force_rate_total(q, v, lam, t, q_b, v_b, lam_b)
-
-    # -- many instants at once -----------------------------------------------------------------
-
-    def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
-        """M, f_q, f_v and Phi_q."""
-        f_q, f_v = self._tangents(q, v, t)
-        if not self.linear_constraints:
+    def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
+        """M, f_q (eq. 19), f_v and Phi_q."""
+        f_v, f_q = None, np.zeros((len(q), self.pattern.size))
+        if v is not None:
+            f_q, f_v = self._tangents(q, v, t)
+        if not self.traits.linear_constraints:
             f_q = f_q + self._constraints.constraint_force_q(lam, t)
         M = self._inertia.values[None]
         return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
 
-    def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
-        """Design partials of f and Phi."""
-        f_b = self._inertia.times_b(a) - self._forces_b(q, v, t)
-        f_b += self._constraints.constraint_forces_b(q, lam, t)
+    def design_partials(
+        self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
+    ) -> DesignPartials:
+        """Design partials of f (eqs. 24, 25) and Phi."""
+        f_b = self._inertia.times_b(a)
+        if v is not None:
+            f_b = f_b - self._forces_b(q, v, t)
+        if self._constraints.active:
+            f_b = f_b + self._constraints.constraint_forces_b(q, lam, t)
         return DesignPartials(f_b, self._constraints.constraints_b(q, t))
 
     def pull_back(
         self,
         t: Array,
-        states: tuple[Array, Array, Array, Array],
+        states: tuple[Array, Array | None, Array, Array],
         covectors: tuple[Array, Array],
     ) -> Array:
         """Contraction over pairs and active variables, without arrays of the size n_q n_b."""
         (q, v, a, lam), (mu, zeta) = states, covectors
-        total = self._inertia.pull_back(a, mu) - self._elastic.pull_back(q, v, mu)
-        total = total - self._loads.pull_back(q, v, t, mu)
+        total = self._inertia.pull_back(a, mu, gravity=v is not None)
+        if v is not None:
+            total = total - self._elastic.pull_back(q, v, mu) - self._loads.pull_back(q, v, t, mu)
         return np.asarray(total + self._constraints.pull_back(q, lam, t, mu, zeta))
 
-    # -- rates for the transpose of the start --------------------------------------------------
+    def along_total(
+        self,
+        t: float,
+        states: States,
+        direction: Direction,
+        states_b: States,
+        direction_b: tuple[Array, Array],
+    ) -> Array:
+        """Total design derivative of the derivative of f along a direction; M is constant."""
+        (q, v, _, lam), (q_b, v_b, _, lam_b) = states, states_b
+        dt, *rates = direction
+        moved_by = q_b, v_b, *direction_b
+        total = -self._elastic.force_along_total((q, v), tuple(rates), moved_by)
+        if self._scene.loads:
+            time = np.array([t])
+            total -= self._loads.force_along_total((q, v), tuple(rates), time, dt, moved_by)
+        if self.traits.constant_constraints:
+            return total
+        joints = (q, rates[0], lam), (q_b, direction_b[0], lam_b)
+        return total + self._constraints.force_along_total(t, *joints, dt)
 
-    def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
-        """d^3 Phi_q/dt^3."""
-        return self._constraints.constraint_q_rate(t, q, v, a, jerk)
-
-    def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
-        """Return partials of constraint rates, of the variables that constraints depend on."""
-        return self._constraints.rate_b(t, q, rates)
-
-    def force_rate_partials(
-        self, t: float, states: tuple[Array, ...], later: Array
+    def along_pull_back(
+        self, t: float, states: States, direction: Direction, mu: Array
     ) -> tuple[Array, Array, Array]:
-        """f'_q = ((Phi_q^T)' lam)_q - (Q_q)', f'_v = f_q - (Q_v)'; M is constant."""
-        q, v, a, lam = states
-        Q_q, Q_v = self._elastic.tangent_rates(q, v, (v, later))
-        if Q_v is None:
-            Q_v = np.zeros_like(Q_q)
-        if self._scene.loads:
-            self._loads.add_tangent_rates((q, v, later), np.array([t]), Q_q, Q_v)
-        f_q = self.linearise(np.array([t]), q[None], v[None], a[None], lam[None]).f_q
-        turned = self._constraints.constraint_force_rate_q(lam, t)
-        return turned - Q_q[0], only(f_q - Q_v), np.zeros(self.pattern.size)
-
-    def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
-        """Contract masses pair by pair, joints for the variables they depend on."""
-        none = np.zeros((1, len(lam)))
-        reaction = self._constraints.pull_back(q[None], lam[None], np.array([t]), mu[None], none)
-        return self._inertia.pull_back(a[None], mu[None], gravity=False) + reaction
-
-    def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
-        """Contract forces pair by pair, the rest for the variables it depends on."""
+        """Transposes of tangents along the direction; pair by pair for the design."""
         q, v, _, lam = states
-        total = self._constraints.constraint_force_rate_pull_back(q, v, lam, t, mu)
-        total = total - self._elastic.pull_back_rate(q, v, (v, later), mu)
+        dt, *rates = direction
+        moving, time = (rates[0], rates[1]), np.array([t])
+        Q_q, Q_v = self._elastic.tangent_rates(q, v, moving)
+        on_b = -self._elastic.pull_back_rate(q, v, moving, mu)
         if self._scene.loads:
-            total = total - self._loads.pull_back_rate((q, v, later), np.array([t]), mu)
-        return total
+            Q_v = np.zeros_like(Q_q) if Q_v is None else Q_v
+            self._loads.add_tangents_along((q, v), moving, time, dt, Q_q, Q_v)
+            on_b = on_b - self._loads.force_along_pull_back((q, v), moving, time, dt, mu)
+        f_q = -only(Q_q)
+        if not self.traits.linear_constraints:
+            f_q = f_q + dt * self._constraints.constraint_force_t_q(lam, t)
+        joints = q, rates[0], lam
+        on_b = on_b + self._constraints.force_along_pull_back(t, joints, dt, mu)
+        dot = self.pattern.dot_transposed
+        on_v = np.zeros_like(mu) if Q_v is None else -dot(only(Q_v), mu)
+        return dot(f_q, mu), on_v, on_b
 
     def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
         """Return -Q_q and -Q_v."""
         K, D = self._elastic.internal_q(q, v), None
         if self._elastic.damped:
             D = self._elastic.internal_v(q)
-        elif self.velocity_forces:
+        elif self.traits.velocity_forces:
             D = np.zeros_like(K)
         if self._scene.loads:
             self._loads.subtract_tangents(q, v, t, K, D)

@@ -19,8 +19,8 @@ from ancfdae.modes import Configuration
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.held import force_total, held_pull_back, held_q, held_total
 from ancfdae.protocol.saddle_points import saddle_point, solve, solve_transposed
-from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
 from ancfdae.statics import Equilibrium, Tangent
 
 At: TypeAlias = Configuration | Equilibrium | None
@@ -110,23 +110,25 @@ class _Start(DesignedConfiguration):
         self._matrices = saddle_point(system, 0.0)
         self._state = consistent_start(system, self._matrices, 0.0)
         self._q, self._rest = self._state.q, np.zeros(system.n_q)
-        force = system.force(self._q, self._rest, 0.0)
+        force = system.force(0.0, self._q, self._rest)
         self._a, self._lam = solve(self._factors, force, np.zeros(system.n_lam))
 
     @cached_property
     def _factors(self) -> Factorization:
         system = self._system
-        return self._matrices.factor(system.mass(self._q), system.constraint_q(self._q, 0.0))
+        return self._matrices.factor(system.mass(self._q), system.constraint_q(0.0, self._q))
 
     def configuration(self, differentiated: bool) -> Configuration:
         if not differentiated:
             return Configuration(self._q, self._lam)
         system, q, a = self._system, self._q, self._a
         q_b = start_sensitivity(system, self._matrices, self._state).q_b
-        force = system.force_total(q, self._rest, 0.0, q_b, np.zeros_like(q_b))
-        force = force - inertia_total(system, q, a, q_b)
-        force = force - constraint_force_total(system, q, self._lam, 0.0, q_b)
-        side = -system.constraint_q_times_total(q, a, 0.0, q_b)
+        held = np.zeros_like(q_b)
+        force = force_total(system, 0.0, q, self._rest, q_b, held)
+        force = force - held_total(system, 0.0, q, a, self._lam, q_b)
+        # Phi_q a = Phi'(q, a) - Phi'(q, 0)
+        side = system.constraint_total(0.0, (q, self._rest), (q_b, held))
+        side = side - system.constraint_total(0.0, (q, a), (q_b, held))
         return Configuration(q, self._lam, q_b, solve(self._factors, force, side)[1])
 
     def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
@@ -136,9 +138,8 @@ class _Start(DesignedConfiguration):
         at, none = np.zeros(1), np.zeros_like(lam)
         states = (q[None], rest[None], a[None], lam[None])
         on_q = on_q - system.pattern.dot_transposed(system.linearise(at, *states).f_q[0], m)
-        if not system.linear_constraints:
-            on_q = on_q - system.pattern.dot(system.constraint_force_q(q, z, 0.0), a)
+        on_q = on_q - system.pattern.dot(held_q(system, 0.0, q, rest, z), a)
         on_b = on_b - system.pull_back(at, states, (m[None], none[None]))
-        on_b = on_b - system.pull_back_inertia(0.0, q, rest, z, a)
+        on_b = on_b - held_pull_back(system, 0.0, q, rest, z, a)
         on = Covectors(on_q, rest, rest, none, on_b)
         return pull_back_start(system, self._matrices, self._state, on)

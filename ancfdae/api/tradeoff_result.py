@@ -21,7 +21,7 @@ from ancfdae.api.tradeoff_run import Measurement, Results, common_times
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.integrators import HHT, ControlledSteps, Integrator, StepControl
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem, tables
+from ancfdae.protocol import MechanicalSystem, reaction, tables
 from ancfdae.text import columns
 
 if TYPE_CHECKING:
@@ -258,7 +258,7 @@ def compared(
 def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
     """Return Phi_q^T lam at every instant."""
     return np.array(
-        [system.constraint_force(*state) for state in zip(q, lam, t, strict=True)]
+        [reaction(system, *state) for state in zip(t.tolist(), q, lam, strict=True)]
     ).reshape(len(t), -1)
 
 
@@ -269,7 +269,7 @@ def _drift(system: MechanicalSystem, q: Array, t: Array, given: Results) -> floa
     inverse = 1 / system.weights[system.constraint_pattern.columns]
     rows = system.constraint_pattern.rows
     squares = [
-        np.bincount(rows, system.constraint_q(x, s) ** 2 * inverse, minlength=system.n_lam)
+        np.bincount(rows, system.constraint_q(s, x) ** 2 * inverse, minlength=system.n_lam)
         for x, s in zip(q, t, strict=True)
     ]
     length = np.sqrt(np.max(squares, axis=0))

@@ -121,7 +121,7 @@ def _results(system: MechanicalSystem, answer: Gradient) -> Results:
     common = solution.at(common_times(float(solution.t[-1])))
     rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
     t, q = solution.t[rows], solution.q[rows]
-    drift = np.array([system.constraint(x, s) for x, s in zip(q, t, strict=True)])
+    drift = np.array([system.constraint(s, x) for s, x in zip(t.tolist(), q, strict=True)])
     own = (answer.value, answer.gradient, common.q, common.lam, drift, t)
     return Results(*own, *_energy(system, solution, rows))
 

@@ -24,8 +24,8 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.total_derivatives import held_totals
+from ancfdae.protocol import MechanicalSystem, reaction
+from ancfdae.protocol.held import acceleration_side, held_totals
 
 # Up to this size a product with the inverse takes a third of the time of a band solve (measured:
 # 106 unknowns, six columns, 6 against 27 us).
@@ -55,12 +55,12 @@ class Accelerations:
         self._Phi_q: Array | None = None
         self._factors: Factorization | None = None
         self._by_inverse: Solve | None = None
-        self._constant = system.constant_mass and system.constant_constraints
+        self._constant = system.traits.constant_mass and system.traits.constant_constraints
         self.factorisations = 0
 
     def factors(self, t: float, q: Array) -> Factorization:
         """Return the factorised matrix at q."""
-        Phi_q = self._system.constraint_q(q, t)
+        Phi_q = self._system.constraint_q(t, q)
         if self._factors is None or not self._unchanged(Phi_q):
             self._factors = self._matrices.factor(self._system.mass(q), Phi_q)
             self._Phi_q, self._by_inverse = Phi_q, None
@@ -68,7 +68,7 @@ class Accelerations:
         return self._factors
 
     def _unchanged(self, Phi_q: Array) -> bool:
-        if not self._system.constant_mass or self._Phi_q is None:
+        if not self._system.traits.constant_mass or self._Phi_q is None:
             return False
         return Phi_q is self._Phi_q or np.array_equal(Phi_q, self._Phi_q)
 
@@ -92,12 +92,12 @@ class Accelerations:
     def rows(self, t: float, q: Array, v: Array) -> Array:
         """Return (a, lam), and below it design derivatives if q and v have those as rows."""
         system, side = self._system, None
-        if not system.constant_constraints:
-            side = system.acceleration_side(q[0], v[0], t)
+        if not system.traits.constant_constraints:
+            side = acceleration_side(system, t, q[0], v[0])
         solve = self._solver(t, q[0])
         if len(q) == 1:
-            return solve(system.force(q[0], v[0], t), side)[None]
-        Q = system.force_and_total(q, v, t)
+            return solve(system.force(t, q[0], v[0]), side)[None]
+        Q = system.force_and_total(t, q, v)
         x = np.empty((len(q), self._matrices.size))
         first = x[0] = solve(Q[0], side)
         force, side_b = held_totals(system, t, q, v, first)
@@ -113,20 +113,18 @@ class Accelerations:
             """Smallest changes x with Phi_q x = defect, one row for each column."""
             return solve(None, defect.T)[..., :n]
 
-        if system.constant_constraints:
+        if system.traits.constant_constraints:
             all_rows = rows.reshape(-1, n)
-            defect = dot(system.constraint_q(rows[0, 0], t), all_rows.T)
-            defect[:, 0] = system.constraint(rows[0, 0], t)
+            defect = dot(system.constraint_q(t, rows[0, 0]), all_rows.T)
+            defect[:, 0] = system.constraint(t, rows[0, 0])
             return (all_rows - nearest(defect)).reshape(rows.shape)
         q, v = rows = rows.copy()
-        q[0] -= nearest(system.constraint(q[0], t))
-        Phi_q = system.constraint_q(q[0], t)
-        v[0] -= nearest(dot(Phi_q, v[0]) - system.velocity_side(q[0], t))
+        q[0] -= nearest(system.constraint(t, q[0]))
+        v[0] -= nearest(system.constraint(t, q[0], v[0]))
         if len(q) > 1:
-            q[1:] -= nearest(dot(Phi_q, q[1:].T) + system.constraint_b(q[0], t))
             q_b, v_b = q[1:].T, v[1:].T
-            defect = system.constraint_q_times_total(q[0], v[0], t, q_b) + dot(Phi_q, v_b)
-            v[1:] -= nearest(defect - system.velocity_side_total(q[0], t, q_b))
+            q[1:] -= nearest(system.constraint_total(t, (q[0],), (q_b,)))
+            v[1:] -= nearest(system.constraint_total(t, (q[0], v[0]), (q_b, v_b)))
         return rows
 
     @property
@@ -136,7 +134,7 @@ class Accelerations:
 
     def reaction_size(self, t: float, q: Array, lam: Array) -> float:
         """Weighted norm of Phi_q^T lam, as that of an acceleration a is of weights**0.5 * a."""
-        force = self._system.constraint_force(q, lam, t) / np.sqrt(self._system.weights)
+        force = reaction(self._system, t, q, lam) / np.sqrt(self._system.weights)
         return float(np.linalg.norm(force))
 
 

@@ -24,7 +24,7 @@ from ancfdae.integrators.start import (
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, reaction
 from ancfdae.protocol.saddle_points import saddle_point
 from ancfdae.protocol.solution import Solution
 
@@ -65,10 +65,10 @@ class Scales:
         """Return the sizes for a run from the given start to `t_end`."""
         t, q = initial.t, initial.q
         root, count = np.sqrt(system.weights), np.sqrt(system.n_q)
-        reaction = system.constraint_force(q, initial.lam, t)
-        Q = system.force(q, initial.v, t)
+        reactions = reaction(system, t, q, initial.lam)
+        Q = system.force(t, q, initial.v)
         inverse = 1 / system.weights
-        load = max(norm(x, inverse) for x in (Q, reaction)) / count
+        load = max(norm(x, inverse) for x in (Q, reactions)) / count
         load = max(load, norm(initial.a, system.weights) / count)
         v_0 = norm(initial.v, system.weights) / count
         position = norm(q, system.weights) / count
@@ -76,7 +76,7 @@ class Scales:
         speed = max(v_0, min(load * t_end, np.sqrt(position * load))) or position / t_end
         load = load or speed / t_end
         pattern = system.constraint_pattern
-        squared = system.constraint_q(q, t).real ** 2 * inverse[pattern.columns]
+        squared = system.constraint_q(t, q).real ** 2 * inverse[pattern.columns]
         row = np.sqrt(np.bincount(pattern.rows, squared, minlength=system.n_lam))
         return Scales(
             q=position / root,

@@ -21,13 +21,16 @@ from ancfdae.errors import InconsistentStart, InvalidInput, SingularMatrix
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.saddle_points import refuse_redundant, solve, solve_transposed
-from ancfdae.protocol.total_derivatives import (
-    constraint_force_total,
+from ancfdae.protocol import MechanicalSystem, reaction
+from ancfdae.protocol.held import (
+    acceleration_side,
+    held_pull_back,
+    held_q,
+    held_total,
     held_totals,
-    inertia_total,
+    velocity_side,
 )
+from ancfdae.protocol.saddle_points import refuse_redundant, solve, solve_transposed
 
 # Relative violation of a constraint up to which a declared start counts as consistent: far
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.
@@ -65,20 +68,20 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
     q, v = system.start()
     if not (finite(q) and finite(v)):
         raise InvalidInput("start", "must be finite", "NaN or infinity", "Check the start.")
-    if not system.project_start:
+    if not system.traits.project_start:
         _refuse_inconsistent(system, q, v, t)
     # Forces that are not finite at the start are refused here, not warned about.
     with np.errstate(all="ignore"):
         q, _ = _project_position(system, matrices, q, t)
-        if not system.linear_constraints:
-            refuse_redundant(system, system.constraint_q(q, t))
+        if not system.traits.linear_constraints:
+            refuse_redundant(system, system.constraint_q(t, q))
         factors = _factor_mass(system, matrices, q, t)
-        v = solve(factors, system.mass_times(q, v), system.velocity_side(q, t))[0]
-        Q = system.force(q, v, t)
+        v = solve(factors, system.mass_times(q, v), velocity_side(system, t, q))[0]
+        Q = system.force(t, q, v)
         if not finite(Q):
             repair = "Check forces and start."
             raise InvalidInput("forces at the start", "must be finite", "NaN or infinity", repair)
-        return InitialState(t, q, v, *solve(factors, Q, system.acceleration_side(q, v, t)))
+        return InitialState(t, q, v, *solve(factors, Q, acceleration_side(system, t, q, v)))
 
 
 def start_sensitivity(
@@ -90,23 +93,22 @@ def start_sensitivity(
     q_sb, v_sb = system.start_b()
     sigma_q, moving, sigma_v, factors = _projections(system, matrices, state)
 
-    # 1. With s = sigma_q,
-    # (M + (Phi_q^T s)_q) q_b + Phi_q^T s_b = M q_sb - M_total (q - q_start) - (Phi_q^T s)_b
+    # 1. (M (q - q_start) + Phi_q^T sigma_q)_total = 0, M at q_start; sigma_q held on the right.
+    none, still = np.zeros_like(lam), np.zeros_like(q)
     right = system.mass_times(q_start, q_sb)
-    right = right - inertia_total(system, q_start, q - q_start, q_sb)
-    right = right - system.constraint_force_b(q, sigma_q, t)
-    q_b, _ = solve(moving, right, -system.constraint_b(q, t))
+    right = right - held_total(system, t, q_start, q - q_start, none, q_sb)
+    right = right - held_total(system, t, q, still, sigma_q, np.zeros_like(q_sb))
+    q_b, _ = solve(moving, right, -system.constraint_total(t, (q,)))
 
-    # 2. M v_b + Phi_q^T s_b = M v_sb - M_total (v - v_start) - (Phi_q^T s)_total, s = sigma_v
-    right = system.mass_times(q, v_sb) - inertia_total(system, q, v - v_start, q_b)
-    right = right - constraint_force_total(system, q, sigma_v, t, q_b)
-    side = system.velocity_side_total(q, t, q_b) - system.constraint_q_times_total(q, v, t, q_b)
-    v_b, _ = solve(factors, right, side)
+    # 2. M v_b + Phi_q^T s_b = M v_sb - (M (v - v_start) + Phi_q^T s)_total, s = sigma_v
+    right = system.mass_times(q, v_sb) - held_total(system, t, q, v - v_start, sigma_v, q_b)
+    side = system.constraint_total(t, (q, v), (q_b, np.zeros_like(q_b)))
+    v_b, _ = solve(factors, right, -side)
 
     # 3. The same for the accelerations.
     rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
     force, held = held_totals(system, t, rows[0], rows[1], np.concatenate([a, lam]))
-    Q_b = system.force_and_total(rows[0], rows[1], t)[1:]
+    Q_b = system.force_and_total(t, *rows)[1:]
     side = np.zeros((system.n_lam, system.n_b)) if held is None else -held.T
     a_b, lam_b = solve(factors, (Q_b - force).T, side)
     return InitialSensitivity(q_b, v_b, a_b, lam_b)
@@ -158,15 +160,15 @@ class AccelerationsAdjoint:
         t, q, v, a, lam = state
         self._t, self._states = np.array([t]), (q[None], v[None], a[None], lam[None])
         self._local = system.linearise(self._t, *self._states)
-        self.rate = system.constraint_q_rate(q, v, t)
-        self._second_rate = system.constraint_q_second_rate(q, v, a, t)
+        self.rate = system.constraint_q(t, q, v)
+        self._second_rate = system.constraint_q(t, q, v, a)
 
     def pull_back(self, on_a: Array, on_lam: Array) -> tuple[Array, Array, Array]:
         """Return on_q, on_v and on_b."""
         mu, zeta = solve_transposed(self._factors, on_a, on_lam)
         system, (t, q, v, a, lam) = self._system, self.state
         on_b = -system.pull_back(self._t, self._states, (mu[None], np.zeros_like(lam[None])))
-        on_b = on_b - zeta @ system.constraint_rate_b(t, q, v, a)
+        on_b = on_b - zeta @ system.constraint_total(t, (q, v, a))
         return *self._on_states(mu, zeta), on_b
 
     def matrices(self) -> tuple[Array, Array]:
@@ -196,39 +198,27 @@ def pull_back_start(
     t, q, v, _, lam = state
     q_start, v_start = system.start()
     sigma_q, moving, sigma_v, factors = _projections(system, matrices, state)
-    B, none = system.constraint_pattern.dot_transposed, np.zeros_like(lam)
+    K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
+    none = np.zeros_like(lam)
 
     accelerations = AccelerationsAdjoint(system, factors, state)
     through = accelerations.pull_back(on.a, on.lam)
     on_q, on_v, on_b = on.q + through[0], on.v + through[1], on.b + through[2]
 
     m, z = solve_transposed(factors, on_v, none)
-    on_q = on_q - curvature(system, t, q, v - v_start, sigma_v, m)
-    on_q = on_q - B(accelerations.rate, z)
-    on_b = on_b - z @ system.constraint_rate_b(t, q, v)
-    on_b = on_b - system.pull_back_inertia(t, q, v - v_start, sigma_v, m)
+    on_q = on_q - K(held_q(system, t, q, v - v_start, sigma_v), m) - B(accelerations.rate, z)
+    on_b = on_b - z @ system.constraint_total(t, (q, v))
+    on_b = on_b - held_pull_back(system, t, q, v - v_start, sigma_v, m)
     on_v_start = system.mass_times(q, m)
 
     m, z = solve_transposed(moving, on_q, none)
     moved = q - q_start
-    on_q_start = system.mass_times(q_start, m) - curvature(system, t, q_start, moved, none, m)
-    on_b = on_b - z @ system.constraint_b(q, t)
-    on_b = on_b - system.pull_back_inertia(t, q_start, moved, none, m)
-    on_b = on_b - system.pull_back_inertia(t, q, np.zeros_like(q), sigma_q, m)
+    on_q_start = system.mass_times(q_start, m) - K(held_q(system, t, q_start, moved, none), m)
+    on_b = on_b - z @ system.constraint_total(t, (q,))
+    on_b = on_b - held_pull_back(system, t, q_start, moved, none, m)
+    on_b = on_b - held_pull_back(system, t, q, np.zeros_like(q), sigma_q, m)
     gradient: Array = on_b + system.start_pull_back(on_q_start, on_v_start)
     return gradient
-
-
-def curvature(
-    system: MechanicalSystem, t: float, q: Array, a: Array, lam: Array, m: Array
-) -> Array:
-    """Return m^T (M a + Phi_q^T lam)_q with a and lam held, shape (n_q,)."""
-    total = np.zeros_like(q)
-    if not system.linear_constraints:
-        total = total + system.pattern.dot_transposed(system.constraint_force_q(q, lam, t), m)
-    if not system.constant_mass:
-        total = total + system.pattern.dot_transposed(system.inertia_q(q, a), m)
-    return total
 
 
 def _factor_position(
@@ -240,16 +230,16 @@ def _factor_position(
     t: float,
 ) -> Factorization:
     K = system.mass(q_start)
-    if not system.linear_constraints:
-        K = K + system.constraint_force_q(q, sigma_q, t)
-    return matrices.factor(K, system.constraint_q(q, t))
+    if not system.traits.linear_constraints:
+        K = K + held_q(system, t, q, np.zeros_like(q), sigma_q)
+    return matrices.factor(K, system.constraint_q(t, q))
 
 
 def _factor_mass(
     system: MechanicalSystem, matrices: SaddlePoint, q: Array, t: float
 ) -> Factorization:
     try:
-        return matrices.factor(system.mass(q), system.constraint_q(q, t))
+        return matrices.factor(system.mass(q), system.constraint_q(t, q))
     except SingularMatrix as error:
         raise InvalidInput(
             "mass matrix",
@@ -266,7 +256,7 @@ def _project_position(
 
     Where it does not converge, the gap is closed in stages.
     """
-    gap = system.constraint(q_start, t)
+    gap = system.constraint(t, q_start)
     for stages in _STAGES:
         found = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
         for stage in range(1, stages + 1):
@@ -300,13 +290,13 @@ def _close_gap(
     q, sigma_q = guess
     scale, settled = norm(q_start, system.weights), 0
     for _ in range(_PROJECTION_ITERATIONS):
-        force = system.mass_times(q_start, q_start - q) - system.constraint_force(q, sigma_q, t)
+        force = system.mass_times(q_start, q_start - q) - reaction(system, t, q, sigma_q)
         try:
             factors = _factor_position(system, matrices, q_start, q, sigma_q, t)
         except SingularMatrix:
-            refuse_redundant(system, system.constraint_q(q, t))
+            refuse_redundant(system, system.constraint_q(t, q))
             break
-        dq, change = solve(factors, force, left - system.constraint(q, t))
+        dq, change = solve(factors, force, left - system.constraint(t, q))
         q, sigma_q = q + dq, sigma_q + change
         if not finite(q):
             break
@@ -325,19 +315,18 @@ def _refuse_inconsistent(system: MechanicalSystem, q: Array, v: Array, t: float)
     likewise |Phi_q v - nu| / |Phi_qk| against |v|. Both ratios are free of units. A drive that
     starts at rest gives speeds a size, too: sqrt(|q| |q''|) of the accelerations that it asks for.
     """
-    pattern, values = system.constraint_pattern, system.constraint_q(q, t)
+    pattern, values = system.constraint_pattern, system.constraint_q(t, q)
     squared = values.real**2 / system.weights[pattern.columns]
     rows = np.sqrt(np.bincount(pattern.rows, squared, minlength=system.n_lam))
-    defect = pattern.dot(values, v) - system.velocity_side(q, t)
     rows = np.where(rows > 0, rows, 1.0)
-    asked = np.max(np.abs(system.acceleration_side(q, v, t).real) / rows, initial=0.0)
+    asked = np.max(np.abs(acceleration_side(system, t, q, v).real) / rows, initial=0.0)
     place = norm(q, system.weights)
     speed = max(norm(v, system.weights), float(np.sqrt(place * asked)))
     # The size of a body is as good a measure of its coordinates as their distance from the
     # origin; |q| in the norm of M contains both.
     for what, phi, size in (
-        ("positions", system.constraint(q, t), place),
-        ("velocities", defect, speed),
+        ("positions", system.constraint(t, q), place),
+        ("velocities", system.constraint(t, q, v), speed),
     ):
         ratio = np.abs(phi.real) / rows
         if system.n_lam and np.any(ratio > _CONSISTENT * size):

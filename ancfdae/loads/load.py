@@ -67,9 +67,11 @@ class Load(Part):
         """
 
     @final
-    def force_rate(self, U: Array, V: Array, Z: Array, p: Array, U_o: Array) -> Array:
-        """Return d(force)/dt along a motion with second derivatives Z; shape as `force`."""
-        F = self.force(Jet(U, V), Jet(V, Z), p, U_o)
+    def force_along(
+        self, U: Array, V: Array, rates: tuple[Array, Array], p: Array, U_o: Array
+    ) -> Array:
+        """Return the derivative of `force` along rates of U and V; shape as `force`."""
+        F = self.force(Jet(U, rates[0]), Jet(V, rates[1]), p, U_o)
         return F.derivatives[1] if isinstance(F, Jet) else np.zeros_like(U)
 
     @final

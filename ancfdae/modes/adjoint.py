@@ -14,7 +14,10 @@ from typing import TypeAlias, final
 import numpy as np
 
 from ancfdae.modes.linearised import Linearised, split
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import Array
+from ancfdae.protocol import Direction
+from ancfdae.protocol.held import held_pull_back, held_q
+from ancfdae.protocol.system import constraint_q_along
 
 # Takes covectors on q, lam and b; returns the design derivative, shape (n_b,).
 PullBack: TypeAlias = Callable[[Array, Array, Array], Array]
@@ -40,57 +43,36 @@ class Transposed:
         return total + _bilinear(self._joints, force, mu) + _bilinear(self._joints, x, nu)
 
     def _stiffness(self, y: Array, x: Array) -> Array:
-        system, at = self.small.system, self.small.at
-        on_q = -system.pattern.dot_transposed(system.force_q_times_q(at.q, x, at.t), y)
-        on_b = -system.pull_back_force_q_times(at.q, x, at.t, y)
-        total = self._packed(on_q, on_b)
-        return total if system.linear_constraints else total + self._curvature(y, x)
-
-    def _curvature(self, y: Array, x: Array) -> Array:
-        """Pull back y^T (Phi_q^T lam)_q x, without the part of prescribed motions."""
-        return self._joint_rate(y, x) - self._joint_rate(y, np.zeros_like(x))
-
-    def _joint_rate(self, y: Array, v: Array) -> Array:
-        """Pull back y^T (dPhi_q^T/dt) lam; third derivatives of Phi are symmetric."""
-        system, at = self.small.system, self.small.at
-        moved = system.constraint_force_rate(at.q + 1j * STEP * y, v, at.lam, at.t)
-        on_lam = system.constraint_pattern.dot(system.constraint_q_rate(at.q, v, at.t), y)
-        still, lam_b = np.zeros((system.n_q, system.n_b)), np.zeros((system.n_lam, system.n_b))
-        states = (at.q, v, at.lam, at.t)
-        on_b = y @ system.constraint_force_rate_total(*states, still, still, lam_b)
-        return np.concatenate([moved.imag / STEP, on_lam, on_b])
+        """Pull back y^T K x."""
+        still = np.zeros(self.small.system.n_q)
+        return self._along(y, Direction(0.0, x, still))
 
     def _damping(self, y: Array, x: Array) -> Array:
-        """Pull back y^T D x, without the part of forces that depend on time."""
-        return self._force_rate(y, x) - self._force_rate(y, np.zeros_like(x))
+        """Pull back y^T D x."""
+        still = np.zeros(self.small.system.n_q)
+        return self._along(y, Direction(0.0, still, x))
 
-    def _force_rate(self, y: Array, a: Array) -> Array:
+    def _along(self, y: Array, direction: Direction) -> Array:
         system, at = self.small.system, self.small.at
-        still, none = np.zeros(system.n_q), np.zeros(system.n_lam)
-        along = (at.q, still, still, none)
-        on_q = system.force_rate_partials(at.t, along, a)[0]
-        on_b = system.pull_back_rate(at.t, along, a, y)
-        return self._packed(system.pattern.dot_transposed(on_q, y), on_b)
+        still = np.zeros(system.n_q)
+        states = at.q, still, still, at.lam
+        on_q, _, on_b = system.along_pull_back(at.t, states, direction, y)
+        on_lam = system.constraint_pattern.dot(constraint_q_along(system, at.t, at.q, direction), y)
+        return np.concatenate([on_q, on_lam, on_b])
 
     def _mass(self, y: Array, x: Array) -> Array:
-        system, at = self.small.system, self.small.at
-        on_b = system.pull_back_inertia(at.t, at.q, x, np.zeros(system.n_lam), y)
-        if system.constant_mass:
-            return self._packed(np.zeros(system.n_q), on_b)
-        return self._packed(system.pattern.dot_transposed(system.inertia_q(at.q, x), y), on_b)
+        return self._held(y, x, np.zeros(self.small.system.n_lam))
 
     def _joints(self, x: Array, mu: Array) -> Array:
         """Pull back x^T Phi_q^T mu."""
-        system, at = self.small.system, self.small.at
-        on_b = system.pull_back_inertia(at.t, at.q, np.zeros(system.n_q), mu, x)
-        if system.linear_constraints:
-            return self._packed(np.zeros(system.n_q), on_b)
-        return self._packed(
-            system.pattern.dot_transposed(system.constraint_force_q(at.q, mu, at.t), x), on_b
-        )
+        return self._held(x, np.zeros(self.small.system.n_q), mu)
 
-    def _packed(self, on_q: Array, on_b: Array) -> Array:
-        return np.concatenate([on_q, np.zeros(self.small.system.n_lam), on_b])
+    def _held(self, y: Array, a: Array, lam: Array) -> Array:
+        """Pull back y^T (M a + Phi_q^T lam)."""
+        system, at = self.small.system, self.small.at
+        on_b = held_pull_back(system, at.t, at.q, a, lam, y)
+        on_q = system.pattern.dot_transposed(held_q(system, at.t, at.q, a, lam), y)
+        return np.concatenate([on_q, np.zeros(system.n_lam), on_b])
 
 
 def pulled_back(small: Linearised, pull_back: PullBack, total: Array) -> Array:

@@ -23,7 +23,7 @@ from ancfdae.kernels import norm
 from ancfdae.modes.configuration import Configuration
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, reaction
 from ancfdae.protocol.saddle_points import saddle_point
 
 EPS = float(np.finfo(float).eps)
@@ -176,14 +176,14 @@ class Linearised:
     def unbalanced(self) -> float:
         """Size of Q - Phi_q^T lam relative to its parts; zero in an equilibrium."""
         system, at = self.system, self.at
-        Q = system.force(at.q, np.zeros(system.n_q), at.t)
-        reaction = system.constraint_force(at.q, at.lam, at.t)
+        Q = system.force(at.t, at.q, np.zeros(system.n_q))
+        held = reaction(system, at.t, at.q, at.lam)
         inverse = 1 / system.weights
-        left = norm(Q - reaction, inverse)
+        left = norm(Q - held, inverse)
         # Newton's method leaves some multiples of the round-off of the forces.
-        if left <= 1e3 * system.force_round_off:
+        if left <= 1e3 * system.traits.force_round_off:
             return 0.0
-        return left / (norm(Q, inverse) + norm(reaction, inverse))
+        return left / (norm(Q, inverse) + norm(held, inverse))
 
 
 def split(linear: Callable[[Array], Array], x: Array) -> Array:

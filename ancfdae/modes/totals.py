@@ -1,7 +1,7 @@
 """Design derivatives of K x, D x and M x with x held, along those of the configuration.
 
-With v = 0, (Phi_q^T lam)_q x is the rate of Phi_q^T lam along velocities x, lam held, and Q_v x
-that of Q along accelerations x.
+With f = M a + Phi_q^T lam - Q at rest, K x and D x are its derivatives along the directions
+(0, x, 0) and (0, 0, x) of (t, q, v).
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 
 from ancfdae.modes.linearised import Linearised, split
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
+from ancfdae.protocol import Direction
+from ancfdae.protocol.held import held_total
 
 
 @final
@@ -25,44 +26,43 @@ class Totals:
 
     def stiffness(self, x: Array) -> Array:
         """Return the derivative of K x, shape (n_q, n_b)."""
-        system, at, q_b = self.small.system, self.small.at, self.small.q_b
-        total = -split(lambda x: system.force_q_times_total(at.q, x, at.t, q_b), x)
-        if system.linear_constraints:
-            return total
-        none = np.zeros_like(q_b)
-
-        def reaction(x: Array) -> Array:
-            states = (at.q, x, at.lam, at.t)
-            return system.constraint_force_rate_total(*states, q_b, none, self.small.lam_b)
-
-        # Without the part of prescribed motions.
-        return total + split(lambda x: reaction(x) - reaction(np.zeros_like(x)), x)
+        still = np.zeros(self.small.system.n_q)
+        return split(lambda x: self._along(Direction(0.0, x, still)), x)
 
     def damping(self, x: Array) -> Array:
         """Return the derivative of D x, shape (n_q, n_b)."""
-        system, at, q_b = self.small.system, self.small.at, self.small.q_b
-        still, none = np.zeros(system.n_q), np.zeros_like(q_b)
+        still = np.zeros(self.small.system.n_q)
+        return split(lambda x: self._along(Direction(0.0, still, x)), x)
 
-        def force(x: Array) -> Array:
-            return system.force_rate_total(at.q, still, x, at.t, q_b, none, none)
-
-        return -split(lambda x: force(x) - force(still), x)
+    def _along(self, direction: Direction) -> Array:
+        small, at = self.small, self.small.at
+        still, held = np.zeros(small.system.n_q), np.zeros_like(small.q_b)
+        states, states_b = (at.q, still, still, at.lam), (small.q_b, held, held, small.lam_b)
+        return small.system.along_total(at.t, states, direction, states_b, (held, held))
 
     def mass(self, x: Array) -> Array:
         """Return the derivative of M x, shape (n_q, n_b)."""
-        system, at = self.small.system, self.small.at
-        return split(lambda x: inertia_total(system, at.q, x, self.small.q_b), x)
+        none = np.zeros(self.small.system.n_lam)
+        return split(lambda x: self._held(x, none), x)
+
+    def _held(self, a: Array, lam: Array) -> Array:
+        small, at = self.small, self.small.at
+        return held_total(small.system, at.t, at.q, a, lam, small.q_b)
 
     def pencil(self, z: complex, x: Array, mu: Array) -> tuple[Array, Array]:
         """Return the derivatives of F(z) x + Phi_q^T mu and of Phi_q x with z, x and mu held."""
-        system, at = self.small.system, self.small.at
+        system = self.small.system
         force, mass = self.stiffness(x), self.mass(x)
         if self.small.D is None:
             force = force - z * mass
         else:
             force = force + z * z * mass + z * self.damping(x)
-        reaction = split(
-            lambda mu: constraint_force_total(system, at.q, mu, at.t, self.small.q_b), mu
-        )
-        side = split(lambda x: system.constraint_q_times_total(at.q, x, at.t, self.small.q_b), x)
-        return force + reaction, side
+        still = np.zeros(system.n_q)
+        reactions = split(lambda mu: self._held(still, mu), mu)
+        return force + reactions, split(lambda x: self._rate(x) - self._rate(0 * x), x)
+
+    def _rate(self, x: Array) -> Array:
+        """Differentiate Phi' along a velocity x that is held."""
+        small, at = self.small, self.small.at
+        motion_b = small.q_b, np.zeros_like(small.q_b)
+        return small.system.constraint_total(at.t, (at.q, x), motion_b)

@@ -3,4 +3,11 @@
 from ancfdae.naming import Naming
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
-from ancfdae.protocol.system import DesignPartials, Linearisation, MechanicalSystem
+from ancfdae.protocol.system import (
+    DesignPartials,
+    Direction,
+    Linearisation,
+    MechanicalSystem,
+    Traits,
+    reaction,
+)

@@ -20,10 +20,10 @@ def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> 
 
     They are checked and scaled at q, by default the start; RedundantConstraints if dependent.
     """
-    values = system.constraint_q(system.start()[0] if q is None else q, t)
+    values = system.constraint_q(t, system.start()[0] if q is None else q)
     refuse_redundant(system, values)
     patterns = system.pattern, system.constraint_pattern
-    return SaddlePoint(*patterns, system.weights, values, system.symmetric)
+    return SaddlePoint(*patterns, system.weights, values, system.traits.symmetric)
 
 
 def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:

@@ -1,29 +1,42 @@
-"""The protocol between a mechanical system and everything that integrates it.
+"""What a mechanical system is to everything that integrates it.
 
-    M(q, b) a + Phi_q^T lam = Q(q, v, t, b),     Phi(q, t, b) = 0          (eq. 1)
+    M(q, b) a + Phi_q^T lam = Q(t, q, v, b),     Phi(t, q, b) = 0          (eq. 1)
 
-Q holds every force that is not inertia M a: for a mass that depends on q, the
-quadratic velocity forces too.
+Q holds every force that is not inertia M a: for a mass that depends on q, the quadratic velocity
+forces too. The residual of the first equation is f = M a + Phi_q^T lam - Q.
 
-Integrators and sensitivity methods see this and nothing else: no beam, no
-joint. Matrices are value vectors on a fixed `Pattern`, by default ``matrix.ravel()``.
+Integrators and sensitivity methods see this and nothing else: no beam, no joint. Matrices are
+value vectors on a fixed `Pattern`, by default ``matrix.ravel()``.
 
-A partial ``X_y`` has shape X.shape + y.shape. A name that ends in ``_total``
-is the derivative in the design variables *along* given derivatives of its
-arguments: ``F_total(x, ..., x_b) = F_x x_b + F_b``.
+**Eleven values** say what a system is; they are abstract here, and written in operations that
+accept complex numbers: its sizes, its design variables, `start`, `mass`, `force` and `constraint`,
+and the first derivatives of the latter two, `force_along` and `constraint_q`. A mass that depends
+on q adds `mass_along`. **Everything else** follows by complex steps and products; it may be
+overridden where a formula is faster, and `check_system` compares each override with what it
+overrides.
 
-What is abstract must be written, with operations that accept complex numbers;
-everything else follows from it by complex steps and products, and may be
-overridden where a formula is faster.
+**Rates.** The constraints and their time derivatives are one object by order: a motion
+(q, v, a, j) is given as far as it is needed, and the order is the number of rates in it.
+
+    constraint(t, q, v, a)       d^2 Phi/dt^2 = Phi_q a + (Phi_q v)_q v + 2 Phi_qt v + Phi_tt
+    constraint_q(t, q, v, a)     d^2 Phi_q/dt^2 = (d^2 Phi/dt^2)_q
+
+With the last rate zero, minus this is the right side of Phi_q v = nu, Phi_q a = gamma and
+Phi_q j = S.
+
+**Names.** A partial ``X_y`` has shape X.shape + y.shape. A ``_total`` is the derivative with
+respect to the design variables along given derivatives of its arguments, F_x x_b + F_b. A ``pull_back`` is
+its transpose: from covectors to the design. ``_along`` is the derivative along a direction of
+(t, q, v).
 """
 
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self, final
+from typing import NamedTuple, Self, TypeAlias, final
 
 import numpy as np
 
@@ -31,6 +44,52 @@ from ancfdae.errors import InvalidInput
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import Pattern
+
+#: (q, v, a, lam) at an instant, or their derivatives.
+States: TypeAlias = tuple[Array, Array, Array, Array]
+
+
+class Direction(NamedTuple):
+    """A direction of (t, q, v): along the motion it is (1, v, a)."""
+
+    t: float
+    q: Array
+    v: Array
+
+
+@final
+@dataclass(frozen=True)
+class Traits:
+    """What is known of a system before any state.
+
+    Attributes
+    ----------
+    constant_mass : bool
+        Whether M does not depend on q; it is then formed once.
+    linear_constraints : bool
+        Whether Phi is linear in q, so that (Phi_q^T lam)_q vanishes.
+    constant_constraints : bool
+        Whether they are linear and the same at all times and designs: all that remains is Phi_q q
+        minus a constant, with one Phi_q.
+    velocity_forces : bool
+        Whether Q depends on v.
+    symmetric : bool
+        Whether M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q are symmetric matrices; systems of
+        equations then take less than half the time.
+    project_start : bool
+        Whether an inconsistent start is projected instead of refused.
+    force_round_off : float
+        Size of the round-off in Q in the norm sqrt(sum Q^2 / weights); zero where it is that of
+        Q itself. Newton corrections that stop shrinking at this size are accepted.
+    """
+
+    constant_mass: bool = False
+    linear_constraints: bool = False
+    constant_constraints: bool = False
+    velocity_forces: bool = True
+    symmetric: bool = False
+    project_start: bool = False
+    force_round_off: float = 0.0
 
 
 @final
@@ -51,7 +110,7 @@ class Linearisation:
 @final
 @dataclass(frozen=True)
 class DesignPartials:
-    """Design partials at k instants with everything else held.
+    """Partials with respect to the design at k instants with everything else held.
 
     f_b = (M a)_b + (Phi_q^T lam)_b - Q_b has the shape (k, n_q, n_b), Phi_b (k, n_lam, n_b).
     """
@@ -65,11 +124,13 @@ class MechanicalSystem(abc.ABC):
 
     Attributes
     ----------
-    n_q, n_lam, n_b : int
-        Numbers of coordinates, constraints and design variables.
+    n_q, n_lam : int
+        Numbers of coordinates and constraints.
     design_names : tuple of str
     b : array, shape (n_b,)
         Values of the design variables; complex in a complex-step run.
+    traits : Traits
+        By default none.
     pattern : Pattern
         Pattern (n_q x n_q) of M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q together; full by default.
     constraint_pattern : Pattern
@@ -79,23 +140,6 @@ class MechanicalSystem(abc.ABC):
         default the diagonal of M at the start. Convergence tests and scalings use them.
     constraint_names : tuple of str
         For every constraint the joint it belongs to, length n_lam; numbers by default.
-    constant_mass : bool
-        Whether M does not depend on q; it is then formed once.
-    linear_constraints : bool
-        Whether Phi is linear in q, so that (Phi_q^T lam)_q vanishes.
-    constant_constraints : bool
-        Whether they are linear and the same at all times and designs: all that remains is Phi_q q
-        minus a constant, with one Phi_q.
-    velocity_forces : bool
-        Whether Q depends on v.
-    symmetric : bool
-        Whether M, (M a)_q, Q_q, Q_v and (Phi_q^T lam)_q are symmetric matrices; systems of
-        equations then take less than half the time.
-    force_round_off : float
-        Size of the round-off in Q in the norm sqrt(sum Q^2 / weights); zero where it is that of
-        Q itself. Newton corrections that stop shrinking at this size are accepted.
-    project_start : bool
-        Whether an inconsistent start is projected instead of refused.
     naming : Naming or None
         Names of points and joints for the solution; None for a system without any.
     """
@@ -104,13 +148,7 @@ class MechanicalSystem(abc.ABC):
     n_lam: int
     design_names: tuple[str, ...]
     b: Array
-    constant_mass: bool = False
-    linear_constraints: bool = False
-    constant_constraints: bool = False
-    velocity_forces: bool = True
-    symmetric: bool = False
-    force_round_off: float = 0.0
-    project_start: bool = False
+    traits: Traits = Traits()
     naming: Naming | None = None
 
     @cached_property
@@ -140,30 +178,74 @@ class MechanicalSystem(abc.ABC):
         """Numbers."""
         return tuple(f"constraint {i}" for i in range(1, self.n_lam + 1))
 
-    # -- design variables, and derivatives in them -----------------------------------------------
+    # -- the values that a system is -------------------------------------------------------------
 
     @abc.abstractmethod
     def with_values(self, b: Array) -> Self:
         """Return the same system at other values of the design variables, real or complex."""
 
-    def moved(self, i: int) -> Self:
+    @abc.abstractmethod
+    def start(self) -> tuple[Array, Array]:
+        """Return the start (q, v) as declared, before any projection; shapes (n_q,)."""
+
+    @abc.abstractmethod
+    def mass(self, q: Array) -> Array:
+        """Return the values of M on `pattern`."""
+
+    @abc.abstractmethod
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        """Return Q, shape (n_q,)."""
+
+    @abc.abstractmethod
+    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+        """Return the derivative of Q along a direction, Q_q dq + Q_v dv + Q_t dt, shape (n_q,)."""
+
+    @abc.abstractmethod
+    def constraint(self, t: float, *motion: Array) -> Array:
+        """Return Phi or its time derivative of order 1 to 3, shape (n_lam,)."""
+
+    @abc.abstractmethod
+    def constraint_q(self, t: float, *motion: Array) -> Array:
+        """Return Phi_q or its time derivative on `constraint_pattern`; write orders 0 and 1.
+
+        It is also the partial of `constraint` of the same order with respect to q. Of orders 2 and
+        3, which the transposed start asks for, this is a complex step of `constraint`: call it by
+        ``super()`` where there is no formula.
+        """
+        pattern = self.constraint_pattern
+        return self._by_coordinate(lambda q: self.constraint(t, q, *motion[1:]), motion[0], pattern)
+
+    def mass_along(self, q: Array, dq: Array) -> Array:
+        """Return the values of M_q dq on `pattern`; to be written unless the mass is constant."""
+        if self.traits.constant_mass:
+            return np.zeros(self.pattern.size)
+        raise InvalidInput(
+            f"{type(self).__name__}.mass_along",
+            "must be written where the mass depends on q",
+            "no such method",
+            "Write it, or declare traits = Traits(constant_mass=True).",
+        )
+
+    # -- derivatives with respect to the design variables ----------------------------------------
+
+    def _at_step(self, i: int) -> Self:
         """Return the system with design variable i moved by a small imaginary step."""
-        if i not in self._moved:
-            self._moved[i] = self.with_values(self.b + 1j * STEP * np.eye(self.n_b)[i])
-        return self._moved[i]
+        if i not in self._at_steps:
+            self._at_steps[i] = self.with_values(self.b + 1j * STEP * np.eye(self.n_b)[i])
+        return self._at_steps[i]
 
     @cached_property
-    def _moved(self) -> dict[int, Self]:
+    def _at_steps(self) -> dict[int, Self]:
         return {}
 
-    def along(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Differentiate in the design variables along given derivatives of states.
+    def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
+        """Differentiate with respect to the design variables along given derivatives of states.
 
         `value(system, *states)` is exact in complex numbers; every state, shape (n,), comes with
         its derivative, (n, n_b). The result has the shape of the value + (n_b,).
         """
         columns = [
-            np.imag(value(self.moved(i), *(x + 1j * STEP * x_b[:, i] for x, x_b in states)))
+            np.imag(value(self._at_step(i), *(x + 1j * STEP * x_b[:, i] for x, x_b in states)))
             for i in range(self.n_b)
         ]
         if not columns:
@@ -171,21 +253,15 @@ class MechanicalSystem(abc.ABC):
         return np.asarray(np.stack(columns, axis=-1) / STEP)
 
     def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
-        """Differentiate in the numbers of x; what is imaginary already does not count."""
+        """Differentiate with respect to x; what is imaginary already does not count."""
         still = np.imag(value(x))
         columns = [np.imag(value(x + 1j * STEP * e)) - still for e in np.eye(self.n_q)]
         matrix = np.stack(columns, axis=-1) / STEP
         return np.asarray(matrix[pattern.rows, pattern.columns])
 
-    # -- start ---------------------------------------------------------------------------------
-
-    @abc.abstractmethod
-    def start(self) -> tuple[Array, Array]:
-        """Return the start (q, v) as declared, before any projection; shapes (n_q,)."""
-
     def start_b(self) -> tuple[Array, Array]:
         """Return the partials of `start`; shapes (n_q, n_b)."""
-        both = self.along(lambda s: np.concatenate(s.start()))
+        both = self._total(lambda system: np.concatenate(system.start()))
         return both[: self.n_q], both[self.n_q :]
 
     def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
@@ -193,300 +269,178 @@ class MechanicalSystem(abc.ABC):
         q_b, v_b = self.start_b()
         return np.asarray(on_q @ q_b + on_v @ v_b)
 
-    # -- inertia -------------------------------------------------------------------------------
-
-    @abc.abstractmethod
-    def mass(self, q: Array) -> Array:
-        """Return the values of M on `pattern`."""
+    # -- values with their derivatives -------------------------------------------------------------
 
     def mass_times(self, q: Array, x: Array) -> Array:
         """Return M x for a vector or for columns."""
         return self.pattern.dot(self.mass(q), x)
 
-    def mass_b_times(self, q: Array, a: Array) -> Array:
-        """Return (M a)_b with q and a held, shape (n_q, n_b)."""
-        return self.along(lambda s: s.mass_times(q, a))
-
-    def inertia_q(self, q: Array, a: Array) -> Array:
-        """Return the values of (M a)_q with a held; to be written unless `constant_mass`."""
-        if self.constant_mass:
-            return np.zeros(self.pattern.size)
-        raise InvalidInput(
-            f"{type(self).__name__}.inertia_q",
-            "must be written where the mass depends on q",
-            "no such method",
-            "Write it, or declare constant_mass = True.",
-        )
-
-    def inertia_rate_total(
-        self, q: Array, v: Array, a: Array, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Return the total design derivative of (dM/dt) a = (M a)_q v, (n_q, n_b)."""
-        return self.along(
-            lambda s, q, v, a: s.pattern.dot(s.inertia_q(q, a), v), (q, q_b), (v, v_b), (a, a_b)
-        )
-
-    # -- forces --------------------------------------------------------------------------------
-
-    @abc.abstractmethod
-    def force(self, q: Array, v: Array, t: float) -> Array:
-        """Return Q, shape (n_q,)."""
-
-    def force_q(self, q: Array, v: Array, t: float) -> Array:
-        """Return the values of Q_q on `pattern`."""
-        return self._by_coordinate(lambda x: self.force(x, v, t), q, self.pattern)
-
-    def force_v(self, q: Array, v: Array, t: float) -> Array:
-        """Return the values of Q_v on `pattern`; asked for only if `velocity_forces`."""
-        return self._by_coordinate(lambda x: self.force(q, x, t), v, self.pattern)
-
-    def force_b(self, q: Array, v: Array, t: float) -> Array:
-        """Return Q_b, shape (n_q, n_b)."""
-        return self.along(lambda s: s.force(q, v, t))
-
-    def force_total(self, q: Array, v: Array, t: float, q_b: Array, v_b: Array) -> Array:
-        """Return the total design derivative of Q, shape (n_q, n_b)."""
-        return self.along(lambda s, q, v: s.force(q, v, t), (q, q_b), (v, v_b))
-
-    def force_and_total(self, q: Array, v: Array, t: float) -> Array:
-        """Return Q and its total design derivatives as rows, shape (1 + n_b, n_q).
+    def force_and_total(self, t: float, q: Array, v: Array) -> Array:
+        """Return Q and its total derivatives with respect to the design as rows, (1 + n_b, n_q).
 
         The first rows of q and v are the state, the others its derivatives; shape (1 + n_b, n_q).
         """
-        total = self.force_total(q[0], v[0], t, q[1:].T, v[1:].T)
-        return np.concatenate([self.force(q[0], v[0], t)[None], total.T])
+        states = ((x[0], x[1:].T) for x in (q, v))
+        total = self._total(lambda system, q, v: system.force(t, q, v), *states)
+        return np.concatenate([self.force(t, q[0], v[0])[None], total.T])
 
-    def following_load(self, q: Array, t: float) -> Array:
-        """Return the loads in Q that turn with the motion, at rest, shape (n_q,).
+    def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
+        """Return the loads in Q that turn with the motion, at rest, and their partial in q.
 
-        A search for an equilibrium scales them; other loads it takes as they are at its start.
+        Shape (n_q,), and values on `pattern`. A search for an equilibrium scales them; other loads
+        it takes as they are at its start.
         """
-        return np.zeros_like(q)
+        return np.zeros_like(q), np.zeros(self.pattern.size)
 
-    def following_load_q(self, q: Array, t: float) -> Array:
-        """Return the values of the partial of `following_load` on `pattern`."""
-        return np.zeros(self.pattern.size)
-
-    @abc.abstractmethod
-    def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Return dQ/dt along the motion, Q_q v + Q_v a + Q_t, shape (n_q,)."""
-
-    def force_rate_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
+    def constraint_total(
+        self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
     ) -> Array:
-        """Return the total design derivative of `force_rate`, shape (n_q, n_b)."""
-        return self.along(lambda s, *x: s.force_rate(*x, t), (q, q_b), (v, v_b), (a, a_b))
+        """Return the total derivative of `constraint` with respect to the design, (n_lam, n_b).
 
-    # -- forces at rest ------------------------------------------------------------------------
-
-    def force_q_times(self, q: Array, x: Array, t: float) -> Array:
-        """Return Q_q x at v = 0, shape (n_q,); asked for by derivatives of modes.
-
-        It is dQ/dt along a velocity x; where Q depends on velocities, along one so small that its
-        square vanishes against one.
-
-        Raises
-        ------
-        InvalidInput
-            If Q depends on velocities and on time: Q_t would drown it. It is to be written then.
+        Along the derivatives of the motion, (n_q, n_b) each; without them the motion is held.
         """
-        still = np.zeros_like(x)
-        at_rest = self.force_rate(q, still, still, t)
-        if not self.velocity_forces:
-            return self.force_rate(q, x, still, t) - at_rest
-        if np.any(at_rest):
-            raise InvalidInput(
-                f"{type(self).__name__}.force_q_times",
-                "must be written where forces depend on velocities and on time",
-                "no such method",
-                "Write it: Q_q x at v = 0.",
-            )
-        return self.force_rate(q, STEP * x, still, t) / STEP
+        if motion_b is None:
+            return self._total(lambda system: system.constraint(t, *motion))
+        pairs = zip(motion, motion_b, strict=True)
+        return self._total(lambda system, *x: system.constraint(t, *x), *pairs)
 
-    def force_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Return the total design derivative of `force_q_times` with x held, (n_q, n_b)."""
-        return self.along(lambda s, q: s.force_q_times(q, x, t), (q, q_b))
+    # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------
 
-    def force_q_times_q(self, q: Array, x: Array, t: float) -> Array:
-        """Return the values of (Q_q x)_q at v = 0, x held, on `pattern`."""
-        return self._by_coordinate(lambda y: self.force_q_times(y, x, t), q, self.pattern)
+    def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
+        """Return the Jacobians of f and Phi at k instants; states are rows (k, n).
 
-    def pull_back_force_q_times(self, q: Array, x: Array, t: float, mu: Array) -> Array:
-        """Return mu^T (Q_q x)_b at v = 0 with q and x held, shape (n_b,)."""
-        total: Array = mu @ self.force_q_times_total(q, x, t, np.zeros((self.n_q, self.n_b)))
-        return total
-
-    # -- constraints ---------------------------------------------------------------------------
-
-    @abc.abstractmethod
-    def constraint(self, q: Array, t: float) -> Array:
-        """Return Phi, shape (n_lam,)."""
-
-    @abc.abstractmethod
-    def constraint_q(self, q: Array, t: float) -> Array:
-        """Return the values of Phi_q on `constraint_pattern`."""
-
-    def constraint_b(self, q: Array, t: float) -> Array:
-        """Return Phi_b, shape (n_lam, n_b)."""
-        return self.along(lambda s: s.constraint(q, t))
-
-    def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
-        """Return Phi_q^T lam, shape (n_q,)."""
-        return self.constraint_pattern.dot_transposed(self.constraint_q(q, t), lam)
-
-    def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
-        """Return the values of (Phi_q^T lam)_q; asked for only unless `linear_constraints`."""
-        return self._by_coordinate(lambda x: self.constraint_force(x, lam, t), q, self.pattern)
-
-    def constraint_force_b(self, q: Array, lam: Array, t: float) -> Array:
-        """Return (Phi_q^T lam)_b with q and lam held, shape (n_q, n_b)."""
-        return self.along(lambda s: s.constraint_force(q, lam, t))
-
-    def constraint_q_times_total(self, q: Array, x: Array, t: float, q_b: Array) -> Array:
-        """Return the total design derivative of Phi_q x with x held, shape (n_lam, n_b)."""
-        return self.along(lambda s, q: s.constraint_pattern.dot(s.constraint_q(q, t), x), (q, q_b))
-
-    @abc.abstractmethod
-    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
-        """Return the values of dPhi_q/dt = (Phi_q v)_q + Phi_qt on `constraint_pattern`.
-
-        It is also (dPhi/dt)_q, and half of (d^2 Phi/dt^2)_v.
+        Without v those of f + Q.
         """
+        traits, instants = self.traits, list(_instants(t, q, v, a, lam))
+        M = np.array([self.mass(x) for x in (q[:1] if traits.constant_mass else q)])
+        Phi_q = np.array([self.constraint_q(s, x) for s, (x, *_) in instants])
+        f_q = np.array([self._residual_q(s, *states) for s, states in instants])
+        if v is None or not traits.velocity_forces:
+            return Linearisation(M, f_q, None, Phi_q)
+        f_v = np.array([self._residual_v(*state) for state in zip(t.tolist(), q, v, strict=True)])
+        return Linearisation(M, f_q, f_v, Phi_q)
 
-    def constraint_q_second_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Return the values of d^2 Phi_q/dt^2 on `constraint_pattern`; also (d^2 Phi/dt^2)_q."""
-        return self._by_coordinate(
-            lambda x: self._constraint_rate(t, x, v, a), q, self.constraint_pattern
-        )
+    def design_partials(
+        self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
+    ) -> DesignPartials:
+        """Return the partials of f and Phi with respect to the design at k instants.
 
-    @abc.abstractmethod
-    def velocity_side(self, q: Array, t: float) -> Array:
-        """Return nu in Phi_q v = nu, that is -Phi_t, shape (n_lam,)."""
-
-    def velocity_side_total(self, q: Array, t: float, q_b: Array) -> Array:
-        """Return the total design derivative of `velocity_side`, shape (n_lam, n_b)."""
-        return self.along(lambda s, q: s.velocity_side(q, t), (q, q_b))
-
-    @abc.abstractmethod
-    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
-        """Return gamma in Phi_q a = gamma: -(Phi_q v)_q v - 2 Phi_qt v - Phi_tt."""
-
-    def acceleration_side_total(
-        self, q: Array, v: Array, t: float, q_b: Array, v_b: Array
-    ) -> Array:
-        """Return the total design derivative of `acceleration_side`, shape (n_lam, n_b)."""
-        return self.along(lambda s, q, v: s.acceleration_side(q, v, t), (q, q_b), (v, v_b))
-
-    @abc.abstractmethod
-    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Return S in Phi_q q''' = S: d(gamma)/dt - (dPhi_q/dt) a, shape (n_lam,)."""
-
-    def jerk_side_total(
-        self, q: Array, v: Array, a: Array, t: float, q_b: Array, v_b: Array, a_b: Array
-    ) -> Array:
-        """Return the total design derivative of `jerk_side`, shape (n_lam, n_b)."""
-        return self.along(lambda s, *x: s.jerk_side(*x, t), (q, q_b), (v, v_b), (a, a_b))
-
-    def constraint_force_rate(self, q: Array, v: Array, lam: Array, t: float) -> Array:
-        """Return (dPhi_q^T/dt) lam along the motion, shape (n_q,)."""
-        return self.constraint_pattern.dot_transposed(self.constraint_q_rate(q, v, t), lam)
-
-    def constraint_force_rate_total(
-        self, q: Array, v: Array, lam: Array, t: float, q_b: Array, v_b: Array, lam_b: Array
-    ) -> Array:
-        """Return the total design derivative of `constraint_force_rate`, shape (n_q, n_b)."""
-        states = (q, q_b), (v, v_b), (lam, lam_b)
-        return self.along(lambda s, *x: s.constraint_force_rate(*x, t), *states)
-
-    # -- for the transpose of the start --------------------------------------------------------
-
-    def constraint_q_third_rate(self, q: Array, v: Array, a: Array, jerk: Array, t: float) -> Array:
-        """Return the values of d^3 Phi_q/dt^3 on `constraint_pattern`; also (d^3 Phi/dt^3)_q."""
-        return self._by_coordinate(
-            lambda x: self._constraint_rate(t, x, v, a, jerk), q, self.constraint_pattern
-        )
-
-    def constraint_rate_b(self, t: float, q: Array, *rates: Array) -> Array:
-        """Return the design partial of a time derivative of Phi, states held, (n_lam, n_b).
-
-        Its order, 1 to 3, is the number of time derivatives of q that are given.
+        Without v those of f + Q and Phi.
         """
-        return self.along(lambda s: s._constraint_rate(t, q, *rates))
-
-    def _constraint_rate(self, t: float, q: Array, *rates: Array) -> Array:
-        moving = self.constraint_pattern.dot(self.constraint_q(q, t), rates[-1])
-        side: Callable[..., Array] = self.jerk_side
-        if len(rates) < 3:
-            side = self.velocity_side if len(rates) == 1 else self.acceleration_side
-        return moving - side(q, *rates[:-1], t)
-
-    def force_rate_partials(
-        self, t: float, states: tuple[Array, ...], later: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return values of f'_q, f'_v and dM/dt, with f' the rate of f = M a + Phi_q^T lam - Q.
-
-        The states are (q, v, a, lam); a and lam are held in time. The acceleration by which
-        velocities change, `later`, need not be a.
-        """
-        q, v, a, lam = states
-
-        def rate(q: Array, v: Array) -> Array:
-            return self._held_rate(t, (q, v, a, lam), later)
-
-        f_q = self._by_coordinate(lambda x: rate(x, v), q, self.pattern)
-        f_v = self._by_coordinate(lambda x: rate(q, x), v, self.pattern)
-        return f_q, f_v, np.imag(self.mass(q + 1j * STEP * v)) / STEP
-
-    def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
-        """Return mu^T f'_b with states held, shape (n_b,); f' as in `force_rate_partials`."""
-        return np.asarray(mu @ self.along(lambda s: s._held_rate(t, states, later)))
-
-    def _held_rate(self, t: float, states: tuple[Array, ...], later: Array) -> Array:
-        q, v, a, lam = states
-        rate = self.constraint_force_rate(q, v, lam, t) - self.force_rate(q, v, later, t)
-        if self.constant_mass:
-            return rate
-        return rate + self.pattern.dot(self.inertia_q(q, a), v)
-
-    def pull_back_inertia(self, t: float, q: Array, a: Array, lam: Array, mu: Array) -> Array:
-        """Return mu^T (M a + Phi_q^T lam)_b with q, a and lam held, shape (n_b,)."""
-        return np.asarray(mu @ (self.mass_b_times(q, a) + self.constraint_force_b(q, lam, t)))
-
-    # -- many instants at once -----------------------------------------------------------------
-
-    def linearise(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> Linearisation:
-        """Linearise f = M a + Phi_q^T lam - Q and Phi at k instants; states are rows (k, n)."""
-        M = np.array([self.mass(x) for x in (q[:1] if self.constant_mass else q)])
-        Phi_q = np.array([self.constraint_q(x, s) for s, x in zip(t, q, strict=True)])
-        f_q, f_v = [], []
-        for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True):
-            value = -self.force_q(q_k, v_k, time)
-            if not self.linear_constraints:
-                value = value + self.constraint_force_q(q_k, lam_k, time)
-            if not self.constant_mass:
-                value = value + self.inertia_q(q_k, a_k)
-            f_q.append(value)
-            if self.velocity_forces:
-                f_v.append(-self.force_v(q_k, v_k, time))
-        return Linearisation(M, np.array(f_q), np.array(f_v) if f_v else None, Phi_q)
-
-    def design_partials(self, t: Array, q: Array, v: Array, a: Array, lam: Array) -> DesignPartials:
-        """Return the design partials of f = M a + Phi_q^T lam - Q and Phi at k instants."""
         f_b, Phi_b = [], []
-        for time, q_k, v_k, a_k, lam_k in zip(t, q, v, a, lam, strict=True):
-            reaction_b = self.constraint_force_b(q_k, lam_k, time)
-            f_b.append(self.mass_b_times(q_k, a_k) + reaction_b - self.force_b(q_k, v_k, time))
-            Phi_b.append(self.constraint_b(q_k, time))
+        for s, states in _instants(t, q, v, a, lam):
+            f_b.append(self._total(lambda moved, s=s, x=states: residual(moved, s, *x)))  # type: ignore[misc]
+            Phi_b.append(self.constraint_total(s, states[:1]))
         return DesignPartials(np.array(f_b), np.array(Phi_b))
 
     def pull_back(
-        self, t: Array, states: tuple[Array, Array, Array, Array], covectors: tuple[Array, Array]
+        self,
+        t: Array,
+        states: tuple[Array, Array | None, Array, Array],
+        covectors: tuple[Array, Array],
     ) -> Array:
         """Return the sum over k instants of f_b^T mu + Phi_b^T zeta, shape (n_b,).
 
-        The states are (q, v, a, lam) and the covectors (mu, zeta), arrays with k rows.
+        The states are (q, v, a, lam) and the covectors (mu, zeta), arrays with k rows; v as in
+        `design_partials`.
         """
         partials = self.design_partials(t, *states)
         mu, zeta = covectors
         on_f = np.einsum("knb,kn->b", partials.f_b, mu)
         return np.asarray(on_f + np.einsum("knb,kn->b", partials.Phi_b, zeta))
+
+    def along_total(
+        self,
+        t: float,
+        states: States,
+        direction: Direction,
+        states_b: States,
+        direction_b: tuple[Array, Array],
+    ) -> Array:
+        """Return the total derivative of `residual_along` with respect to the design, (n_q, n_b).
+
+        Along derivatives of (q, v, a, lam), and of q and v of the direction, (n, n_b) each.
+        """
+
+        def value(system: MechanicalSystem, *x: Array) -> Array:
+            q, v, a, lam, dq, dv = x
+            return residual_along(system, t, (q, v, a, lam), Direction(direction.t, dq, dv))
+
+        x, x_b = (*states, *direction[1:]), (*states_b, *direction_b)
+        return self._total(value, *zip(x, x_b, strict=True))
+
+    def along_pull_back(
+        self, t: float, states: States, direction: Direction, mu: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return the partials of mu . `residual_along` with respect to q, v and b.
+
+        What they leave out, a, lam and the direction, is held.
+        """
+        q, v, a, lam = states
+
+        def along(q: Array, v: Array) -> Array:
+            return residual_along(self, t, (q, v, a, lam), direction)
+
+        on_b = mu @ self._total(lambda system: residual_along(system, t, (q, v, a, lam), direction))
+        on_q = self._by_coordinate(lambda x: along(x, v), q, self.pattern)
+        on_v = self._by_coordinate(lambda x: along(q, x), v, self.pattern)
+        dot = self.pattern.dot_transposed
+        return dot(on_q, mu), dot(on_v, mu), on_b
+
+    def _residual_q(self, t: float, q: Array, v: Array | None, a: Array, lam: Array) -> Array:
+        return self._by_coordinate(lambda x: residual(self, t, x, v, a, lam), q, self.pattern)
+
+    def _residual_v(self, t: float, q: Array, v: Array) -> Array:
+        return self._by_coordinate(lambda x: -self.force(t, q, x), v, self.pattern)
+
+
+def residual(
+    system: MechanicalSystem, t: float, q: Array, v: Array | None, a: Array, lam: Array
+) -> Array:
+    """Return f = M a + Phi_q^T lam - Q, shape (n_q,); without v, f + Q."""
+    value = system.mass_times(q, a) + reaction(system, t, q, lam)
+    return value if v is None else value - system.force(t, q, v)
+
+
+def reaction(system: MechanicalSystem, t: float, q: Array, lam: Array) -> Array:
+    """Return Phi_q^T lam, shape (n_q,)."""
+    return system.constraint_pattern.dot_transposed(system.constraint_q(t, q), lam)
+
+
+def residual_along(
+    system: MechanicalSystem, t: float, states: States, direction: Direction
+) -> Array:
+    """Return the derivative of f along a direction of (t, q, v) with a and lam held, (n_q,)."""
+    q, v, a, lam = states
+    value = reaction_along(system, t, q, lam, direction) - system.force_along(t, q, v, direction)
+    if system.traits.constant_mass:
+        return value
+    return value + system.pattern.dot(system.mass_along(q, direction.q), a)
+
+
+def reaction_along(
+    system: MechanicalSystem, t: float, q: Array, lam: Array, direction: Direction
+) -> Array:
+    """Return the derivative of Phi_q^T lam along a direction with lam held, shape (n_q,)."""
+    return system.constraint_pattern.dot_transposed(
+        constraint_q_along(system, t, q, direction), lam
+    )
+
+
+def constraint_q_along(system: MechanicalSystem, t: float, q: Array, direction: Direction) -> Array:
+    """Return the derivative of Phi_q along a direction on `constraint_pattern`.
+
+    dPhi_q/dt = (Phi_q v)_q + Phi_qt is affine in v: what it is at rest belongs to time.
+    """
+    rate = system.constraint_q(t, q, direction.q)
+    if direction.t == 1:
+        return rate
+    return rate - (1 - direction.t) * system.constraint_q(t, q, 0 * direction.q)
+
+
+def _instants(
+    t: Array, q: Array, v: Array | None, a: Array, lam: Array
+) -> Iterator[tuple[float, tuple[Array, Array | None, Array, Array]]]:
+    """Yield time and states of one instant after the other."""
+    for k, s in enumerate(t.tolist()):
+        yield s, (q[k], None if v is None else v[k], a[k], lam[k])

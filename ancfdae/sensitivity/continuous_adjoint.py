@@ -158,7 +158,7 @@ class _BackwardRun:
     def _coefficients(self, t: Array) -> None:
         """P = f_v - M', K = f_q - P' and C = P - M' of every instant, transposed; None for zero."""
         self._P = self._C = self._local.f_v
-        if not self._system.constant_mass:
+        if not self._system.traits.constant_mass:
             M_t = np.gradient(self._local.M, t, axis=0, edge_order=2)
             self._P = -M_t if self._P is None else self._P - M_t
             self._C = self._P - M_t
@@ -167,7 +167,7 @@ class _BackwardRun:
             self._K = self._K - np.gradient(self._P, t, axis=0, edge_order=2)
 
     def _mass(self, n: int) -> Array:
-        M: Array = self._local.M[0 if self._system.constant_mass else n]
+        M: Array = self._local.M[0 if self._system.traits.constant_mass else n]
         return M
 
     def gradient(self, progress: bool) -> Array:
@@ -186,7 +186,8 @@ class _BackwardRun:
         total = self._partials.b - system.pull_back(s.t, (s.q, s.v, s.a, s.lam), weighted)
         total = total + self._start_terms(state)
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
-        ends = gamma @ system.constraint_b(q, t) + epsilon @ system.constraint_rate_b(t, q, v)
+        ends = gamma @ system.constraint_total(t, (q,))
+        ends = ends + epsilon @ system.constraint_total(t, (q, v))
         return np.asarray(total - ends)
 
     def _density(self, rows: Array | None, n: int) -> Array:
@@ -200,7 +201,8 @@ class _BackwardRun:
         q, v, t = s.q[-1], s.v[-1], float(s.t[-1])
         factors = self._matrices.factor(self._mass(-1), self._local.Phi_q[-1])
         mu, epsilon = solve(factors, np.zeros(system.n_q), self._H_lam[-1])
-        force = system.constraint_force_rate(q, v, epsilon, t) - self._H_v[-1]
+        turned = system.constraint_q(t, q, v)
+        force = system.constraint_pattern.dot_transposed(turned, epsilon) - self._H_v[-1]
         if self._P is not None:
             force = force + system.pattern.dot_transposed(self._P[-1], mu)
         products = np.array(

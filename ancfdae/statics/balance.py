@@ -19,9 +19,9 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
 from ancfdae.kernels import finite, norm
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, reaction
 from ancfdae.protocol.saddle_points import saddle_point, solve
 
 # Estimated error after the last iteration, relative to positions and to forces: near round-off.
@@ -102,13 +102,13 @@ class Balance:
     @cached_property
     def r_0(self) -> Array:
         """Unbalanced forces at the start, but for the loads that turn."""
-        P = self.system.following_load(self.q_0, self.t)
+        P, _ = self.system.following_load(self.t, self.q_0)
         return self.unbalanced(self.q_0, self.lam_0) - P
 
     @cached_property
     def Phi_0(self) -> Array:
         """Violation of the constraints at the start."""
-        return self.system.constraint(self.q_0, self.t)
+        return self.system.constraint(self.t, self.q_0)
 
     @cached_property
     def M_0(self) -> Array:
@@ -122,26 +122,25 @@ class Balance:
 
     def unbalanced(self, q: Array, lam: Array) -> Array:
         """Return Q - Phi_q^T lam at rest."""
-        Q = self.system.force(q, np.zeros_like(q), self.t)
-        return Q - self.system.constraint_force(q, lam, self.t)
+        Q = self.system.force(self.t, q, np.zeros_like(q))
+        return Q - reaction(self.system, self.t, q, lam)
 
     def held_back(self, q: Array) -> Array:
         """Return the forces that the equations lack at s = 0."""
-        return self.r_0 + self.system.following_load(q, self.t)
+        return self.r_0 + self.system.following_load(self.t, q)[0]
 
     def tangent(self, s: float, q: Array, lam: Array) -> Array:
         """Return K, minus the derivative of the forces in q, values on the pattern."""
-        K = -self.system.force_q(q, np.zeros_like(q), self.t)
+        rest = np.zeros((1, len(q)))
+        K = only(self.system.linearise(np.array([self.t]), q[None], rest, rest, lam[None]).f_q)
         if s < 1.0:
-            K = K + (1.0 - s) * self.system.following_load_q(q, self.t)
-        if self.system.linear_constraints:
-            return K
-        return K + self.system.constraint_force_q(q, lam, self.t)
+            K = K + (1.0 - s) * self.system.following_load(self.t, q)[1]
+        return K
 
     def factor(self, K: Array, q: Array) -> Factorization:
         """Factorise [K, Phi_q^T; Phi_q, 0]; raises SingularMatrix."""
         self.work.factorisations += 1
-        return self.matrices.factor(K, self.system.constraint_q(q, self.t))
+        return self.matrices.factor(K, self.system.constraint_q(self.t, q))
 
     def solve(
         self,
@@ -181,7 +180,7 @@ class Balance:
             R = R - (1.0 - s) * self.held_back(q)
         if anchor is not None:
             R = R - mu * self.system.pattern.dot(self.M_0, q - anchor)
-        return R, self.system.constraint(q, self.t) - (1.0 - s) * self.Phi_0
+        return R, self.system.constraint(self.t, q) - (1.0 - s) * self.Phi_0
 
     def path_tangent(self, q: Array, factors: Factorization) -> tuple[Array, Array]:
         """Return dq/ds and dlam/ds of the path of solutions."""
@@ -210,7 +209,7 @@ class Balance:
     @cached_property
     def load(self) -> float:
         """Size of the load at the start, and no less than round-off tells."""
-        least = self.system.force_round_off / (0.1 * _ROUND_OFF)
+        least = self.system.traits.force_round_off / (0.1 * _ROUND_OFF)
         return max(self.strength(self.held_back(self.q_0)), least, float(np.finfo(float).tiny))
 
 
@@ -231,8 +230,8 @@ class _Convergence:
         moved = b.length(dq)
         # Where all coordinates are zero at the start, the first correction tells their size.
         moved /= b.position or b.length(q - b.q_0) or 1.0
-        reaction, change = (system.constraint_force(q, x, b.t) for x in (lam, dlam))
-        force = max(b.load, b.strength(reaction))
+        reactions, change = (reaction(system, b.t, q, x) for x in (lam, dlam))
+        force = max(b.load, b.strength(reactions))
         self.size = max(moved, b.strength(change) / force)
         rate = moved / self._last if 0 < self._last < math.inf else float(moved > 0)
         self._growths += rate > 1.0

@@ -51,14 +51,14 @@ class Reach:
 
         def along_q(s: complex) -> Array:
             x = q + s * direction
-            Q, Phi = system.force(x, v, 0.0), system.constraint(x, 0.0)
+            Q, Phi = system.force(0.0, x, v), system.constraint(0.0, x)
             return np.concatenate([Q, Phi, system.mass_times(x, direction)])
 
         def along_v(s: complex) -> Array:
-            return system.force(q, v + s * direction, 0.0)
+            return system.force(0.0, q, v + s * direction)
 
         def along_t(s: complex) -> Array:
-            return np.concatenate([system.force(q, v, s), system.constraint(q, s)])  # type: ignore[arg-type]
+            return np.concatenate([system.force(s, q, v), system.constraint(s, q)])  # type: ignore[arg-type]
 
         return cls(
             _PART * _best(along_q, sizes[0], _SIZES),
@@ -154,8 +154,8 @@ def _probes(
     return [
         ("start", along(lambda x, q, v, t: np.concatenate(x.start())), (2 * n_q,)),
         ("mass_matrix", along(lambda x, q, v, t: x.mass(q)), (n_q * n_q,)),
-        ("force", along(lambda x, q, v, t: x.force(q, v, t)), (n_q,)),
-        ("constraint", along(lambda x, q, v, t: x.constraint(q, t)), (n_lam,)),
+        ("force", along(lambda x, q, v, t: x.force(t, q, v)), (n_q,)),
+        ("position_constraint", along(lambda x, q, v, t: x.constraint(t, q)), (n_lam,)),
     ]
 
 

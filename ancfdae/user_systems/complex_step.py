@@ -2,12 +2,12 @@
 
 Every partial of the protocol is a derivative, at zero, of M x, Q or Phi in at most three numbers:
 
-    Phi_q^T lam              d/dx of lam . Phi(q + x e_j, t), for every j
-    (Phi_q^T lam)_q          d/dx d/dy of lam . Phi(q + x e_i + y e_j, t)
-    gamma                    -d^2/ds^2 of Phi(q + s v, t + s)
-    S                        -d^3/ds^3 of Phi(q + s v + s^2/2 a, t + s)
-    dPhi_q/dt, d^2 Phi_q/dt^2  d/dx of d/ds and d^2/ds^2 of Phi on that path, moved by x e_j
-    dQ/dt                    d/ds of Q(q + s v, v + s a, t + s)
+    Phi_q                    d/dx of Phi(t, q + x e_j), for every j
+    (Phi_q^T lam)_q          d/dx d/dy of lam . Phi(t, q + x e_i + y e_j)
+    d^k Phi/dt^k             d^k/ds^k of Phi(t + s, q + s v + s^2/2 a); Phi_q j is added to the third
+    dPhi_q/dt                d/dx d/ds of Phi on that path, moved by x e_j
+    Q along (dt, dq, dv)     d/ds of Q(t + s dt, q + s dq, v + s dv)
+    M along dq               d/ds of M(q + s dq)
 
 and a `_total` is d/de of one of these with the state moved by e (q_b, v_b, ...) and b by e.
 `ancfdae.numerics.contour` takes a single first derivative by a complex step, to round-off, and
@@ -46,7 +46,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.contour import derivative
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.protocol.motion import Motion, require_perturbation
-from ancfdae.protocol.system import MechanicalSystem
+from ancfdae.protocol.system import Direction, MechanicalSystem
 from ancfdae.user_systems.analytic import Reach, require_analytic
 from ancfdae.user_systems.rows import Rows
 
@@ -169,7 +169,7 @@ class ComplexStepSystem(MechanicalSystem):
     """A system that is given by M, Q, Phi and its start.
 
     Subclasses set `n_q`, `n_lam` and `design_names`, implement `mass_matrix`, `force`,
-    `constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end of their
+    `position_constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end of their
     own constructor. All of it must be analytic in q, v, t and ``self.b`` and accept complex
     numbers: no ``abs``, no comparison, no writing into an array of floats. Any partial may be
     overridden by a formula of one's own; `check_system` compares.
@@ -209,6 +209,10 @@ class ComplexStepSystem(MechanicalSystem):
     def mass_matrix(self, q: Array) -> Array:
         """Return M, shape (n_q, n_q)."""
 
+    @abc.abstractmethod
+    def position_constraint(self, t: float, q: Array) -> Array:
+        """Return Phi, shape (n_lam,)."""
+
     def coordinate_weights(self) -> Array:
         """Return `weights`; by default the diagonal of M at the start."""
         M = np.asarray(self.mass_matrix(self.start()[0]))
@@ -217,48 +221,82 @@ class ComplexStepSystem(MechanicalSystem):
             raise InvalidInput(where, rule, M.shape, "Return an array.")
         return np.diagonal(M).real.astype(float)
 
-    def moved(self, i: int) -> Self:
+    def _at_step(self, i: int) -> Self:
         """Return the system moved in design variable i; what was found by trial stays."""
-        if i not in self._moved:
-            other = super().moved(i)
+        if i not in self._at_steps:
+            other = super()._at_step(i)
             other._d, other._d_forces = self._d.of(other), self._d_forces.of(other)
-        return self._moved[i]
+        return self._at_steps[i]
 
-    # -- inertia -------------------------------------------------------------------------------
+    # -- inertia and forces --------------------------------------------------------------------
 
     @final
     def mass(self, q: Array) -> Array:
         """Return the entries of M row by row."""
         return self.mass_matrix(q).ravel()
 
-    def inertia_q(self, q: Array, a: Array) -> Array:
-        """Differentiate M a in q."""
-        return self._d.gradient(_inertia_moved, self._d.motion(q, a=a)).ravel()
+    def mass_along(self, q: Array, dq: Array) -> Array:
+        """Differentiate M along dq."""
+        m = self._d.motion(q, dq)
+        return self._d.value(_mass_at, m, (self._d.reach.time(m),)).ravel()
 
-    # -- forces --------------------------------------------------------------------------------
-
-    def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Differentiate Q along the motion."""
-        m = self._d_forces.motion(q, v, a, t=t)
-        return self._d_forces.value(_force_at, m, (self._d_forces.reach.time(m),), 1)
-
-    def force_q_times(self, q: Array, x: Array, t: float) -> Array:
-        """Differentiate Q along x at rest."""
-        m = self._d_forces.motion(q, x, t=t)
-        return self._d_forces.value(_resting_force, m, (self._d_forces.reach.time(m),), 1)
+    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+        """Differentiate Q along a direction; of a complex one, in which it is linear, by parts."""
+        dt, *rates = direction
+        if any(x.dtype.kind == "c" for x in rates):
+            parts = (
+                Direction(dt, *(x.real for x in rates)),
+                Direction(0.0, *(x.imag for x in rates)),
+            )
+            along = [self.force_along(t, q, v, part) for part in parts]
+            return along[0] + 1j * along[1]
+        forces = self._d_forces
+        change = forces.motion(*rates, t=dt)
+        radius = forces.reach.along(change, np.zeros(0), np.zeros(0), 0.0)
+        return forces.value(_force_along(change), forces.motion(q, v, t=t), (radius,))
 
     # -- constraints ---------------------------------------------------------------------------
 
-    def constraint_q(self, q: Array, t: float) -> Array:
-        """Differentiate Phi in q; constraints and their forces ask at the same state."""
+    def constraint(self, t: float, *motion: Array) -> Array:
+        """Differentiate Phi along the motion; of the jerk, Phi_q times it."""
+        if len(motion) == 1:
+            return self.position_constraint(t, motion[0])
+        m = self._d.motion(*motion[:3], t=t)
+        order, radius = len(motion) - 1, self._d.reach.time(m)
+        value = self._d.value(_constraint_at, m, (radius,), order)
+        if order < 3:
+            return value
+        return value + self.constraint_pattern.dot(self.constraint_q(t, motion[0]), motion[3])
+
+    def constraint_q(self, t: float, *motion: Array) -> Array:
+        """Differentiate Phi in q, and along the motion."""
+        if len(motion) == 1:
+            return self._constraint_jacobian(t, motion[0])
+        if len(motion) > 2:
+            return super().constraint_q(t, *motion)
+        m = self._d.motion(*motion, t=t)
+        return self._d.gradient(_constraint_rate, m, (self._d.reach.time(m),), 1).ravel()
+
+    def _constraint_jacobian(self, t: float, q: Array) -> Array:
+        """Phi_q; constraints and their forces ask at the same state."""
         key = q.tobytes(), t
         if self._last is None or self._last[0] != key:
             Phi_q = self._d.gradient(_constraint_moved, self._d.motion(q, t=t)).ravel()
             self._last = key, Phi_q
         return self._last[1]
 
-    def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
-        """Differentiate lam . Phi twice: along every coordinate and every sum of two."""
+    def _residual_q(self, t: float, q: Array, v: Array | None, a: Array, lam: Array) -> Array:
+        """Differentiate M a - Q in q, and lam . Phi twice."""
+
+        def unconstrained(x: Array) -> Array:
+            inertia = self.mass_times(x, a)
+            return inertia if v is None else inertia - self.force(t, x, v)
+
+        f_q = self._by_coordinate(unconstrained, q, self.pattern)
+        return f_q if self.traits.linear_constraints else f_q + self._curvature(t, q, lam)
+
+    def _curvature(self, t: float, q: Array, lam: Array) -> Array:
+        """(Phi_q^T lam)_q, along every coordinate and every sum of two."""
         m, _ = self._d.motion(q, lam=lam, t=t).parts()
         base, reach, n = self._d.base, self._d.reach.coordinates, self.n_q
         i, j = np.triu_indices(n)
@@ -274,27 +312,6 @@ class ComplexStepSystem(MechanicalSystem):
         mixed = np.triu(0.5 * (curvature - own[:, None] - own), 1)
         result = (mixed + mixed.T + np.diag(own)) / np.outer(reach, reach)
         return np.asarray(result.ravel())
-
-    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
-        """Differentiate Phi in q and along the motion."""
-        m = self._d.motion(q, v, t=t)
-        return self._d.gradient(_constraint_rate, m, (self._d.reach.time(m),), 1).ravel()
-
-    def velocity_side(self, q: Array, t: float) -> Array:
-        """Differentiate -Phi in t."""
-        return self._side(1, t, q)
-
-    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
-        """Differentiate -Phi twice along the motion without acceleration."""
-        return self._side(2, t, q, v)
-
-    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Differentiate -Phi three times along the motion with its acceleration held."""
-        return self._side(3, t, q, v, a)
-
-    def _side(self, order: int, t: float, *states: Array) -> Array:
-        m = self._d.motion(*states, t=t)
-        return self._d.value(_minus_constraint, m, (self._d.reach.time(m),), order)
 
     @cached_property
     def rows(self) -> Rows:
@@ -315,31 +332,35 @@ def _full(rows: int, columns: int) -> Pattern:
     return Pattern.full((rows, columns))
 
 
-def _force_at(system: MechanicalSystem, m: Motion, s: complex) -> Array:
+def _force_along(change: Motion) -> Kernel:
+    """Return Q moved along a change of time and state."""
+
+    def moved(system: MechanicalSystem, m: Motion, s: complex) -> Array:
+        return system.force(m.t + s * change.t, m.q + s * change.q, m.v + s * change.v)
+
+    return moved
+
+
+def _mass_at(system: MechanicalSystem, m: Motion, s: complex) -> Array:
+    return cast(ComplexStepSystem, system).mass_matrix(m.q + s * m.v)
+
+
+def _constraint_at(system: MechanicalSystem, m: Motion, s: complex) -> Array:
     moved = m.at(s)
-    return system.force(moved.q, moved.v, moved.t)
-
-
-def _resting_force(system: MechanicalSystem, m: Motion, s: complex) -> Array:
-    return system.force(m.q + s * m.v, 0 * m.v, m.t)
-
-
-def _minus_constraint(system: MechanicalSystem, m: Motion, s: complex) -> Array:
-    moved = m.at(s)
-    return -system.constraint(moved.q, moved.t)
+    return cast(ComplexStepSystem, system).position_constraint(moved.t, moved.q)
 
 
 def _constraint_moved(system: MechanicalSystem, m: Motion, changes: Array) -> Array:
-    return _rows(system).of(system.constraint, m.q + changes, m.t)
+    Phi = cast(ComplexStepSystem, system).position_constraint
+
+    def of_coordinates(q: Array, t: complex) -> Array:
+        return Phi(cast(float, t), q)
+
+    return _rows(system).of(of_coordinates, m.q + changes, m.t)
 
 
 def _constraint_rate(system: MechanicalSystem, m: Motion, s: complex, changes: Array) -> Array:
     return _constraint_moved(system, m.at(s), changes)
-
-
-def _inertia_moved(system: MechanicalSystem, m: Motion, changes: Array) -> Array:
-    mass = cast(ComplexStepSystem, system).mass_matrix
-    return np.asarray(_rows(system).of(mass, m.q + changes) @ m.a)
 
 
 def _rows(system: MechanicalSystem) -> Rows:

@@ -76,9 +76,9 @@ _BY_STEPS = {
 
 def unasked(system: MechanicalSystem) -> set[str]:
     """Return the members that nobody asks for, by what the system declares."""
-    names = {"inertia_q", "inertia_rate_total"} if system.constant_mass else set()
-    names |= {"constraint_force_q"} if system.linear_constraints else set()
-    return names if system.velocity_forces else names | {"force_v"}
+    names = {"inertia_q", "inertia_rate_total"} if system.traits.constant_mass else set()
+    names |= {"constraint_force_q"} if system.traits.linear_constraints else set()
+    return names if system.traits.velocity_forces else names | {"force_v"}
 
 
 def call(system: MechanicalSystem, name: str, given: dict[str, Any]) -> Array:

@@ -22,7 +22,7 @@ from ancfdae.integrators.recorder import Recorder
 from ancfdae.kernels import add_scaled, finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, reaction
 
 # A matrix is replaced when an iteration shrinks the correction by less than this factor, or the
 # first correction is larger than this part of the motion; and from corrections of the second size
@@ -59,15 +59,15 @@ class _Equations:
         self._dq_p, self._v_p = predict_increment(c, before.v, before.a)
         self._q_p = before.q + self._dq_p
         chi = share_of_defect(system, c, before.q, motion)
-        self._defect = chi * system.constraint(before.q, before.t) if chi < 1 else None
+        self._defect = chi * system.constraint(before.t, before.q) if chi < 1 else None
 
     def at(self, a: Array, lam: Array) -> tuple[tuple[Array, ...], tuple[Array, Array, Array]]:
         """Return (q, v, A), and the residual with the reaction and the force that it contains."""
         system, t, state = self._system, self._t, self._state(a)
         q, v, A = state
-        reaction, Q = system.constraint_force(q, lam, t), system.force(q, v, t)
-        R = residual(system, self._c, q, A, (reaction, Q), self._constraint(q, a))
-        return state, (R, reaction, Q)
+        forces = reaction(system, t, q, lam), system.force(t, q, v)
+        R = residual(system, self._c, q, A, forces, self._constraint(q, a))
+        return state, (R, *forces)
 
     def node(self, a: Array, lam: Array) -> Node:
         """Return the state after the step."""
@@ -80,7 +80,7 @@ class _Equations:
 
     def _constraint(self, q: Array, a: Array) -> Array:
         if self._defect is None:
-            return self._system.constraint(q, self._t)
+            return self._system.constraint(self._t, q)
         dq = self._dq_p + self._c.in_q * a
         return self._defect + constraint_increment(self._system, self._c, self._before, dq)
 
@@ -121,7 +121,7 @@ class StepSolver:
         self._tolerance, self.max_iterations = tolerance, max_iterations
         self._inverse_weights = 1 / system.weights
         # The round-off of elastic forces, times 1e7.
-        self._blur = system.force_round_off / (0.1 * _ROUND_OFF)
+        self._blur = system.traits.force_round_off / (0.1 * _ROUND_OFF)
         self._least = max(self._blur, _TINY)
         self._last_motion = math.inf
         self.verdict = Verdict.NO_CONVERGENCE
@@ -184,7 +184,7 @@ class StepSolver:
         is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
         more = 2 if is_complex and tolerance == self._tolerance else 0
         for _ in range(patience * self.max_iterations + more):
-            (q, v, A), (R, reaction, Q) = equations.at(a, lam)
+            (q, v, A), (R, *forces) = equations.at(a, lam)
             self._recorder.residuals += 1
             self._recorder.iterations += 1
             if not finite(R):
@@ -195,7 +195,7 @@ class StepSolver:
                 jacobian = self._factor(c, Node(t, q, v, a, lam, A))
             x = jacobian.solve(R)
             a, lam = a - x[:n_q], lam - x[n_q:]
-            now = self._motion(a, reaction, Q)
+            now = self._motion(a, *forces)
             # A diverging iterate has huge forces; measured against those any correction
             # looks small. So the smallest motion met counts, and no more than a jump from the
             # last accepted step.
@@ -244,23 +244,22 @@ class StepSolver:
     def _size(self, t: float, q: Array, x: Array) -> float:
         """Size of a correction: of the accelerations and of the reactions, in units of force."""
         system = self._system
-        reaction = system.constraint_force(q, x[system.n_q :], t)
-        return norm(x[: system.n_q], system.weights, reaction, self._inverse_weights)
+        force = reaction(system, t, q, x[system.n_q :])
+        return norm(x[: system.n_q], system.weights, force, self._inverse_weights)
 
     def _blurred(self, t: float, q: Array, a: Array, lam: Array) -> bool:
         """Whether round-off of the elastic forces leaves less than seven digits of the motion."""
         if norm(a, self._system.weights) >= self._blur:
             return False
-        reaction = self._system.constraint_force(q, lam, t)
-        return norm(reaction, self._inverse_weights) < self._blur
+        force = reaction(self._system, t, q, lam)
+        return norm(force, self._inverse_weights) < self._blur
 
     def _motion_before(self, before: Node) -> float:
         """Motion at the last accepted step, or at the start."""
         if self._last_motion == math.inf:
             system, t = self._system, before.t
-            reaction = system.constraint_force(before.q, before.lam, t)
-            Q = system.force(before.q, before.v, t)
-            self._last_motion = self._motion(before.a, reaction, Q)
+            forces = reaction(system, t, before.q, before.lam), system.force(t, before.q, before.v)
+            self._last_motion = self._motion(before.a, *forces)
         return self._last_motion
 
     def _most(self, before: Node) -> float:
@@ -268,7 +267,7 @@ class StepSolver:
         motion = self._motion_before(before)
         return _JUMP * motion if motion > _TINY else math.inf
 
-    def _motion(self, a: Array, reaction: Array, Q: Array) -> float:
+    def _motion(self, a: Array, *forces: Array) -> float:
         """Size of the motion; in a body at rest corrections are compared with round-off."""
-        size = motion_size(self._system, self._inverse_weights, a, reaction, Q)
+        size = motion_size(self._system, self._inverse_weights, a, *forces)
         return max(size, self._least)

@@ -28,7 +28,7 @@ from ancfdae.integrators.hht.equations import Coefficients, Node, Steps, predict
 from ancfdae.integrators.problem import Problem
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, reaction
 from ancfdae.protocol.solution import Solution
 
 # Gauss points on (0, 1), exact for polynomials of degree 5 in s.
@@ -40,13 +40,13 @@ _EPS = float(np.finfo(float).eps)
 
 
 def motion_size(
-    system: MechanicalSystem, inverse: Array, a: Array, reaction: Array, Q: Array
+    system: MechanicalSystem, inverse: Array, a: Array, reactions: Array, Q: Array
 ) -> float:
     """Size of inertia, reactions and forces in one norm, a force per square root of a mass.
 
     `inverse` is one over the weights of the system.
     """
-    return norm(a, system.weights, reaction, inverse, Q, inverse)
+    return norm(a, system.weights, reactions, inverse, Q, inverse)
 
 
 def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion: float) -> float:
@@ -75,18 +75,17 @@ class ConstraintRow:
         if floor <= unit * max(norm(x.A, system.weights) for x in (before, after)):
             return None
         q, t = before.q, before.t
-        reaction = system.constraint_force(q, before.lam, t)
-        Q = system.force(q, before.v, t)
-        motion = motion_size(system, 1 / system.weights, before.A, reaction, Q)
+        forces = reaction(system, t, q, before.lam), system.force(t, q, before.v)
+        motion = motion_size(system, 1 / system.weights, before.A, *forces)
         if floor <= unit * motion:
             return None
         chi = share_of_defect(system, c, q, motion)
         dq = predict_increment(c, before.v, before.a)[0] + (c.beta * c.h**2) * after.a
-        G, g = chi * system.constraint_q(q, t), chi * system.constraint_b(q, t)
+        G, g = chi * system.constraint_q(t, q), chi * system.constraint_total(t, (q,))
         for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
             q, t = before.q + place * dq, before.t + place * c.h
-            G = G + (weight * c.h) * system.constraint_q_rate(q, dq / c.h, t)
-            g = g + (weight * c.h) * system.constraint_rate_b(t, q, dq / c.h)
+            G = G + (weight * c.h) * system.constraint_q(t, q, dq / c.h)
+            g = g + (weight * c.h) * system.constraint_total(t, (q, dq / c.h))
         return ConstraintRow(G, g)
 
 
@@ -97,8 +96,7 @@ def constraint_increment(
     total = np.zeros(system.n_lam)
     for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
         q, t = before.q + place * dq, before.t + place * c.h
-        rate = system.constraint_pattern.dot(system.constraint_q(q, t), dq)
-        total = total + weight * (rate - c.h * system.velocity_side(q, t))
+        total = total + (weight * c.h) * system.constraint(t, q, dq / c.h)
     return total
 
 

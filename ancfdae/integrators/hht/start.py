@@ -36,12 +36,13 @@ import numpy as np
 
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity, constraint_error
 from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.start import Covectors, InitialSensitivity, InitialState, curvature
-from ancfdae.numerics.arrays import Array
+from ancfdae.integrators.start import Covectors, InitialSensitivity, InitialState
+from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import Direction, MechanicalSystem, reaction
+from ancfdae.protocol.held import held_pull_back, held_q, held_total, jerk_side
 from ancfdae.protocol.saddle_points import solve, solve_transposed
-from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
+from ancfdae.protocol.system import residual_along
 
 
 @final
@@ -58,13 +59,13 @@ class _Jerk:
         system: MechanicalSystem, x: InitialState, a: Array, s: float, factors: Factorization
     ) -> _Jerk:
         """Solve for it; the factors are those of M - s Q_v."""
-        side = system.jerk_side(x.q, x.v, a, x.t)
+        side = jerk_side(system, x.t, x.q, x.v, a)
         jerk, lam_rate = solve(factors, _force_rates(system, x, a), side)
         if jerk.dtype.kind == "c":
             # Q_v is that of the real part; what its imaginary part does comes by one more sweep.
             force = _force_rates(system, x, a + s * jerk) - system.mass_times(x.q, jerk)
-            force = force - system.constraint_force(x.q, lam_rate, x.t)
-            moved = system.constraint_pattern.dot(system.constraint_q(x.q, x.t), jerk)
+            force = force - reaction(system, x.t, x.q, lam_rate)
+            moved = system.constraint_pattern.dot(system.constraint_q(x.t, x.q), jerk)
             more, lam_more = solve(factors, force, side - moved)
             jerk, lam_rate = jerk + more, lam_rate + lam_more
         return _Jerk(a, jerk, lam_rate)
@@ -93,14 +94,14 @@ class RecurrenceStart:
         """Solve the equations of the module description."""
         system, matrices, x = problem.system, problem.matrices, problem.initial
         s, scale = -c.alpha * c.h, constraint_error(c)
-        M, Phi_q = system.mass(x.q), system.constraint_q(x.q, x.t)
+        M, Phi_q = system.mass(x.q), system.constraint_q(x.t, x.q)
         factors = damped = matrices.factor(M, Phi_q)
-        if system.velocity_forces:
-            damped = matrices.factor(M - s * system.force_v(x.q, x.v, x.t), Phi_q)
+        if system.traits.velocity_forces:
+            damped = matrices.factor(M + s * _damping(system, x), Phi_q)
         jerks = [_Jerk.of(system, x, x.a, s, damped)]
-        if system.velocity_forces:
+        if system.traits.velocity_forces:
             jerks.append(_Jerk.of(system, x, x.a + s * jerks[0].jerk, s, damped))
-        side = scale * system.jerk_side(x.q, x.v, jerks[-1].a, x.t)
+        side = scale * jerk_side(system, x.t, x.q, x.v, jerks[-1].a)
         dv, eta = solve(factors, np.zeros_like(x.v), side)
         return RecurrenceStart(system, s, scale, x, tuple(jerks), dv, eta, factors, damped)
 
@@ -120,13 +121,15 @@ class RecurrenceStart:
         for jerk in self.jerks[1:]:
             a_b = a_b + s * j_b
             j_b = self.jerk_total(jerk, derivative, a_b)
-        # M dv_b + Phi_q^T eta_b = -(M dv)_total - (Phi_q^T eta)_total
-        # Phi_q dv_b = C h^2 S_total - (Phi_q dv)_total
-        right = -inertia_total(system, q, self.dv, q_b)
-        right = right - constraint_force_total(system, q, self.eta, t, q_b)
-        side = system.jerk_side_total(q, v, self.jerks[-1].a, t, q_b, v_b, a_b)
-        side = self.scale * side - system.constraint_q_times_total(q, self.dv, t, q_b)
-        dv_b, _ = solve(self.factors, right, side)
+        # M dv_b + Phi_q^T eta_b = -(M dv + Phi_q^T eta)_total
+        # Phi_q dv_b = C h^2 S_total - (Phi_q dv)_total, Phi_q dv = Phi'(q, dv) - Phi'(q, 0)
+        right = -held_total(system, t, q, self.dv, self.eta, q_b)
+        still, held = np.zeros_like(q), np.zeros_like(q_b)
+        motion, motion_b = (q, v, self.jerks[-1].a, still), (q_b, v_b, a_b, held)
+        side = self.scale * system.constraint_total(t, motion, motion_b)
+        side = side + system.constraint_total(t, (q, self.dv), (q_b, held))
+        side = side - system.constraint_total(t, (q, still), (q_b, held))
+        dv_b, _ = solve(self.factors, right, -side)
         a_0b = a_b - len(self.jerks) * s * j_b
         return NodeSensitivity(q_b, v_b + dv_b, a_0b, derivative.lam_b, derivative.a_b)
 
@@ -137,21 +140,18 @@ class RecurrenceStart:
         """
         system, x, j = self.system, self.initial, jerk.jerk
         t, q, v, q_b, v_b = x.t, x.q, x.v, derivative.q_b, derivative.v_b
-        right = system.force_rate_total(q, v, jerk.a + self.s * j, t, q_b, v_b, a_b)
-        turning = system.constraint_force_rate_total(q, v, x.lam, t, q_b, v_b, derivative.lam_b)
-        right = right - turning - inertia_total(system, q, j, q_b)
-        right = right - constraint_force_total(system, q, jerk.lam_rate, t, q_b)
-        if not system.constant_mass:
-            right = right - system.inertia_rate_total(q, v, x.a, q_b, v_b, derivative.a_b)
-        side = system.jerk_side_total(q, v, jerk.a, t, q_b, v_b, a_b)
-        side = side - system.constraint_q_times_total(q, j, t, q_b)
-        return solve(self.damped, right, side)[0]
+        states_b = q_b, v_b, derivative.a_b, derivative.lam_b
+        along = Direction(1.0, v, jerk.a + self.s * j)
+        right = -system.along_total(t, (q, v, x.a, x.lam), along, states_b, (v_b, a_b))
+        right = right - held_total(system, t, q, j, jerk.lam_rate, q_b)
+        side = system.constraint_total(t, (q, v, jerk.a, j), (q_b, v_b, a_b, np.zeros_like(q_b)))
+        return solve(self.damped, right, -side)[0]
 
     def pull_back(self, back: NodeSensitivity) -> Covectors:
         """Transpose of `sensitivity`: from covectors on the node to those on the consistent start.
 
         With P = Phi_q j - S, the third time derivative of Phi, the rules are P_q = (Phi_q)^(3),
-        P_v = 3 Phi_q'' and P_a = 3 Phi_q'; f'_q and f'_v are those of `force_rate_partials`.
+        P_v = 3 Phi_q'' and P_a = 3 Phi_q'.
         """
         total, on_a = self._pull_back_shift(back.v_b)
         on_a = on_a + back.a_b
@@ -169,15 +169,16 @@ class RecurrenceStart:
         t, q, v, a, dv = x.t, x.q, x.v, self.jerks[-1].a, self.dv
         still, B = np.zeros_like(v), system.constraint_pattern.dot_transposed
         m, z = solve_transposed(self.factors, on_dv, np.zeros_like(x.lam))
-        turned = system.constraint_q_rate(q, dv, t) - system.constraint_q_rate(q, still, t)
-        third = system.constraint_q_third_rate(q, v, a, still, t)
-        on_q = B(turned + scale * third, z) + curvature(system, t, q, dv, self.eta, m)
-        sides_b = scale * system.constraint_rate_b(t, q, v, a, still)
-        sides_b = sides_b + system.constraint_rate_b(t, q, dv)
-        sides_b = sides_b - system.constraint_rate_b(t, q, still)
-        on_b = z @ sides_b + system.pull_back_inertia(t, q, dv, self.eta, m)
-        on_v = 3 * scale * B(system.constraint_q_second_rate(q, v, a, t), z)
-        on_a = -3 * scale * B(system.constraint_q_rate(q, v, t), z)
+        turned = system.constraint_q(t, q, dv) - system.constraint_q(t, q, still)
+        third = system.constraint_q(t, q, v, a, still)
+        on_q = B(turned + scale * third, z)
+        on_q = on_q + system.pattern.dot_transposed(held_q(system, t, q, dv, self.eta), m)
+        sides_b = scale * system.constraint_total(t, (q, v, a, still))
+        sides_b = sides_b + system.constraint_total(t, (q, dv))
+        sides_b = sides_b - system.constraint_total(t, (q, still))
+        on_b = z @ sides_b + held_pull_back(system, t, q, dv, self.eta, m)
+        on_v = 3 * scale * B(system.constraint_q(t, q, v, a), z)
+        on_a = -3 * scale * B(system.constraint_q(t, q, v), z)
         return Covectors(-on_q, -on_v, still, np.zeros_like(x.lam), -on_b), on_a
 
     def _pull_back_jerk(self, jerk: _Jerk, on_jerk: Array) -> tuple[Covectors, Array]:
@@ -186,31 +187,36 @@ class RecurrenceStart:
         (t, q, v, a, lam), j = x, jerk.jerk
         K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
         m, z = solve_transposed(self.damped, on_jerk, np.zeros_like(lam))
-        states, later = (q, v, a, lam), jerk.a + self.s * j
-        f_q, f_v, M_rate = system.force_rate_partials(t, states, later)
-        first = system.constraint_q_rate(q, v, t)
-        on_q = K(f_q, m) + curvature(system, t, q, j, jerk.lam_rate, m)
-        on_q = on_q + B(system.constraint_q_third_rate(q, v, jerk.a, j, t), z)
-        on_v = K(f_v, m) + 3 * B(system.constraint_q_second_rate(q, v, jerk.a, t), z)
+        states, along = (q, v, a, lam), Direction(1.0, v, jerk.a + self.s * j)
+        f_q, f_v, on_b = system.along_pull_back(t, states, along, m)
+        # The direction (v, a) moves with the state.
+        local = system.linearise(np.array([t]), q[None], v[None], a[None], lam[None])
+        first = system.constraint_q(t, q, v)
+        on_q = f_q + K(held_q(system, t, q, j, jerk.lam_rate), m)
+        on_q = on_q + B(system.constraint_q(t, q, v, jerk.a, j), z)
+        on_v = f_v + K(local.f_q[0], m) + 3 * B(system.constraint_q(t, q, v, jerk.a), z)
         on_same, on_a = 3 * B(first, z), np.zeros_like(a)
-        if system.velocity_forces:
-            on_same = on_same - K(system.force_v(q, v, t), m)
-        if not system.constant_mass:
-            on_a = K(M_rate, m)
-        on_b = z @ system.constraint_rate_b(t, q, v, jerk.a, j)
-        on_b = on_b + system.pull_back_inertia(t, q, j, jerk.lam_rate, m)
-        on_b = on_b + system.pull_back_rate(t, states, later, m)
+        if local.f_v is not None:
+            on_same = on_same + K(local.f_v[0], m)
+        if not system.traits.constant_mass:
+            on_a = K(system.mass_along(q, v), m)
+        on_b = on_b + z @ system.constraint_total(t, (q, v, jerk.a, j))
+        on_b = on_b + held_pull_back(system, t, q, j, jerk.lam_rate, m)
         on_lam = system.constraint_pattern.dot(first, m)
         return Covectors(-on_q, -on_v, -on_a, -on_lam, -on_b), -on_same
 
 
-def _force_rates(system: MechanicalSystem, state: InitialState, a: Array) -> Array:
-    """Return the right side of the equation for j, with Q_v times the given acceleration.
+def _force_rates(system: MechanicalSystem, x: InitialState, a: Array) -> Array:
+    """Return -f' along the motion with Q_v times the given acceleration.
 
     (dM/dt) a = (M a)_q v takes that of the state.
     """
-    t, q, v = state.t, state.q, state.v
-    rate = system.force_rate(q, v, a, t) - system.constraint_force_rate(q, v, state.lam, t)
-    if system.constant_mass:
-        return rate
-    return rate - system.pattern.dot(system.inertia_q(q, state.a), v)
+    return -residual_along(system, x.t, (x.q, x.v, x.a, x.lam), Direction(1.0, x.v, a))
+
+
+def _damping(system: MechanicalSystem, x: InitialState) -> Array:
+    """Values of -Q_v at the start, at its real part."""
+    states = (y.real[None] for y in (x.q, x.v, x.a, x.lam))
+    f_v = system.linearise(np.array([x.t]), *states).f_v
+    assert f_v is not None
+    return only(f_v)

@@ -34,8 +34,8 @@ from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.total_derivatives import constraint_force_total, inertia_total
+from ancfdae.protocol import MechanicalSystem, reaction
+from ancfdae.protocol.held import force_total, held_q, held_total
 
 # Absolute tolerance of multipliers, in their own scale: so loose that they stay out of the error
 # test (any of 1 to 1e6 will do). They must where they are of index 2. In the index-1 form the test
@@ -124,8 +124,8 @@ class IndexReduced(abc.ABC):
         system, at = self._system, self._at(self._system, t, y, yp)
         x, xp = at.x, at.xp
         drift, *sides = self._residual(at)
-        force = system.mass_times(x.q, xp.v) + system.constraint_force(x.q, x.lam, t)
-        force = force - system.force(x.q, x.v, t)
+        force = system.mass_times(x.q, xp.v) + reaction(system, t, x.q, x.lam)
+        force = force - system.force(t, x.q, x.v)
         return np.concatenate([xp.q - x.v + drift, force, *sides]) / self._unit
 
     @final
@@ -137,10 +137,10 @@ class IndexReduced(abc.ABC):
         system, at, b = self._system, self._at(self._system, t, y, yp), self._scales.b
         X, Xp = (self._split(Z * self._size[:, None] / b) for Z in (Y, Yp))
         x, (drift, *sides) = at.x, self._residual_b(at, X, Xp)
-        force = system.mass_times(x.q, Xp.v) + inertia_total(system, x.q, at.xp.v, X.q)
-        force = force + constraint_force_total(system, x.q, x.lam, t, X.q)
+        force = system.mass_times(x.q, Xp.v)
+        force = force + held_total(system, t, x.q, at.xp.v, x.lam, X.q)
         force = force + system.constraint_pattern.dot_transposed(at.Phi_q, X.lam)
-        force = force - system.force_total(x.q, x.v, t, X.q, X.v)
+        force = force - force_total(system, t, x.q, x.v, X.q, X.v)
         R = np.concatenate([Xp.q - X.v + drift, force, *sides])
         return np.asarray(R * b / self._unit[:, None])
 
@@ -204,7 +204,7 @@ class IndexReduced(abc.ABC):
 
     def _at(self, system: MechanicalSystem, t: float, y: Array, yp: Array) -> _Instant:
         x, xp = self._split(y * self._size), self._split(yp * self._size)
-        return _Instant(system, t, x, xp, system.constraint_q(x.q, t))
+        return _Instant(system, t, x, xp, system.constraint_q(t, x.q))
 
 
 @final
@@ -218,17 +218,15 @@ class StabilisedIndex2(IndexReduced):
 
     def _residual(self, at: _Instant) -> list[Array]:
         system, t, x = self._system, at.t, at.x
-        drift = system.constraint_force(x.q, x.eta, t) / system.weights
-        side = system.constraint_pattern.dot(at.Phi_q, x.v) - system.velocity_side(x.q, t)
-        return [drift, side, system.constraint(x.q, t)]
+        drift = reaction(system, t, x.q, x.eta) / system.weights
+        return [drift, system.constraint(t, x.q, x.v), system.constraint(t, x.q)]
 
     def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
         system, B, t, x = self._system, self._system.constraint_pattern, at.t, at.x
-        drift = constraint_force_total(system, x.q, x.eta, t, X.q)
+        drift = held_total(system, t, x.q, np.zeros_like(x.q), x.eta, X.q)
         drift = drift + B.dot_transposed(at.Phi_q, X.eta)
-        side = system.constraint_q_times_total(x.q, x.v, t, X.q) + B.dot(at.Phi_q, X.v)
-        side = side - system.velocity_side_total(x.q, t, X.q)
-        Phi_total = B.dot(at.Phi_q, X.q) + system.constraint_b(x.q, t)
+        side = system.constraint_total(t, (x.q, x.v), (X.q, X.v))
+        Phi_total = system.constraint_total(t, (x.q,), (X.q,))
         return [drift / system.weights[:, None], side, Phi_total]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
@@ -246,9 +244,10 @@ class StabilisedIndex2(IndexReduced):
     def _entries(self, at: _Instant, c_j: float) -> list[Array]:
         system, Phi_q, x, w = at.system, at.Phi_q, at.x, at.system.weights
         curvature = np.zeros(system.pattern.size)
-        if not system.linear_constraints:
-            curvature = system.constraint_force_q(x.q, x.eta, at.t) / w[system.pattern.rows]
-        rate = system.constraint_q_rate(x.q, x.v, at.t)
+        if not system.traits.linear_constraints:
+            turned = held_q(system, at.t, x.q, np.zeros_like(x.q), x.eta)
+            curvature = turned / w[system.pattern.rows]
+        rate = system.constraint_q(at.t, x.q, x.v)
         return [curvature, Phi_q / w[system.constraint_pattern.columns], rate, Phi_q, Phi_q]
 
 
@@ -262,16 +261,12 @@ class Index1(IndexReduced):
         return np.concatenate([s.q, s.v, s.lam]), np.concatenate([s.v, s.force, acceleration])
 
     def _residual(self, at: _Instant) -> list[Array]:
-        side = self._system.constraint_pattern.dot(at.Phi_q, at.xp.v)
-        side = side - self._system.acceleration_side(at.x.q, at.x.v, at.t)
+        side = self._system.constraint(at.t, at.x.q, at.x.v, at.xp.v)
         return [np.zeros_like(at.x.q), side]
 
     def _residual_b(self, at: _Instant, X: _Unknowns, Xp: _Unknowns) -> list[Array]:
-        system, x = self._system, at.x
-        side = system.constraint_q_times_total(x.q, at.xp.v, at.t, X.q)
-        side = side + system.constraint_pattern.dot(at.Phi_q, Xp.v)
-        side = side - system.acceleration_side_total(x.q, x.v, at.t, X.q, X.v)
-        return [np.zeros_like(X.q), side]
+        motion, motion_b = (at.x.q, at.x.v, at.xp.v), (X.q, X.v, Xp.v)
+        return [np.zeros_like(X.q), self._system.constraint_total(at.t, motion, motion_b)]
 
     def _blocks(self) -> list[tuple[Array, Array]]:
         B, n_q = self._system.constraint_pattern, self._system.n_q
@@ -279,8 +274,8 @@ class Index1(IndexReduced):
 
     def _entries(self, at: _Instant, c_j: float) -> list[Array]:
         system, x, t = at.system, at.x, at.t
-        rate = c_j * at.Phi_q + 2 * system.constraint_q_rate(x.q, x.v, t)
-        return [system.constraint_q_second_rate(x.q, x.v, at.xp.v, t), rate]
+        rate = c_j * at.Phi_q + 2 * system.constraint_q(t, x.q, x.v)
+        return [system.constraint_q(t, x.q, x.v, at.xp.v), rate]
 
 
 class IndexReduction(Enum):
