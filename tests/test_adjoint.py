@@ -203,7 +203,7 @@ def test_constraints_hold_to_round_off(build):
     scene, design = build()
     run = differentiate(scene, 0.25, HHT(2.0**-7), design=design)
     system = assemble(scene, design)
-    drift = [np.max(np.abs(system.constraint(q, t))) for q, t in zip(run.q, run.t, strict=True)]
+    drift = [np.max(np.abs(system.constraint(t, q))) for q, t in zip(run.q, run.t, strict=True)]
     # Coordinates of order one carry round-off of 1e-16 in each of a few terms.
     assert max(drift) < 1e-14
 

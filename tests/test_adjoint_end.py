@@ -7,6 +7,7 @@ is compared with what `docs/theory.md`, section 8, says of it.
 
 import numpy as np
 import pytest
+from members import inertia_q
 
 from ancfdae import (
     HHT,
@@ -20,6 +21,7 @@ from ancfdae import (
     PointForce,
     Rectangle,
     Scene,
+    Traits,
     UserLaw,
     assemble,
     custom,
@@ -41,7 +43,7 @@ class FourBar(ComplexStepSystem):
 
     n_q, n_lam = 4, 3
     design_names = ("L1", "L2", "L3", "g")
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
     ground = np.array([1.5, 0.0])
 
     def __init__(self, b=(0.5, 1.2, 1.0, 9.81)):
@@ -66,10 +68,10 @@ class FourBar(ComplexStepSystem):
     def mass_matrix(self, q):
         return np.diag([1.0, 1.0, 2.0, 2.0])
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return np.array([0.0, -1.0, 0.0, -2.0]) * self.b[3]
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         rods = q[:2], q[2:] - q[:2], q[2:] - self.ground
         return np.array([r @ r - L**2 for r, L in zip(rods, self.b[:3], strict=True)]) / 2
 
@@ -82,7 +84,7 @@ class TurningGuide(ComplexStepSystem):
 
     n_q, n_lam = 4, 2
     design_names = ("w", "L", "g")
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
 
     def __init__(self, b=(2.0, 0.8, 9.81)):
         super().__init__(b)
@@ -97,10 +99,10 @@ class TurningGuide(ComplexStepSystem):
     def mass_matrix(self, q):
         return np.diag([1.0, 1.0, 2.0, 2.0])
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return np.array([0.0, -1.0, 0.0, -2.0]) * self.b[2]
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         angle, rod = self.b[0] * t + t**2, q[2:] - q[:2]
         guide = q[1] * np.cos(angle) - q[0] * np.sin(angle)
         return np.array([(1 + t) * guide, (rod @ rod - self.b[1] ** 2) / 2])
@@ -130,10 +132,12 @@ def defects(system, step, t_end):
     (t, q, v, a, lam), (mu, mu_t, mu_tt, zeta, epsilon, gamma) = end_of(system, step, t_end)
     local = system.linearise(*(np.array([x]) for x in (t, q, v, a, lam)))
     B, dot, H_lam = system.constraint_pattern, system.pattern.dot_transposed, weights_of(len(lam))
-    Phi_q, first = local.Phi_q[0], system.constraint_q_rate(q, v, t)
-    second = system.constraint_q_second_rate(q, v, a, t)
+    Phi_q, first = local.Phi_q[0], system.constraint_q(t, q, v)
+    second = system.constraint_q(t, q, v, a)
     damping = 0 * mu if local.f_v is None else dot(local.f_v[0], mu)
-    M_rate = 0 * mu if system.constant_mass else system.pattern.dot(system.inertia_q(q, mu), v)
+    M_rate = (
+        0 * mu if system.traits.constant_mass else system.pattern.dot(inertia_q(system, q, mu), v)
+    )
     conditions = {
         "(37)": [B.dot(Phi_q, mu), -H_lam],
         "(37)'": [B.dot(Phi_q, mu_t), B.dot(first, mu)],
@@ -146,7 +150,7 @@ def defects(system, step, t_end):
             -damping,
         ],
     }
-    if system.constant_mass and local.f_v is None:
+    if system.traits.constant_mass and local.f_v is None:
         inertia, reaction = system.mass_times(q, mu_tt), B.dot_transposed(Phi_q, zeta)
         # H_q - (H_v)' = -a.
         conditions["(36)"] = [inertia, dot(local.f_q[0], mu), reaction, a]
@@ -166,7 +170,7 @@ def test_the_end_of_the_continuous_adjoint_satisfies_its_conditions(system, t_en
         # What needs no rate holds to round-off. Rates are differences of second order, whose error
         # falls by three at least at these steps and by four in the limit; where a sign or factor is
         # wrong it stays.
-        exact = name in ("(37)", "(39)") or (name == "(38)" and system.constant_mass)
+        exact = name in ("(37)", "(39)") or (name == "(38)" and system.traits.constant_mass)
         assert defect < 1e-12 if exact else coarse[name] > 3 * defect, name
 
 
@@ -175,9 +179,9 @@ def test_the_corrected_term_matters_on_the_closed_loop():
     for system in SYSTEMS:
         (t, q, v, _, _), (mu, mu_t, *_) = end_of(system, 0.3 / 24, 0.3)
         B = system.constraint_pattern
-        turning = B.dot(system.constraint_q_rate(q, v, t), mu)
+        turning = B.dot(system.constraint_q(t, q, v), mu)
         assert np.linalg.norm(turning) > 0.1 * np.linalg.norm(
-            B.dot(system.constraint_q(q, t), mu_t)
+            B.dot(system.constraint_q(t, q), mu_t)
         )
 
 

@@ -11,6 +11,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from members import (
+    acceleration_side,
+    acceleration_side_total,
+    constraint_b,
+    constraint_force,
+    constraint_force_b,
+    constraint_force_q,
+    constraint_force_rate,
+    constraint_force_rate_total,
+    constraint_q_times_total,
+    force_b,
+    force_q,
+    force_rate,
+    force_rate_total,
+    force_total,
+    force_v,
+    jerk_side,
+    jerk_side_total,
+    mass_b_times,
+    velocity_side,
+    velocity_side_total,
+)
 from scipy.spatial.transform import Rotation
 
 from ancfdae import (
@@ -512,7 +534,7 @@ class Setting:
         of Q in the norm of the weights `force_round_off`, in single numbers by the least and the
         largest weight. Factor 10 for the solve, and for coordinates that move by more than 1 m.
         """
-        weights, Q = self.system.weights, 10 * self.system.force_round_off
+        weights, Q = self.system.weights, 10 * self.system.traits.force_round_off
         sizes = {"a": Q / np.sqrt(np.min(weights)), "lam": Q * np.sqrt(np.max(weights))}
         return sizes.get(name, 0.0)
 
@@ -618,64 +640,64 @@ def test_every_scene_and_every_parameter_has_a_case():
 
 def test_force_b(setting):
     s = setting
-    Q = s.system.force(s.q, s.v, s.t)
-    partial = s.system.force_b(s.q, s.v, s.t)
-    s.check_design(partial, lambda x, i, e: x.force(s.q, s.v, s.t), np.max(np.abs(Q)))
+    Q = s.system.force(s.t, s.q, s.v)
+    partial = force_b(s.system, s.t, s.q, s.v)
+    s.check_design(partial, lambda x, i, e: x.force(s.t, s.q, s.v), np.max(np.abs(Q)))
 
 
 def test_force_total(setting):
     s = setting
-    total = s.system.force_total(s.q, s.v, s.t, s.q_b, s.v_b)
+    total = force_total(s.system, s.t, s.q, s.v, s.q_b, s.v_b)
     rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((s.q, s.q_b), (s.v, s.v_b))]
-    both = s.system.force_and_total(*rows, s.t)
+    both = s.system.force_and_total(s.t, *rows)
     assert np.array_equal(both[1:].T, total)
-    Q = s.system.force(s.q, s.v, s.t)
+    Q = s.system.force(s.t, s.q, s.v)
     # The same products in another order.
     assert np.max(np.abs(both[0] - Q)) < 1e-13 * np.max(np.abs(Q))
 
     def moved(x, i, e):
-        return x.force(s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i], s.t)
+        return x.force(s.t, s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i])
 
-    s.check_design(total, moved, np.max(np.abs(s.system.force(s.q, s.v, s.t))))
+    s.check_design(total, moved, np.max(np.abs(s.system.force(s.t, s.q, s.v))))
 
 
 def test_mass_b_times(setting):
     s = setting
-    partial = s.system.mass_b_times(s.q, s.a)
+    partial = mass_b_times(s.system, s.q, s.a)
     magnitude = np.max(np.abs(s.system.mass_times(s.q, s.a)))
     s.check_design(partial, lambda x, i, e: x.mass_times(s.q, s.a), magnitude)
 
 
 def test_force_rate_total(setting):
     s = setting
-    partial = s.system.force_rate_total(s.q, s.v, s.a, s.t, s.q_b, s.v_b, s.a_b)
+    partial = force_rate_total(s.system, s.t, s.q, s.v, s.a, s.q_b, s.v_b, s.a_b)
 
     def rate(x, i, e):
         q, v, a = s.q + e * s.q_b[:, i], s.v + e * s.v_b[:, i], s.a + e * s.a_b[:, i]
-        return x.force_rate(q, v, a, s.t)
+        return force_rate(x, s.t, q, v, a)
 
-    s.check_design(partial, rate, np.max(np.abs(s.system.force_rate(s.q, s.v, s.a, s.t))))
+    s.check_design(partial, rate, np.max(np.abs(force_rate(s.system, s.t, s.q, s.v, s.a))))
 
 
 def test_constraint_b(setting):
     s = setting
-    partial = s.system.constraint_b(s.q, s.t)
-    s.check_design(partial, lambda x, i, e: x.constraint(s.q, s.t), 1.0)  # positions of 1 m
+    partial = constraint_b(s.system, s.t, s.q)
+    s.check_design(partial, lambda x, i, e: x.constraint(s.t, s.q), 1.0)  # positions of 1 m
 
 
 def test_constraint_force_b(setting):
     s = setting
-    partial = s.system.constraint_force_b(s.q, s.lam, s.t)
-    magnitude = np.max(np.abs(s.system.constraint_force(s.q, s.lam, s.t)))
-    s.check_design(partial, lambda x, i, e: x.constraint_force(s.q, s.lam, s.t), magnitude)
+    partial = constraint_force_b(s.system, s.t, s.q, s.lam)
+    magnitude = np.max(np.abs(constraint_force(s.system, s.t, s.q, s.lam)))
+    s.check_design(partial, lambda x, i, e: constraint_force(x, s.t, s.q, s.lam), magnitude)
 
 
 def test_constraint_q_times_total(setting):
     s = setting
-    partial = s.system.constraint_q_times_total(s.q, s.v, s.t, s.q_b)
+    partial = constraint_q_times_total(s.system, s.t, s.q, s.v, s.q_b)
 
     def product(x, i, e):
-        values = x.constraint_q(s.q + e * s.q_b[:, i], s.t)
+        values = x.constraint_q(s.t, s.q + e * s.q_b[:, i])
         return x.constraint_pattern.dot(values, s.v)
 
     s.check_design(partial, product, 1.0)
@@ -721,9 +743,9 @@ def test_design_derivatives_of_the_constraints_are_not_all_zero():
     # The checks above would accept zero for zero: pins away from the nodes move with the length.
     s = Setting("planar_pair", ["crank.length", "rod.length"])
     for partial in (
-        s.system.constraint_b(s.q, s.t),
-        s.system.constraint_force_b(s.q, s.lam, s.t),
-        s.system.constraint_q_times_total(s.q, s.v, s.t, s.q_b),
+        constraint_b(s.system, s.t, s.q),
+        constraint_force_b(s.system, s.t, s.q, s.lam),
+        constraint_q_times_total(s.system, s.t, s.q, s.v, s.q_b),
     ):
         # The crank is held at its ends only, the rod inside of its second element.
         assert not np.any(partial[:, 0])
@@ -738,88 +760,88 @@ def test_force_is_minus_the_gradient_of_the_energies(conservative):
     gradient = s.by_coordinate(
         lambda q: system.energies.strain(q[None])[0] + system.energies.gravity(q)
     )
-    assert_close(system.force(s.q, s.v, s.t), -gradient, DERIVATIVE)
+    assert_close(system.force(s.t, s.q, s.v), -gradient, DERIVATIVE)
 
 
 def test_force_q(plain):
     s, system = plain, plain.system
-    expected = s.by_coordinate(lambda q: system.force(q, s.v, s.t))
-    Q_q = system.pattern.dense(system.force_q(s.q, s.v, s.t))
+    expected = s.by_coordinate(lambda q: system.force(s.t, q, s.v))
+    Q_q = system.pattern.dense(force_q(system, s.t, s.q, s.v))
     assert_close(Q_q, expected, DERIVATIVE)
 
 
 def test_tangent_of_conservative_forces_is_symmetric(conservative):
     s, system = conservative, conservative.system
-    Q_q = system.pattern.dense(system.force_q(s.q, s.v, s.t))
+    Q_q = system.pattern.dense(force_q(system, s.t, s.q, s.v))
     assert_close(Q_q, Q_q.T, VALUE)
-    assert not system.velocity_forces
-    assert not np.any(system.force_v(s.q, s.v, s.t))
+    assert not system.traits.velocity_forces
+    assert not np.any(force_v(system, s.t, s.q, s.v))
 
 
 def test_force_v(plain):
     s, system = plain, plain.system
-    Q_v = system.pattern.dense(system.force_v(s.q, s.v, s.t))
-    if not system.velocity_forces:
-        moved = system.force(s.q, s.v + 1.0, s.t)
-        assert np.array_equal(moved, system.force(s.q, s.v, s.t))
+    Q_v = system.pattern.dense(force_v(system, s.t, s.q, s.v))
+    if not system.traits.velocity_forces:
+        moved = system.force(s.t, s.q, s.v + 1.0)
+        assert np.array_equal(moved, system.force(s.t, s.q, s.v))
         assert not np.any(Q_v)
         return
-    expected = s.by_coordinate(lambda v: system.force(s.q, v, s.t), s.v)
+    expected = s.by_coordinate(lambda v: system.force(s.t, s.q, v), s.v)
     assert_close(Q_v, expected, DERIVATIVE)
 
 
 def test_force_rate(plain):
     s, system = plain, plain.system
-    moved = system.force(s.q + 1j * STEP * s.v, s.v + 1j * STEP * s.a, s.t)
+    moved = system.force(s.t, s.q + 1j * STEP * s.v, s.v + 1j * STEP * s.a)
     expected = moved.imag / STEP
-    assert_close(system.force_rate(s.q, s.v, s.a, s.t), expected, DERIVATIVE)
+    assert_close(force_rate(system, s.t, s.q, s.v, s.a), expected, DERIVATIVE)
 
 
 def test_constraint_q_and_its_transpose(plain):
     s, system = plain, plain.system
-    expected = s.by_coordinate(lambda q: system.constraint(q, s.t))
-    B = system.constraint_pattern.dense(system.constraint_q(s.q, s.t))
+    expected = s.by_coordinate(lambda q: system.constraint(s.t, q))
+    B = system.constraint_pattern.dense(system.constraint_q(s.t, s.q))
     assert_close(B, expected, DERIVATIVE)
-    assert_close(system.constraint_force(s.q, s.lam, s.t), B.T @ s.lam, VALUE)
+    assert_close(constraint_force(system, s.t, s.q, s.lam), B.T @ s.lam, VALUE)
 
 
 def test_linear_constraints_have_no_curvature(conservative):
     s, system = conservative, conservative.system
-    assert system.linear_constraints
-    values = system.constraint_q(s.q + 1j * STEP * s.v, s.t)
+    assert system.traits.linear_constraints
+    values = system.constraint_q(s.t, s.q + 1j * STEP * s.v)
     assert not np.any(np.imag(values))
     for array in (
-        system.constraint_force_q(s.q, s.lam, s.t),
-        system.velocity_side(s.q, s.t),
-        system.acceleration_side(s.q, s.v, s.t),
-        system.jerk_side(s.q, s.v, s.a, s.t),
-        system.constraint_force_rate(s.q, s.v, s.lam, s.t),
+        constraint_force_q(system, s.t, s.q, s.lam),
+        velocity_side(system, s.t, s.q),
+        acceleration_side(system, s.t, s.q, s.v),
+        jerk_side(system, s.t, s.q, s.v, s.a),
+        constraint_force_rate(system, s.t, s.q, s.v, s.lam),
     ):
         assert not np.any(array)
 
 
 def test_curvature_of_constraints(plain):
     s, system = plain, plain.system
-    values = system.pattern.dense(system.constraint_force_q(s.q, s.lam, s.t))
-    if system.linear_constraints:
+    values = system.pattern.dense(constraint_force_q(system, s.t, s.q, s.lam))
+    if system.traits.linear_constraints:
         assert not np.any(values)
         return
-    expected = s.by_coordinate(lambda q: system.constraint_force(q, s.lam, s.t))
+    expected = s.by_coordinate(lambda q: constraint_force(system, s.t, q, s.lam))
     assert_close(values, expected, DERIVATIVE)
 
 
 def test_constraint_q_rate(plain):
     s, system = plain, plain.system
     dense, dot = system.constraint_pattern.dense, system.constraint_pattern.dot
-    rate = dense(system.constraint_q_rate(s.q, s.v, s.t))
-    if system.linear_constraints:
+    rate = dense(system.constraint_q(s.t, s.q, s.v))
+    if system.traits.linear_constraints:
         assert not np.any(rate)
         return
     # Along the motion, prescribed motions included, and as the partial of dPhi/dt in q.
-    moved = real_derivative(lambda e: system.constraint_q(s.q + e * s.v, s.t + e))
+    moved = real_derivative(lambda e: system.constraint_q(s.t + e, s.q + e * s.v))
     assert_close(rate, dense(moved), DIFFERENCES)
     expected = s.by_coordinate(
-        lambda q: dot(system.constraint_q(q, s.t), s.v) - system.velocity_side(q, s.t)
+        lambda q: dot(system.constraint_q(s.t, q), s.v) - velocity_side(system, s.t, q)
     )
     assert_close(rate, expected, DERIVATIVE)
 
@@ -827,16 +849,16 @@ def test_constraint_q_rate(plain):
 def test_constraint_q_second_rate(plain):
     s, system = plain, plain.system
     dense, dot = system.constraint_pattern.dense, system.constraint_pattern.dot
-    rate = dense(system.constraint_q_second_rate(s.q, s.v, s.a, s.t))
-    if system.linear_constraints:
+    rate = dense(system.constraint_q(s.t, s.q, s.v, s.a))
+    if system.traits.linear_constraints:
         assert not np.any(rate)
         return
     moved = real_derivative(
-        lambda e: system.constraint_q_rate(s.q + e * (s.v + e / 2 * s.a), s.v + e * s.a, s.t + e)
+        lambda e: system.constraint_q(s.t + e, s.q + e * (s.v + e / 2 * s.a), s.v + e * s.a)
     )
     assert_close(rate, dense(moved), DIFFERENCES)
     expected = s.by_coordinate(
-        lambda q: dot(system.constraint_q(q, s.t), s.a) - system.acceleration_side(q, s.v, s.t)
+        lambda q: dot(system.constraint_q(s.t, q), s.a) - acceleration_side(system, s.t, q, s.v)
     )
     assert_close(rate, expected, DERIVATIVE)
 
@@ -856,8 +878,8 @@ def test_linearise_is_the_loop_over_instants(plain):
     assert_close(ours.M, loop.M, VALUE)
     assert_close(ours.f_q, loop.f_q, VALUE)
     assert_close(ours.Phi_q, loop.Phi_q, VALUE)
-    assert (ours.f_v is None) == (not system.velocity_forces)
-    if system.velocity_forces:
+    assert (ours.f_v is None) == (not system.traits.velocity_forces)
+    if system.traits.velocity_forces:
         assert_close(ours.f_v, loop.f_v, VALUE)
 
 
@@ -897,15 +919,15 @@ def test_arrays_of_the_protocol_have_their_shapes(setting):
     n_q, n_lam, n_b = x.n_q, x.n_lam, x.n_b
     lam_b = np.zeros((n_lam, n_b))
     for array, shape in (
-        (x.velocity_side_total(s.q, s.t, s.q_b), (n_lam, n_b)),
-        (x.acceleration_side_total(s.q, s.v, s.t, s.q_b, s.v_b), (n_lam, n_b)),
-        (x.jerk_side_total(s.q, s.v, s.a, s.t, s.q_b, s.v_b, s.a_b), (n_lam, n_b)),
-        (x.constraint_force_rate_total(s.q, s.v, s.lam, s.t, s.q_b, s.v_b, lam_b), (n_q, n_b)),
-        (x.constraint_q_times_total(s.q, s.v, s.t, s.q_b), (n_lam, n_b)),
-        (x.force_v(s.q, s.v, s.t), (x.pattern.size,)),
+        (velocity_side_total(x, s.t, s.q, s.q_b), (n_lam, n_b)),
+        (acceleration_side_total(x, s.t, s.q, s.v, s.q_b, s.v_b), (n_lam, n_b)),
+        (jerk_side_total(x, s.t, s.q, s.v, s.a, s.q_b, s.v_b, s.a_b), (n_lam, n_b)),
+        (constraint_force_rate_total(x, s.t, s.q, s.v, s.lam, s.q_b, s.v_b, lam_b), (n_q, n_b)),
+        (constraint_q_times_total(x, s.t, s.q, s.v, s.q_b), (n_lam, n_b)),
+        (force_v(x, s.t, s.q, s.v), (x.pattern.size,)),
         (x.mass(s.q), (x.pattern.size,)),
         (x.weights, (n_q,)),
-        (x.velocity_side(s.q, s.t), (n_lam,)),
+        (velocity_side(x, s.t, s.q), (n_lam,)),
     ):
         assert array.shape == shape
     assert len(x.constraint_names) == n_lam
@@ -955,7 +977,7 @@ def test_force_is_the_sum_of_oracle_elements(conservative):
         expected[rows] -= oracle.force(X, p["E"], p["nu"], *section, **rule).ravel()
         if g is not None:
             expected[rows] += oracle.gravity_force(g, p["rho"], *section, **rule).ravel()
-    assert_close(paper.force(s.q, s.v, s.t), expected, VALUE)
+    assert_close(paper.force(s.t, s.q, s.v), expected, VALUE)
 
 
 def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(bending):
@@ -1038,14 +1060,14 @@ def test_constraints_are_those_of_vectors_by_hand(conservative):
             expected.append(turns_by_hand(system, s.q, q_o, joint.point))
     # Differences of positions of 1 m that differ by 0.05 m: 20 times the round-off of a sum of
     # eight products.
-    assert_close(system.constraint(s.q, s.t), np.concatenate(expected), VALUE)
+    assert_close(system.constraint(s.t, s.q), np.concatenate(expected), VALUE)
 
 
 def test_pin_holds_to_the_given_ground():
     beam = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, FLAT, STEEL)
     system = assemble(Scene([beam], [Pin(beam.at_end, ground=(0.7, 0.2))]))
     # (1, 0) - (0.7, 0.2), one rounding.
-    assert system.constraint(system._reference.q, 0.0) == pytest.approx([0.3, -0.2], rel=1e-15)
+    assert system.constraint(0.0, system._reference.q) == pytest.approx([0.3, -0.2], rel=1e-15)
 
 
 def test_rigid_motion_turns_positions_and_slopes():
@@ -1146,12 +1168,12 @@ def test_system_with_values_is_the_scene_with_values(setting):
     if s.scene.beams:
         assert_close(moved.naming.lengths, other.naming.lengths, VALUE)
     assert_close(moved.start()[0], other.start()[0], VALUE)
-    assert_close(moved.force(s.q, s.v, s.t), other.force(s.q, s.v, s.t), 10 * VALUE)
+    assert_close(moved.force(s.t, s.q, s.v), other.force(s.t, s.q, s.v), 10 * VALUE)
     assert_close(moved.mass_times(s.q, s.a), other.mass_times(s.q, s.a), VALUE)
-    assert_close(moved.constraint(s.q, s.t), other.constraint(s.q, s.t), 10 * VALUE)
+    assert_close(moved.constraint(s.t, s.q), other.constraint(s.t, s.q), 10 * VALUE)
     if s.system.n_b:
         assert_close(other.b, s.system.b * factor, VALUE)
-        change = moved.force(s.q, s.v, s.t) - s.system.force(s.q, s.v, s.t)
+        change = moved.force(s.t, s.q, s.v) - s.system.force(s.t, s.q, s.v)
         assert np.max(np.abs(change)) > 0
 
 
@@ -1161,7 +1183,7 @@ def test_naming_design_variables_changes_nothing(setting):
     # Values are written through shares of a length: a rounding of the length or two.
     if s.scene.beams:
         assert_close(s.system.naming.lengths, plain.naming.lengths, VALUE)
-    assert_close(s.system.force(s.q, s.v, s.t), plain.force(s.q, s.v, s.t), 10 * VALUE)
+    assert_close(s.system.force(s.t, s.q, s.v), plain.force(s.t, s.q, s.v), 10 * VALUE)
     assert_close(s.system.mass_times(s.q, s.a), plain.mass_times(s.q, s.a), VALUE)
     assert_close(s.system.start()[0], plain.start()[0], VALUE)
 
@@ -1169,9 +1191,9 @@ def test_naming_design_variables_changes_nothing(setting):
 def test_with_values_of_the_same_values_is_the_same_system(setting):
     s = setting
     same = s.system.with_values(s.system.b)
-    assert np.array_equal(same.force(s.q, s.v, s.t), s.system.force(s.q, s.v, s.t))
+    assert np.array_equal(same.force(s.t, s.q, s.v), s.system.force(s.t, s.q, s.v))
     assert np.array_equal(same.mass(s.q), s.system.mass(s.q))
-    assert np.array_equal(same.constraint(s.q, s.t), s.system.constraint(s.q, s.t))
+    assert np.array_equal(same.constraint(s.t, s.q), s.system.constraint(s.t, s.q))
 
 
 def test_wrong_number_of_design_values_is_refused():
@@ -1230,7 +1252,7 @@ class Chain:
         monkeypatch.setattr(linear_solvers, "_BAND_HALF_WIDTH", half_width)
         self.system = chain_system()
         system = self.system
-        self.B = system.constraint_q(system.start()[0], 0.0)
+        self.B = system.constraint_q(0.0, system.start()[0])
         self.solver = SaddlePoint(system.pattern, system.constraint_pattern, system.weights, self.B)
         assert isinstance(self.solver._storage, storage)
 
@@ -1337,14 +1359,14 @@ class SymmetricChain(Chain):
 
     def __init__(self):
         self.system = system = chain_system()
-        self.B = system.constraint_q(system.start()[0], 0.0)
+        self.B = system.constraint_q(0.0, system.start()[0])
         patterns = system.pattern, system.constraint_pattern
         self.solver = SaddlePoint(*patterns, system.weights, self.B, symmetric=True)
 
     def values(self, is_complex, shift=0.0):
         system, rng = self.system, np.random.default_rng(8)
         q = rng.uniform(-1, 1, system.n_q) * 0.01 + system.start()[0]
-        K = system.mass(None) * (1 - shift) - 1e-8 * system.force_q(q, q, 0.0)
+        K = system.mass(None) * (1 - shift) - 1e-8 * force_q(system, 0.0, q, q)
         return K * (1 + 0.1j * rng.uniform(-1, 1)) if is_complex else K
 
 
@@ -1381,7 +1403,7 @@ def test_singular_symmetric_matrices_are_refused():
 
 def test_chains_are_bands():
     system = chain_system()
-    values = system.constraint_q(system.start()[0], 0.0)
+    values = system.constraint_q(0.0, system.start()[0])
     arguments = (system.pattern, system.constraint_pattern, system.weights, values)
     # A narrow band of two nodes and the multipliers between them.
     storage = SaddlePoint(*arguments)._storage

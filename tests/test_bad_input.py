@@ -624,14 +624,14 @@ def test_projected_start_satisfies_the_constraints_to_round_off(monkeypatch):
     q, v = solution.q[0], solution.v[0]
     # Positions and velocities of size one through a solve whose scaled matrix has a condition
     # of some hundreds: 1e3 eps.
-    assert np.max(np.abs(system.constraint(q, 0.0))) <= 2e-13
-    speed = system.constraint_pattern.dot(system.constraint_q(q, 0.0), v)
+    assert np.max(np.abs(system.constraint(0.0, q))) <= 2e-13
+    speed = system.constraint_pattern.dot(system.constraint_q(0.0, q), v)
     assert np.max(np.abs(speed)) <= 2e-13
     declared_q, declared_v = system.start()
-    assert np.max(np.abs(system.constraint(declared_q, 0.0))) > 0.01
+    assert np.max(np.abs(system.constraint(0.0, declared_q))) > 0.01
     assert np.max(np.abs(q - declared_q)) > 0.01
     # It is the nearest state in the norm of M: the change is M^{-1} B^T nu for some nu.
-    B = system.constraint_pattern.dense(system.constraint_q(q, 0.0))
+    B = system.constraint_pattern.dense(system.constraint_q(0.0, q))
     for change in (q - declared_q, v - declared_v):
         force = system.mass_times(system.start()[0], change)
         rest = force - B.T @ np.linalg.lstsq(B.T, force)[0]

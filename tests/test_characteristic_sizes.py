@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ancfdae import ComplexStepSystem
+from ancfdae import ComplexStepSystem, Traits
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import consistent_start
 from ancfdae.protocol.saddle_points import saddle_point
@@ -18,7 +18,7 @@ class Bead(ComplexStepSystem):
 
     n_q, n_lam = 2, 1
     design_names = ("force",)
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
 
     def __init__(self, x=0.0, v=0.0, force=0.0):
         self.x, self.v = x, v
@@ -33,10 +33,10 @@ class Bead(ComplexStepSystem):
     def mass_matrix(self, q):
         return 4.0 * np.eye(2)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return np.array([1.0, 0.0]) * self.b[0]
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return 3.0 * q[1:]
 
 

@@ -228,8 +228,8 @@ class Forgetful(CartesianPendulum):
 class Dropping(CartesianPendulum):
     """Loses the imaginary part of a complex step without a word."""
 
-    def constraint(self, q, t):
-        return super().constraint(np.real(q), t)
+    def constraint(self, t, q):
+        return super().constraint(t, np.real(q))
 
     def with_values(self, b):
         return Dropping(self.angle, self.spin, b)
@@ -248,7 +248,7 @@ class Following(CartesianPendulum):
 class Filling(CartesianPendulum):
     """Fills an array of floats, which refuses complex numbers."""
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         Q = np.zeros(2)
         Q[1] = -self.b[1]
         return Q

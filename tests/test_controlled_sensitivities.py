@@ -30,6 +30,7 @@ from ancfdae.errors import Verdict
 from ancfdae.integrators.step_control import controlled
 from ancfdae.integrators.step_control import derivative_sizes as sizing
 from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.protocol import DesignPartials
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 
@@ -270,12 +271,14 @@ def test_an_interrupt_keeps_what_is_computed(monkeypatch, after):
 
 @pytest.mark.parametrize("start", [-1.0, 0.5])
 def test_derivatives_that_are_no_numbers_are_an_outcome(monkeypatch, start):
-    true_force_b = CartesianPendulum.force_b
+    true_partials = CartesianPendulum.design_partials
 
-    def undefined(self, q, v, t):
-        return true_force_b(self, q, v, t) * (np.nan if t > start else 1.0)
+    def undefined(self, t, *states):
+        partials = true_partials(self, t, *states)
+        late = np.where(t > start, np.nan, 1.0)[:, None, None]
+        return DesignPartials(partials.f_b * late, partials.Phi_b)
 
-    monkeypatch.setattr(CartesianPendulum, "force_b", undefined)
+    monkeypatch.setattr(CartesianPendulum, "design_partials", undefined)
     integrator = HHT(both(1e-2))
     run = differentiate(CartesianPendulum(), 1.0, integrator)
     assert run.outcome.verdict is Verdict.ERROR_TEST

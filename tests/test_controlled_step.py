@@ -283,8 +283,8 @@ def test_many_instants_print_in_short():
 class Exploding(CartesianPendulum):
     """Its force is not a number from some time on."""
 
-    def force(self, q, v, t):
-        return super().force(q, v, t) * (np.nan if t > 0.3 else 1.0)
+    def force(self, t, q, v):
+        return super().force(t, q, v) * (np.nan if t > 0.3 else 1.0)
 
 
 class Kicked(CartesianPendulum):
@@ -294,8 +294,8 @@ class Kicked(CartesianPendulum):
         super().__init__()
         self.rng = np.random.default_rng(0)
 
-    def force(self, q, v, t):
-        return super().force(q, v, t) + (1e6 * self.rng.standard_normal(2) if t > 0.3 else 0.0)
+    def force(self, t, q, v):
+        return super().force(t, q, v) + (1e6 * self.rng.standard_normal(2) if t > 0.3 else 0.0)
 
 
 @pytest.mark.parametrize("kind", [Exploding, Kicked])

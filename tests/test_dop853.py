@@ -125,9 +125,9 @@ def test_constant_constraints_hold_to_round_off(swinging):
     assert swinging.constant_constraints
     run = differentiate(swinging, 0.05, Explicit(1e-4, 2))
     B, b = swinging.constraint_pattern, run.sensitivities
-    Phi_q, size = swinging.constraint_q(run.q[0], 0.0), np.max(np.abs(run.q[-1]))
+    Phi_q, size = swinging.constraint_q(0.0, run.q[0]), np.max(np.abs(run.q[-1]))
     for q, v, q_b, v_b in zip(run.q, run.v, b.q_b, b.v_b, strict=True):
-        assert np.max(np.abs(swinging.constraint(q, 0.0))) < 1e-14 * size
+        assert np.max(np.abs(swinging.constraint(0.0, q))) < 1e-14 * size
         for x in (v, q_b, v_b):
             assert np.max(np.abs(B.dot(Phi_q, x))) < 1e-13 * np.max(np.abs(x), initial=1.0)
 
@@ -136,7 +136,7 @@ def test_states_move_to_the_nearest_on_constant_constraints():
     # Away from the origin, where Phi is not Phi_q q.
     rod = Beam("a", (0.3, 0.2), (0.8, 0.2), 2, Rectangle(0.05, 0.04), Material(4000, 1e6, 0.3))
     system = assemble(Scene([rod], [Pin(rod.at_start)], (0, -9.81)), ["a.density", "a.height"])
-    assert system.constant_constraints
+    assert system.traits.constant_constraints
     problem = Problem.of(system, 1.0).differentiated()
     first, b = problem.initial, problem.derivative
     rows = stacked(first.q, first.v, b.q_b, b.v_b)
@@ -144,8 +144,8 @@ def test_states_move_to_the_nearest_on_constant_constraints():
     # By the factors, then by the inverse that is formed where they are met again.
     for _ in range(2):
         moved = problem.accelerations.projected(0.0, rows)
-        B, Phi_q = system.constraint_pattern, system.constraint_q(first.q, 0.0)
-        assert np.max(np.abs(system.constraint(moved[0, 0], 0.0))) < 1e-15
+        B, Phi_q = system.constraint_pattern, system.constraint_q(0.0, first.q)
+        assert np.max(np.abs(system.constraint(0.0, moved[0, 0]))) < 1e-15
         assert np.max(np.abs(B.dot(Phi_q, moved.reshape(6, -1)[1:].T))) < 1e-15
         # M dx + Phi_q^T sigma = 0: no inertia along motions that the constraints allow, but for the
         # round-off of solving with M, whose condition number is 1e4.
@@ -164,5 +164,5 @@ def test_which_constraints_are_constant():
         ([base, drive], ["a.height"], False),
     ):
         system = assemble(Scene([rod], joints, (0, -9.81), project_start=True), design)
-        assert system.linear_constraints
-        assert system.constant_constraints == constant
+        assert system.traits.linear_constraints
+        assert system.traits.constant_constraints == constant

@@ -15,6 +15,7 @@ from ancfdae import (
     Point,
     Solution,
     Terminal,
+    Traits,
     assemble,
     custom,
     differentiate,
@@ -105,7 +106,7 @@ class Runaway(ComplexStepSystem):
 
     n_q, n_lam = 1, 0
     design_names = ("b1", "b2")
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
 
     def with_values(self, b):
         return Runaway(b)
@@ -116,10 +117,10 @@ class Runaway(ComplexStepSystem):
     def mass_matrix(self, q):
         return np.eye(1)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return 1e6 * self.b[0] * self.b[1] * q
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return np.zeros(0)
 
 

@@ -16,6 +16,7 @@ from ancfdae import (
     Integral,
     Interrupted,
     InvalidInput,
+    Traits,
     custom,
     differentiate,
     gradient,
@@ -61,7 +62,7 @@ def test_accelerations_and_multipliers_stay_usable_at_tiny_steps(h, alpha):
 def test_constraints_that_move_hold_at_tiny_steps(system):
     run = simulate(system, 500 * 1e-6, HHT(1e-6, hht_alpha=-0.05))
     assert run.outcome.success
-    worst = max(np.max(np.abs(system.constraint(q, t))) for q, t in zip(run.q, run.t, strict=True))
+    worst = max(np.max(np.abs(system.constraint(t, q))) for q, t in zip(run.q, run.t, strict=True))
     assert worst < 1e-13
 
 
@@ -141,7 +142,7 @@ class Carriage(ComplexStepSystem):
 
     n_q, n_lam = 2, 1
     design_names = ("A", "w")
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
 
     def with_values(self, b):
         return Carriage(b)
@@ -152,10 +153,10 @@ class Carriage(ComplexStepSystem):
     def mass_matrix(self, q):
         return np.eye(2)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return 0 * q
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return np.array([q[1] - self.b[0] * np.sin(self.b[1] * t)])
 
 
@@ -178,7 +179,7 @@ def test_increment_of_constraints_is_their_difference(system):
     q, v = system.start()
     dq = 0.02 * rng.standard_normal(system.n_q)
     node = Node(0.3, q, v, v, np.zeros(system.n_lam), v)
-    difference = system.constraint(q + dq, 0.3 + c.h) - system.constraint(q, 0.3)
+    difference = system.constraint(0.3 + c.h, q + dq) - system.constraint(0.3, q)
     found = constraint_increment(system, c, node, dq)
     np.testing.assert_allclose(found, difference, atol=1e-12, rtol=0)
 

@@ -1,6 +1,7 @@
 """IDA, IDAS and the explicit path behind the contract that HHT-I3 has."""
 
 import importlib.util
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,8 +66,8 @@ class Disturbed(CartesianPendulum):
     def with_values(self, b):
         return self
 
-    def force(self, q, v, t):
-        return super().force(q, v, t) + self.disturb(q, v, t)
+    def force(self, t, q, v):
+        return super().force(t, q, v) + self.disturb(q, v, t)
 
 
 def test_panels_integrate_to_degree_15_and_interpolate_to_degree_8():
@@ -288,7 +289,8 @@ def test_two_hundred_random_bad_starts(kind):
         if rng.random() < 0.2:
             q[rng.integers(2)] = rng.choice([np.nan, np.inf, 0.0])
         system.start = lambda q=q, v=v: (q, v)
-        system.project_start = bool(rng.random() < 0.5)
+        project = bool(rng.random() < 0.5)
+        system.traits = replace(system.traits, project_start=project)
         try:
             run = simulate(system, 1.0, kind(1e-4, intervals=1, max_steps=30))
         except InvalidInput as error:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from members import constraint_force, velocity_side
 
 from ancfdae import (
     Beam,
@@ -127,14 +128,14 @@ def test_the_stabilised_form_contains_the_equations_of_motion_as_they_stand():
     x = case.y * np.concatenate([s.q, s.v, s.lam, s.eta])
     xp = case.yp * np.concatenate([s.q, s.v, s.lam, s.eta])
     q, v, lam, eta = x[:n], x[n : 2 * n], x[2 * n : 2 * n + m], x[2 * n + m :]
-    drift = system.constraint_force(q, eta, case.t) / system.weights
-    Phi_q = system.constraint_pattern.csr(system.constraint_q(q, case.t)).toarray()
-    force = system.mass_times(q, xp[n : 2 * n]) + Phi_q.T @ lam - system.force(q, v, case.t)
+    drift = constraint_force(system, case.t, q, eta) / system.weights
+    Phi_q = system.constraint_pattern.csr(system.constraint_q(case.t, q)).toarray()
+    force = system.mass_times(q, xp[n : 2 * n]) + Phi_q.T @ lam - system.force(case.t, q, v)
     parts = [
         (xp[:n] - v + drift) / s.v,
         force / s.force,
-        (Phi_q @ v - system.velocity_side(q, case.t)) / (s.row * s.speed),
-        system.constraint(q, case.t) / (s.row * s.position),
+        (Phi_q @ v - velocity_side(system, case.t, q)) / (s.row * s.speed),
+        system.constraint(case.t, q) / (s.row * s.position),
     ]
     expected = np.concatenate(parts)
     np.testing.assert_allclose(case.form.residual(case.t, case.y, case.yp), expected, rtol=1e-12)

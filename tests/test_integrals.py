@@ -183,9 +183,9 @@ class Counted(SliderCrank):
 
     forces = 0
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         Counted.forces += 1
-        return super().force(q, v, t)
+        return super().force(t, q, v)
 
 
 def forces_of(call, *arguments, **options):

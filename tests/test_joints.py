@@ -13,6 +13,21 @@ from functools import partial as given
 import numpy as np
 import pytest
 from examples import all_examples, coefficients_of, public_classes
+from members import (
+    acceleration_side,
+    acceleration_side_total,
+    constraint_b,
+    constraint_force,
+    constraint_force_b,
+    constraint_force_q,
+    constraint_force_rate,
+    constraint_force_rate_total,
+    constraint_q_times_total,
+    jerk_side,
+    jerk_side_total,
+    velocity_side,
+    velocity_side_total,
+)
 from numpy.polynomial import chebyshev
 from scipy.spatial.transform import Rotation
 from test_assembler import (
@@ -315,7 +330,7 @@ def equations_by_hand(s, q, t):
 @pytest.mark.parametrize("t", [0.0, 0.3, 1.7])
 def test_equations_are_what_the_joint_says(one, t):
     values, length = equations_by_hand(one, one.q, t)
-    Phi = one.system.constraint(one.q, t)
+    Phi = one.system.constraint(t, one.q)
     # Positions and slopes of size one, combined a few times: the round-off of VALUE.
     scale = max(1.0, np.max(np.abs(Phi)))
     assert np.max(np.abs(Phi[: len(values)] - values), initial=0.0) <= VALUE * scale
@@ -343,7 +358,7 @@ def test_reference_configuration_satisfies_a_joint_that_is_given_no_place(name):
             b[i] = 0.0  # laws that start at zero
     system = s.system.with_values(b)
     # Sums of eight products of numbers up to two.
-    assert np.max(np.abs(system.constraint(system.start()[0], 0.0))) <= 5e-15
+    assert np.max(np.abs(system.constraint(0.0, system.start()[0]))) <= 5e-15
 
 
 def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
@@ -360,17 +375,17 @@ def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
 
 
 def test_constraint_q_is_the_complex_step_of_constraint(one):
-    expected = one.by_coordinate(lambda q: one.system.constraint(q, one.t))
-    B = one.system.constraint_pattern.dense(one.system.constraint_q(one.q, one.t))
+    expected = one.by_coordinate(lambda q: one.system.constraint(one.t, q))
+    B = one.system.constraint_pattern.dense(one.system.constraint_q(one.t, one.q))
     assert_close(B, expected, DERIVATIVE)
-    assert_close(one.system.constraint_force(one.q, one.lam, one.t), B.T @ one.lam, VALUE)
+    assert_close(constraint_force(one.system, one.t, one.q, one.lam), B.T @ one.lam, VALUE)
 
 
 def test_curvature_is_the_complex_step_of_the_constraint_force(one):
     system = one.system
-    expected = one.by_coordinate(lambda q: system.constraint_force(q, one.lam, one.t))
-    values = system.pattern.dense(system.constraint_force_q(one.q, one.lam, one.t))
-    if system.linear_constraints:
+    expected = one.by_coordinate(lambda q: constraint_force(system, one.t, q, one.lam))
+    values = system.pattern.dense(constraint_force_q(system, one.t, one.q, one.lam))
+    if system.traits.linear_constraints:
         assert not np.any(expected)
         assert not np.any(values)
         return
@@ -381,68 +396,68 @@ def test_curvature_is_the_complex_step_of_the_constraint_force(one):
 def test_only_bilinear_joints_have_curvature_and_only_driven_ones_move(one):
     system, joint = one.system, one.joint
     driven = isinstance(joint, DrivenJoint)
-    assert system.linear_constraints == (not one.bilinear)
+    assert system.traits.linear_constraints == (not one.bilinear)
     assert driven == any(isinstance(value, Law) for value in vars(joint).values())
-    assert np.any(system.velocity_side(one.q, one.t)) == driven
-    assert np.any(system.acceleration_side(one.q, one.v, one.t)) == (not one.steady)
-    still = np.array_equal(system.constraint(one.q, 0.1), system.constraint(one.q, 0.9))
+    assert np.any(velocity_side(system, one.t, one.q)) == driven
+    assert np.any(acceleration_side(system, one.t, one.q, one.v)) == (not one.steady)
+    still = np.array_equal(system.constraint(0.1, one.q), system.constraint(0.9, one.q))
     assert still == (not driven)
 
 
 def test_constraint_b_is_the_complex_step_of_constraint(one):
-    partial = one.system.constraint_b(one.q, one.t)
-    one.check_design(partial, lambda x, i, e: x.constraint(one.q, one.t), 1.0)
+    partial = constraint_b(one.system, one.t, one.q)
+    one.check_design(partial, lambda x, i, e: x.constraint(one.t, one.q), 1.0)
 
 
 def test_constraint_force_b_is_the_complex_step_of_the_constraint_force(one):
-    force = one.system.constraint_force(one.q, one.lam, one.t)
-    partial = one.system.constraint_force_b(one.q, one.lam, one.t)
+    force = constraint_force(one.system, one.t, one.q, one.lam)
+    partial = constraint_force_b(one.system, one.t, one.q, one.lam)
     one.check_design(
-        partial, lambda x, i, e: x.constraint_force(one.q, one.lam, one.t), one.size(force)
+        partial, lambda x, i, e: constraint_force(x, one.t, one.q, one.lam), one.size(force)
     )
 
 
 def test_constraint_q_times_total_is_the_complex_step_of_the_product(one):
-    partial = one.system.constraint_q_times_total(one.q, one.a, one.t, one.q_b)
+    partial = constraint_q_times_total(one.system, one.t, one.q, one.a, one.q_b)
 
     def product(x, i, e):
-        return x.constraint_pattern.dot(x.constraint_q(one.along(e, i)[0], one.t), one.a)
+        return x.constraint_pattern.dot(x.constraint_q(one.t, one.along(e, i)[0]), one.a)
 
     one.check_design(partial, product, one.size(partial))
 
 
 def test_velocity_side_total_is_the_complex_step_of_velocity_side(one):
-    value = one.system.velocity_side(one.q, one.t)
-    total = one.system.velocity_side_total(one.q, one.t, one.q_b)
+    value = velocity_side(one.system, one.t, one.q)
+    total = velocity_side_total(one.system, one.t, one.q, one.q_b)
     one.check_design(
-        total, lambda x, i, e: x.velocity_side(one.along(e, i)[0], one.t), one.size(value)
+        total, lambda x, i, e: velocity_side(x, one.t, one.along(e, i)[0]), one.size(value)
     )
 
 
 def test_acceleration_side_total_is_the_complex_step_of_acceleration_side(one):
-    value = one.system.acceleration_side(one.q, one.v, one.t)
-    total = one.system.acceleration_side_total(one.q, one.v, one.t, one.q_b, one.v_b)
+    value = acceleration_side(one.system, one.t, one.q, one.v)
+    total = acceleration_side_total(one.system, one.t, one.q, one.v, one.q_b, one.v_b)
     one.check_design(
-        total, lambda x, i, e: x.acceleration_side(*one.along(e, i)[:2], one.t), one.size(value)
+        total, lambda x, i, e: acceleration_side(x, one.t, *one.along(e, i)[:2]), one.size(value)
     )
 
 
 def test_jerk_side_total_is_the_complex_step_of_jerk_side(one):
-    value = one.system.jerk_side(one.q, one.v, one.a, one.t)
+    value = jerk_side(one.system, one.t, one.q, one.v, one.a)
     states_b = (one.q_b, one.v_b, one.a_b)
-    total = one.system.jerk_side_total(one.q, one.v, one.a, one.t, *states_b)
-    one.check_design(total, lambda x, i, e: x.jerk_side(*one.along(e, i), one.t), one.size(value))
+    total = jerk_side_total(one.system, one.t, one.q, one.v, one.a, *states_b)
+    one.check_design(total, lambda x, i, e: jerk_side(x, one.t, *one.along(e, i)), one.size(value))
 
 
 def test_constraint_force_rate_total_is_the_complex_step_of_constraint_force_rate(one):
-    value = one.system.constraint_force_rate(one.q, one.v, one.lam, one.t)
-    total = one.system.constraint_force_rate_total(
-        one.q, one.v, one.lam, one.t, one.q_b, one.v_b, one.lam_b
+    value = constraint_force_rate(one.system, one.t, one.q, one.v, one.lam)
+    total = constraint_force_rate_total(
+        one.system, one.t, one.q, one.v, one.lam, one.q_b, one.v_b, one.lam_b
     )
 
     def rate(x, i, e):
         q, v, _ = one.along(e, i)
-        return x.constraint_force_rate(q, v, one.lam + e * one.lam_b[:, i], one.t)
+        return constraint_force_rate(x, one.t, q, v, one.lam + e * one.lam_b[:, i])
 
     one.check_design(total, rate, one.size(value))
 
@@ -458,7 +473,7 @@ def is_length_of_direction(joint, name):
 
 def test_every_parameter_of_a_joint_moves_its_equations(one):
     # Without this the comparisons above could be of zero with zero.
-    partial = one.system.constraint_b(one.q, one.t)
+    partial = constraint_b(one.system, one.t, one.q)
     for name in one.own:
         column = partial[:, one.system.design_names.index(name)]
         # Derivatives in the mere length of a direction vanish to round-off.
@@ -470,13 +485,13 @@ def test_every_parameter_of_a_joint_moves_its_equations(one):
 
 def test_rates_of_the_equations_along_a_curve_are_those_of_the_right_sides(one):
     s, x = one, one.system
-    rates = rates_of(lambda t: x.constraint(s.curve(t)[0], t), s.t)
-    B = x.constraint_pattern.dense(x.constraint_q(s.q, s.t))
+    rates = rates_of(lambda t: x.constraint(t, s.curve(t)[0]), s.t)
+    B = x.constraint_pattern.dense(x.constraint_q(s.t, s.q))
     expected = (
-        x.constraint(s.q, s.t),
-        B @ s.v - x.velocity_side(s.q, s.t),
-        B @ s.a - x.acceleration_side(s.q, s.v, s.t),
-        B @ s.jerk - x.jerk_side(s.q, s.v, s.a, s.t),
+        x.constraint(s.t, s.q),
+        B @ s.v - velocity_side(x, s.t, s.q),
+        B @ s.a - acceleration_side(x, s.t, s.q, s.v),
+        B @ s.jerk - jerk_side(x, s.t, s.q, s.v, s.a),
     )
     for rate, value in zip(rates, expected, strict=True):
         assert np.max(np.abs(rate - value)) <= CURVE * s.size(value)
@@ -484,15 +499,15 @@ def test_rates_of_the_equations_along_a_curve_are_those_of_the_right_sides(one):
 
 
 def test_velocity_side_is_minus_the_time_derivative_with_the_coordinates_held(one):
-    rates = rates_of(lambda t: one.system.constraint(one.q, t), one.t)
-    side = one.system.velocity_side(one.q, one.t)
+    rates = rates_of(lambda t: one.system.constraint(t, one.q), one.t)
+    side = velocity_side(one.system, one.t, one.q)
     assert np.max(np.abs(side + rates[1])) <= CURVE * one.size(side)
 
 
 def test_constraint_force_rate_is_the_derivative_along_a_curve_with_multipliers_held(one):
     s, x = one, one.system
-    expected = rates_of(lambda t: x.constraint_force(s.curve(t)[0], s.lam, t), s.t)[1]
-    rate = x.constraint_force_rate(s.q, s.v, s.lam, s.t)
+    expected = rates_of(lambda t: constraint_force(x, t, s.curve(t)[0], s.lam), s.t)[1]
+    rate = constraint_force_rate(x, s.t, s.q, s.v, s.lam)
     assert np.max(np.abs(rate - expected)) <= CURVE * one.size(expected)
     # Where nothing moves Phi_q nothing is left of it: a guide is driven by its offset alone.
     assert np.any(rate) == (np.max(np.abs(expected)) > CURVE)
@@ -541,7 +556,7 @@ def simulated(scene, t_end=0.5):
     solution = simulate(scene, t_end, HHT(step=2**-7))
     assert solution.outcome.success
     system = assemble(scene)
-    Phi = [system.constraint(q, t) for q, t in zip(solution.q, solution.t, strict=True)]
+    Phi = [system.constraint(t, q) for q, t in zip(solution.q, solution.t, strict=True)]
     assert np.max(np.abs(Phi)) <= HOLDS
     # Something moves, or nothing would be shown.
     assert np.max(np.abs(solution.q - solution.q[0])) > 0.1

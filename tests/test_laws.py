@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from examples import LAW_TIME, law_examples, public_classes
+from members import constraint_b
 from test_assembler import STEP, concrete_subclasses
 from test_joints import rates_of
 
@@ -216,7 +217,7 @@ def test_control_values_are_design_targets_by_their_index():
         with pytest.raises(UnknownName, match=r"motor\.value\[2\]"):
             assemble(scene, [target])
     # The curve at the middle of the first interval depends on all of them.
-    Phi_b = system.constraint_b(system.start()[0], 0.5)
+    Phi_b = constraint_b(system, 0.5, system.start()[0])
     assert np.all(np.max(np.abs(Phi_b), axis=0) > 1e-3)
 
 

@@ -107,8 +107,8 @@ def test_a_torque_against_ground_about_z_is_a_moment_about_z(d, seed):
     ]
     q, v = systems[0].start()
     q = q + (0.05 * rng.uniform(-1, 1, len(q)) if d == 2 else 0.0)
-    bare = assemble(Scene([beam])).force(q, v, 0.0)
-    ours, theirs = (system.force(q, v, 0.0) - bare for system in systems)
+    bare = assemble(Scene([beam])).force(0.0, q, v)
+    ours, theirs = (system.force(0.0, q, v) - bare for system in systems)
     assert ours == pytest.approx(theirs, abs=1e-15 * np.max(np.abs(bare)) + 1e-12)
     assert np.max(np.abs(ours)) > 1
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from examples import LAW_TIME, all_examples, law_examples, public_classes
+from members import force_b, force_q, force_q_times, force_rate, force_rate_total, force_v
 from test_assembler import (
     DERIVATIVE,
     FLAT,
@@ -132,7 +133,7 @@ class LoadSetting(Setting):
         """Generalised force of the load."""
         q, v = self.q if q is None else q, self.v if v is None else v
         t = self.t if t is None else t
-        return self.system.force(q, v, t) - self.bare.force(q, v, t)
+        return self.system.force(t, q, v) - self.bare.force(t, q, v)
 
 
 @pytest.fixture(scope="module", params=VARIANTS)
@@ -352,8 +353,8 @@ def test_constant_moment_in_the_plane_does_the_work_of_the_angle_it_turns_throug
     # Conservative: Q is the gradient of the moment times the angle of the section.
     s = LoadSetting("planar Moment")
     assert s.load.kind == "moment"
-    Q_q = s.system.pattern.dense(s.system.force_q(s.q, s.v, s.t))
-    Q_q -= s.bare.pattern.dense(s.bare.force_q(s.q, s.v, s.t))
+    Q_q = s.system.pattern.dense(force_q(s.system, s.t, s.q, s.v))
+    Q_q -= s.bare.pattern.dense(force_q(s.bare, s.t, s.q, s.v))
     assert_close(Q_q, Q_q.T, VALUE)
 
 
@@ -408,12 +409,12 @@ def test_line_load_of_rho_h_w_g_is_gravity(d):
     loaded, heavy = assemble(Scene([beam], loads=[line])), assemble(Scene([beam], gravity=g))
     q, v = loaded.start()
     for design in (q, q + 0.05 * np.random.default_rng(1).uniform(-1, 1, len(q))):
-        bare = assemble(Scene([beam])).force(design, v, 0.0)
-        Q, weight = loaded.force(design, v, 0.0) - bare, heavy.force(design, v, 0.0) - bare
+        bare = assemble(Scene([beam])).force(0.0, design, v)
+        Q, weight = loaded.force(0.0, design, v) - bare, heavy.force(0.0, design, v) - bare
         # Elastic forces of up to 1e4 N leave a difference of weights of 20 N.
         assert_close(Q, weight, 10 * VALUE * max(1.0, np.max(np.abs(bare)) / np.max(np.abs(Q))))
     # The reference state is free of stress, so that the vectors agree to round-off there.
-    assert_close(loaded.force(q, v, 0.0), heavy.force(q, v, 0.0), 1e-10)
+    assert_close(loaded.force(0.0, q, v), heavy.force(0.0, q, v), 1e-10)
 
 
 FOLLOWERS = [
@@ -451,7 +452,7 @@ def test_constant_loads_are_constant_and_the_others_are_not(one):
     assert (change > 1e-3) == damped
     own = [one.load.numbers_of(name) for name in one.load.damping_fields]
     assert one.load.uses_velocity(one.load.parameters()) == any(own)
-    assert one.system.velocity_forces or not damped
+    assert one.system.traits.velocity_forces or not damped
 
 
 BETWEEN = [name for name, load in VARIANTS.items() if len(load.points) == 2]
@@ -542,8 +543,8 @@ def test_damper_takes_the_energy_out_of_a_swinging_beam():
 
 def test_force_q_is_the_complex_step_of_force(one):
     s, x = one, one.system
-    tangent = x.pattern.dense(x.force_q(s.q, s.v, s.t)) - s.bare.pattern.dense(
-        s.bare.force_q(s.q, s.v, s.t)
+    tangent = x.pattern.dense(force_q(x, s.t, s.q, s.v)) - s.bare.pattern.dense(
+        force_q(s.bare, s.t, s.q, s.v)
     )
     expected = s.by_coordinate(lambda q: s.added(q))
     if s.load.constant or not np.any(expected):
@@ -555,7 +556,7 @@ def test_force_q_is_the_complex_step_of_force(one):
 def test_force_v_is_the_complex_step_of_force(one):
     s, x = one, one.system
     expected = s.by_coordinate(lambda v: s.added(v=v), s.v)
-    Q_v = x.pattern.dense(x.force_v(s.q, s.v, s.t))
+    Q_v = x.pattern.dense(force_v(x, s.t, s.q, s.v))
     if not s.load.uses_velocity(()):
         assert not np.any(Q_v)
         assert not np.any(expected)
@@ -569,16 +570,16 @@ def test_force_v_is_the_complex_step_of_force(one):
 
 def test_force_b_is_the_complex_step_of_force(one):
     s = one
-    partial = s.system.force_b(s.q, s.v, s.t)
-    s.check_design(partial, lambda x, i, e: x.force(s.q, s.v, s.t), np.max(np.abs(s.added())))
+    partial = force_b(s.system, s.t, s.q, s.v)
+    s.check_design(partial, lambda x, i, e: x.force(s.t, s.q, s.v), np.max(np.abs(s.added())))
 
 
 def test_force_rate_is_the_complex_step_of_force_along_the_motion(one):
     s = one
     e = 1j * STEP
     moved = s.added(s.q + e * s.v, s.v + e * s.a, s.t + e).imag / STEP
-    arguments = (s.q, s.v, s.a, s.t)
-    rate = s.system.force_rate(*arguments) - s.bare.force_rate(*arguments)
+    arguments = (s.t, s.q, s.v, s.a)
+    rate = force_rate(s.system, *arguments) - force_rate(s.bare, *arguments)
     if s.load.constant and s.load.law is None:
         assert not np.any(rate)
         return
@@ -587,18 +588,18 @@ def test_force_rate_is_the_complex_step_of_force_along_the_motion(one):
 
 def test_force_rate_total_is_the_complex_step_of_force_rate(one):
     s = one
-    total = s.system.force_rate_total(s.q, s.v, s.a, s.t, s.q_b, s.v_b, s.a_b)
+    total = force_rate_total(s.system, s.t, s.q, s.v, s.a, s.q_b, s.v_b, s.a_b)
 
     def rate(x, i, e):
         states = ((s.q, s.q_b), (s.v, s.v_b), (s.a, s.a_b))
-        return x.force_rate(*(y + e * y_b[:, i] for y, y_b in states), s.t)
+        return force_rate(x, s.t, *(y + e * y_b[:, i] for y, y_b in states))
 
-    s.check_design(total, rate, np.max(np.abs(s.system.force_rate(s.q, s.v, s.a, s.t))))
+    s.check_design(total, rate, np.max(np.abs(force_rate(s.system, s.t, s.q, s.v, s.a))))
 
 
 def test_every_parameter_of_a_load_moves_its_force(one):
     s = one
-    partial = s.system.force_b(s.q, s.v, s.t)
+    partial = force_b(s.system, s.t, s.q, s.v)
     for name in s.own:
         assert np.max(np.abs(partial[:, s.system.design_names.index(name)])) > 1e-6, name
 
@@ -610,10 +611,10 @@ def test_loads_of_a_scene_add_up():
     bare, whole = assemble(Scene([rod, bow])), assemble(Scene([rod, bow], loads=many))
     rng = np.random.default_rng(6)
     q, v = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q), rng.uniform(-1, 1, bare.n_q)
-    expected = bare.force(q, v, 0.3)
-    parts = [assemble(Scene([rod, bow], loads=[load])).force(q, v, 0.3) for load in many]
+    expected = bare.force(0.3, q, v)
+    parts = [assemble(Scene([rod, bow], loads=[load])).force(0.3, q, v) for load in many]
     expected = expected + sum(part - expected for part in parts)
-    assert_close(whole.force(q, v, 0.3), expected, VALUE)
+    assert_close(whole.force(0.3, q, v), expected, VALUE)
 
 
 # ---------------------------------------------------------------- laws of time
@@ -632,16 +633,16 @@ def test_a_law_multiplies_a_load_at_every_instant(law, name):
     lam = np.zeros(0)
     times = LAW_TIME + np.array([0.0, 0.1])
     for t in times:
-        added = system.force(q, v, t) - bare.force(q, v, t)
-        one = still.force(q, v, t) - bare.force(q, v, t)
+        added = system.force(t, q, v) - bare.force(t, q, v)
+        one = still.force(t, q, v) - bare.force(t, q, v)
         assert_close(added, law.at(t) * one, VALUE)
-        rate = system.force_rate(q, v, a, t) - bare.force_rate(q, v, a, t)
-        moving = still.force_rate(q, v, a, t) - bare.force_rate(q, v, a, t)
+        rate = force_rate(system, t, q, v, a) - force_rate(bare, t, q, v, a)
+        moving = force_rate(still, t, q, v, a) - force_rate(bare, t, q, v, a)
         expected = law.at(t) * moving + law.at(t, 1) * one
         assert np.max(np.abs(rate - expected)) <= DERIVATIVE * (1 + np.max(np.abs(expected)))
         # Q_q x holds the law still.
-        held = system.force_q_times(q, v, t) - bare.force_q_times(q, v, t)
-        now = still.force_q_times(q, v, t) - bare.force_q_times(q, v, t)
+        held = force_q_times(system, t, q, v) - force_q_times(bare, t, q, v)
+        now = force_q_times(still, t, q, v) - force_q_times(bare, t, q, v)
         assert np.max(np.abs(held - law.at(t) * now)) <= DERIVATIVE * (1 + np.max(np.abs(now)))
     # Many instants at once are the instants one by one.
     rows = [np.array([x, x]) for x in (q, v, a, lam)]
@@ -654,7 +655,7 @@ def test_a_law_multiplies_a_load_at_every_instant(law, name):
             assert_close(whole, np.concatenate(parts), VALUE)
     mu = rng.uniform(-1, 1, (2, bare.n_q))
     pulled = system.pull_back(times, tuple(rows), (mu, np.zeros((2, 0))))
-    expected = sum(-system.force_b(q, v, t).T @ y for t, y in zip(times, mu, strict=True))
+    expected = sum(-force_b(system, t, q, v).T @ y for t, y in zip(times, mu, strict=True))
     assert_close(pulled, expected, DERIVATIVE)
     assert np.all(expected != 0)
 
@@ -691,10 +692,10 @@ def displaced(rod, joints, load):
     """Displacement of the end of a beam, linearised at the reference."""
     system, d = assemble(Scene([rod], joints, loads=[load])), rod.dimension
     q, v = system.start()
-    K = -system.pattern.dense(system.force_q(q, v, 0.0))
-    B = system.constraint_pattern.dense(system.constraint_q(q, 0.0))
+    K = -system.pattern.dense(force_q(system, 0.0, q, v))
+    B = system.constraint_pattern.dense(system.constraint_q(0.0, q))
     saddle = np.block([[K, B.T], [B, np.zeros((len(B), len(B)))]])
-    x = np.linalg.solve(saddle, np.concatenate([system.force(q, v, 0.0), np.zeros(len(B))]))
+    x = np.linalg.solve(saddle, np.concatenate([system.force(0.0, q, v), np.zeros(len(B))]))
     return system.naming.vector(rod.at_end, Quantity.POSITION).of(x[: system.n_q], d)
 
 
@@ -740,9 +741,9 @@ def test_internal_damping_takes_energy_out_of_every_motion(d, seed):
     damped, bare = (assemble(damped_beams(d, t)) for t in ((0.02, 0.05), (0.0, 0.0)))
     q = damped.start()[0] + 0.05 * rng.uniform(-1, 1, damped.n_q)
     v = rng.uniform(-1, 1, damped.n_q)
-    power = (damped.force(q, v, 0.0) - bare.force(q, v, 0.0)) @ v
+    power = (damped.force(0.0, q, v) - bare.force(0.0, q, v)) @ v
     assert power < 0
-    Q_v = damped.pattern.dense(damped.force_v(q, v, 0.0))
+    Q_v = damped.pattern.dense(force_v(damped, 0.0, q, v))
     assert power == pytest.approx(v @ Q_v @ v, rel=1e-9)
     # Every direction: Q_v is negative semidefinite, to the round-off of its largest entries.
     values = np.linalg.eigvalsh((Q_v + Q_v.T) / 2)
@@ -759,9 +760,9 @@ def test_rigid_motion_of_a_deformed_beam_is_not_damped(d):
     X = q.reshape(-1, d + 1, d)
     V = X @ (B - B.T).T
     V[:, 0] += rng.uniform(-1, 1, d)
-    difference = damped.force(q, V.ravel(), 0.0) - bare.force(q, V.ravel(), 0.0)
-    other = damped.force(q, V.ravel()[::-1], 0.0) - bare.force(q, V.ravel(), 0.0)
-    round_off = VALUE * np.max(np.abs(bare.force(q, V.ravel(), 0.0)))
+    difference = damped.force(0.0, q, V.ravel()) - bare.force(0.0, q, V.ravel())
+    other = damped.force(0.0, q, V.ravel()[::-1]) - bare.force(0.0, q, V.ravel())
+    round_off = VALUE * np.max(np.abs(bare.force(0.0, q, V.ravel())))
     assert np.max(np.abs(difference)) <= round_off
     assert np.max(np.abs(other)) > 1e6 * round_off
 
@@ -774,11 +775,11 @@ def test_zero_damping_time_is_bitwise_no_damping_even_as_a_design_variable(d):
     q, v = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q), rng.uniform(-1, 1, bare.n_q)
     assert not bare.velocity_forces
     assert named.velocity_forces
-    assert np.array_equal(bare.force(q, v, 0.0), named.force(q, v, 0.0))
-    assert np.array_equal(bare.force_q(q, v, 0.0), named.force_q(q, v, 0.0))
-    assert not np.any(named.force_v(q, v, 0.0))
+    assert np.array_equal(bare.force(0.0, q, v), named.force(0.0, q, v))
+    assert np.array_equal(force_q(bare, 0.0, q, v), force_q(named, 0.0, q, v))
+    assert not np.any(force_v(named, 0.0, q, v))
     # And it can be turned on from there.
-    assert np.max(np.abs(named.force_b(q, v, 0.0))) > 1.0
+    assert np.max(np.abs(force_b(named, 0.0, q, v))) > 1.0
 
 
 def test_damping_time_of_an_element_is_its_own():
@@ -789,7 +790,7 @@ def test_damping_time_of_an_element_is_its_own():
     q = system.start()[0]
     v = np.random.default_rng(2).uniform(-1, 1, system.n_q)
     size = (2 + 1) * 2
-    Q_b = system.force_b(q, v, 0.0)
+    Q_b = force_b(system, 0.0, q, v)
     # The first element does not reach the last node, nor the second the first.
     assert not np.any(Q_b[2 * size :, 0])
     assert not np.any(Q_b[:size, 1])
@@ -803,7 +804,7 @@ def test_damping_of_small_motions_is_the_damping_time_times_the_stiffness(d):
     scene = damped_beams(d, (0.02, 0.02))
     system = assemble(scene)
     q, v = system.start()
-    K, D = (system.pattern.dense(-f(q, v, 0.0)) for f in (system.force_q, system.force_v))
+    K, D = (system.pattern.dense(-f(system, 0.0, q, v)) for f in (force_q, force_v))
     assert_close(D, 0.02 * K, VALUE)
 
 
@@ -814,7 +815,7 @@ def test_a_follower_force_on_a_straight_beam_acts_on_the_position_alone():
         for loads in ([], [FollowerForce(rod.at_end, (4.0, -3.0))])
     )
     q, v = free.start()
-    change = (loaded.force(q, v, 0.0) - free.force(q, v, 0.0)).reshape(2, 3, 2)
+    change = (loaded.force(0.0, q, v) - free.force(0.0, q, v)).reshape(2, 3, 2)
     expected = np.zeros((2, 3, 2))
     expected[1, 0] = 4.0, -3.0
     np.testing.assert_allclose(change, expected, rtol=0, atol=1e-14)  # of 5 N, by eps
@@ -828,9 +829,9 @@ def test_loads_that_follow_are_those_without_an_energy(follows):
     load = FollowerForce(rod.at_end, (0.0, 1.0)) if follows else spring
     system = assemble(Scene([rod], [Clamp(rod.at_start)], loads=[load]))
     q, v = system.start()
-    assert np.any(system.force(q, v, 0.0))
-    assert np.any(system.following_load(q, 0.0)) == follows
-    assert np.any(system.following_load_q(q, 0.0)) == follows
+    assert np.any(system.force(0.0, q, v))
+    for part in system.following_load(0.0, q):
+        assert np.any(part) == follows
 
 
 def test_loads_with_an_energy_are_known():

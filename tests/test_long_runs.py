@@ -83,10 +83,10 @@ class Stopping(CartesianPendulum):
     def with_values(self, b):
         return Stopping(self.angle, self.spin, b)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         if t > 0.5:
             raise KeyboardInterrupt
-        return super().force(q, v, t)
+        return super().force(t, q, v)
 
 
 def test_a_run_that_ends_early_keeps_what_it_has(tmp_path):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from members import constraint_force_rate, force_q_times, force_rate
 
 from ancfdae import (
     Adjoint,
@@ -25,6 +26,7 @@ from ancfdae import (
     RigidMotion,
     Scene,
     SpringDamper,
+    Traits,
     assemble,
     equilibrium,
     modes,
@@ -126,12 +128,12 @@ def matrices(system, q, lam):
     Columns are rates along unit velocities, and of D along unit accelerations.
     """
     rest, units = np.zeros(system.n_q), np.eye(system.n_q)
-    K = [system.constraint_force_rate(q, e, lam, 0.0) for e in units]
-    turning = system.constraint_force_rate(q, rest, lam, 0.0)
-    K = [x - turning - system.force_q_times(q, e, 0.0) for x, e in zip(K, units, strict=True)]
-    D = [-system.force_rate(q, rest, e, 0.0) for e in units]
+    K = [constraint_force_rate(system, 0.0, q, e, lam) for e in units]
+    turning = constraint_force_rate(system, 0.0, q, rest, lam)
+    K = [x - turning - force_q_times(system, 0.0, q, e) for x, e in zip(K, units, strict=True)]
+    D = [-force_rate(system, 0.0, q, rest, e) for e in units]
     M, B = system.pattern.dense(system.mass(q)), system.constraint_pattern
-    return M, np.array(D).T, np.array(K).T, B.dense(system.constraint_q(q, 0.0))
+    return M, np.array(D).T, np.array(K).T, B.dense(system.constraint_q(0.0, q))
 
 
 @pytest.mark.parametrize("damping_time", [None, 1e-3])
@@ -229,7 +231,7 @@ class Shaken(ComplexStepSystem):
 
     n_q, n_lam = 1, 0
     design_names = ("k", "c", "m")
-    constant_mass = linear_constraints = True
+    traits = Traits(constant_mass=True, linear_constraints=True)
 
     def with_values(self, b):
         return Shaken(b)
@@ -240,10 +242,10 @@ class Shaken(ComplexStepSystem):
     def mass_matrix(self, q):
         return self.b[2] * np.eye(1)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return self.b[0] * (np.sin(3 * t) - q) - self.b[1] * v
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return np.zeros(0)
 
 
@@ -262,7 +264,7 @@ class Bead(ComplexStepSystem):
 
     n_q, n_lam = 2, 1
     design_names = ("k", "x_0", "m")
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
 
     def with_values(self, b):
         return Bead(b)
@@ -274,10 +276,10 @@ class Bead(ComplexStepSystem):
     def mass_matrix(self, q):
         return self.b[2] * np.eye(2)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return np.array([-3.0 * q[0] ** 3, -9.81 * self.b[2]])
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return np.array([q[1] - self.b[0] * q[0] ** 2])
 
 

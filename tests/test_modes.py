@@ -21,6 +21,7 @@ from ancfdae import (
     RedundantConstraints,
     SaintVenantKirchhoff,
     Scene,
+    Traits,
     assemble,
     equilibrium,
     modes,
@@ -66,10 +67,10 @@ class Stuck(ComplexStepSystem):
     def mass_matrix(self, q):
         return np.eye(1)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return -q
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return q
 
 
@@ -221,7 +222,7 @@ class Oscillator(ComplexStepSystem):
 
     n_q, n_lam = 1, 0
     design_names = ("k", "c", "m")
-    constant_mass = linear_constraints = True
+    traits = Traits(constant_mass=True, linear_constraints=True)
 
     def with_values(self, b):
         return Oscillator(b)
@@ -232,10 +233,10 @@ class Oscillator(ComplexStepSystem):
     def mass_matrix(self, q):
         return self.b[2] * np.eye(1)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return -self.b[0] * q - self.b[1] * v + 0 * self.b[2]
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return np.zeros(0)
 
 
@@ -297,7 +298,7 @@ class Ziegler(ComplexStepSystem):
 
     n_q, n_lam = 2, 0
     design_names = ("P",)
-    constant_mass, velocity_forces = True, False
+    traits = Traits(constant_mass=True, velocity_forces=False)
     M = np.array([[3.0, 1.0], [1.0, 1.0]])
 
     @staticmethod
@@ -313,11 +314,11 @@ class Ziegler(ComplexStepSystem):
     def mass_matrix(self, q):
         return self.M
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         P = self.b[0]
         return -np.array([(2.0 - P) * q[0] + (P - 1.0) * q[1], q[1] - q[0]])
 
-    def constraint(self, q, t):
+    def position_constraint(self, t, q):
         return np.zeros(0)
 
 

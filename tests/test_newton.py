@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from members import constraint_force
 
 from ancfdae import (
     HHT,
@@ -32,7 +33,7 @@ TOLERANCES = np.logspace(-4, -10, 25)
 def size(system, state, a, lam):
     """Size of accelerations and reactions, in units of force (docs/theory.md, section 5)."""
     t, q = state
-    reaction = system.constraint_force(q, lam, t)
+    reaction = constraint_force(system, t, q, lam)
     weights = system.weights
     return np.sqrt(weights @ a**2) + np.sqrt((1 / weights) @ reaction**2)
 
@@ -41,7 +42,7 @@ def error(system, run, exact):
     """Error of A and lam at the end of a run, relative to the forces of the motion."""
     t, q, v, a, lam = (getattr(exact, name)[-1] for name in ("t", "q", "v", "a", "lam"))
     left = size(system, (t, q), run.a[-1] - a, run.lam[-1] - lam)
-    load = np.sqrt((1 / system.weights) @ system.force(q, v, t) ** 2)
+    load = np.sqrt((1 / system.weights) @ system.force(t, q, v) ** 2)
     return left / (size(system, (t, q), a, lam) + load)
 
 

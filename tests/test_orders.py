@@ -30,7 +30,7 @@ def star(arms, elements):
 
 
 def solver_of(system):
-    values = system.constraint_q(system.start()[0], 0.0)
+    values = system.constraint_q(0.0, system.start()[0])
     return SaddlePoint(system.pattern, system.constraint_pattern, system.weights, values)
 
 
@@ -47,7 +47,7 @@ def test_multipliers_stand_behind_their_coordinates(order, system):
 
 def test_a_star_fills_nothing_but_blocks_of_elements():
     system = star(5, 20)
-    B = system.constraint_q(system.start()[0], 0.0)
+    B = system.constraint_q(0.0, system.start()[0])
     # No entry is zero, as in tangents of deformed elements.
     weights = np.sqrt(system.weights)
     size = weights[system.pattern.rows] * weights[system.pattern.columns]

@@ -6,6 +6,7 @@ import signal
 
 import numpy as np
 import pytest
+from members import constraint_force
 
 from ancfdae import (
     HHT,
@@ -45,10 +46,10 @@ class Failing(CartesianPendulum):
         super().__init__(0.5, 3.0)
         self.action, self.since = action, since
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         if t >= self.since:
             return self.action()
-        return super().force(q, v, t)
+        return super().force(t, q, v)
 
 
 def interrupt():
@@ -151,16 +152,16 @@ def worst_defect(scene, run, integrator):
     """Largest constraint violation and residual of eq. (4) of accepted steps, relative."""
     system, alpha = assemble(scene), integrator.hht_alpha
     f = [
-        system.constraint_force(q, lam, t) - system.force(q, v, t)
+        constraint_force(system, t, q, lam) - system.force(t, q, v)
         for t, q, v, lam in zip(run.t, run.q, run.v, run.lam, strict=True)
     ]
     worst = 0.0
     for n in range(1, len(run.t)):
         inertia = system.mass_times(None, (1 + alpha) * run.a[n] - alpha * run.a[n - 1])
         residual = inertia + (1 + alpha) * f[n] - alpha * f[n - 1]
-        scale = np.linalg.norm(inertia) + np.linalg.norm(system.force(run.q[n], run.v[n], 0.0))
+        scale = np.linalg.norm(inertia) + np.linalg.norm(system.force(0.0, run.q[n], run.v[n]))
         worst = max(worst, np.linalg.norm(residual) / scale)
-        worst = max(worst, np.max(np.abs(system.constraint(run.q[n], run.t[n]))))
+        worst = max(worst, np.max(np.abs(system.constraint(run.t[n], run.q[n]))))
     return worst
 
 
@@ -219,7 +220,7 @@ class FailingWhenComplex(CartesianPendulum):
     def with_values(self, b):
         return FailingWhenComplex(self.angle, self.spin, b)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         if t >= 0.5 and np.iscomplexobj(self.b):
             return np.full(2, np.nan)
-        return super().force(q, v, t)
+        return super().force(t, q, v)

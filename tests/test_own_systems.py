@@ -170,11 +170,11 @@ class Driven(ComplexStepSystem):
     def mass_matrix(self, q):
         return np.diag([1.0, 2.0])
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         spring = self.b[0] * (1 - 0.3 / np.sqrt(q @ q))
         return -spring * q - 0.1 * v * np.sqrt(1e-2 + v @ v)
 
-    def constraint(self, q, t):
+    def constraint(self, t, q):
         return np.array([q[0] - 1 - 0.2 * np.sin(self.b[1] * t)])
 
 
@@ -286,24 +286,24 @@ class Kept(WrittenPendulum):
 
 
 class FilledIn(Kept):
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         Q = np.zeros(2)
         Q[1] = -self.b[1]
         return Q
 
 
 class Absolute(Kept):
-    def constraint(self, q, t):
+    def constraint(self, t, q):
         return np.array([np.sum(np.abs(q) ** 2) - self.b[0] ** 2])
 
 
 class Compared(Kept):
-    def force(self, q, v, t):
-        return super().force(q, v, t) * (1.0 if t < 2.0 else 0.5)
+    def force(self, t, q, v):
+        return super().force(t, q, v) * (1.0 if t < 2.0 else 0.5)
 
 
 class OneNumber(Kept):
-    def constraint(self, q, t):
+    def constraint(self, t, q):
         return (q @ q - self.b[0] ** 2) / 2
 
 
@@ -352,7 +352,7 @@ def test_matrices_carry_the_perturbation_of_state_and_design():
     moved = system.with_values(b + 1j * step * db)
     for value in (
         lambda x, e: x.inertia_q(q + e * v, a),
-        lambda x, e: x.constraint_q(q + e * v, 0.3),
+        lambda x, e: x.constraint_q(0.3, q + e * v),
         lambda x, e: x.constraint_q_rate(q + e * v, v + e * a, 0.3),
     ):
         expected = real_derivative(lambda e, value=value: value(system.with_values(b + e * db), e))
@@ -366,15 +366,15 @@ def test_imaginary_parts_that_are_no_perturbation_are_refused():
     with pytest.raises(InvalidInput, match="complex step"):
         system.acceleration_side(STATE["q"] + 1e-6j, STATE["v"], 0.0)
     with pytest.raises(InvalidInput, match="complex step"):
-        WrittenPendulum(b=(1.0 + 0.1j, 9.81)).constraint_q(STATE["q"], 0.0)
+        WrittenPendulum(b=(1.0 + 0.1j, 9.81)).constraint_q(0.0, STATE["q"])
 
 
 class Kinked(Kept):
     """A kink beside the start, which only the state meets."""
 
-    def constraint(self, q, t):
+    def constraint(self, t, q):
         stop = np.where(np.real(q[0]) > 0.5, (q[0] - 0.5) * 1.0, 0.0)
-        return super().constraint(q, t) + stop
+        return super().constraint(t, q) + stop
 
 
 def test_a_kink_is_refused_and_not_differentiated():
@@ -408,10 +408,10 @@ class TwoBars(ComplexStepSystem):
         a, b, m = self.b
         return np.diag(np.array([1.0, 1.0, a**2 / 12, m, m, m * b**2 / 12]))
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         return np.array([0.0, -9.81, 0.0, 0.0, -9.81 * self.b[2], 0.0]) - 0.1 * v
 
-    def constraint(self, q, t):
+    def constraint(self, t, q):
         TwoBars.calls += 1
         a, b, _ = self.b
         x, y = a / 2 * np.cos(q[2]), a / 2 * np.sin(q[2])
@@ -422,21 +422,21 @@ class TwoBars(ComplexStepSystem):
 class OneByOne(TwoBars):
     """The same where a function takes single states only."""
 
-    def constraint(self, q, t):
-        return super().constraint(np.array([1.0 * x for x in q]).reshape(6), t)
+    def constraint(self, t, q):
+        return super().constraint(t, np.array([1.0 * x for x in q]).reshape(6))
 
 
 class Mixing(TwoBars):
     """Constraints in a sum over all of q, which an array of states would mix."""
 
-    def constraint(self, q, t):
-        return super().constraint(q, t) + 0.1 * np.sin(np.sum(q)) * q[0]
+    def constraint(self, t, q):
+        return super().constraint(t, q) + 0.1 * np.sin(np.sum(q)) * q[0]
 
 
 class MixedApart(Mixing):
     """The same with a sum that takes single states and arrays of them."""
 
-    def constraint(self, q, t):
+    def constraint(self, t, q):
         return TwoBars.constraint(self, q, t) + 0.1 * np.sin(sum(q)) * q[0]
 
 

@@ -45,8 +45,8 @@ class Short(CartesianPendulum):
     def with_values(self, b):
         return Short(self.angle, self.spin, b)
 
-    def force(self, q, v, t):
-        force = super().force(q, v, t)
+    def force(self, t, q, v):
+        force = super().force(t, q, v)
         return force * np.nan if abs(self.b[0]) > self.limit and t > 0.1 else force
 
 

@@ -46,10 +46,10 @@ UNEVEN = HHT(GivenSteps(tuple(np.linspace(0.0, 1.0, 65) ** 1.5)))
 class Pressed(CartesianPendulum):
     """Ctrl-C comes at a time."""
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         if t > 0.6:
             raise KeyboardInterrupt
-        return super().force(q, v, t)
+        return super().force(t, q, v)
 
 
 def interrupted(integrator):

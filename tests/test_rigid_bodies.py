@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from examples import all_examples, scene_of
+from members import constraint_b
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
@@ -297,7 +298,7 @@ def test_point_mass_on_a_beam_weighs_its_position(element):
     assert_close(system.energies.kinetic(v[None], "rod"), bare.energies.kinetic(v[None]))
     # Gravity works on it with 0.7 g . v.
     q = system.start()[0]
-    power = (system.force(q, v, 0.0) - bare.force(q, v, 0.0)) @ v
+    power = (system.force(0.0, q, v) - bare.force(0.0, q, v)) @ v
     assert power == pytest.approx(0.7 * (1.0 * moved[0] - G * moved[1]), rel=1e-12)
 
 
@@ -350,7 +351,7 @@ def test_rigid_beam_is_the_beam_on_its_rigid_motions(rod):
     assert_close(rigid.pattern.dense(rigid.mass(q)), W.T @ M @ W)
     # Elastic forces of the reference vanish up to round-off of E.
     q_o = rigid.start()[0]
-    assert_close(rigid.force(q_o, v, 0.0), W.T @ beam.force(W @ q_o, W @ v, 0.0), 1e-8)
+    assert_close(rigid.force(0.0, q_o, v), W.T @ beam.force(0.0, W @ q_o, W @ v), 1e-8)
     y = 0.0 if rod.element is CABLE_2D else 0.01
     for point in (rod.at_start, rod.at(0.3, y=y), rod.at(0.5), rod.at_end):
         for quantity in rod.element.quantities:
@@ -475,15 +476,15 @@ def test_part_on_a_body_is_that_on_a_beam_that_moves_like_it(d, part, twin):
 
     pairs = ((here, q, v), (there, W @ q, W @ v))
     for value in (
-        lambda x, q, v: x.constraint(q, t),
-        lambda x, q, v: x.constraint_b(q, t),
-        lambda x, q, v: x.constraint_pattern.dot(x.constraint_q(q, t), v),
+        lambda x, q, v: x.constraint(t, q),
+        lambda x, q, v: constraint_b(x, t, q),
+        lambda x, q, v: x.constraint_pattern.dot(x.constraint_q(t, q), v),
     ):
         own, other = (value(*pair)[:rows] for pair in pairs)
         same(own, other)
     # Elastic forces of 1e6 N leave their round-off in the difference.
-    load = there.force(W @ q, W @ v, t) - bare.force(W @ q, W @ v, t)
-    same(v @ here.force(q, v, t), W @ v @ load, 1e-8)
+    load = there.force(t, W @ q, W @ v) - bare.force(t, W @ q, W @ v)
+    same(v @ here.force(t, q, v), W @ v @ load, 1e-8)
 
 
 def rigid_state(q, d, rng):
@@ -679,7 +680,7 @@ def test_scene_of_bodies_alone_pays_for_nothing_else():
     # Three vectors; the pin and three equations of rigidity.
     assert (system.n_q, system.n_lam) == (6, 5)
     assert system.constraint_names == ("pin(arm(0.1, -0.1))",) * 2 + ("rigid(arm)",) * 3
-    assert not system.velocity_forces
+    assert not system.traits.velocity_forces
 
 
 # ---------------------------------------------------------------- equilibria and modes

@@ -11,6 +11,7 @@ import stat
 
 import numpy as np
 import pytest
+from members import constraint_force, force_q
 
 from ancfdae import (
     HHT,
@@ -276,13 +277,13 @@ def equilibrium(scene):
     """Node state at rest under gravity, by Newton's method on Q = B^T lam, Phi = 0."""
     system = assemble(scene)
     q, lam = system.start()[0].copy(), np.zeros(system.n_lam)
-    B = system.constraint_q(q, 0.0)
+    B = system.constraint_q(0.0, q)
     matrices = SaddlePoint(system.pattern, system.constraint_pattern, system.weights, B)
     v = np.zeros(system.n_q)
     for _ in range(12):
-        right = system.force(q, v, 0.0) - system.constraint_force(q, lam, 0.0)
-        right = np.concatenate([right, -system.constraint(q, 0.0)])
-        x = matrices.factor(-system.force_q(q, v, 0.0), B).solve(right)
+        right = system.force(0.0, q, v) - constraint_force(system, 0.0, q, lam)
+        right = np.concatenate([right, -system.constraint(0.0, q)])
+        x = matrices.factor(-force_q(system, 0.0, q, v), B).solve(right)
         q, lam = q + x[: system.n_q], lam + x[system.n_q :]
     return q.reshape(-1, system.element.n_s, system.element.d)
 

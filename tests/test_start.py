@@ -163,5 +163,5 @@ def test_the_start_is_pulled_back_by_its_transpose(system):
     # Round-off of the terms that add up; accelerations of stiff modes cancel to 1e-4 of them. Where
     # bodies follow unstrained, forces are round-off: in the norm of the weights, in which the
     # covectors are of size one, times 10 for products.
-    noise = 10 * np.sqrt(system.n_q) * system.force_round_off / np.abs(system.b)
+    noise = 10 * np.sqrt(system.n_q) * system.traits.force_round_off / np.abs(system.b)
     assert np.all(np.abs(found - expected) <= 1e-11 * size + noise)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from members import constraint_force
 
 from ancfdae import (
     HHT,
@@ -58,10 +59,10 @@ def rod(start=(0.0, 0.0), end=(1.0, 0.0), elements=4, material=SOFT, name="rod",
 def unbalanced(scene, found):
     """Forces and gaps left, relative to the reactions and the size of the scene."""
     system = scene if not isinstance(scene, Scene) else assemble(scene)
-    reaction = system.constraint_force(found.q, found.lam, 0.0)
-    R = system.force(found.q, 0 * found.q, 0.0) - reaction
+    reaction = constraint_force(system, 0.0, found.q, found.lam)
+    R = system.force(0.0, found.q, 0 * found.q) - reaction
     return max(
-        np.max(np.abs(R)) / np.max(np.abs(reaction)), np.max(np.abs(system.constraint(found.q, 0)))
+        np.max(np.abs(R)) / np.max(np.abs(reaction)), np.max(np.abs(system.constraint(0, found.q)))
     )
 
 
@@ -159,7 +160,7 @@ def test_the_path_closes_gaps_and_its_tangent_leads_along_it():
     balance = Balance.of(system, 0.0, q_0, lam_0)
     point, ahead, behind = (balance.solve(x, q_0, lam_0) for x in (s, s + ds, s - ds))
     np.testing.assert_allclose(
-        system.constraint(point.q, 0.0), 0.7 * system.constraint(q_0, 0.0), atol=1e-12
+        system.constraint(0.0, point.q), 0.7 * system.constraint(0.0, q_0), atol=1e-12
     )
     q_s, lam_s = balance.path_tangent(point.q, point.factors)
     for ours, part in ((q_s, "q"), (lam_s, "lam")):
@@ -443,10 +444,10 @@ def test_a_free_motion_of_a_system_without_names_is_told_by_coordinates():
         def with_values(self, b):
             return Sliding(self.angle, self.spin, b)
 
-        def constraint(self, q, t):
+        def constraint(self, t, q):
             return q[1:]
 
-        def constraint_q(self, q, t):
+        def constraint_q(self, t, q):
             return np.array([0.0, 1.0])
 
     with pytest.raises(FreeMechanism, match="motion of coordinate 1"):
@@ -478,11 +479,11 @@ def test_an_interrupt_and_a_limit_of_steps_keep_what_converged():
     class Pressing(CartesianPendulum):
         calls = 0
 
-        def force(self, q, v, t):
+        def force(self, t, q, v):
             Pressing.calls += 1
             if Pressing.calls > 60:
                 raise KeyboardInterrupt
-            return super().force(q, v, t)
+            return super().force(t, q, v)
 
     with pytest.raises(Interrupted) as caught:
         equilibrium(Pressing(1.0))
@@ -520,7 +521,7 @@ def test_nonsense_is_refused_in_words():
 
 def test_forces_that_are_not_finite_are_refused():
     class Bad(CartesianPendulum):
-        def force(self, q, v, t):
+        def force(self, t, q, v):
             return np.full(2, np.nan)
 
     with pytest.raises(InvalidInput, match="finite"):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from members import constraint_force, constraint_force_q
 
 from ancfdae import ControlledSteps, Explicit, FixedSteps, GivenSteps, simulate
 from ancfdae.errors import Verdict
@@ -45,10 +46,10 @@ class ImplicitEuler(OneStepMethod):
         v = v_n
         for _ in range(20):
             q = q_n + h * v
-            B = system.constraint_q(q, t)[None]
-            K = np.eye(2) + h**2 * system.constraint_force_q(q, lam, t).reshape(2, 2)
-            force = system.force(q, v, t) - system.constraint_force(q, lam, t)
-            R = np.append(v - v_n - h * force, system.constraint(q, t) / h)
+            B = system.constraint_q(t, q)[None]
+            K = np.eye(2) + h**2 * constraint_force_q(system, t, q, lam).reshape(2, 2)
+            force = system.force(t, q, v) - constraint_force(system, t, q, lam)
+            R = np.append(v - v_n - h * force, system.constraint(t, q) / h)
             x = np.linalg.solve(np.block([[K, h * B.T], [B, np.zeros((1, 1))]]), -R)
             v, lam, self.correction = v + x[:2], lam + x[2:], np.linalg.norm(x[:2])
             if self.correction < 1e-12:

@@ -7,6 +7,7 @@ times round-off: 1e-6. Elsewhere the comment says what discretisation error is e
 
 import numpy as np
 import pytest
+from members import force_q
 
 from ancfdae import (
     BEAM_2D,
@@ -62,17 +63,17 @@ def rest(scene, steps=1):
     system = assemble(scene)
     q, v = system.start()
     n, n_lam, pattern = system.n_q, system.n_lam, system.pattern
-    load = system.force(q, v, 0.0)
+    load = system.force(0.0, q, v)
     lam = np.zeros(n_lam)
     for k in range(1, steps + 1):
         for _ in range(60):
             K, B = np.zeros((n, n)), np.zeros((n_lam, n))
-            K[pattern.rows, pattern.columns] = -system.force_q(q, v, 0.0)
+            K[pattern.rows, pattern.columns] = -force_q(system, 0.0, q, v)
             own = system.constraint_pattern
-            B[own.rows, own.columns] = system.constraint_q(q, 0.0)
-            residual = system.force(q, v, 0.0) - B.T @ lam - (1 - k / steps) * load
+            B[own.rows, own.columns] = system.constraint_q(0.0, q)
+            residual = system.force(0.0, q, v) - B.T @ lam - (1 - k / steps) * load
             matrix = np.block([[K, B.T], [B, np.zeros((n_lam, n_lam))]])
-            step = np.linalg.solve(matrix, np.append(residual, -system.constraint(q, 0.0)))
+            step = np.linalg.solve(matrix, np.append(residual, -system.constraint(0.0, q)))
             q, lam = q + step[:n], lam + step[n:]
             if np.max(np.abs(step[:n])) < 1e-13 * np.max(np.abs(q)):
                 break
@@ -367,7 +368,7 @@ def test_only_rigid_motions_cost_nothing(name, d, length):
     system = assemble(Scene([beam]))
     q, v = system.start()
     K = np.zeros((system.n_q, system.n_q))
-    K[system.pattern.rows, system.pattern.columns] = -system.force_q(q, v, 0.0)
+    K[system.pattern.rows, system.pattern.columns] = -force_q(system, 0.0, q, v)
     # In coordinates of one unit and size: slopes times the height.
     unit = np.where(np.arange(system.n_q) % (d * (d + 1)) < d, 1.0, 1 / 0.02)
     values = np.linalg.eigvalsh(K * unit * unit[:, None])
@@ -522,7 +523,7 @@ def test_a_curved_beam_is_free_of_stress_and_bends_about_its_shape():
     beam = CurvedBeam("arch", places, frames, Rectangle(h, h), Material(1000.0, E, NU))
     system = assemble(Scene([beam], [Clamp(beam.at_start)]))
     q, v = system.start()
-    assert np.max(np.abs(system.force(q, v, 0.0))) < 1e-12 * E * h * h
+    assert np.max(np.abs(system.force(0.0, q, v))) < 1e-12 * E * h * h
     turn = 1e-5
     moment = turn * E * h**4 / 12 / (np.pi / 2)
     X = rest(Scene([beam], [Clamp(beam.at_start)], loads=[Moment(beam.at_end, moment)]))[1]

@@ -254,10 +254,10 @@ class Pressing(CartesianPendulum):
     def with_values(self, b):
         return Pressing(self.angle, self.spin, b)
 
-    def force(self, q, v, t):
+    def force(self, t, q, v):
         if t == 2.0**-4:
             signal.raise_signal(signal.SIGINT)
-        return super().force(q, v, t)
+        return super().force(t, q, v)
 
 
 def test_an_interrupt_keeps_the_rows():

@@ -160,7 +160,7 @@ def balance(system: AncfSystem, solution: Solution, length: float) -> tuple[floa
     of the total energy over the largest kinetic energy.
     """
     drift = max(
-        float(np.max(np.abs(system.constraint(q, t))))
+        float(np.max(np.abs(system.constraint(t, q))))
         for q, t in zip(solution.q, solution.t, strict=True)
     )
     kinetic = system.energies.kinetic(solution.v)

@@ -25,9 +25,9 @@ With the last rate zero, minus this is the right side of Phi_q v = nu, Phi_q a =
 Phi_q j = S.
 
 **Names.** A partial ``X_y`` has shape X.shape + y.shape. A ``_total`` is the derivative with
-respect to the design variables along given derivatives of its arguments, F_x x_b + F_b. A ``pull_back`` is
-its transpose: from covectors to the design. ``_along`` is the derivative along a direction of
-(t, q, v).
+respect to the design variables along given derivatives of its arguments, F_x x_b + F_b. A
+``pull_back`` is its transpose: from covectors to the design. ``_along`` is the derivative along a
+direction of (t, q, v).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ import abc
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Self, TypeAlias, final
+from typing import Any, NamedTuple, Self, TypeAlias, final
 
 import numpy as np
 
@@ -329,7 +329,7 @@ class MechanicalSystem(abc.ABC):
         """
         f_b, Phi_b = [], []
         for s, states in _instants(t, q, v, a, lam):
-            f_b.append(self._total(lambda moved, s=s, x=states: residual(moved, s, *x)))  # type: ignore[misc]
+            f_b.append(self._residual_b(s, *states))
             Phi_b.append(self.constraint_total(s, states[:1]))
         return DesignPartials(np.array(f_b), np.array(Phi_b))
 
@@ -389,6 +389,9 @@ class MechanicalSystem(abc.ABC):
 
     def _residual_q(self, t: float, q: Array, v: Array | None, a: Array, lam: Array) -> Array:
         return self._by_coordinate(lambda x: residual(self, t, x, v, a, lam), q, self.pattern)
+
+    def _residual_b(self, t: float, *states: Any) -> Array:
+        return self._total(lambda system: residual(system, t, *states))
 
     def _residual_v(self, t: float, q: Array, v: Array) -> Array:
         return self._by_coordinate(lambda x: -self.force(t, q, x), v, self.pattern)

@@ -4,7 +4,7 @@ Every partial of the protocol is a derivative, at zero, of M x, Q or Phi in at m
 
     Phi_q                    d/dx of Phi(t, q + x e_j), for every j
     (Phi_q^T lam)_q          d/dx d/dy of lam . Phi(t, q + x e_i + y e_j)
-    d^k Phi/dt^k             d^k/ds^k of Phi(t + s, q + s v + s^2/2 a); Phi_q j is added to the third
+    d^k Phi/dt^k             d^k/ds^k of Phi(t + s, q + s v + s^2/2 a), plus Phi_q j in the third
     dPhi_q/dt                d/dx d/ds of Phi on that path, moved by x e_j
     Q along (dt, dq, dv)     d/ds of Q(t + s dt, q + s dq, v + s dv)
     M along dq               d/ds of M(q + s dq)
@@ -169,8 +169,8 @@ class ComplexStepSystem(MechanicalSystem):
     """A system that is given by M, Q, Phi and its start.
 
     Subclasses set `n_q`, `n_lam` and `design_names`, implement `mass_matrix`, `force`,
-    `position_constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end of their
-    own constructor. All of it must be analytic in q, v, t and ``self.b`` and accept complex
+    `position_constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end
+    of their own constructor. All of it must be analytic in q, v, t and ``self.b`` and accept complex
     numbers: no ``abs``, no comparison, no writing into an array of floats. Any partial may be
     overridden by a formula of one's own; `check_system` compares.
 

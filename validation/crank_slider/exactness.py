@@ -94,7 +94,7 @@ def balance(report: Report, solution: Solution) -> None:
     gravity = system.energies.gravity(solution.q)
     total = kinetic + strain + gravity - gravity[0]
     drift = [
-        np.max(np.abs(system.constraint(q, t))) for q, t in zip(solution.q, solution.t, strict=True)
+        np.max(np.abs(system.constraint(t, q))) for q, t in zip(solution.q, solution.t, strict=True)
     ]
     swing = float(np.max(kinetic))
     loss = report.figure("balance.energy", float(np.max(np.abs(total)) / swing))

@@ -142,7 +142,7 @@ def _plot(report: Report, each: _Run) -> None:
     system, stride = double_four_bar(), max(len(solution.t) // 4000, 1)
     t, q = solution.t[::stride], solution.q[::stride]
     rank = [
-        np.linalg.svd(system.constraint_q(x, 0.0).reshape(5, 6), compute_uv=False)[-1] for x in q
+        np.linalg.svd(system.constraint_q(0.0, x).reshape(5, 6), compute_uv=False)[-1] for x in q
     ]
     exact = four_bar_minimal(t[1:])[0]
     largest = np.max(np.abs(solution.lam[::stride]), axis=1)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
+from ancfdae import Direction, Traits
 from validation.external.scleronomic import Array, Scleronomic
 
 __all__ = ["Rods", "cartesian_pendulum", "double_four_bar", "four_bar_minimal"]
@@ -65,13 +66,12 @@ class Rods(Scleronomic):
         L and g.
     """
 
-    velocity_forces = False
+    traits = Traits(constant_mass=True, velocity_forces=False)
 
     def __init__(self, geometry: Geometry, b: npt.ArrayLike = (1.0, 9.81)) -> None:
         super().__init__(geometry.mass_matrix, geometry.names, ("L", "g"), b)
         self._geometry, self._P, self._c = geometry, geometry.ends, geometry.offsets
         self._flat = self._P.reshape(-1, self.n_q)
-        self._squares = np.einsum("kip,kiq->kpq", self._P, self._P).reshape(self.n_lam, -1)
 
     def with_values(self, b: Array) -> Self:
         """Return the same points and rods at another L and g."""
@@ -84,55 +84,35 @@ class Rods(Scleronomic):
 
     # -- forces --------------------------------------------------------------------------------
 
-    def force(self, q: Array, v: Array, t: float) -> Array:
+    def force(self, t: float, q: Array, v: Array) -> Array:
         """Return Q."""
         Q: Array = self.b[1] * self._geometry.weight
         return Q
 
-    def force_q(self, q: Array, v: Array, t: float) -> Array:
-        """Return zero."""
-        return np.zeros(self.n_q**2)
-
-    def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
+    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
         """Return zero."""
         return np.zeros(self.n_q)
 
     # -- constraints ---------------------------------------------------------------------------
 
-    def constraint(self, q: Array, t: float) -> Array:
-        """Return Phi."""
-        d, lengths = self._along(q) + self._c, 1 + self._geometry.shares * (self.b[0] - 1)
-        Phi: Array = 0.5 * (np.sum(d * d, axis=1) - lengths**2)
-        return Phi
+    def constraint(self, t: float, *motion: Array) -> Array:
+        """Return Phi and its rates, of |d|^2/2."""
+        d, *rates = self._along(motion[0]) + self._c, *map(self._along, motion[1:])
+        if not rates:
+            lengths = 1 + self._geometry.shares * (self.b[0] - 1)
+            Phi: Array = 0.5 * (_dot(d, d) - lengths**2)
+            return Phi
+        rate: Array = _dot(d, rates[-1])
+        if len(rates) == 2:
+            rate = rate + _dot(rates[0], rates[0])
+        if len(rates) == 3:
+            rate = rate + 3 * _dot(rates[0], rates[1])
+        return rate
 
-    def constraint_q(self, q: Array, t: float) -> Array:
-        """Return Phi_q."""
-        return self._gradient(self._along(q) + self._c)
-
-    def constraint_force(self, q: Array, lam: Array, t: float) -> Array:
-        """Return Phi_q^T lam."""
-        reaction: Array = (lam[:, None] * (self._along(q) + self._c)).ravel() @ self._flat
-        return reaction
-
-    def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
-        """Return (Phi_q^T lam)_q."""
-        K: Array = lam @ self._squares
-        return K
-
-    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
-        """Return dPhi_q/dt."""
-        return self._gradient(self._along(v))
-
-    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
-        """Return gamma."""
-        d_t = self._along(v)
-        gamma: Array = -np.sum(d_t * d_t, axis=1)
-        return gamma
-
-    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Return S."""
-        S: Array = -3 * np.sum(self._along(v) * self._along(a), axis=1)
-        return S
+    def constraint_q(self, t: float, *motion: Array) -> Array:
+        """Return Phi_q and its rates: it is linear in q."""
+        d = self._along(motion[-1])
+        return self._gradient(d + self._c if len(motion) == 1 else d)
 
     def _along(self, x: Array) -> Array:
         """P_k x, shape (n_lam, 2)."""
@@ -145,6 +125,12 @@ class Rods(Scleronomic):
 
     def _gradient(self, d: Array) -> Array:
         return self._matrix(d).ravel()
+
+
+def _dot(x: Array, y: Array) -> Array:
+    """Products row by row."""
+    products: Array = np.sum(x * y, axis=1)
+    return products
 
 
 def cartesian_pendulum(

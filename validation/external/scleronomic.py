@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import MechanicalSystem
+from ancfdae import MechanicalSystem, Traits
 
 __all__ = ["Array", "Scleronomic"]
 
@@ -24,7 +24,7 @@ class Scleronomic(MechanicalSystem):
         Values of the design variables.
     """
 
-    constant_mass = True
+    traits = Traits(constant_mass=True)
 
     def __init__(
         self,
@@ -41,7 +41,3 @@ class Scleronomic(MechanicalSystem):
     def mass(self, q: Array) -> Array:
         """Return M."""
         return self._M.ravel()
-
-    def velocity_side(self, q: Array, t: float) -> Array:
-        """Return zero."""
-        return np.zeros(self.n_lam)

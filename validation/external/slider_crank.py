@@ -19,7 +19,7 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ancfdae import Integral, custom
+from ancfdae import Direction, Integral, custom
 from ancfdae.objectives import Objective
 from validation.external.scleronomic import Array, Scleronomic
 
@@ -49,8 +49,6 @@ class _Spring:
 class SliderCrank(Scleronomic):
     """The mechanism with the stiffness k and the damping c of its spring as design variables."""
 
-    velocity_forces = True
-
     def __init__(self, b: npt.ArrayLike = (1.0, 1.0)) -> None:
         super().__init__(np.diag(_INERTIA), ("slider", "guide"), ("k", "c"), b)
 
@@ -65,33 +63,19 @@ class SliderCrank(Scleronomic):
 
     # -- forces --------------------------------------------------------------------------------
 
-    def force(self, q: Array, v: Array, t: float) -> Array:
+    def force(self, t: float, q: Array, v: Array) -> Array:
         """Return Q."""
         s = self._spring(q, v)
         return -0.5 * s.f * s.n + _PUSH * np.array([0.0, 1.0, -np.sin(q[2])])
 
-    def force_q(self, q: Array, v: Array, t: float) -> Array:
-        """Return Q_q."""
-        s = self._spring(q, v)
-        f_q = s.f_N * s.n + s.f_w * (s.H @ v)
-        Q_q = -0.5 * (np.outer(s.n, f_q) + s.f * s.H)
-        Q_q[2, 2] -= _PUSH * np.cos(q[2])
-        return Q_q.ravel()
-
-    def force_v(self, q: Array, v: Array, t: float) -> Array:
-        """Return Q_v."""
-        s = self._spring(q, v)
-        Q_v: Array = -0.5 * s.f_w * np.outer(s.n, s.n)
-        return Q_v.ravel()
-
-    def force_rate(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Return dQ/dt."""
-        s = self._spring(q, v)
-        n_t = s.H @ v
-        f_t = s.f_N * s.w + s.f_w * (v @ n_t + s.n @ a)
-        push = np.array([0.0, 0.0, -_PUSH * np.cos(q[2]) * v[2]])
-        Q_t: Array = -0.5 * (f_t * s.n + s.f * n_t) + push
-        return Q_t
+    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+        """Return Q_q dq + Q_v dv."""
+        s, dq, dv = self._spring(q, v), direction.q, direction.v
+        n_s = s.H @ dq
+        f_s = s.f_N * (s.n @ dq) + s.f_w * (v @ n_s + s.n @ dv)
+        push = np.array([0.0, 0.0, -_PUSH * np.cos(q[2]) * dq[2]])
+        Q_s: Array = -0.5 * (f_s * s.n + s.f * n_s) + push
+        return Q_s
 
     def _spring(self, q: Array, v: Array) -> _Spring:
         a, k, c, x = _CRANK, self.b[0], self.b[1], q[1]
@@ -114,41 +98,29 @@ class SliderCrank(Scleronomic):
 
     # -- constraints ---------------------------------------------------------------------------
 
-    def constraint(self, q: Array, t: float) -> Array:
-        """Return Phi."""
-        e, _ = _directions(q)
-        Phi: Array = np.array([q[1], 0.0]) - e @ _ARMS
+    def constraint(self, t: float, *motion: Array) -> Array:
+        """Return Phi and its rates: (x, 0) less those of both directions e, by the chain rule."""
+        q, *rates = motion
+        e, normal = _directions(q)
+        w, *turns = [rate[_ANGLES] for rate in rates] or [np.zeros(2)]
+        turned = [e, w * normal]
+        if len(rates) > 1:
+            turned.append(turns[0] * normal - w**2 * e)
+        if len(rates) > 2:
+            turned.append((turns[1] - w**3) * normal - 3 * w * turns[0] * e)
+        Phi: Array = np.array([motion[-1][1], 0.0]) - turned[len(rates)] @ _ARMS
         return Phi
 
-    def constraint_q(self, q: Array, t: float) -> Array:
-        """Return Phi_q."""
-        _, normal = _directions(q)
+    def constraint_q(self, t: float, *motion: Array) -> Array:
+        """Return Phi_q and dPhi_q/dt."""
+        if len(motion) > 2:
+            return super().constraint_q(t, *motion)
+        e, normal = _directions(motion[0])
+        if len(motion) == 2:
+            return _spread(_ARMS * motion[1][_ANGLES] * e).ravel()
         Phi_q = _spread(-_ARMS * normal)
         Phi_q[0, 1] = 1.0
         return Phi_q.ravel()
-
-    def constraint_force_q(self, q: Array, lam: Array, t: float) -> Array:
-        """Return (Phi_q^T lam)_q."""
-        e, _ = _directions(q)
-        pull = _ARMS * (lam @ e)
-        return np.diag([pull[0], 0.0 * pull[0], pull[1]]).ravel()
-
-    def constraint_q_rate(self, q: Array, v: Array, t: float) -> Array:
-        """Return dPhi_q/dt."""
-        e, _ = _directions(q)
-        return _spread(_ARMS * v[_ANGLES] * e).ravel()
-
-    def acceleration_side(self, q: Array, v: Array, t: float) -> Array:
-        """Return gamma."""
-        e, _ = _directions(q)
-        gamma: Array = -e @ (_ARMS * v[_ANGLES] ** 2)
-        return gamma
-
-    def jerk_side(self, q: Array, v: Array, a: Array, t: float) -> Array:
-        """Return S."""
-        (e, normal), w = _directions(q), v[_ANGLES]
-        S: Array = -(w**3 * normal + 3 * w * a[_ANGLES] * e) @ _ARMS
-        return S
 
 
 def kinetic_energy_integral() -> Objective:

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from ancfdae import HHT, Explicit, Point, Solution, differentiate, simulate
 from ancfdae.plotting import Panel, Series
+from ancfdae.protocol import reaction
 from validation.external.rods import cartesian_pendulum
 from validation.extremes.scenes import SI, Crank, Rod
 from validation.report import Report
@@ -126,9 +127,7 @@ def _rigid(h: float, alpha: float, steps: int) -> _Errors:
     e, e_t = np.array([np.cos(exact[0]), np.sin(exact[0])]), [-np.sin(exact[0]), np.cos(exact[0])]
     a = (-g * np.cos(exact[0]) * np.array(e_t) - exact[1] ** 2 * e).T
     # The rod's force, whatever the scale of its constraint; gravity is the size of both.
-    force = np.array(
-        [system.constraint_force(q, x, 0.0) for q, x in zip(run.q, run.lam, strict=True)]
-    )
+    force = np.array([reaction(system, 0.0, q, x) for q, x in zip(run.q, run.lam, strict=True)])
     pull = ((exact[1] ** 2 - g * np.sin(exact[0])) * e).T
     return _Errors(*(float(np.max(np.abs(x))) / g for x in (run.a - a, force - pull)))
 

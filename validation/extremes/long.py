@@ -95,7 +95,7 @@ def _flexible(modulus: float, alpha: float, t_end: float) -> Long:
     total = system.energies.total(run.q, run.v)
     fall = 4000 * 0.05**2 * 1.2 * 9.81 * 0.6
     drift = max(
-        float(np.max(np.abs(system.constraint(q, t)))) for q, t in zip(run.q, run.t, strict=True)
+        float(np.max(np.abs(system.constraint(t, q)))) for q, t in zip(run.q, run.t, strict=True)
     )
     label = f"E = {modulus:.0e}".replace("+0", "")
     return Long(label, alpha, run, (total - total[0]) / fall, drift / 1.2, warning)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ancfdae import HHT, Point, Scene, Solution, StabilityWarning, assemble, simulate
 from ancfdae.errors import AncfdaeError
 from ancfdae.integrators.hht.equations import Coefficients, iteration_terms
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol import MechanicalSystem, reaction
 from ancfdae.protocol.saddle_points import saddle_point
 from validation.report import Report
 
@@ -207,15 +207,15 @@ def _defects(system: MechanicalSystem, run: Solution) -> tuple[float, float]:
     for t, q, v, a, lam in zip(
         *(x[chosen] for x in (run.t, run.q, run.v, run.a, run.lam)), strict=True
     ):
-        parts = (system.mass_times(q, a), system.constraint_force(q, lam, t))
-        Q = system.force(q, v, t)
+        parts = (system.mass_times(q, a), reaction(system, t, q, lam))
+        Q = system.force(t, q, v)
         size = sum(norm(x) for x in (*parts, Q))
-        floor = system.force_round_off * 1e6
+        floor = system.traits.force_round_off * 1e6
         worst[0] = max(worst[0], norm(parts[0] + parts[1] - Q) / max(size, floor, 1e-300))
         if system.n_lam:
-            values = system.constraint_q(q, t) / np.sqrt(weights[pattern.columns])
+            values = system.constraint_q(t, q) / np.sqrt(weights[pattern.columns])
             rows = np.sqrt(np.bincount(pattern.rows, values**2, minlength=system.n_lam))
-            distance = np.abs(system.constraint(q, t)) / np.where(rows > 0, rows, 1.0)
+            distance = np.abs(system.constraint(t, q)) / np.where(rows > 0, rows, 1.0)
             length = float(np.sqrt(np.sum(weights * q * q)))
             worst[1] = max(worst[1], float(np.max(distance)) / max(length, 1e-300))
     return worst[0], worst[1]

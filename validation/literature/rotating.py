@@ -88,15 +88,17 @@ def _flap(n: int, speed: float, system: AncfSystem | None = None) -> Array:
     omega = speed * _UNIT
     q = system.start()[0]
     still = np.zeros_like(q)
-    held = np.any(system.constraint_pattern.dense(system.constraint_q(q, 0.0)) != 0, axis=0)
+    held = np.any(system.constraint_pattern.dense(system.constraint_q(0.0, q)) != 0, axis=0)
     M = system.pattern.dense(system.mass(q))
     axis = np.arange(len(q)) % 3
     centrifugal = omega**2 * M * (axis < 2)
     free = ~held
     size = float("inf")
     while True:
-        K = -system.pattern.dense(system.force_q(q, still, 0.0)) - centrifugal
-        R = system.force(q, still, 0.0) + centrifugal @ q
+        at_rest = (x[None] for x in (q, still, still, np.zeros(system.n_lam)))
+        f_q = system.linearise(np.zeros(1), *at_rest).f_q[0]
+        K = system.pattern.dense(f_q) - centrifugal
+        R = system.force(0.0, q, still) + centrifugal @ q
         change = np.linalg.solve(K[np.ix_(free, free)], R[free])
         q[free] += change
         if np.linalg.norm(change) >= size or not speed:
