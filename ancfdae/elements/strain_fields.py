@@ -73,7 +73,7 @@ def section_functions(offsets: Array, factors: Array, radii: Array) -> Array:
 
 
 def twist_shears(beta: Array, shear: Array, radii: Array) -> Array:
-    """Return B of shears along y and z, given over the rate of twist; shape (n, n_s, n_xi, n_v, n_g).
+    """Return B of shears along y and z per rate of twist, shape (n, n_s, n_xi, n_v, n_g).
 
     r_y turns by c_3.b_2 and r_z by -c_2.b_3. Where they differ, the torque is that of their mean
     with the weights I_y and I_z.

@@ -7,8 +7,8 @@ sections. Shear stress of V_y and V_z spreads by Jourawski's formula, with its c
 force only, and so does the radial stress of curved beams, M/(A R) in the mean; both uniformly for
 energies other than `EnhancedContinuum`. In a curved bar in bending the stress errs, against plane
 elasticity, by 3.3 % of its largest value where the radius of curvature equals the height, by 0.9 %
-and 0.3 % where it is two and five times the height. A strain of 1e-9 is added in squares, E times 1e-9, so that the
-stress has a derivative where there is none.
+and 0.3 % where it is two and five times the height. A strain of 1e-9 is added in squares, E times
+1e-9, so that the stress has a derivative where there is none.
 """
 
 from __future__ import annotations
