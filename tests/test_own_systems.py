@@ -20,6 +20,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.numerics.extrapolation import real_derivative
+from ancfdae.protocol import Direction, reaction
+from ancfdae.protocol.held import held_q
 
 from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum
 
@@ -32,110 +34,62 @@ for _name in ("q_b", "v_b", "a_b"):
 STATE["lam"], STATE["lam_b"] = _rng.uniform(-1, 1, 1), _rng.uniform(-1, 1, (1, 2))
 
 
-class PendulumByHand(CartesianPendulum):
-    """Every member by a formula, also what the base class derives."""
+T, Q, V, A, J, MU = (STATE[x] for x in ("t", "q", "v", "a", "x", "x"))
+Q_B, V_B, A_B, LAM, LAM_B = (STATE[x] for x in ("q_b", "v_b", "a_b", "lam", "lam_b"))
+HELD, L = np.zeros((2, 2)), 1.0
+NOW = np.array([T]), Q[None], V[None], A[None], LAM[None]
+STATES, ALONG = (Q, V, A, LAM), Direction(1.0, V, A)
+DIRECTION, TANGENT = np.array([-np.sin(1.0), -np.cos(1.0)]), np.array([np.cos(1.0), -np.sin(1.0)])
 
-    def start_b(self):
-        zero = np.zeros(2)
-        q_b = np.stack([self._direction, zero], axis=1)
-        return q_b, np.stack([self.spin * self._tangent, zero], axis=1)
-
-    def mass_times(self, q, x):
-        return x
-
-    def mass_b_times(self, q, a):
-        return np.zeros((2, 2))
-
-    def inertia_q(self, q, a):
-        return np.zeros(4)
-
-    def inertia_rate_total(self, q, v, a, q_b, v_b, a_b):
-        return np.zeros((2, 2))
-
-    def force_q(self, q, v, t):
-        return np.zeros(4)
-
-    def force_v(self, q, v, t):
-        return np.zeros(4)
-
-    def force_b(self, q, v, t):
-        return np.array([[0.0, 0.0], [0.0, -1.0]])
-
-    def force_rate_total(self, q, v, a, t, q_b, v_b, a_b):
-        return np.zeros((2, 2))
-
-    def constraint_b(self, q, t):
-        return np.array([[-self.b[0], 0.0]])
-
-    def constraint_force(self, q, lam, t):
-        return q * lam[0]
-
-    def constraint_force_q(self, q, lam, t):
-        return (np.eye(2) * lam[0]).ravel()
-
-    def constraint_force_b(self, q, lam, t):
-        return np.zeros((2, 2))
-
-    def constraint_q_times_total(self, q, x, t, q_b):
-        return (x @ q_b)[None]
-
-    def constraint_q_second_rate(self, q, v, a, t):
-        return a
-
-    def velocity_side_total(self, q, t, q_b):
-        return np.zeros((1, 2))
-
-    def acceleration_side_total(self, q, v, t, q_b, v_b):
-        return -2 * (v @ v_b)[None]
-
-    def jerk_side_total(self, q, v, a, t, q_b, v_b, a_b):
-        return -3 * (a @ v_b + v @ a_b)[None]
-
-    def constraint_force_rate(self, q, v, lam, t):
-        return v * lam[0]
-
-    def constraint_force_rate_total(self, q, v, lam, t, q_b, v_b, lam_b):
-        return v_b * lam[0] + np.outer(v, lam_b[0])
-
-
-MEMBERS = {
-    "mass": "q",
-    "mass_times": "q x",
-    "mass_b_times": "q a",
-    "inertia_q": "q a",
-    "inertia_rate_total": "q v a q_b v_b a_b",
-    "force_q": "q v t",
-    "force_v": "q v t",
-    "force_b": "q v t",
-    "force_rate": "q v a t",
-    "force_rate_total": "q v a t q_b v_b a_b",
-    "constraint_q": "q t",
-    "constraint_b": "q t",
-    "constraint_force": "q lam t",
-    "constraint_force_q": "q lam t",
-    "constraint_force_b": "q lam t",
-    "constraint_q_times_total": "q x t q_b",
-    "constraint_q_rate": "q v t",
-    "constraint_q_second_rate": "q v a t",
-    "velocity_side": "q t",
-    "velocity_side_total": "q t q_b",
-    "acceleration_side": "q v t",
-    "acceleration_side_total": "q v t q_b v_b",
-    "jerk_side": "q v a t",
-    "jerk_side_total": "q v a t q_b v_b a_b",
-    "constraint_force_rate": "q v lam t",
-    "constraint_force_rate_total": "q v lam t q_b v_b lam_b",
-    "start_b": "",
+# Terms of the pendulum with the angle -1 and the spin 2, and what they are by hand.
+TERMS = {
+    "start_b": (
+        lambda s: s.start_b(),
+        [np.outer(DIRECTION, [1, 0]), np.outer(2 * TANGENT, [1, 0])],
+    ),
+    "mass": (lambda s: s.mass(Q), np.eye(2).ravel()),
+    "mass_times": (lambda s: s.mass_times(Q, J), J),
+    "force_and_total": (
+        lambda s: s.force_and_total(T, np.array([Q, *Q_B.T]), np.array([V, *V_B.T])),
+        [[0.0, -9.81], [0.0, 0.0], [0.0, -1.0]],
+    ),
+    "force_along": (lambda s: s.force_along(T, Q, V, ALONG), np.zeros(2)),
+    "constraint, order 1": (lambda s: s.constraint(T, Q, V), [Q @ V]),
+    "constraint, order 2": (lambda s: s.constraint(T, Q, V, A), [V @ V + Q @ A]),
+    "constraint, order 3": (lambda s: s.constraint(T, Q, V, A, J), [3 * V @ A + Q @ J]),
+    "constraint_q": (lambda s: s.constraint_q(T, Q), Q),
+    "constraint_q, order 1": (lambda s: s.constraint_q(T, Q, V), V),
+    "constraint_q, order 2": (lambda s: s.constraint_q(T, Q, V, A), A),
+    "constraint_q, order 3": (lambda s: s.constraint_q(T, Q, V, A, J), J),
+    "constraint_total": (lambda s: s.constraint_total(T, (Q,), (Q_B,)), [Q @ Q_B - [L, 0]]),
+    "constraint_total, held": (lambda s: s.constraint_total(T, (Q,)), [[-L, 0.0]]),
+    "constraint_total, order 1": (
+        lambda s: s.constraint_total(T, (Q, V), (Q_B, V_B)),
+        [Q @ V_B + V @ Q_B],
+    ),
+    "constraint_total, order 2": (
+        lambda s: s.constraint_total(T, (Q, V, A), (Q_B, V_B, A_B)),
+        [2 * V @ V_B + A @ Q_B + Q @ A_B],
+    ),
+    "constraint_total, order 3": (
+        lambda s: s.constraint_total(T, (Q, V, A, J), (Q_B, V_B, A_B, HELD)),
+        [3 * (A @ V_B + V @ A_B) + J @ Q_B],
+    ),
+    "f_q": (lambda s: s.linearise(*NOW).f_q[0], (np.eye(2) * LAM[0]).ravel()),
+    "f_b": (lambda s: s.design_partials(*NOW).f_b[0], [[0.0, 0.0], [0.0, 1.0]]),
+    "along_total": (
+        lambda s: s.along_total(T, STATES, ALONG, (Q_B, V_B, A_B, LAM_B), (V_B, A_B)),
+        V_B * LAM[0] + np.outer(V, LAM_B[0]),
+    ),
+    "along_pull_back": (lambda s: s.along_pull_back(T, STATES, ALONG, MU), np.zeros((3, 2))),
 }
 
 
 @pytest.mark.parametrize("kind", [WrittenPendulum, CartesianPendulum])
-@pytest.mark.parametrize("name", MEMBERS)
-def test_partials_are_those_written_by_hand(name, kind):
-    arguments = [STATE[x] for x in MEMBERS[name].split()]
-    ours, exact = (
-        np.array(getattr(kind(-1.0, 2.0), name)(*arguments)) for kind in (kind, PendulumByHand)
-    )
+@pytest.mark.parametrize("name", TERMS)
+def test_terms_are_those_written_by_hand(name, kind):
+    term, exact = TERMS[name]
+    ours, exact = np.array(term(kind(-1.0, 2.0))), np.array(exact)
     assert ours.shape == exact.shape
     # The claim: 1e-12 of values of order one.
     assert np.max(np.abs(ours - exact)) < 1e-12 * max(1.0, np.max(np.abs(exact)))
@@ -145,14 +99,17 @@ def test_partials_are_those_written_by_hand(name, kind):
 def test_accuracy_does_not_depend_on_the_unit_of_length(factor):
     b = (factor, 9.81 * factor)
     ours, exact = WrittenPendulum(-1.0, 2.0, b), CartesianPendulum(-1.0, 2.0, b)
-    q, v, a, q_b, v_b, a_b = (STATE[x] * factor for x in ("q", "v", "a", "q_b", "v_b", "a_b"))
-    for name, arguments in (
-        ("acceleration_side", (q, v, 0.0)),
-        ("jerk_side", (q, v, a, 0.0)),
-        ("jerk_side_total", (q, v, a, 0.0, q_b / factor, v_b / factor, a_b / factor)),
-    ):
-        value, expected = (np.array(getattr(x, name)(*arguments)) for x in (ours, exact))
-        assert np.max(np.abs(value - expected)) < 1e-12 * np.max(np.abs(expected)), name
+    motion = tuple(x * factor for x in (Q, V, A, 0 * J))
+    motion_b = Q_B, V_B, A_B, HELD
+    for order in (2, 3):
+        for term in (
+            lambda s, order=order: s.constraint(0.0, *motion[: order + 1]),
+            lambda s, order=order: s.constraint_total(
+                0.0, motion[: order + 1], motion_b[: order + 1]
+            ),
+        ):
+            value, expected = term(ours), term(exact)
+            assert np.max(np.abs(value - expected)) < 1e-12 * np.max(np.abs(expected)), order
 
 
 class Driven(ComplexStepSystem):
@@ -174,7 +131,7 @@ class Driven(ComplexStepSystem):
         spring = self.b[0] * (1 - 0.3 / np.sqrt(q @ q))
         return -spring * q - 0.1 * v * np.sqrt(1e-2 + v @ v)
 
-    def constraint(self, t, q):
+    def position_constraint(self, t, q):
         return np.array([q[0] - 1 - 0.2 * np.sin(self.b[1] * t)])
 
 
@@ -185,13 +142,14 @@ def test_sides_of_a_prescribed_motion_of_any_frequency(w):
     q, v, a = np.array([1.1, 0.2]), np.array([0.1, 0.03]) * w, np.array([0.2, 0.1]) * w**2
     sine, cosine = 0.2 * np.sin(0.3), 0.2 * np.cos(0.3)
     zero = np.zeros((2, 2))
+    held = np.zeros(2)
     for ours, exact in (
-        (system.velocity_side(q, t)[0], w * cosine),
-        (system.acceleration_side(q, v, t)[0], -(w**2) * sine),
-        (system.jerk_side(q, v, a, t)[0], -(w**3) * cosine),
+        (system.constraint(t, q, held)[0], -w * cosine),
+        (system.constraint(t, q, v, held)[0], w**2 * sine),
+        (system.constraint(t, q, v, a, held)[0], w**3 * cosine),
         (
-            system.acceleration_side_total(q, v, t, zero, zero)[0, 1],
-            -2 * w * sine - w * 0.3 * cosine,
+            system.constraint_total(t, (q, v, held), (zero, zero, zero))[0, 1],
+            2 * w * sine + w * 0.3 * cosine,
         ),
     ):
         assert abs(ours - exact) < 1e-12 * abs(exact)
@@ -293,7 +251,7 @@ class FilledIn(Kept):
 
 
 class Absolute(Kept):
-    def constraint(self, t, q):
+    def position_constraint(self, t, q):
         return np.array([np.sum(np.abs(q) ** 2) - self.b[0] ** 2])
 
 
@@ -303,7 +261,7 @@ class Compared(Kept):
 
 
 class OneNumber(Kept):
-    def constraint(self, t, q):
+    def position_constraint(self, t, q):
         return (q @ q - self.b[0] ** 2) / 2
 
 
@@ -327,9 +285,9 @@ class NoMass(Kept):
     ("kind", "where"),
     [
         (FilledIn, "FilledIn.force"),
-        (Absolute, "Absolute.constraint"),
+        (Absolute, "Absolute.position_constraint"),
         (Compared, "Compared.force"),
-        (OneNumber, "OneNumber.constraint"),
+        (OneNumber, "OneNumber.position_constraint"),
         (FloatStart, "FloatStart.start"),
         (BadMass, "BadMass.mass_matrix"),
         (NoMass, "NoMass.weights"),
@@ -351,9 +309,9 @@ def test_matrices_carry_the_perturbation_of_state_and_design():
     db, (q, v, a) = np.array([0.3, -0.2, 0.1, 0.4]), (STATE[x] for x in ("q", "v", "a"))
     moved = system.with_values(b + 1j * step * db)
     for value in (
-        lambda x, e: x.inertia_q(q + e * v, a),
+        lambda x, e: x.mass_along(q + e * v, a),
         lambda x, e: x.constraint_q(0.3, q + e * v),
-        lambda x, e: x.constraint_q_rate(q + e * v, v + e * a, 0.3),
+        lambda x, e: x.constraint_q(0.3, q + e * v, v + e * a),
     ):
         expected = real_derivative(lambda e, value=value: value(system.with_values(b + e * db), e))
         ours = np.imag(value(moved, 1j * step)) / step
@@ -364,7 +322,7 @@ def test_matrices_carry_the_perturbation_of_state_and_design():
 def test_imaginary_parts_that_are_no_perturbation_are_refused():
     system = WrittenPendulum(-1.0, 2.0)
     with pytest.raises(InvalidInput, match="complex step"):
-        system.acceleration_side(STATE["q"] + 1e-6j, STATE["v"], 0.0)
+        system.constraint(0.0, STATE["q"] + 1e-6j, STATE["v"], STATE["a"])
     with pytest.raises(InvalidInput, match="complex step"):
         WrittenPendulum(b=(1.0 + 0.1j, 9.81)).constraint_q(0.0, STATE["q"])
 
@@ -372,15 +330,15 @@ def test_imaginary_parts_that_are_no_perturbation_are_refused():
 class Kinked(Kept):
     """A kink beside the start, which only the state meets."""
 
-    def constraint(self, t, q):
+    def position_constraint(self, t, q):
         stop = np.where(np.real(q[0]) > 0.5, (q[0] - 0.5) * 1.0, 0.0)
-        return super().constraint(t, q) + stop
+        return super().position_constraint(t, q) + stop
 
 
 def test_a_kink_is_refused_and_not_differentiated():
     system = Kinked(-1.0, 2.0)
     with pytest.raises(InvalidInput, match="analytic"):
-        system.acceleration_side(np.array([0.5, -0.5]), np.array([1.0, 0.0]), 0.0)
+        system.constraint(0.0, np.array([0.5, -0.5]), np.array([1.0, 0.0]), np.zeros(2))
 
 
 # ---- many states in one call
@@ -411,7 +369,7 @@ class TwoBars(ComplexStepSystem):
     def force(self, t, q, v):
         return np.array([0.0, -9.81, 0.0, 0.0, -9.81 * self.b[2], 0.0]) - 0.1 * v
 
-    def constraint(self, t, q):
+    def position_constraint(self, t, q):
         TwoBars.calls += 1
         a, b, _ = self.b
         x, y = a / 2 * np.cos(q[2]), a / 2 * np.sin(q[2])
@@ -422,30 +380,30 @@ class TwoBars(ComplexStepSystem):
 class OneByOne(TwoBars):
     """The same where a function takes single states only."""
 
-    def constraint(self, t, q):
-        return super().constraint(t, np.array([1.0 * x for x in q]).reshape(6))
+    def position_constraint(self, t, q):
+        return super().position_constraint(t, np.array([1.0 * x for x in q]).reshape(6))
 
 
 class Mixing(TwoBars):
     """Constraints in a sum over all of q, which an array of states would mix."""
 
-    def constraint(self, t, q):
-        return super().constraint(t, q) + 0.1 * np.sin(np.sum(q)) * q[0]
+    def position_constraint(self, t, q):
+        return super().position_constraint(t, q) + 0.1 * np.sin(np.sum(q)) * q[0]
 
 
 class MixedApart(Mixing):
     """The same with a sum that takes single states and arrays of them."""
 
-    def constraint(self, t, q):
-        return TwoBars.constraint(self, q, t) + 0.1 * np.sin(sum(q)) * q[0]
+    def position_constraint(self, t, q):
+        return TwoBars.position_constraint(self, t, q) + 0.1 * np.sin(sum(q)) * q[0]
 
 
 @pytest.mark.parametrize(("plain", "other"), [(TwoBars, OneByOne), (MixedApart, Mixing)])
 def test_functions_of_single_states_give_the_same_partials(plain, other):
     rng = np.random.default_rng(2)
     q, lam = plain().start()[0] + 0.1 * rng.uniform(-1, 1, 6), rng.uniform(-1, 1, 4)
-    for name, arguments in (("constraint_q", (q, 0.0)), ("constraint_force_q", (q, lam, 0.0))):
-        ours, theirs = (getattr(kind(), name)(*arguments) for kind in (plain, other))
+    for term in (lambda s: s.constraint_q(0.0, q), lambda s: held_q(s, 0.0, q, 0 * q, lam)):
+        ours, theirs = (term(kind()) for kind in (plain, other))
         # Complex steps are exact to round-off, second derivatives on circles to 1e-13.
         np.testing.assert_allclose(theirs, ours, rtol=1e-12, atol=1e-12)
 
@@ -453,10 +411,8 @@ def test_functions_of_single_states_give_the_same_partials(plain, other):
 def test_second_derivatives_of_constraints_along_sums_of_coordinates_are_exact():
     system = MixedApart()
     q, lam = system.start()[0] + 0.1, np.array([0.3, -0.7, 1.1, 0.2])
-    exact = [
-        np.imag(system.constraint_force(q + 1e-40j * unit, lam, 0.0)) / 1e-40 for unit in np.eye(6)
-    ]
-    found = system.constraint_force_q(q, lam, 0.0).reshape(6, 6)
+    exact = [np.imag(reaction(system, 0.0, q + 1e-40j * unit, lam)) / 1e-40 for unit in np.eye(6)]
+    found = held_q(system, 0.0, q, 0 * q, lam).reshape(6, 6)
     # Differences of second derivatives along sums: a few times the 1e-13 of each.
     np.testing.assert_allclose(found, np.transpose(exact), rtol=1e-11, atol=1e-12)
 
@@ -465,7 +421,8 @@ def test_constraint_forces_that_vanish_have_derivatives():
     # At the start the bars pull nothing along x: two multipliers are round-off.
     system = TwoBars()
     q, _ = system.start()
-    assert np.all(system.constraint_force_q(q, np.zeros(4), 0.0) == 0)
+    inertia = held_q(system, 0.0, q, 0 * q, np.zeros(4))
+    assert np.all(inertia == 0)
     found = differentiate(system, 2.0**-4, HHT(2.0**-6)).sensitivities.q_b[-1]
     exact = differentiate(system, 2.0**-4, HHT(2.0**-6), method=ComplexStep())
     np.testing.assert_allclose(found, exact.sensitivities.q_b[-1], rtol=1e-10, atol=1e-12)

@@ -240,13 +240,13 @@ class AncfSystem(MechanicalSystem):
             dQ = dQ + self._loads.force_along(states, moving, np.array([t]), dt)[0]
         return dQ
 
-    def force_and_total(self, t: float, q: Array, v: Array) -> Array:
+    def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
         """Q and its total design derivatives as rows."""
-        rows = self._inertia.gravity_rows - self._elastic.totals(q, v)
+        rows = self._inertia.gravity_rows - self._elastic.totals(q_rows, v_rows)
         if self._scene.loads:
             time = np.array([t])
-            total = self._loads.force_total(q[0], v[0], time, q[1:].T, v[1:].T)
-            rows = rows + np.concatenate([self._loads.force(q[:1], v[:1], time), total.T])
+            total = self._loads.force_total(q_rows[0], v_rows[0], time, q_rows[1:].T, v_rows[1:].T)
+            rows = rows + np.concatenate([self._loads.force(q_rows[:1], v_rows[:1], time), total.T])
         return rows
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:

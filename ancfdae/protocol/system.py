@@ -33,17 +33,18 @@ direction of (t, q, v).
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Self, TypeAlias, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.errors import InvalidInput
 from ancfdae.naming import Naming
-from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
+from ancfdae.protocol.complex_steps import ComplexSteps
 
 #: (q, v, a, lam) at an instant, or their derivatives.
 States: TypeAlias = tuple[Array, Array, Array, Array]
@@ -119,7 +120,7 @@ class DesignPartials:
     Phi_b: Array
 
 
-class MechanicalSystem(abc.ABC):
+class MechanicalSystem(ComplexSteps):
     """A constrained mechanical system at given values of its design variables.
 
     Attributes
@@ -144,17 +145,9 @@ class MechanicalSystem(abc.ABC):
         Names of points and joints for the solution; None for a system without any.
     """
 
-    n_q: int
     n_lam: int
-    design_names: tuple[str, ...]
-    b: Array
     traits: Traits = Traits()
     naming: Naming | None = None
-
-    @cached_property
-    def n_b(self) -> int:
-        """Number of design variables."""
-        return len(self.design_names)
 
     @cached_property
     def pattern(self) -> Pattern:
@@ -179,10 +172,6 @@ class MechanicalSystem(abc.ABC):
         return tuple(f"constraint {i}" for i in range(1, self.n_lam + 1))
 
     # -- the values that a system is -------------------------------------------------------------
-
-    @abc.abstractmethod
-    def with_values(self, b: Array) -> Self:
-        """Return the same system at other values of the design variables, real or complex."""
 
     @abc.abstractmethod
     def start(self) -> tuple[Array, Array]:
@@ -226,38 +215,7 @@ class MechanicalSystem(abc.ABC):
             "Write it, or declare traits = Traits(constant_mass=True).",
         )
 
-    # -- derivatives with respect to the design variables ----------------------------------------
-
-    def _at_step(self, i: int) -> Self:
-        """Return the system with design variable i moved by a small imaginary step."""
-        if i not in self._at_steps:
-            self._at_steps[i] = self.with_values(self.b + 1j * STEP * np.eye(self.n_b)[i])
-        return self._at_steps[i]
-
-    @cached_property
-    def _at_steps(self) -> dict[int, Self]:
-        return {}
-
-    def _total(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Differentiate with respect to the design variables along given derivatives of states.
-
-        `value(system, *states)` is exact in complex numbers; every state, shape (n,), comes with
-        its derivative, (n, n_b). The result has the shape of the value + (n_b,).
-        """
-        columns = [
-            np.imag(value(self._at_step(i), *(x + 1j * STEP * x_b[:, i] for x, x_b in states)))
-            for i in range(self.n_b)
-        ]
-        if not columns:
-            return np.zeros((*np.shape(value(self, *(x for x, _ in states))), 0))
-        return np.asarray(np.stack(columns, axis=-1) / STEP)
-
-    def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
-        """Differentiate with respect to x; what is imaginary already does not count."""
-        still = np.imag(value(x))
-        columns = [np.imag(value(x + 1j * STEP * e)) - still for e in np.eye(self.n_q)]
-        matrix = np.stack(columns, axis=-1) / STEP
-        return np.asarray(matrix[pattern.rows, pattern.columns])
+    # -- values with their derivatives -------------------------------------------------------------
 
     def start_b(self) -> tuple[Array, Array]:
         """Return the partials of `start`; shapes (n_q, n_b)."""
@@ -269,20 +227,18 @@ class MechanicalSystem(abc.ABC):
         q_b, v_b = self.start_b()
         return np.asarray(on_q @ q_b + on_v @ v_b)
 
-    # -- values with their derivatives -------------------------------------------------------------
-
     def mass_times(self, q: Array, x: Array) -> Array:
         """Return M x for a vector or for columns."""
         return self.pattern.dot(self.mass(q), x)
 
-    def force_and_total(self, t: float, q: Array, v: Array) -> Array:
+    def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
         """Return Q and its total derivatives with respect to the design as rows, (1 + n_b, n_q).
 
-        The first rows of q and v are the state, the others its derivatives; shape (1 + n_b, n_q).
+        The first rows of both are the state, the others its derivatives; shape (1 + n_b, n_q).
         """
-        states = ((x[0], x[1:].T) for x in (q, v))
+        states = ((x[0], x[1:].T) for x in (q_rows, v_rows))
         total = self._total(lambda system, q, v: system.force(t, q, v), *states)
-        return np.concatenate([self.force(t, q[0], v[0])[None], total.T])
+        return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
         """Return the loads in Q that turn with the motion, at rest, and their partial in q.
@@ -382,10 +338,12 @@ class MechanicalSystem(abc.ABC):
             return residual_along(self, t, (q, v, a, lam), direction)
 
         on_b = mu @ self._total(lambda system: residual_along(system, t, (q, v, a, lam), direction))
-        on_q = self._by_coordinate(lambda x: along(x, v), q, self.pattern)
-        on_v = self._by_coordinate(lambda x: along(q, x), v, self.pattern)
         dot = self.pattern.dot_transposed
-        return dot(on_q, mu), dot(on_v, mu), on_b
+        on_q = dot(self._by_coordinate(lambda x: along(x, v), q, self.pattern), mu)
+        if not self.traits.velocity_forces:
+            return on_q, np.zeros_like(mu), on_b
+        on_v = self._by_coordinate(lambda x: along(q, x), v, self.pattern)
+        return on_q, dot(on_v, mu), on_b
 
     def _residual_q(self, t: float, q: Array, v: Array | None, a: Array, lam: Array) -> Array:
         return self._by_coordinate(lambda x: residual(self, t, x, v, a, lam), q, self.pattern)
