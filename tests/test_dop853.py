@@ -122,7 +122,7 @@ def test_derivatives_are_those_of_runs(swinging):
 
 
 def test_constant_constraints_hold_to_round_off(swinging):
-    assert swinging.constant_constraints
+    assert swinging.traits.constant_constraints
     run = differentiate(swinging, 0.05, Explicit(1e-4, 2))
     B, b = swinging.constraint_pattern, run.sensitivities
     Phi_q, size = swinging.constraint_q(0.0, run.q[0]), np.max(np.abs(run.q[-1]))

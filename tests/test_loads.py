@@ -773,8 +773,8 @@ def test_zero_damping_time_is_bitwise_no_damping_even_as_a_design_variable(d):
     bare, named = assemble(scene), assemble(scene, ["rod.damping_time"])
     rng = np.random.default_rng(2)
     q, v = bare.start()[0] + 0.05 * rng.uniform(-1, 1, bare.n_q), rng.uniform(-1, 1, bare.n_q)
-    assert not bare.velocity_forces
-    assert named.velocity_forces
+    assert not bare.traits.velocity_forces
+    assert named.traits.velocity_forces
     assert np.array_equal(bare.force(0.0, q, v), named.force(0.0, q, v))
     assert np.array_equal(force_q(bare, 0.0, q, v), force_q(named, 0.0, q, v))
     assert not np.any(force_v(named, 0.0, q, v))

@@ -171,8 +171,8 @@ class ComplexStepSystem(MechanicalSystem):
     Subclasses set `n_q`, `n_lam` and `design_names`, implement `mass_matrix`, `force`,
     `position_constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end
     of their own constructor. All of it must be analytic in q, v, t and ``self.b`` and accept
-    complex numbers: no ``abs``, no comparison, no writing into an array of floats. Any partial may be
-    overridden by a formula of one's own; `check_system` compares.
+    complex numbers: no ``abs``, no comparison, no writing into an array of floats. Any partial may
+    be overridden by a formula of one's own; `check_system` compares.
 
     Parameters
     ----------
