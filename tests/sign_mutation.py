@@ -89,7 +89,7 @@ def main():
         (everything, type(everything())),
         (GuidedDoublePendulum, ComplexStepSystem),
     ):
-        for name, part in ((name, part) for name in overrides(kind) for part in parts(name)):
+        for name, part in ((each, part) for each in overrides(kind) for part in parts(each)):
             findings = [finding.name for finding in seen(system, kind, name, part)]
             missed += [] if findings else [f"{kind.__name__}.{name}"]
             print(f"{kind.__name__}.{name}: {', '.join(findings) or 'NOT SEEN'}")
