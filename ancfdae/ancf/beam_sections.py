@@ -67,7 +67,7 @@ class BeamSections:
 
     def _element(self, point: Point) -> tuple[BeamElements, float]:
         """Return the element that a point lies in, and where."""
-        element, xi = self._layout.beam(point.beam).locate(point.fraction)
+        element, xi = self._layout.beam(point.beam).locate(point.fraction, point.before)
         return self._elements(point.beam, slice(element, element + 1)), xi
 
     def _elements(self, beam: str, elements: slice) -> BeamElements:

@@ -36,7 +36,7 @@ class CurvedBeam(BeamBody):
     frames : array, shape (n + 1, d, d)
         Slope vectors of the nodes, row k along the section's k-th axis (tangent first);
         right-handed.
-    section, material, element, energy, rigid
+    section, material, element, energy, rigid, kinks
         As in `Beam`.
     element_lengths : sequence of float, optional
         Range of the axial coordinate of each element. By default the arc length of the cubic
@@ -60,6 +60,7 @@ class CurvedBeam(BeamBody):
     energy: StrainEnergy | None = None
     turn: float | Sequence[float] = 0.0
     rigid: bool = False
+    kinks: Sequence[float] = ()
 
     def __post_init__(self) -> None:
         """Validate."""

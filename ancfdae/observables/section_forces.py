@@ -11,8 +11,11 @@ error is smaller by an order or two: the middle of an element for axial force an
 bending moments the points 1/2 -+ 1/(2 sqrt 3) of it, or its middle where it is very slender; shear
 forces are as good anywhere with assumed strains, and best in the middle without, and in cables.
 
-A node belongs to the element that begins there, the end of a beam to the last one: forces jump at
-nodes that carry a load.
+At an inner node that a joint, load or point mass acts on, or that the beam declares (`Beam`,
+kinks), forces jump by what acts there. ``rod.at(0.5)`` is just after it, in the element that begins
+there, ``rod.at(0.5, before=True)`` just before; the end of a beam belongs to the last element.
+Straight beams under forces at nodes alone are exact. What acts between nodes is smeared over its
+element and the ones beside it, and the deflection under it is of first order.
 """
 
 from __future__ import annotations
