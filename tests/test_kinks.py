@@ -75,7 +75,6 @@ def supported(rod, *loads, roller=1.0):
     if d == 2:
         joints = [Pin(rod.at_start, name="start"), PointOnLine(rod.at(roller), (1.0, 0.0))]
     else:
-
         ends = rod.at(roller), rod.at_end
         joints = [Spherical(rod.at_start, name="start"), PointOnLine(ends[0], (1.0, 0.0, 0.0))]
         # A soft bushing against the turn, which nothing drives.

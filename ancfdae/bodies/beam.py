@@ -54,12 +54,13 @@ class Beam(BeamBody):
     rigid : bool, optional
         Whether it does not deform: the scene then pays for a rigid body of the same mass only.
     kinks : sequence of float, optional
-        Fractions of inner nodes where the slope along the beam may jump: it then has one on either
-        side, while place and section are shared. Nodes that a joint, load or point mass acts on have
-        that anyway: shear and axial forces jump there, and the deflection is of second order in the
-        element length. Declare more where sections or materials change from one element to the next,
-        or to have the same coordinates with and without such a load. Forces that act between nodes
-        are smeared over the element, and of first order. Not of a cable, whose slopes carry bending.
+        Fractions of inner nodes where the slope along the beam may jump: it has one on either side,
+        while place and section are shared. Nodes that a joint, load or point mass acts on have that
+        anyway: shear and axial forces jump there, and the deflection is of second order in the
+        element length or better. Declare more where sections or materials change from one element
+        to the next, or to have the same coordinates with and without such a load. Forces between
+        nodes are smeared over elements, and the deflection under them is of first order. Not of a
+        cable, whose slopes carry bending.
 
     Raises
     ------
