@@ -325,7 +325,7 @@ def test_an_equilibrium_with_another_load_is_a_start(tmp_path):
     other = PointForce(rod.at(0.25), (0.0, 1e3), name="on")
     held = equilibrium(hung(rod, load)).solution
     for scene in (
-        hung(rod, other, start=[AtRest(loads=[load])]),
+        hung(straight(4), other, start=[AtRest(loads=[load])]),
         hung(straight(4, kinks=(0.5,)), other, start=[NodeState("rod", held.ends("rod")[0])]),
     ):
         run = simulate(scene, 2.0**-9, HHT(2.0**-10))
