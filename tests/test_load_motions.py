@@ -240,7 +240,7 @@ def test_gradients_in_the_control_values_of_a_torque():
     assert direct == pytest.approx(step, abs=1e-10 * size)
     assert adjoint == pytest.approx(step, abs=1e-10 * size)
     assert np.all(np.abs(step) > 1e-4 * size)
-    # Of second order in the step, 8e-3 s against times of 0.1 s, and waves that it does not resolve.
+    # Of second order in the step, 8e-3 s against times of 0.1 s; faster waves are unresolved.
     assert continuous == pytest.approx(step, abs=4e-2 * size)
     # The public call at other values: truncation and round-off of central differences.
     differences = gradient(*arguments, design=design, method=FiniteDifference(1e-5, central=True))
