@@ -112,6 +112,28 @@ def test_a_run_that_is_there_gets_gradients_without_another(method):
     assert evaluate(Integral(X), run, system) == fresh.value
 
 
+class Started(CartesianPendulum):
+    """Starts at other velocities."""
+
+    factor = 1 + 1e-6
+
+    def start(self):
+        q, v = super().start()
+        return q, self.factor * v
+
+
+@pytest.mark.parametrize("other", ["design", "velocities"])
+def test_runs_of_nearly_the_same_model_are_refused(other):
+    """A millionth in what pulls, or in the speed, is another motion; round-off is 1e-15."""
+    system = CartesianPendulum(-1.0, 2.0)
+    run = simulate(system, 0.5, FIXED)
+    # Length stays, so that positions and velocities of the start do.
+    pulled = system.with_values(system.b * (1.0, 1 + 1e-6))
+    for model in (pulled if other == "design" else Started(-1.0, 2.0),):
+        with pytest.raises(InvalidInput, match="another start"):
+            simulate(model, 1.0, FIXED, after=run)
+
+
 def test_other_runs_are_refused():
     system = CartesianPendulum(-1.0, 2.0)
     run = simulate(system, 0.5, FIXED)
