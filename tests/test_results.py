@@ -118,12 +118,8 @@ def test_a_run_that_is_there_gets_gradients_without_another(method):
 def thrown(speed):
     """Return a body in free fall: its velocity changes no force."""
     ball = RigidBody("ball", (0.0, 0.0), mass=1.0, inertia=0.01)
-    return Scene(
-        [],
-        bodies=[ball],
-        gravity=(0.0, -9.81),
-        start=[RigidMotion("ball", 0.0, (0, 0), (speed, 0))],
-    )
+    start = [RigidMotion("ball", 0.0, (0, 0), (speed, 0))]
+    return Scene([], bodies=[ball], gravity=(0.0, -9.81), start=start)
 
 
 @pytest.mark.parametrize("millionths", [0, 1])

@@ -188,10 +188,11 @@ def test_a_run_that_goes_on_within_its_last_steps_meets_the_end_alike(taken):
     steps, method, t_end = ControlledSteps(1e-3), NumbersOnly(2, 3e4), 1.0
     controller, n, t, h, t_next = stepped_to_its_last_steps(steps, t_end, method)
     for _ in range(taken):
-        # Without errors the filter would take longer steps, and fewer, were the last not counted.
-        n, t = controller.judge(n, t, h, 0.0), t_next
+        n, t = controller.judge(n, t, h, method.e * h**2), t_next
         h, t_next = controller.plan(n, t)
-    again = steps.controller(t_end, method, controller.state())
+    # What the filter proposes is not asked within the last steps: their number is kept, and tells.
+    proposed, *rest = controller.state()
+    again = steps.controller(t_end, method, (3 * proposed, *rest))
     while True:
         assert controller.plan(n, t) == again.plan(n, t)
         if controller.plan(n, t) is Verdict.FINISHED:
