@@ -113,6 +113,10 @@ class Section(abc.ABC):
     def torsion(self, sizes: Array) -> Array:
         """Torsion constants J, shape (n,)."""
 
+    def twist_centre(self, sizes: Array, centroid: Array) -> Array:
+        """Return y and z of the shear centre, shape (n, 1, 2): the centroid, (n, 1, 2), here."""
+        return centroid
+
     def properties(self, sizes: Array, nu: Array) -> tuple[Array, Array, Array]:
         """Shear factors along y and z and the torsion constant, those declared or by formula."""
         k_y, k_z = self.shear(sizes, nu)
