@@ -24,6 +24,7 @@ from ancfdae.elements.element import (
     Integrals,
     Quantity,
     SectionLaw,
+    SectionPlace,
 )
 from ancfdae.elements.energy import EnhancedContinuum
 from ancfdae.elements.hermite import shape_weights
@@ -78,10 +79,10 @@ class ContinuumBeam(BeamElement):
         """Gauss quadrature over the volume, and for some energies along the axis."""
         return _ContinuumIntegrals(own, owners)
 
-    def section_law(self, own: Batch, xi: float) -> SectionLaw:
-        """What the element transmits from node to node."""
+    def section_law(self, own: Batch, place: SectionPlace) -> SectionLaw:
+        """Return what elements transmit from node to node."""
         A = _ContinuumIntegrals(own, np.full(len(own.parameters), "section force")).values[0]
-        return ContinuumSectionLaw(own, A, xi)
+        return ContinuumSectionLaw(own, A, place)
 
     def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
         """C times strains."""

@@ -1,20 +1,22 @@
 """Section forces of continuum beams: what their elements transmit from node to node.
 
-With Q = dU/dY, damping included, the forces of an element on its relative node vectors: the chord's
-is what the element transmits between the positions of its nodes, and what the slopes r_y, r_z of
-each end have, M_k = sum_i r_i x Q_i there, is what it transmits between their turns. Both are
-in balance with the rest of the model to round-off, since they are its very equations: work
-conjugate to the energy whatever it is made of. Along the element n is taken linear,
+With Q = dU/dY, damping included, the forces of an element on its relative node vectors: that of the
+chord is what the element transmits between the positions of its nodes, the turn M = sum_s r_s x Q_s
+of the slopes of its second node what it transmits there. Both are in balance with the rest of the
+model to round-off, since they are its very equations: work conjugate to the energy whatever it is
+made of. The former is the mean of the section force,
 
-    n = Q_c/l + (xi - 1/2) n',     n' = 6 (Q_x2 - Q_x1)/l,
+    n = Q_c/l + (xi - 1/2) n',     n' = n_2 - n_1,
 
-with Q_x of the axial slopes: their weights in dr/dx have the moments -1/12 and 1/12 about the
-middle, that of the chord none. The moment is that of n beyond, from either end,
+and its slope that of its values n_k at the nodes. Where nothing acts, that is the mean with the
+element beyond, or zero at the end of a beam; where something acts, n jumps, and the slope is that
+of the other half of the element. The moment follows,
 
-    m = (1 - xi) (-M_1 - int_0^xi r_x x n l dxi) + xi (M_2 + int_xi^1 r_x x n l dxi).
+    m = M - (l/12) r_x2 x n' + int_xi^1 r_x x n l dxi,
 
-For loads at nodes this is exact, for forces (and inertia) spread along an element the error is of
-second order, none for uniform ones in a straight element (docs/theory.md, section 2).
+since loads spread along the element have a share l n'/12 in Q_x2 that is no moment of the section.
+For loads at nodes this is exact; for spread ones, inertia among them, the error is of second order
+in the length (docs/theory.md, section 2).
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.elements.element import Batch, ElementParameter, SectionLaw
+from ancfdae.elements.element import Batch, ElementParameter, SectionLaw, SectionPlace
 from ancfdae.elements.hermite import end_weight_xi, slope_weights_xi
 from ancfdae.elements.packing import packed_gram
 from ancfdae.elements.stresses import scaled
@@ -34,32 +36,50 @@ from ancfdae.numerics.quadrature import box_rule
 
 @final
 class ContinuumSectionLaw(SectionLaw):
-    """Forces in the sections at xi of n elements with the invariants A of scaled vectors."""
+    """Forces in a section of a run of elements with the invariants A of scaled vectors."""
 
-    def __init__(self, own: Batch, A: Array, xi: float) -> None:
-        self._l, self._tau = own.lengths, own.of(ElementParameter.DAMPING_TIME)
-        self._g_o, self._A, self._xi, self._d = packed_gram(own.Y_unit), A, xi, own.d
-        whole, part = _arms(1.0), _arms(xi)
-        self._arms = part - xi * whole
+    def __init__(self, run: Batch, A: Array, place: SectionPlace) -> None:
+        self._l, self._tau = run.lengths, run.of(ElementParameter.DAMPING_TIME)
+        self._g_o, self._A, self._d, self._place = packed_gram(run.Y_unit), A, run.d, place
+        self._arms = _arms(1.0) - _arms(place.xi) - np.outer([0, 1 / 12], [0, 0, 1])
+        self._slope = _slope(self._l, place)
 
     def forces(self, Y: Array, V: Array) -> Array:
-        """Return what the nodes get, carried to xi by statics."""
+        """Return what the nodes get, carried to the section by statics."""
         Y, V = np.broadcast_arrays(scaled(Y, self._l), scaled(V, self._l))
-        d, xi, l = self._d, self._xi, self._l[:, None]
+        d, k, xi = self._d, self._place.element, self._place.xi
         x = strain(self._g_o, Y, V, self._tau)
         Q = stressed(np.einsum("nij,...nj->...ni", self._A, x), Y)
         Y, Q = (_in_space(each) for each in (Y, Q))
-        # The chord, and of each end the axial slope and those of the section.
-        axis, ends = [0, 1, 1 + d], (slice(2, 1 + d), slice(2 + d, 1 + 2 * d))
-        turns = [np.sum(np.cross(Y[..., end, :], Q[..., end, :]), axis=-2) for end in ends]
-        middle, slope = Q[..., 0, :] / l, 6 * (Q[..., 1 + d, :] - Q[..., 1, :]) / l
-        moment = xi * turns[1] - (1 - xi) * turns[0]
-        for arm, force in zip(self._arms, (middle, slope), strict=True):
-            moment = moment - l * np.cross(np.einsum("a,...ad->...d", arm, Y[..., axis, :]), force)
-        axes = _axes((1 - xi) * Y[..., ends[0], :] + xi * Y[..., ends[1], :])
-        vectors = np.stack([middle + (xi - 0.5) * slope, moment], axis=-2)
+        means = Q[..., 0, :] / self._l[:, None]
+        mean, slope = means[..., k, :], np.einsum("n,...nd->...d", self._slope, means)
+        Y, Q = Y[..., k, :, :], Q[..., k, :, :]
+        axis, end = [0, 1, 1 + d], slice(1 + d, 1 + 2 * d)
+        moment = np.sum(np.cross(Y[..., end, :], Q[..., end, :]), axis=-2)
+        for arm, force in zip(self._arms, (mean, slope), strict=True):
+            along = np.einsum("a,...ad->...d", arm, Y[..., axis, :])
+            moment = moment + self._l[k] * np.cross(along, force)
+        axes = _axes((1 - xi) * Y[..., 2 : 1 + d, :] + xi * Y[..., 2 + d :, :])
+        vectors = np.stack([mean + (xi - 0.5) * slope, moment], axis=-2)
         parts: Array = np.einsum("...ij,...kj->...ki", axes, vectors)
         return parts.reshape(*parts.shape[:-2], 6)
+
+
+def _slope(l: Array, place: SectionPlace) -> Array:
+    """Weights of the means of the elements of a run in the slope n_2 - n_1, shape (n,)."""
+    k, weights = place.element, np.zeros(len(l), dtype=l.dtype)
+    smooth = [side for side in (-1, 1) if place.smooth[max(side, 0)]]
+    for side in smooth:
+        # n_k less the mean of the element, of which that is half the slope.
+        share = side * 2 / len(smooth)
+        other = k + side
+        if 0 <= other < len(l):
+            part = share * l[k] / (l[k] + l[other])
+            weights[other] += part
+            weights[k] -= part
+        else:
+            weights[k] -= share
+    return weights
 
 
 def _arms(xi: float) -> Array:
