@@ -12,7 +12,7 @@ or two numbers, are differentiated by complex steps, and so is R; the product ru
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -30,7 +30,7 @@ from ancfdae.elements.energy import EnhancedContinuum
 from ancfdae.elements.hermite import shape_weights
 from ancfdae.elements.packing import upper_triangle
 from ancfdae.elements.section_forces import ContinuumSectionLaw
-from ancfdae.elements.stresses import StressMap
+from ancfdae.elements.stresses import spread_stresses
 from ancfdae.elements.volume import (
     AXIS_POINTS,
     Region,
@@ -85,10 +85,8 @@ class ContinuumBeam(BeamElement):
         return ContinuumSectionLaw(own, A, place)
 
     def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
-        """C times strains."""
-        offsets = np.stack(places, axis=-1) / own.lengths[:, None, None]
-        at = replace(fibres(own), offsets=offsets, volume=np.ones(offsets.shape[:2]))
-        return StressMap(own, xi, at).D
+        """C times strains, shears and radial stresses spread as the section says."""
+        return spread_stresses(own, xi, places)
 
 
 @final

@@ -118,7 +118,9 @@ class Frames:
         ones = self._ones(offsets, self.normal.shape[-1] - 1)
         return np.asarray(np.einsum("...sk,...k->...s", ones, self.normal))
 
-    def strains(self, at: Fibres, turns: int, shear_power: int) -> Array:
+    def strains(
+        self, at: Fibres, turns: int, shear_power: int, twist: Array | None = None
+    ) -> Array:
         """Return strains and turns in s, shape (n, n_xi, n_f, n_v + turns, n_s).
 
         Parameters
@@ -128,6 +130,9 @@ class Frames:
             How many of them the energy has.
         shear_power : int
             Of the factors in the shears: 1 in those of the energy, 2 in those of the material.
+        twist : array, shape (n, n_f, 2), optional
+            Shears of torsion over the rate of twist and l, where they are known; by default they
+            are those of sections that stay flat, with the factor.
         """
         d = self.normal.shape[-1]
         places, pairs, m = strain_places(d), components(d), d - 1
@@ -146,9 +151,9 @@ class Frames:
                 for row, (a, b) in enumerate(pairs[1 : d * (d - 1) // 2 + 1], start=1):
                     share = 0.5 if a == b else 1.0
                     R[..., row, at_ik] += share * inverse[..., i, a - 1] * inverse[..., k, b - 1]
-        h = self._shears(at, shear_power, R.shape[-1])
+        h = self._shears(at, shear_power, R.shape[-1], twist)
         R[..., [pairs.index((0, a)) for a in range(1, d)], :] = np.swapaxes(inverse, -1, -2) @ h
-        true = h if shear_power == 2 else self._shears(at, 2, R.shape[-1])
+        true = h if shear_power == 2 else self._shears(at, 2, R.shape[-1], twist)
         R[..., 0, :] += np.einsum("...i,...is->...s", q, true)
         radii = at.radii[:, None, None, :turns]
         R[..., len(pairs) + np.arange(turns), places.turns[:turns]] = radii
@@ -156,23 +161,37 @@ class Frames:
             R[..., 0, places.turns[: min(m, turns)]] = -1.5 * radii[..., :m] ** 2
         return R
 
-    def _shears(self, at: Fibres, power: int, count: int) -> Array:
+    def _shears(self, at: Fibres, power: int, count: int, given: Array | None) -> Array:
         """Return h in s, shape (n, n_xi, n_f, d - 1, count)."""
         m = self.normal.shape[-1] - 1
-        places, factors = strain_places(m + 1), at.factors**power
+        forms, factors = self._forms(count), at.factors**power
         y, c, c_s = (x[:, None, :, :m] for x in (at.offsets, at.centroid, at.shear_centre))
-        twist = np.where(np.eye(m) == 1, 1.0, factors[:, 2, None, None])[:, None, None]
+        twist = factors[:, 2] if given is None else np.zeros(1)
+        twist = np.where(np.eye(m) == 1, 1.0, twist[:, None, None])[:, None, None]
         shear = factors[:, None, None, :m, None]
         arms = shear * c_s[..., None, :] + twist * (y - c)[..., None, :]
         arms = np.concatenate([np.broadcast_to(shear, (*arms.shape[:-1], 1)), arms], axis=-1)
-        arms = arms / self.stretch(at.offsets)[..., None, None]
+        h = np.einsum("...ij,...ijs->...is", arms, forms)
+        if given is not None and m == 2:
+            # r_y turns by G_zy and r_z by -G_yz: where they differ, the torque is that of their
+            # mean with the weights I_y and I_z.
+            squares = at.radii[:, :2] ** 2
+            w = (squares / np.sum(squares, axis=1, keepdims=True))[:, None, None, :, None]
+            rate = w[..., 0, :] * forms[..., 1, 1, :] - w[..., 1, :] * forms[..., 0, 2, :]
+            h = h + given[:, None, :, :, None] * rate[..., None, :]
+        return np.asarray(h / self.stretch(at.offsets)[..., None, None])
+
+    def _forms(self, count: int) -> Array:
+        """Return g_i, then G_ij, in s, shape (n, n_xi, 1, d - 1, d, count)."""
+        m = self.normal.shape[-1] - 1
+        places = strain_places(m + 1)
         along = np.swapaxes(self.inverse @ np.swapaxes(self.across, -1, -2), -1, -2)
-        h = np.zeros((*arms.shape[:-1], count), dtype=arms.dtype)
+        forms = np.zeros((*along.shape[:2], 1, m, m + 1, count))
         for i in range(m):
-            h[..., i, places.shears[i]] = arms[..., i, 0]
-            h[..., i, places.slopes[i]] = arms[..., i, 1:]
-            h[..., i, places.thickness[i]] = -arms[..., i, :] @ along
-        return h
+            forms[..., 0, i, 0, places.shears[i]] = 1.0
+            forms[..., 0, i, 1 + np.arange(m), places.slopes[i]] = 1.0
+            forms[..., 0, i, :, places.thickness[i]] = -np.moveaxis(along, -1, 0)
+        return forms
 
     @staticmethod
     def _ones(offsets: Array, m: int) -> Array:

@@ -6,49 +6,63 @@ reference section, as a linear map of the Gram matrix like the strains (`strain_
 
 from __future__ import annotations
 
-from typing import final
+from dataclasses import replace
 
 import numpy as np
 
 from ancfdae.elements.element import Batch
 from ancfdae.elements.fibre_strains import Fibres
 from ancfdae.elements.strain_fields import components
-from ancfdae.elements.volume import AXIS_POINTS, Region, gauss_rule
+from ancfdae.elements.volume import AXIS_POINTS, Region, fibres, gauss_rule
 from ancfdae.numerics.arrays import Array
 
 _AXIS_PLACES, _ = gauss_rule(AXIS_POINTS)
 
 
-@final
-class StressMap:
-    """Stresses at fibres and places of elements, linear in the strains of the law.
+def spread_stresses(own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
+    """Return stresses at y and z of sections, (n, n_f) each, as maps of the strains of the law.
 
-    Attributes
-    ----------
-    D : array, shape (n, n_f, n_xi, n_v, n_g)
-        Stresses in the strains of the law, of vectors as `scaled` returns them.
+    Shears of torsion are in balance with the torque of the law and spread as the section knows
+    them. Where properties of the section count, the mean shears of V_y and V_z and the mean
+    thickness stresses, radial ones in curved beams, spread by its shares.
     """
+    fibre, section, d = fibres(own), own.kind.section, own.d
+    offsets = np.stack(places, axis=-1) / own.lengths[:, None, None]
+    at = replace(fibre, offsets=offsets, volume=np.ones(offsets.shape[:2]))
+    D = flat = _stresses(own, xi, at, np.zeros_like(offsets))
+    if own.energy.corrected:
+        D = flat.copy()
+        shares = section.shares(own.sizes, *places)
+        for j, share in enumerate(shares[: d - 1], start=1):
+            for pair in ((0, j), (j, j)):
+                D[:, :, :, components(d).index(pair)] *= share[:, :, None, None]
+    if d == 3:
+        shear = np.stack(section.torsional_shear(own.sizes, *places), axis=-1)
+        area = np.sum(fibre.volume, axis=1) / own.lengths
+        J = fibre.radii[:, 2] ** 2 * own.lengths**2 * area
+        share = J / section.torsion(own.sizes) / own.lengths
+        D = D + _stresses(own, xi, at, shear * share[:, None, None]) - flat
+    return D
 
-    def __init__(self, own: Batch, xi: Array, at: Fibres) -> None:
-        volume, *rest = own.stiffness
-        owners, n_v = np.full(len(own.parameters), "stress"), len(components(own.d))
 
-        def stresses(C: Array, at: Fibres, xi: Array) -> Array:
-            region = Region(own, at, (xi, np.ones(len(xi))), owners)
-            eps = region.true_strains()[..., :n_v, :] @ region.beta[:, None]
-            return np.asarray((C[:, None, None] @ eps).swapaxes(1, 2))
+def _stresses(own: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
+    """Return stresses at fibres; `twist` as in `Frames.strains`."""
+    volume, *rest = own.stiffness
+    owners, n_v = np.full(len(own.parameters), "stress"), len(components(own.d))
 
-        self.D: Array = stresses(volume, at, xi)
-        for C in rest:
-            self.D = self.D + _between(stresses(C, at.axis(), _AXIS_PLACES), xi, 2)
+    def stresses(C: Array, at: Fibres, xi: Array, twist: Array | None) -> Array:
+        region = Region(own, at, (xi, np.ones(len(xi))), owners)
+        eps = region.true_strains(twist)[..., :n_v, :] @ region.beta[:, None]
+        return np.asarray((C[:, None, None] @ eps).swapaxes(1, 2))
 
-
-def _between(values: Array, xi: Array, axis: int) -> Array:
-    """Values at xi of what is asked for on the axis only: linear between its places and beyond."""
-    first, second = np.split(values, AXIS_POINTS, axis=axis)
-    share = (xi - _AXIS_PLACES[0]) / (_AXIS_PLACES[1] - _AXIS_PLACES[0])
-    share = share.reshape(-1, *[1] * (values.ndim - 1 - axis))
-    return np.asarray(first * (1 - share) + second * share)
+    D = stresses(volume, at, xi, twist)
+    for C in rest:
+        # The law asks for it at these points only: linear between and beyond them.
+        first, second = np.split(stresses(C, at.axis(), _AXIS_PLACES, None), AXIS_POINTS, axis=2)
+        share = (xi - _AXIS_PLACES[0]) / (_AXIS_PLACES[1] - _AXIS_PLACES[0])
+        share = share[:, None, None]
+        D = D + first * (1 - share) + second * share
+    return D
 
 
 def von_mises_form(d: int, across: Array) -> Array:

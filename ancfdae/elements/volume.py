@@ -129,9 +129,9 @@ class Region:
         n_g = self.beta.shape[-1]
         return np.asarray(self.beta.reshape(-1, n_g).T @ right.reshape(len(K), -1, n_g))
 
-    def true_strains(self) -> Array:
-        """Return `R` with the mean shears of the material, of which the energy has the root."""
-        return self._frames.strains(self._fibres, self._turns, 2)
+    def true_strains(self, twist: Array | None) -> Array:
+        """Return `R` with the shears of the material; `twist` as in `Frames.strains`."""
+        return self._frames.strains(self._fibres, self._turns, 2, twist)
 
     def mass(self, rho: Array) -> Array:
         """Return the integral of rho s s^T (eq. 10), shape (n, n_a, n_a)."""
