@@ -334,7 +334,8 @@ def test_a_search_goes_on_from_an_equilibrium():
     ahead, anew = equilibrium(more, start=first), equilibrium(more)
     np.testing.assert_allclose(ahead.q, anew.q, atol=1e-11)
     again = equilibrium(scene, start=first)
-    assert again.statistics.iterations <= 2
+    # One of the path, and two that see corrections stop to shrink.
+    assert again.statistics.iterations <= 3
     np.testing.assert_allclose(again.q, first.q, atol=1e-12)
 
 
