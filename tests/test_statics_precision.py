@@ -4,18 +4,27 @@ import numpy as np
 import pytest
 
 from ancfdae import (
+    HHT,
     Adjoint,
     Beam,
     Clamp,
     ComplexStepSystem,
+    Configuration,
     Direct,
+    Drive,
+    InvalidInput,
     Material,
+    Point,
     PointForce,
     Rectangle,
+    Revolute,
     Scene,
+    Uniform,
     Weld,
     equilibrium,
+    modes,
     position,
+    simulate,
     static_gradient,
 )
 from ancfdae.errors import Verdict
@@ -108,3 +117,30 @@ def test_the_last_correction_of_an_equilibrium_is_round_off_and_told():
     assert found.outcome.success
     # Coordinates round to eps; K^-1 magnifies what that leaves by (L/h)^2 at most, 1e4.
     assert 0 < found.outcome.residual < 1e4 * np.finfo(float).eps
+
+
+def blade(law):
+    """A blade on a hub that turns about z, in space."""
+    steel = Material(1000.0, 1e9, 0.0)
+    rod = Beam("blade", (0, 0, 0), (1, 0, 0), 2, Rectangle(0.02, 0.02), steel)
+    return Scene([rod], [Revolute(rod.at_start, axis=(0, 0, 1)), Drive(rod.at_start, law)])
+
+
+def test_what_a_joint_drives_is_not_at_rest():
+    with pytest.raises(InvalidInput, match=r"drive\(blade@0\).*steady rotation"):
+        equilibrium(blade(Uniform(3.0)))
+    with pytest.raises(InvalidInput, match="steady rotation"):
+        static_gradient(
+            blade(Uniform(3.0)), position(Point("blade", 1), 0), design=["blade.length"]
+        )
+    # An angle that stays, and one that only starts to move.
+    for law in (Uniform(0.0), Uniform(0.0, 0.0, 5.0)):
+        assert equilibrium(blade(law)).outcome.success
+
+
+def test_a_turning_blade_has_no_modes_at_rest():
+    # Lead-lag of a blade at Omega: modes of its instant lack -Omega^2 M and Coriolis forces.
+    scene = blade(Uniform(3.0))
+    run = simulate(scene, 0.02, HHT(0.01))
+    with pytest.raises(InvalidInput, match=r"state at rest.*centrifugal"):
+        modes(scene, at=Configuration.of(run))

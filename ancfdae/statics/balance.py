@@ -229,6 +229,28 @@ class Balance:
         """Return dq/ds and dlam/ds of the path of solutions."""
         return solve(factors, self.held_back(q), -self.Phi_0)
 
+    def refuse_motion(self) -> None:
+        """Refuse joints that drive a motion at this instant: the forces that it needs would lack.
+
+        InvalidInput if M v^2/|q|, v the motion that the joints prescribe, is more than the
+        round-off of forces.
+        """
+        system, q = self.system, self.q_0.real
+        nu = system.velocity_side(q, self.t).real
+        if not np.any(nu):
+            return
+        v = solve(self.factor(self.M_0.real, q), np.zeros_like(q), nu)[0].real
+        turning = self.length(v) ** 2 / self.extent
+        if turning > max(system.force_round_off, _EPS * self.strength(self.unbalanced(q, nu * 0))):
+            driven = sorted({system.constraint_names[int(i)] for i in np.flatnonzero(nu)})
+            raise InvalidInput(
+                "equilibrium",
+                "needs joints that stand still: nothing is at rest that a joint drives",
+                f"joints {', '.join(map(repr, driven))} that move at t = {self.t:.6g}",
+                "Give their laws no rate there, or simulate; a steady rotation about which things "
+                "are at rest is not there yet.",
+            )
+
     # -- natural sizes -------------------------------------------------------------------------
 
     def length(self, dq: Array) -> float:
