@@ -21,11 +21,11 @@ from ancfdae.errors import (
     require_array,
     require_count,
     require_each,
-    require_folder,
     require_kind,
     require_path,
     uninterrupted,
 )
+from ancfdae.files import replacing
 from ancfdae.integrators import HHT, Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables import Observable, observe
@@ -163,9 +163,9 @@ def observations(
 
 def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
     """Return an array in a new file, filled with NaN."""
-    path = require_folder("file", require_path("file", file))
-    # Who reads it meanwhile finds a part of a file, and then rows of NaN, never of zeros.
-    with path.open("wb") as out:
+    path = require_path("file", file)
+    # Who reads it meanwhile finds rows of NaN, never of zeros.
+    with replacing("file", path) as out:
         np.save(out, np.broadcast_to(np.nan, shape))
     rows: Array = np.lib.format.open_memmap(path, mode="r+")
     return rows
