@@ -76,6 +76,8 @@ class AncfSystem(MechanicalSystem):
         Forces and stresses of beams.
     works : Works
         Power of driven joints and of loads.
+    inputs : PartInputs
+        What joints and loads are made of, and vectors of points in the reference.
     """
 
     naming: Naming
@@ -116,7 +118,7 @@ class AncfSystem(MechanicalSystem):
         layout = self.naming.layout
         self.energies = Energies(self._elastic, self._inertia, numbering, layout)
         self.sections = BeamSections(scene, layout, numbering, mapping, self.b)
-        self.works = Works(scene, inputs, layout, self.n_b)
+        self.inputs, self.works = inputs, Works(scene, inputs, layout, self.n_b)
         start = mapping, self._reference, self._constraints, self.pattern, self.b
         self._start = AssembledStart(scene, numbering, *start)
 

@@ -8,7 +8,13 @@ from ancfdae.observables.mass import (
     linear_momentum,
     mass,
 )
-from ancfdae.observables.observable import Leaf, Observable, ObservablePartials, observe
+from ancfdae.observables.observable import (
+    Leaf,
+    Observable,
+    ObservablePartials,
+    observe,
+    remembered,
+)
 from ancfdae.observables.quantities import (
     design_value,
     elapsed_time,
