@@ -40,7 +40,8 @@ class Fibres:
         Square roots of the shear factors along y and z and of what the torsion constant is to the
         polar moment about the centroid: strains are multiplied by them.
     radii : array, shape (n, 3)
-        Radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
+        Radii of gyration about the centroid along y and z, and sqrt(J/A), over l: what squares of
+        curvatures and twist are multiplied by, limited in short elements (docs/theory.md, 2).
     centroid : array, shape (n, 1, 2)
         y and z of the centroid over l.
     """
@@ -76,6 +77,7 @@ def fibres(own: Batch) -> Fibres:
     squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
     offsets = np.stack([y, z], axis=-1) / l[:, None, None]
     radii, centroid = np.sqrt(squares) / l[:, None], centroid / l[:, None, None]
+    radii = radii / np.sqrt(1 + radii**4)
     return Fibres(offsets, dA * l[:, None], factors, radii, centroid)
 
 

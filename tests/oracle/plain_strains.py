@@ -35,7 +35,8 @@ def metric(Y, xi, y, z, l, law):
         S = [slopes @ tangent for slopes, tangent in ends]
         t = [slopes @ slopes.T for slopes, _ in ends]
         shear, thickness = (1 - xi) * S[0] + xi * S[1], (1 - xi) * t[0] + xi * t[1]
-        bending = (S[1] - S[0]) / l - c @ r_xx
+        r_xx_m, c_m = curve(Y, 0.5, l)[1], section_slopes(Y, 0.5, l)[0]
+        bending = (S[1] - S[0]) / l - c @ r_xx + (c - c_m) @ r_xx_m
         twist = 0.5 * ((t[1] - t[0]) / l + c @ b.T - b @ c.T)
     B = np.zeros((d, d))
     B[1:, 1:] = thickness
@@ -49,8 +50,7 @@ def metric(Y, xi, y, z, l, law):
                 B[0, 1 + i] += law["factors"][2] * offset[j] * twist[i, j]
     turns = np.zeros(0)
     if law["assumed"]:
-        middle = curve(Y, 0.5, l)[1]
-        bent = middle @ middle
+        bent = r_xx_m @ r_xx_m
         if d == 2:
             squares = np.array([0.5 * (bent + b[0] @ b[0])])
         else:
@@ -58,10 +58,11 @@ def metric(Y, xi, y, z, l, law):
             squares = 0.5 * np.array(
                 [bent + y_turn - z_turn, bent - y_turn + z_turn, y_turn + z_turn - bent]
             )
-        turns = l * np.asarray(law["radii"])[: len(squares)] * squares
+        radii = np.asarray(law["radii"])[: len(squares)]
+        radii = radii / np.sqrt(1 + (radii / l) ** 4)
+        turns = l * radii * squares
         if law["straight"]:
-            radii = np.asarray(law["radii"])[: d - 1]
-            B[0, 0] -= 3 * np.sum(radii**2 * squares[: d - 1])
+            B[0, 0] -= 3 * np.sum(radii[: d - 1] ** 2 * squares[: d - 1])
     B[1:, 0] = B[0, 1:]
     return B, turns
 
