@@ -68,6 +68,7 @@ from ancfdae.errors import (
     UnknownName,
     Verdict,
 )
+from ancfdae.files import NotSaved
 from ancfdae.integrators import (
     HHT,
     IDA,
@@ -134,6 +135,7 @@ from ancfdae.observables import (
     deflection,
     design_value,
     drive_torque,
+    elapsed_time,
     guide_force,
     inertia,
     joint_power,
@@ -150,7 +152,6 @@ from ancfdae.observables import (
     slope,
     slope_angle,
     strain_energy,
-    time,
     torque,
     velocity,
     von_mises,
@@ -263,6 +264,7 @@ __all__ = [
     "NoEquilibrium",
     "NodeState",
     "NonFiniteObjective",
+    "NotSaved",
     "Objective",
     "Observable",
     "Observations",
@@ -336,6 +338,7 @@ __all__ = [
     "differentiate",
     "distribution",
     "drive_torque",
+    "elapsed_time",
     "equilibrium",
     "error_bars",
     "evaluate",
@@ -366,7 +369,6 @@ __all__ = [
     "suggest_step",
     "sweep",
     "taylor_test",
-    "time",
     "torque",
     "tradeoff",
     "velocity",

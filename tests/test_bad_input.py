@@ -234,10 +234,6 @@ FRAMES = np.repeat(np.eye(2)[None], 3, axis=0)
         ({"positions": 1.0}, "beam 'bow', positions", "shape"),
         ({"positions": [["a", "b"], ["c", "d"]]}, "beam 'bow', positions", ""),
         ({"positions": [[0.0, 0.0], [1.0]]}, "beam 'bow', positions", ""),
-        ({"element_lengths": (1.0,)}, "beam 'bow', element_lengths", "2 entries"),
-        ({"element_lengths": (1.0, 0.0)}, "beam 'bow', element_lengths", "positive"),
-        ({"element_lengths": (1.0, "1")}, "beam 'bow', element_lengths", "'1'"),
-        ({"element_lengths": 1.0}, "beam 'bow', element_lengths", ""),
         ({"section": [SECTION] * 3}, "beam 'bow'", "sequence of 2"),
     ],
 )

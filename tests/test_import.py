@@ -1,7 +1,10 @@
 """`import ancfdae` loads what every run needs; the rest is loaded where it is used."""
 
+import builtins
 import subprocess
 import sys
+
+import ancfdae
 
 # SciPy loads its parts at their first use, which `import ancfdae` must not be.
 HEAVY = {"matplotlib", "pandas", "sksundae", "sundials4py", "tqdm", "distributed"}
@@ -15,3 +18,9 @@ def test_import_loads_nothing_that_a_declared_scene_does_not_need() -> None:
     loaded = run.stdout.split()
     assert "ancfdae" in loaded
     assert HEAVY.isdisjoint(loaded)
+
+
+def test_a_star_import_replaces_no_module_and_no_builtin() -> None:
+    """People write ``from ancfdae import *`` beside ``import time``."""
+    assert {"__version__"} == set(ancfdae.__all__) & {*dir(builtins), "__version__"}
+    assert not set(ancfdae.__all__) & sys.stdlib_module_names

@@ -40,7 +40,7 @@ from ancfdae.integrators.integrand import Points
 from ancfdae.integrators.quadrature import KRONROD, SHARES
 from ancfdae.integrators.sundials.step_points import _between, _panels
 from ancfdae.objectives.totals import Total
-from ancfdae.observables import states_of, time
+from ancfdae.observables import elapsed_time, states_of
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.scenes import crank_slider
 
@@ -334,7 +334,7 @@ def panel(h):
 
 
 def test_a_value_that_is_not_finite_is_named_with_its_time():
-    objective = Integral(np.sqrt(0.5 - time()))
+    objective = Integral(np.sqrt(0.5 - elapsed_time()))
     for kind in (IDA, Explicit):
         with pytest.raises(NonFiniteObjective, match="the observable is not finite") as caught:
             gradient(CartesianPendulum(), objective, 1.0, kind(1e-6))

@@ -19,6 +19,7 @@ from ancfdae import (
 )
 from ancfdae.api import long_runs
 from ancfdae.bodies import Point
+from ancfdae.observables import states_of
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
@@ -112,9 +113,9 @@ def test_an_interrupt_between_parts_keeps_the_rows_so_far(monkeypatch):
         calls.append(given)
         if len(calls) == 3:
             raise KeyboardInterrupt
-        return observe(*given)
+        return states_of(*given)
 
-    monkeypatch.setattr(long_runs, "observe", late)
+    monkeypatch.setattr(long_runs, "states_of", late)
     monkeypatch.setattr(long_runs, "_NUMBERS", 4 * 8)  # parts of four steps
     with pytest.raises(Interrupted) as stopped:
         observations(CartesianPendulum(), [custom(own)], 1.0, HHT(2.0**-4), every=2)

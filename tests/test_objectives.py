@@ -34,12 +34,12 @@ from ancfdae.observables import (
     custom,
     deflection,
     design_value,
+    elapsed_time,
     kinetic_energy,
     position,
     reaction,
     slope_angle,
     strain_energy,
-    time,
     velocity,
 )
 
@@ -87,7 +87,7 @@ def work(t, q, v, lam, b):
 OBJECTIVES = {
     "integral": Integral(X),
     "integral of everything": Integral(
-        X * V * reaction("pin", 1) + time() * design_value("rod.height")
+        X * V * reaction("pin", 1) + elapsed_time() * design_value("rod.height")
     ),
     "integral of energies": Integral(strain_energy() - kinetic_energy()),
     "integral of a custom function": Integral(custom(work, "work")),
@@ -209,7 +209,7 @@ def instants(n, end=2.0):
 
 
 def test_integral_is_of_second_order_on_unequal_instants(system):
-    objective, t = Integral(np.exp(time()) * np.sin(3 * time())), 2.0
+    objective, t = Integral(np.exp(elapsed_time()) * np.sin(3 * elapsed_time())), 2.0
     exact = (np.exp(t) * (np.sin(3 * t) - 3 * np.cos(3 * t)) + 3.0) / 10.0
     errors = [
         abs(objective.value(system, states_at(system, instants(n))) - exact) for n in (50, 100, 200)
@@ -219,11 +219,11 @@ def test_integral_is_of_second_order_on_unequal_instants(system):
 
 
 def test_integral_is_exact_for_linear_observables(system, states):
-    assert np.isclose(Integral(1.0 + 2.0 * time()).value(system, states), 0.75, rtol=1e-15)
+    assert np.isclose(Integral(1.0 + 2.0 * elapsed_time()).value(system, states), 0.75, rtol=1e-15)
 
 
 def test_interpolation_between_instants_is_of_second_order(system):
-    objective, exact = AtTimes(np.sin(3 * time()), [0.777, 1.234]), np.sin(3 * 0.777)
+    objective, exact = AtTimes(np.sin(3 * elapsed_time()), [0.777, 1.234]), np.sin(3 * 0.777)
     exact += np.sin(3 * 1.234)
     counts = np.array([50, 100, 200, 400, 800])
     errors = [abs(objective.value(system, states_at(system, instants(n))) - exact) for n in counts]
@@ -252,7 +252,7 @@ def test_values_at_instants_are_taken_as_they_are(system, states):
 
 def test_smooth_maximum_tends_to_the_maximum_from_below(system):
     # x = -t^2 over (-1, 1) shifted: int exp(-k t^2) dt tends to sqrt(pi / k).
-    x = 5.0 - (time() - 1.0) ** 2
+    x = 5.0 - (elapsed_time() - 1.0) ** 2
     states = states_at(system, np.linspace(0.0, 2.0, 2001))
     gaps = []
     for k in (10.0, 100.0, 1000.0, 10000.0):
@@ -304,9 +304,9 @@ def test_smooth_maximum_of_one_instant_is_its_value(system, states):
 
 def test_a_value_that_is_not_finite_names_its_instant(system, states):
     for objective in (
-        Integral(1.0 / (time() - 0.25)),
-        SmoothMaximum(np.log(0.2 - time()) * X, 1.0),
-        Integral(np.sqrt(0.2 - time())) + Terminal(X),
+        Integral(1.0 / (elapsed_time() - 0.25)),
+        SmoothMaximum(np.log(0.2 - elapsed_time()) * X, 1.0),
+        Integral(np.sqrt(0.2 - elapsed_time())) + Terminal(X),
     ):
         for action in (objective.value, objective.partials):
             with pytest.raises(NonFiniteObjective, match=r"at t = 0\.25") as error:
@@ -317,7 +317,7 @@ def test_a_value_that_is_not_finite_names_its_instant(system, states):
 def test_complex_states_do_not_hide_a_value_that_is_not_real(system, states):
     moved = dataclasses.replace(states, q=states.q + 0j)
     with pytest.raises(NonFiniteObjective) as error:
-        Integral(np.sqrt(X * 0.0 + 0.2 - time() + 1e-3)).value(system, moved)
+        Integral(np.sqrt(X * 0.0 + 0.2 - elapsed_time() + 1e-3)).value(system, moved)
     assert error.value.time == 0.25
 
 

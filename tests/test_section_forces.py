@@ -394,15 +394,18 @@ SECTIONS = [
 ]
 
 
-@pytest.mark.parametrize("section", SECTIONS)
-@pytest.mark.parametrize("d", [2, 3])
-def test_the_smooth_maximum_bounds_the_stresses_of_a_beam(section, d):
+# Those without a shape know no stress in torsion.
+@pytest.mark.parametrize(
+    ("d", "section"),
+    [*((2, section) for section in SECTIONS), *((3, section) for section in SECTIONS[:5])],
+)
+def test_the_smooth_maximum_bounds_the_stresses_of_a_beam(d, section):
     P = (-200.0, 60.0, 30.0)[:d]
     scene = cantilever(3, lambda rod: PointForce(rod.at_end, P), d, section)
     state, (rod,) = at_rest(scene), scene.beams
     y, z = (x[0] for x in section.outline(np.array([section.sizes()])))
     if d == 2:
-        y, z = np.array([np.min(y), np.max(y)]), np.zeros(2)
+        y, z = np.array([np.min(y), (np.min(y) + np.max(y)) / 2, np.max(y)]), np.zeros(3)
     # A point just before a node belongs to the element before.
     places = [(e + xi) / 3 for e in range(3) for xi in (0.0, 0.5, 1.0 - 1e-9)]
     points = [rod.at(x, a, b) for x in places for a, b in zip(y, z, strict=True)]
@@ -457,9 +460,10 @@ def test_partials_are_those_of_the_value(d, section, energy, curved):
     db = system.b * random.standard_normal(system.n_b)
     moved = States(states.t, q + 1j * EPS * dq, v + 1j * EPS * dv, states.lam)
     shifted = system.with_values(system.b + 1j * EPS * db)
-    stresses = (
-        [] if energy == "cable" else [von_mises(rod.at(0.7, y=0.003)), maximum_stress("rod", 1e-9)]
-    )
+    y = (1 - 1e-9) * section.half_extents[0] if d == 3 else 0.003
+    stresses = [von_mises(rod.at(0.7, y)), maximum_stress("rod", 1e-9)]
+    if energy == "cable" or (d == 3 and section in SECTIONS[5:]):
+        stresses = []
     for observable in [*forces(rod.at(0.3), d), *forces(rod.at(1.0), d), *stresses]:
         observable.check(system)
         p = observable.partials(system, states)

@@ -12,6 +12,7 @@ from ancfdae import (
     ContinuousAdjoint,
     CurvedBeam,
     Direct,
+    DistributedForce,
     Equilibrium,
     FiniteDifference,
     FollowerForce,
@@ -541,3 +542,18 @@ def test_an_outcome_is_a_sentence():
         "the limit of steps (max_steps) was reached after 9 steps downhill; where it has come is "
         "kept."
     )
+
+
+@pytest.mark.parametrize("length", [None, 3.0])
+def test_a_line_load_on_an_arc_is_its_arc_length_times_the_force(length):
+    turn = np.linspace(0, np.pi / 2, 9)
+    c, s = np.cos(turn), np.sin(turn)
+    frames = np.stack([np.stack([c, s], 1), np.stack([-s, c], 1)], 1)
+    rod = CurvedBeam("arc", np.stack([s, 1 - c], 1), frames, Rectangle(0.05, 0.04), SOFT)
+    if length is not None:
+        rod = rod.with_length(length)
+    clamp = Clamp(rod.at_start, name="wall")
+    found = equilibrium(Scene([rod], [clamp], loads=[DistributedForce("arc", (0.0, -1.0))]))
+    # The cubic through places 0.196 rad apart is longer by 0.196^4/720 = 2.1e-6.
+    expected = np.pi / 2 if length is None else length
+    assert observe(reaction("wall", 1), found.solution)[0] == pytest.approx(expected, rel=3e-6)

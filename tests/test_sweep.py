@@ -1,10 +1,13 @@
 """`sweep`: rows in order, errors as rows, interrupts, files, processes and a Dask cluster."""
 
+import dataclasses
+import functools
 import importlib.util
 import inspect
 import multiprocessing
 import pickle
 import signal
+import threading
 import typing
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 
@@ -15,12 +18,17 @@ from ancfdae import (
     HHT,
     AncfdaeError,
     DesignVariable,
+    Drive,
     Evaluate,
+    FiniteDifference,
     Interrupted,
     InvalidInput,
+    Pin,
+    Scene,
     Setting,
     Solution,
     Terminal,
+    UserLaw,
     Verdict,
     equilibrium,
     gradient,
@@ -133,6 +141,18 @@ def test_gradients_and_observables_are_those_of_the_calls():
     (row,) = sweep(SCENE, DESIGNS[:1], Evaluate(kinetic_energy(), T_END, HHT(2.0**-7))).rows
     assert row.result["value"].shape == row.result["t"].shape
     assert row.result["value"][-1] > row.result["value"][0] == 0
+
+
+def test_gradients_are_taken_by_the_method_that_was_given():
+    """Finite differences, because the exact methods give one gradient."""
+    method = FiniteDifference(0.1)
+    given = {"design": [HEIGHT], "method": method}
+    what = Evaluate(DROP, T_END, HHT(2.0**-7), gradient=True, **given)
+    (result,) = sweep(SCENE, [{}], what).results
+    own = gradient(SCENE, DROP, T_END, HHT(2.0**-7), **given)
+    exact = gradient(SCENE, DROP, T_END, HHT(2.0**-7), design=[HEIGHT])
+    assert np.array_equal(result["gradient"], own.gradient)
+    assert not np.allclose(result["gradient"], exact.gradient, rtol=1e-6)
 
 
 def length(system):
@@ -327,6 +347,7 @@ def test_a_sweep_resumes_from_its_file(tmp_path):
     assert repr(again.rows[:3]) == repr(first.rows)
     assert isinstance(again.results[0]["array"], np.ndarray)
     assert again.results[0]["list"] == again.results[3]["list"] == [1, 2.0]
+    CALLS.clear()  # It is a global that `counted` reads.
     assert repr(sweep(SCENE, DESIGNS, counted, file=file)) == repr(again)
 
 
@@ -348,6 +369,86 @@ def test_a_file_of_another_sweep_is_refused(tmp_path):
         with pytest.raises(InvalidInput, match="must be the file of a sweep"):
             sweep(SCENE, DESIGNS, VALUE, file=text)
         assert text.read_text() == content
+
+
+FACTOR = 2.0
+
+
+@dataclasses.dataclass
+class Times:
+    """Callable with contents."""
+
+    factor: float
+
+    def __call__(self, system):
+        return self.factor * system.b[0]
+
+
+class Plain:
+    def __init__(self, factor):
+        self.factor = factor
+
+    def times(self, system):
+        return self.factor * system.b[0]
+
+
+def closing_over(factor):
+    return lambda system: factor * system.b[0]
+
+
+def test_a_file_tells_functions_by_what_they_do(tmp_path, monkeypatch):
+    """Lambdas have one name; so have closures, and functions that read a global."""
+    functions = {
+        "constant": (lambda s: 2 * s.b[0], lambda s: 3 * s.b[0]),
+        "member": (lambda s: s.b[0], lambda s: s.n_q),
+        "index": (lambda s: s.b[0], lambda s: s.b[1]),
+        "inner": (lambda s: max(s.b, key=lambda x: x), lambda s: max(s.b, key=lambda x: -x)),
+        "closure": (closing_over(2.0), closing_over(3.0)),
+        "default": (lambda s, k=2.0: k * s.b[0], lambda s, k=3.0: k * s.b[0]),
+        "keyword": (lambda s, *, k=2.0: k * s.b[0], lambda s, *, k=3.0: k * s.b[0]),
+        "partial": (functools.partial(Times.__call__, Times(2.0)), Times(2.0).__call__),
+        "contents": (Times(2.0), Times(3.0)),
+        "method": (Plain(2.0).times, Plain(3.0).times),
+        "array": (closing_over(np.ones(2)), closing_over(np.array([1.0, 2.0]))),
+        "set": (lambda s: s.n_q in {1, 2}, lambda s: s.n_q in {1, 3}),
+    }
+    for name, (what, other) in functions.items():
+        file = tmp_path / name
+        done = sweep(SYSTEM, MANY[:1], what, design=["L"], file=file)
+        assert repr(sweep(SYSTEM, MANY[:1], what, design=["L"], file=file)) == repr(done)
+        with pytest.raises(InvalidInput, match="rows of another what"):
+            sweep(SYSTEM, MANY[:1], other, design=["L"], file=file)
+    call = SYSTEM, MANY[:1], lambda s: FACTOR * s.b[0]
+    assert sweep(*call, design=["L"], file=tmp_path / "global").results == [2.0]
+    monkeypatch.setitem(globals(), "FACTOR", 3.0)
+    with pytest.raises(InvalidInput, match="rows of another what"):
+        sweep(*call, design=["L"], file=tmp_path / "global")
+    with pytest.raises(InvalidInput, match="what, file: must be told from others"):
+        sweep(SYSTEM, [{}], closing_over(threading.Lock()), file=tmp_path / "lock")
+
+
+def test_a_file_of_a_system_of_other_values_is_refused(tmp_path):
+    file = tmp_path / "rows.jsonl"
+    sweep(SYSTEM, [{"L": 1.0}], length, file=file)
+    # Before and after a run, whose results a system may keep.
+    simulate(SYSTEM, 2.0**-6, HHT(2.0**-7))
+    sweep(SYSTEM, [{"L": 1.0}], length, file=file)
+    heavier = SYSTEM.with_values(SYSTEM.b * (1.0, 2.0))
+    law = [UserLaw(lambda t: 2 * t), UserLaw(lambda t: 3 * t)]
+    scenes = [pendulum_driven_by(each) for each in law]
+    sweep(scenes[0], [{}], assemble_only, file=tmp_path / "driven")
+    for model, name in ((heavier, file), (scenes[1], tmp_path / "driven")):
+        with pytest.raises(InvalidInput, match="rows of another model"):
+            sweep(model, [{}], length if name == file else assemble_only, file=name)
+
+
+def pendulum_driven_by(law):
+    rod = SCENE.beams[0]
+    return Scene([rod], [Pin(rod.at_start), Drive(rod.at_start, law)])
+
+
+def assemble_only(scene):
+    return scene.element.d
 
 
 def test_what_a_file_cannot_hold_is_told_at_the_first_row(tmp_path):

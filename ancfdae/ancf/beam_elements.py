@@ -60,12 +60,13 @@ class BeamElements:
     def outline(self, own: Batch) -> tuple[Array, Array]:
         """Return y and z of outer points of sections, shape (n, n_f) each.
 
-        In the plane the lowest and the highest only.
+        In the plane the lowest, the highest and the middle, where bending and shear are largest.
         """
         y, z = own.kind.section.outline(own.sizes)
         if self.element.d == 2:
-            ends = [int(np.argmin(y[0].real)), int(np.argmax(y[0].real))]
-            y, z = y[:, ends], z[:, ends]
+            low, high = (y[:, pick(y[0].real)] for pick in (np.argmin, np.argmax))
+            y = np.stack([low, (low + high) / 2, high], axis=1)
+            z = 0 * y
         return y, z
 
     def relative(self, X: Array) -> Array:

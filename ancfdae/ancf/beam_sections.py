@@ -12,7 +12,7 @@ from ancfdae.ancf.numbering import Numbering
 from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.ancf.section_force import SectionForces
 from ancfdae.ancf.stress_points import StressPoints
-from ancfdae.bodies import Point
+from ancfdae.bodies import Point, require_in_section
 from ancfdae.elements import Batch
 from ancfdae.errors import InvalidInput
 from ancfdae.naming import Layout
@@ -42,12 +42,25 @@ class BeamSections:
             self._forces[point] = SectionForces(*self._element(point))
         return self._forces[point]
 
-    def half_extents(self, point: Point) -> tuple[float, float]:
-        """Return half of the height and of the width of the section at a point of a beam."""
+    def require_material(self, where: str, point: Point) -> None:
+        """Refuse a point of a beam that lies outside its section, or in a hole of it.
+
+        Raises
+        ------
+        InvalidInput
+        """
         own, _ = self._element(point)
         section, sizes = own.batch.kind.section, own.batch.sizes[0].real.tolist()
-        names = section.size_names()
-        return section.with_sizes(dict(zip(names, sizes, strict=True))).half_extents
+        section = section.with_sizes(dict(zip(section.size_names(), sizes, strict=True)))
+        require_in_section(where, point, section.half_extents)
+        # In the plane a point stands for all of the width.
+        if own.element.d == 3 and not section.holds(point.y, point.z):
+            raise InvalidInput(
+                where,
+                "there must be material at the point",
+                f"y = {point.y}, z = {point.z} of {section}",
+                "Move the point into a wall.",
+            )
 
     def stress_at(self, point: Point) -> StressPoints:
         """Return what gives the stress at a point of a beam."""

@@ -16,6 +16,7 @@ from ancfdae.ancf.parameters import ParameterMap
 from ancfdae.ancf.reference import Reference
 from ancfdae.ancf.rigidity import Rigidity
 from ancfdae.ancf.vectors import Vectors, point_vectors
+from ancfdae.bodies import Point, Quantity
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
 from ancfdae.naming import Naming, PointVector
@@ -66,6 +67,15 @@ class PartInputs:
         reference, reference_b = self._in_reference(vectors)
         used = reference_b if load.refers else {}
         return LoadInput(load, vectors, p, p_b, reference, used)
+
+    def in_reference(self, point: Point, quantity: Quantity) -> tuple[Array, Array]:
+        """Return a vector of a point in the reference, (d,), and its design partials, (d, n_b)."""
+        vectors = self._vectors([self.naming.vector(point, quantity)])
+        (U_o,), moving = self._in_reference(vectors)
+        U_ob = np.zeros((len(U_o), len(self.b)))
+        for i, change in moving.items():
+            U_ob[:, i] = change[0].real
+        return U_o, U_ob
 
     def _joint(self, joint: Joint) -> tuple[JointInput, list[PointVector]]:
         own, p, p_b = self._part(joint)

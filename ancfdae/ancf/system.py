@@ -76,6 +76,8 @@ class AncfSystem(MechanicalSystem):
         Forces and stresses of beams.
     works : Works
         Power of driven joints and of loads.
+    inputs : PartInputs
+        What joints and loads are made of, and vectors of points in the reference.
     """
 
     naming: Naming
@@ -116,7 +118,7 @@ class AncfSystem(MechanicalSystem):
         layout = self.naming.layout
         self.energies = Energies(self._elastic, self._inertia, numbering, layout)
         self.sections = BeamSections(scene, layout, numbering, mapping, self.b)
-        self.works = Works(scene, inputs, layout, self.n_b)
+        self.inputs, self.works = inputs, Works(scene, inputs, layout, self.n_b)
         start = mapping, self._reference, self._constraints, self.pattern, self.b
         self._start = AssembledStart(scene, numbering, *start)
 
@@ -243,13 +245,13 @@ class AncfSystem(MechanicalSystem):
         rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
         return self.force_and_total(rows[0], rows[1], t)[1:].T
 
-    def force_and_total(self, q: Array, v: Array, t: float) -> Array:
+    def force_and_total(self, q_rows: Array, v_rows: Array, t: float) -> Array:
         """Q and its total design derivatives as rows."""
-        rows = self._inertia.gravity_rows - self._elastic.totals(q, v)
+        rows = self._inertia.gravity_rows - self._elastic.totals(q_rows, v_rows)
         if self._scene.loads:
             time = np.array([t])
-            total = self._loads.force_total(q[0], v[0], time, q[1:].T, v[1:].T)
-            rows = rows + np.concatenate([self._loads.force(q[:1], v[:1], time), total.T])
+            total = self._loads.force_total(q_rows[0], v_rows[0], time, q_rows[1:].T, v_rows[1:].T)
+            rows = rows + np.concatenate([self._loads.force(q_rows[:1], v_rows[:1], time), total.T])
         return rows
 
     def following_load(self, q: Array, t: float) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from typing import final
 
@@ -79,7 +80,7 @@ class Vectors:
 
     def lift(self, F: Array) -> Array:
         """Return L^T F, shape (k, n_v, d) to (k, n_q)."""
-        return self._L.rows_transposed(F.reshape(len(F), -1))
+        return self._L.rows_transposed(F.reshape(len(F), math.prod(F.shape[1:])))
 
 
 def point_vectors(

@@ -21,14 +21,14 @@ from ancfdae.errors import (
     require_array,
     require_count,
     require_each,
-    require_folder,
     require_kind,
     require_path,
     uninterrupted,
 )
+from ancfdae.files import replacing
 from ancfdae.integrators import HHT, Integrator
 from ancfdae.numerics.arrays import Array
-from ancfdae.observables import Observable, observe
+from ancfdae.observables import Observable, remembered, states_of
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
 from ancfdae.protocol.solution_parts import Statistics
@@ -148,11 +148,11 @@ def observations(
     shape = len(run.times), 1 + len(observables)
     rows = np.zeros(shape) if file is None else _on_disk(file, shape)
     done, steps, outcome = 0, 0, Outcome(Verdict.INTERRUPTED, 0.0, 0, 0.0)
+    seen = [_Seen(each, system) for each in observables]
     try:
         for part, some in run:
-            if len(some.t):
-                values = [some.t, *(observe(each, some, system) for each in observables)]
-                rows[done : done + len(some.t)] = np.transpose(values)
+            values = [some.t, *(each.values(part, some) for each in seen)]
+            rows[done : done + len(some.t)] = np.transpose(values)
             done, steps, outcome = done + len(some.t), steps + part.statistics.steps, part.outcome
             if isinstance(rows, np.memmap):
                 rows.flush()
@@ -161,11 +161,31 @@ def observations(
     return uninterrupted(Observations(rows[:done, 0], rows[:done, 1:], steps, outcome))
 
 
+@final
+class _Seen:
+    """An observable along the parts of a run; one that remembers is followed over all steps."""
+
+    def __init__(self, observable: Observable, system: MechanicalSystem) -> None:
+        self._observable, self._system = observable, system
+        self._past: dict[object, float] = {}
+
+    def values(self, part: Solution, some: Solution) -> Array:
+        """Return the values at some of the instants within a part."""
+        if not self._observable.remembers_any:
+            there = len(some.t) > 0
+            return self._observable.value(self._system, states_of(some)) if there else some.t
+        times = np.union1d(part.t, some.t)
+        states = replace(states_of(part.at(times)), past=self._past)
+        nodes = self._observable.node_values(self._system, states)
+        self._past = remembered(nodes)
+        return list(nodes.values())[-1][np.searchsorted(times, some.t)]
+
+
 def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
     """Return an array in a new file, filled with NaN."""
-    path = require_folder("file", require_path("file", file))
-    # Who reads it meanwhile finds a part of a file, and then rows of NaN, never of zeros.
-    with path.open("wb") as out:
+    path = require_path("file", file)
+    # Who reads it meanwhile finds rows of NaN, never of zeros.
+    with replacing("file", path) as out:
         np.save(out, np.broadcast_to(np.nan, shape))
     rows: Array = np.lib.format.open_memmap(path, mode="r+")
     return rows

@@ -7,18 +7,19 @@ that was cut off by a crash is dropped.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
-from functools import partial
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
+from ancfdae.api.identity import digest
 from ancfdae.api.sweep_result import SweepRow
 from ancfdae.errors import InvalidInput
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.files import saving
 
 _ARRAY = "array"
 _OTHER = "Give another file, or remove this one to compute all rows anew."
@@ -35,7 +36,7 @@ class SweepFile:
         self, path: Path, model: object, what: object, values: Sequence[Mapping[str, float]]
     ) -> None:
         self._path, self._values = path, values
-        self._head = {"sweep of": {"model": _mark(model), "what": _mark(what)}}
+        self._head = {"sweep of": {"model": digest("model", model), "what": digest("what", what)}}
         try:
             text = path.read_text(encoding="utf-8") if path.exists() else ""
         except UnicodeDecodeError:
@@ -47,7 +48,7 @@ class SweepFile:
         elif text:
             raise self._refused("must be the file of a sweep", "something else")
         if whole != text:
-            path.write_text(whole, encoding="utf-8")
+            os.truncate(path, len(whole.encode()))
         if not whole:
             self._write(self._head)
 
@@ -79,8 +80,15 @@ class SweepFile:
                 str(error),
                 "Return such, or leave the file out.",
             ) from error
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
+        with saving("file", self._path):
+            size = self._path.stat().st_size if self._path.exists() else 0
+            try:
+                with self._path.open("a", encoding="utf-8") as file:
+                    file.write(line + "\n")
+            except OSError:
+                with suppress(OSError):
+                    os.truncate(self._path, size)  # no part of a line stays
+                raise
         return line
 
     def _require_same(self, line: str) -> None:
@@ -111,29 +119,3 @@ def _encoded(value: object) -> object:
 
 def _decoded(record: dict[str, Any]) -> object:
     return np.array(record[_ARRAY]) if record.keys() == {_ARRAY} else record
-
-
-def _mark(value: object) -> str:
-    return hashlib.sha256(_described(value).encode()).hexdigest()
-
-
-def _described(value: object) -> str:
-    """Describe a value by what it holds, the same in every process; functions by their name."""
-    kind = type(value).__qualname__
-    if isinstance(value, partial):
-        return _described((value.func, value.args, value.keywords))
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return kind + _described(
-            {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-        )
-    if isinstance(value, MechanicalSystem):
-        return kind + _described((value.design_names, value.b, value.n_q, value.n_lam))
-    if isinstance(value, Mapping):
-        return _described(list(value.items()))
-    if isinstance(value, np.ndarray):
-        return _described(value.tolist())
-    if isinstance(value, list | tuple):
-        return "[" + ",".join(map(_described, value)) + "]"
-    if value is None or isinstance(value, str | int | float | complex | np.generic):
-        return repr(value)
-    return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', kind)}"

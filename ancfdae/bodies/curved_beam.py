@@ -15,7 +15,6 @@ from ancfdae.errors import (
     InvalidInput,
     require_array,
     require_positive,
-    require_sequence,
 )
 from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
@@ -28,6 +27,9 @@ from ancfdae.sections import Section
 class CurvedBeam(BeamBody):
     """A beam through given node frames (curved reference shape, eq. 16).
 
+    The length of an element is the arc length of the cubic through its nodes, so that unit tangents
+    stay unit tangents.
+
     Parameters
     ----------
     name : str
@@ -38,9 +40,6 @@ class CurvedBeam(BeamBody):
         right-handed.
     section, material, element, energy, rigid
         As in `Beam`.
-    element_lengths : sequence of float, optional
-        Range of the axial coordinate of each element. By default the arc length of the cubic
-        through its nodes, so that unit tangents stay unit tangents.
     turn : float or sequence of float, optional
         Turn of the whole beam about its first node, as in `Beam`.
 
@@ -55,7 +54,6 @@ class CurvedBeam(BeamBody):
     frames: Array
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]
-    element_lengths: Sequence[float] | None = None
     element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
     energy: StrainEnergy | None = None
     turn: float | Sequence[float] = 0.0
@@ -90,8 +88,6 @@ class CurvedBeam(BeamBody):
             )
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "frames", frames)
-        if self.element_lengths is not None:
-            self._check_lengths(f"{where}, element_lengths", self.element_lengths)
         self._check_parts()
 
     @property
@@ -112,10 +108,7 @@ class CurvedBeam(BeamBody):
     def reference(self) -> ReferenceShape:
         """Return the curved reference configuration."""
         steps, slopes = np.diff(self.positions, axis=0), self.frames
-        if self.element_lengths is None:
-            lengths = _arc_lengths(steps, slopes[:-1, 0], slopes[1:, 0])
-        else:
-            lengths = np.asarray(self.element_lengths, float)
+        lengths = _arc_lengths(steps, slopes[:-1, 0], slopes[1:, 0])
         return ReferenceShape(lengths, slopes, steps / lengths[:, None], False)
 
     @property
@@ -130,21 +123,8 @@ class CurvedBeam(BeamBody):
     def with_length(self, length: float) -> CurvedBeam:
         """Return the beam with its centre line scaled about its start."""
         require_positive(f"{self.name}.length", length)
-        first, lengths = self.positions[0], self.reference().lengths
-        factor = length / np.sum(lengths)
-        return replace(
-            self,
-            positions=first + factor * (self.positions - first),
-            element_lengths=tuple((factor * lengths).tolist()),
-        )
-
-    def _check_lengths(self, where: str, given: object) -> None:
-        rule, repair = f"must have {self.element_count} entries", "Give one length per element."
-        lengths = require_sequence(where, given, rule, repair)
-        if len(lengths) != self.element_count:
-            raise InvalidInput(where, rule, len(lengths), repair)
-        for length in lengths:
-            require_positive(where, length)
+        first, factor = self.positions[0], length / self.length
+        return replace(self, positions=first + factor * (self.positions - first))
 
 
 def _arc_lengths(steps: Array, tangents_1: Array, tangents_2: Array) -> Array:

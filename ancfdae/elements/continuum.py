@@ -17,7 +17,7 @@ d(J_o^-1) = -J_o^-1 dJ_o J_o^-1, d(det J_o) = det J_o tr(J_o^-1 dJ_o).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -34,7 +34,7 @@ from ancfdae.elements.energy import EnhancedContinuum
 from ancfdae.elements.hermite import shape_weights
 from ancfdae.elements.packing import upper_triangle
 from ancfdae.elements.strain_fields import turn_stiffness
-from ancfdae.elements.stresses import ContinuumSectionLaw, StressMap
+from ancfdae.elements.stresses import ContinuumSectionLaw, spread_stresses
 from ancfdae.elements.volume import (
     AXIS_POINTS,
     Region,
@@ -88,10 +88,8 @@ class ContinuumBeam(BeamElement):
         return ContinuumSectionLaw(own, xi)
 
     def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
-        """C times strains."""
-        offsets = np.stack(places, axis=-1) / own.lengths[:, None, None]
-        at = replace(fibres(own), offsets=offsets, volume=np.ones(offsets.shape[:2]))
-        return StressMap(own, xi, at).D
+        """C times strains, shears and radial stresses spread as the section says."""
+        return spread_stresses(own, xi, places)
 
 
 @final

@@ -74,6 +74,30 @@ def section_functions(offsets: Array, factors: Array, radii: Array) -> Array:
     return np.stack(products, axis=-1)
 
 
+def twist_shears(beta: Array, shear: Array, radii: Array) -> Array:
+    """Return B of shears along y and z per rate of twist, shape (n, n_s, n_xi, n_v, n_g).
+
+    r_y turns by c_3.b_2 and r_z by -c_2.b_3. Where they differ, the torque is that of their mean
+    with the weights I_y and I_z.
+
+    Parameters
+    ----------
+    beta : array
+        As `axial_functions` returns it in space.
+    shear : array, shape (n, n_s, 2)
+    radii : array, shape (n, 2)
+        Radii of gyration along y and z.
+    """
+    rows = [components(3).index((0, i)) for i in (1, 2)]
+    turns = np.stack([beta[_TWIST_Y, :, rows[1]], -beta[_TWIST_Z, :, rows[0]]])
+    weights = radii**2 / np.sum(radii**2, axis=1, keepdims=True)
+    rate = np.einsum("ni,ixg->nxg", weights, turns)
+    B = np.zeros((*shear.shape[:2], *beta.shape[1:]), dtype=np.result_type(shear, radii))
+    for i, row in enumerate(rows):
+        B[:, :, :, row] = shear[:, :, None, None, i] * rate[:, None]
+    return B
+
+
 @lru_cache(maxsize=16)
 def axial_functions(d: int, xi: tuple[float, ...], assumed: bool, straight: bool) -> Array:
     """Return the beta_k, shape (15, n_xi, n_v, n_g); components in the order of `components`."""

@@ -51,6 +51,7 @@ class StressMap:
 
     def __init__(self, own: Batch, xi: Array, at: Fibres) -> None:
         volume, *rest = own.stiffness
+        self._C = volume
         # Strains carry the roots of shear factors; stresses, work conjugate to true strains, both.
         squared, n_v = replace(at, factors=at.factors**2), len(components(own.d))
         owners = np.full(len(own.parameters), "stress")
@@ -66,6 +67,39 @@ class StressMap:
             first, second = S[:, None, :1], S[:, None, 1:]
             share = share[:, None, None]
             self.D = self.D + first * (1 - share) + second * share
+
+    def of_twist(self, shear: Array) -> Array:
+        """Return D of shears along y and z, (n, n_f, 2), over the rate of twist and l."""
+        P = self.region.of_twist(shear)[:, :, : self.D.shape[3]]
+        D: Array = (self._C[:, None] @ P).reshape(self.D.shape)
+        return D
+
+
+def spread_stresses(own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
+    """Return stresses at y and z of sections, (n, n_f) each, as maps of the strains of the law.
+
+    Shears of torsion are in balance with the torque of the law and spread as the section knows
+    them. Where properties of the section count, the mean shears of V_y and V_z and the mean
+    thickness stresses, radial ones in curved beams, spread by its shares.
+    """
+    fibre, section, d = fibres(own), own.kind.section, own.d
+    offsets = np.stack(places, axis=-1) / own.lengths[:, None, None]
+    untwisted = fibre.factors * np.array([1.0, 1.0, 0.0])
+    at = replace(fibre, offsets=offsets, volume=np.ones(offsets.shape[:2]), factors=untwisted)
+    law = StressMap(own, xi, at)
+    D = law.D
+    if own.energy.corrected:
+        shares = section.shares(own.sizes, *places)
+        for j, share in enumerate(shares[: d - 1], start=1):
+            for pair in ((0, j), (j, j)):
+                D[:, :, :, components(d).index(pair)] *= share[:, :, None, None]
+    if d == 3:
+        shear = np.stack(section.torsional_shear(own.sizes, *places), axis=-1)
+        area = np.sum(fibre.volume, axis=1) / own.lengths
+        J = fibre.radii[:, 2] ** 2 * own.lengths**2 * area
+        share = J / section.torsion(own.sizes) / own.lengths
+        D = D + law.of_twist(shear * share[:, None, None])
+    return D
 
 
 def von_mises_form(d: int, across: Array) -> Array:

@@ -14,7 +14,12 @@ import numpy as np
 
 from ancfdae.elements.element import Batch, ElementParameter, Quantity
 from ancfdae.elements.hermite import shape_weights
-from ancfdae.elements.strain_fields import axial_functions, components, section_functions
+from ancfdae.elements.strain_fields import (
+    axial_functions,
+    components,
+    section_functions,
+    twist_shears,
+)
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.quadrature import box_rule
@@ -172,6 +177,11 @@ class Region:
         trace = np.einsum("npij,npji->np", self._J_inv, J_b)
         det_J = self.dV / self._measure(own.volume)
         return P_b + T_b @ self._B, dV_b * det_J + self.dV * trace
+
+    def of_twist(self, shear: Array) -> Array:
+        """P of shear strains along y and z, (n, n_s, 2), over the rate of twist; in space."""
+        B = twist_shears(self._beta, shear, self._fibres.radii[:, :2])
+        return np.asarray(self.T @ B.reshape(len(B), -1, *B.shape[3:]))
 
     def shape(self, offsets: Array) -> Array:
         """Scaled shape functions, shape (n, n_p, n_a)."""

@@ -19,8 +19,8 @@ from ancfdae.numerics.arrays import Array
 class Distance(Joint):
     """Keep two points, or a point and the ground, at a distance.
 
-    (|r(point) - r(other)|^2 / L - L) / 2 = 0; its multiplier is the tension (negative) or
-    thrust of the link. Design targets: ``length``, and ``ground_x`` ... where `ground` is given.
+    (|r(point) - r(other)|^2 / L - L) / 2 = 0; its multiplier is the force in the link, positive in
+    tension; N. Design targets: ``length``, and ``ground_x`` ... where `ground` is given.
 
     Parameters
     ----------

@@ -177,9 +177,10 @@ class OverTime(Reduction):
 class Integral(OverTime):
     """Integral of an observable over the run.
 
-    `IDA`, `IDAS` and `Explicit` take it beside the motion, to their tolerance. On the instants of
-    a solution the quadrature has the order of the integrator: the trapezoidal rule on the steps
-    of HHT, Gauss-Lobatto rules on the instants of the others.
+    `IDA`, `IDAS` and `Explicit` take it beside the motion, to their tolerance, except that of a
+    `slope_angle`, whose turns are counted from instant to instant. On the instants of a solution
+    the quadrature has the order of the integrator: the trapezoidal rule on the steps of HHT,
+    Gauss-Lobatto rules on the instants of the others.
     """
 
     observable: Observable

@@ -122,9 +122,14 @@ class _OverTimeDensity(Density):
 def totals_of(
     system: MechanicalSystem, objectives: Sequence[Objective], differentiated: bool
 ) -> dict[object, Total]:
-    """Return a collector for each integral that the objectives are made of."""
+    """Return a collector for each integral that the objectives are made of.
+
+    Not for one of an observable that remembers: points between the instants are visited in no
+    order, and a state does not tell its turns.
+    """
     found = [leaf for objective in objectives for leaf in leaves(objective)]
-    return {x: Total(system, x, differentiated) for x in found if isinstance(x, OverTime)}
+    integrals = (x for x in found if isinstance(x, OverTime) and not x.observable.remembers_any)
+    return {x: Total(system, x, differentiated) for x in integrals}
 
 
 def _states(system: MechanicalSystem, points: Points) -> States:

@@ -8,14 +8,20 @@ from ancfdae.observables.mass import (
     linear_momentum,
     mass,
 )
-from ancfdae.observables.observable import Leaf, Observable, ObservablePartials, observe
+from ancfdae.observables.observable import (
+    Leaf,
+    Observable,
+    ObservablePartials,
+    observe,
+    remembered,
+)
 from ancfdae.observables.quantities import (
     design_value,
+    elapsed_time,
     kinetic_energy,
     multiplier,
     reaction,
     strain_energy,
-    time,
 )
 from ancfdae.observables.section_forces import axial_force, bending_moment, shear_force, torque
 from ancfdae.observables.states import States, states_of

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import cast, final
+from typing import ClassVar, cast, final
 
 import numpy as np
 
@@ -114,6 +115,11 @@ class Observable(Expression["Observable"]):
         """Return the distinct leaves."""
         return cast("list[Leaf]", leaves(self))
 
+    @property
+    def remembers_any(self) -> bool:
+        """Whether a value depends on the instants before: states of parts then need their past."""
+        return any(leaf.remembers for leaf in self.leaves())
+
     def value(self, system: Named, states: States) -> Array:
         """Return the values, shape (k,); complex if a state or a design variable is."""
         return list(self.node_values(system, states).values())[-1]
@@ -155,7 +161,16 @@ class Observable(Expression["Observable"]):
 
 
 class Leaf(Observable):
-    """An observable that is not made of others; immutable and compared by value."""
+    """An observable that is not made of others; immutable and compared by value.
+
+    Attributes
+    ----------
+    remembers : bool
+        Whether its value depends on the instants before, as a count of turns does. It is then
+        piecewise constant.
+    """
+
+    remembers: ClassVar[bool] = False
 
     @abc.abstractmethod
     def check_leaf(self, system: Named) -> None:
@@ -174,6 +189,12 @@ class Leaf(Observable):
 @dataclass(frozen=True, eq=False)
 class Composite(Operation, Observable):
     """A function of observables."""
+
+
+def remembered(nodes: Mapping[object, Array]) -> dict[object, float]:
+    """Return the last values of leaves that remember: the past of what follows these instants."""
+    own = ((node, x) for node, x in nodes.items() if isinstance(node, Leaf) and node.remembers)
+    return {node: float(x[-1]) for node, x in own}
 
 
 def observe(

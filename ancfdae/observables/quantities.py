@@ -46,8 +46,8 @@ def kinetic_energy(beam: str | None = None) -> Observable:
     return Energy(beam, kinetic=True)
 
 
-def time() -> Observable:
-    """Return the time; s."""
+def elapsed_time() -> Observable:
+    """Return the time since the start; s."""
     return Time()
 
 

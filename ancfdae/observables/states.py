@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol, final
 
 import numpy as np
@@ -35,6 +36,8 @@ class States:
     lam : array, shape (k, n_lam)
     degree : int
         Degree of the polynomials between the instants, see `TimeGrid`.
+    past : mapping of Leaf to float
+        Of a part of a run: the values of leaves that remember at its first instant.
     """
 
     t: Array
@@ -42,6 +45,7 @@ class States:
     v: Array
     lam: Array
     degree: int = 1
+    past: Mapping[object, float] = field(default_factory=dict)
 
     @property
     def grid(self) -> TimeGrid:

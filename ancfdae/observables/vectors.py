@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -11,7 +11,13 @@ from ancfdae.bodies import Point, Quantity, require_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.observables.functions import Function
 from ancfdae.observables.observable import Leaf, LeafGradient, Observable, Rows
-from ancfdae.observables.states import Named, States, known_naming, require_index
+from ancfdae.observables.states import (
+    Named,
+    States,
+    known_naming,
+    known_scene,
+    require_index,
+)
 from ancfdae.protocol import MechanicalSystem
 
 
@@ -55,26 +61,74 @@ def slope_angle(point: Point) -> Observable:
     It starts between -pi and pi and is continuous in time over full turns, provided that the
     tangent turns by less than half a turn between neighbouring instants.
     """
-    angle = Function("slope_angle", _continuous_angle, edged=False)
     t_x, t_y = slope(point, 0, 0), slope(point, 0, 1)
-    return t_x.combined(angle, (t_x, t_y))
+    angle = t_x.combined(Function("slope_angle", _angle, edged=False), (t_x, t_y))
+    return angle + Turns(point)
 
 
 def axial_strain(point: Point) -> Observable:
-    """Return the Green-Lagrange strain along the beam, (r_x . r_x - 1)/2.
+    """Return the Green-Lagrange strain along the beam, (r_x . r_x / |r_ox|^2 - 1)/2.
 
-    For reference shapes with unit tangents, as beams have them on their centre line.
+    r_ox is the slope in the reference configuration, not of unit length off the centre line of
+    curved and twisted beams and between their nodes.
     """
     x, y, z = (Component(point, Quantity.SLOPE_X, i, may_lack=True) for i in range(3))
-    return 0.5 * (x * x + y * y + z * z - 1.0)
+    return 0.5 * ((x * x + y * y + z * z) / ReferenceSquare(point) - 1.0)
 
 
-def _continuous_angle(x: Array, y: Array) -> Array:
-    """Angle of (x, y) over time; analytic, because the angle left over is small."""
-    turn = np.unwrap(np.arctan2(y.real, x.real))
+def _angle(x: Array, y: Array) -> Array:
+    """Angle of (x, y) between -pi and pi; analytic, because the angle left over is small."""
+    turn = np.arctan2(y.real, x.real)
     c, s = np.cos(turn), np.sin(turn)
     angle: Array = turn + np.arctan((c * y - s * x) / (c * x + s * y))
     return angle
+
+
+@final
+@dataclass(frozen=True)
+class Turns(Leaf):
+    """Full turns of a tangent in the x-y plane since the start of the run, as an angle."""
+
+    remembers: ClassVar[bool] = True
+
+    point: Point
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a point that does not exist."""
+        slope(self.point, 0, 0).check(system)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Add or take a turn where the angle would jump by more than half of one."""
+        t_x, t_y = (slope(self.point, 0, i).value(system, states).real for i in range(2))
+        angle = np.arctan2(t_y, t_x)
+        turns = 2 * np.pi * np.round((np.unwrap(angle) - angle) / (2 * np.pi))
+        return np.asarray(turns + states.past.get(self, 0.0))
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Return none: turns stay as they are."""
+        return LeafGradient()
+
+
+@final
+@dataclass(frozen=True)
+class ReferenceSquare(Leaf):
+    """Squared length of the slope along a beam in the reference configuration."""
+
+    point: Point
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a point that does not exist, or a solution without its system."""
+        known_scene(system)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """|r_ox|^2, the same at every instant."""
+        r_ox, _ = known_scene(system).inputs.in_reference(self.point, Quantity.SLOPE_X)
+        return np.full(len(states.t), np.sum(r_ox * r_ox))
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """2 r_ox . r_oxb."""
+        r_ox, r_oxb = known_scene(system).inputs.in_reference(self.point, Quantity.SLOPE_X)
+        return LeafGradient(b=np.tile(2 * r_ox @ r_oxb, (len(states.t), 1)))
 
 
 @final

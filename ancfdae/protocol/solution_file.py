@@ -6,9 +6,9 @@ A NumPy archive, or HDF5 where the name says so.
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import os
-import uuid
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -18,7 +18,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict, require_folder
+from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict
+from ancfdae.files import replacing
 from ancfdae.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, RigidNodes
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
@@ -35,7 +36,7 @@ _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 
 
 def write(path: Path, fields: Mapping[str, Any]) -> Path:
-    """Write the fields of a solution to a temporary file, and move it to `path` when complete."""
+    """Write the fields of a solution to a file, whole or not at all."""
     arrays, meta = _packed(fields)
     for name, array in arrays.items():
         # `np.savez` would pickle them, and knows how to refuse from NumPy 2.1 on only.
@@ -45,16 +46,8 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
     # Settings may be numbers of NumPy, which JSON does not know.
     text = json.dumps(meta, default=np.generic.item)
     put = _put_hdf5 if path.suffix.lower() in _HDF5 else _put_npz
-    # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
-    require_folder("solution file", path)
-    temporary = path.parent / f"{path.name}.{uuid.uuid4().hex}.part"
-    try:
-        with temporary.open("x+b") as file:
-            put(file, arrays, text)
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with replacing("solution file", path) as file:
+        put(file, arrays, text)
     return path
 
 
@@ -94,11 +87,15 @@ def _get_npz(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
 
 
 def _put_hdf5(file: IO[bytes], arrays: Mapping[str, Array], text: str) -> None:
-    with _h5py().File(file, "w") as hdf5:
+    # HDF5 (1.14 and 2.0) ends the process where a write fails, be it to a path or to a Python file:
+    # it is given memory, which takes the size of the compressed file.
+    memory = io.BytesIO()
+    with _h5py().File(memory, "w") as hdf5:
         for name, array in arrays.items():
             packed = {"compression": "gzip", "shuffle": True} if array.nbytes > _SMALL else {}
             hdf5.create_dataset(name, data=array, **packed)
         hdf5.create_dataset("meta", data=text)
+    file.write(memory.getbuffer())
 
 
 def _get_hdf5(raw: IO[bytes]) -> tuple[dict[str, Array], str]:

@@ -23,7 +23,7 @@ import abc
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self, final
+from typing import final
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.naming import Naming
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import Pattern
+from ancfdae.protocol.complex_steps import ComplexSteps
 
 
 @final
@@ -60,7 +61,7 @@ class DesignPartials:
     Phi_b: Array
 
 
-class MechanicalSystem(abc.ABC):
+class MechanicalSystem(ComplexSteps):
     """A constrained mechanical system at given values of its design variables.
 
     Attributes
@@ -100,10 +101,7 @@ class MechanicalSystem(abc.ABC):
         Names of points and joints for the solution; None for a system without any.
     """
 
-    n_q: int
     n_lam: int
-    design_names: tuple[str, ...]
-    b: Array
     constant_mass: bool = False
     linear_constraints: bool = False
     constant_constraints: bool = False
@@ -112,11 +110,6 @@ class MechanicalSystem(abc.ABC):
     force_round_off: float = 0.0
     project_start: bool = False
     naming: Naming | None = None
-
-    @cached_property
-    def n_b(self) -> int:
-        """Number of design variables."""
-        return len(self.design_names)
 
     @cached_property
     def pattern(self) -> Pattern:
@@ -139,43 +132,6 @@ class MechanicalSystem(abc.ABC):
     def constraint_names(self) -> tuple[str, ...]:
         """Numbers."""
         return tuple(f"constraint {i}" for i in range(1, self.n_lam + 1))
-
-    # -- design variables, and derivatives in them -----------------------------------------------
-
-    @abc.abstractmethod
-    def with_values(self, b: Array) -> Self:
-        """Return the same system at other values of the design variables, real or complex."""
-
-    def moved(self, i: int) -> Self:
-        """Return the system with design variable i moved by a small imaginary step."""
-        if i not in self._moved:
-            self._moved[i] = self.with_values(self.b + 1j * STEP * np.eye(self.n_b)[i])
-        return self._moved[i]
-
-    @cached_property
-    def _moved(self) -> dict[int, Self]:
-        return {}
-
-    def along(self, value: Callable[..., Array], *states: tuple[Array, Array]) -> Array:
-        """Differentiate in the design variables along given derivatives of states.
-
-        `value(system, *states)` is exact in complex numbers; every state, shape (n,), comes with
-        its derivative, (n, n_b). The result has the shape of the value + (n_b,).
-        """
-        columns = [
-            np.imag(value(self.moved(i), *(x + 1j * STEP * x_b[:, i] for x, x_b in states)))
-            for i in range(self.n_b)
-        ]
-        if not columns:
-            return np.zeros((*np.shape(value(self, *(x for x, _ in states))), 0))
-        return np.asarray(np.stack(columns, axis=-1) / STEP)
-
-    def _by_coordinate(self, value: Callable[[Array], Array], x: Array, pattern: Pattern) -> Array:
-        """Differentiate in the numbers of x; what is imaginary already does not count."""
-        still = np.imag(value(x))
-        columns = [np.imag(value(x + 1j * STEP * e)) - still for e in np.eye(self.n_q)]
-        matrix = np.stack(columns, axis=-1) / STEP
-        return np.asarray(matrix[pattern.rows, pattern.columns])
 
     # -- start ---------------------------------------------------------------------------------
 
@@ -248,13 +204,13 @@ class MechanicalSystem(abc.ABC):
         """Return the total design derivative of Q, shape (n_q, n_b)."""
         return self.along(lambda s, q, v: s.force(q, v, t), (q, q_b), (v, v_b))
 
-    def force_and_total(self, q: Array, v: Array, t: float) -> Array:
+    def force_and_total(self, q_rows: Array, v_rows: Array, t: float) -> Array:
         """Return Q and its total design derivatives as rows, shape (1 + n_b, n_q).
 
-        The first rows of q and v are the state, the others its derivatives; shape (1 + n_b, n_q).
+        The first rows of both are the state, the others its derivatives; shape (1 + n_b, n_q).
         """
-        total = self.force_total(q[0], v[0], t, q[1:].T, v[1:].T)
-        return np.concatenate([self.force(q[0], v[0], t)[None], total.T])
+        total = self.force_total(q_rows[0], v_rows[0], t, q_rows[1:].T, v_rows[1:].T)
+        return np.concatenate([self.force(q_rows[0], v_rows[0], t)[None], total.T])
 
     def following_load(self, q: Array, t: float) -> Array:
         """Return the loads in Q that turn with the motion, at rest, shape (n_q,).
@@ -435,7 +391,7 @@ class MechanicalSystem(abc.ABC):
 
         f_q = self._by_coordinate(lambda x: rate(x, v), q, self.pattern)
         f_v = self._by_coordinate(lambda x: rate(q, x), v, self.pattern)
-        return f_q, f_v, np.imag(self.mass(q + 1j * STEP * v)) / STEP
+        return f_q, f_v, self._by_number(lambda s: self.mass(q + s * v))
 
     def pull_back_rate(self, t: float, states: tuple[Array, ...], later: Array, mu: Array) -> Array:
         """Return mu^T f'_b with states held, shape (n_b,); f' as in `force_rate_partials`."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
-from ancfdae.sections.section import Section, SectionPoints, require_smaller
+from ancfdae.sections.section import ROUND_UP, Section, SectionPoints, require_smaller
 
 # Points of a circumference: the cosine of half the angle between them is 0.981.
 _AROUND = 16
@@ -64,6 +64,22 @@ class _Round(Section):
         """Polar moment of area: circles do not warp."""
         J: Array = np.pi / 2 * (sizes[:, 0] ** 4 - self.inner(sizes) ** 4)
         return J
+
+    def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Linear from the centre."""
+        return -z, y
+
+    def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Jourawski's of circles, 4/3 in the middle, and of thin tubes, 2, and between them."""
+        whole, hole = sizes[:, :1] ** 2, self.inner(sizes)[:, None] ** 2
+        height = 4 / (3 * whole - hole)
+        return height * (whole - y**2), height * (whole - z**2)
+
+    def holds(self, y: float, z: float) -> bool:
+        """Between the circles."""
+        inner = float(self.inner(np.array([self.sizes()]))[0])
+        r = float(np.hypot(y, z))
+        return inner <= r * ROUND_UP and r <= self.radius * ROUND_UP
 
 
 @final

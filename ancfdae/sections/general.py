@@ -11,7 +11,8 @@ import numpy as np
 from ancfdae.errors import InvalidInput, require_array
 from ancfdae.numerics.arrays import Array
 from ancfdae.sections.rectangle import corners
-from ancfdae.sections.section import Section, SectionPoints, central_moments
+from ancfdae.sections.section import Section, SectionPoints, central_moments, columns
+from ancfdae.sections.spread import stepped_share
 
 
 @final
@@ -72,6 +73,12 @@ class MomentSection(Section):
     def torsion(self, sizes: Array) -> Array:
         """As declared."""
         return sizes[:, 3]
+
+    def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Those of the rectangle of these moments."""
+        area, I_y, I_z, _ = columns(sizes)
+        h, w = (np.sqrt(12 * I / area) for I in (I_y, I_z))
+        return stepped_share(h, h / 2, w, w, y), stepped_share(w, w / 2, h, h, z)
 
 
 @final

@@ -10,7 +10,12 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
-from ancfdae.sections.section import Section, SectionPoints
+from ancfdae.sections.section import Section, SectionPoints, columns
+from ancfdae.sections.spread import (
+    rectangle_torsion,
+    rectangle_torsional_shear,
+    stepped_share,
+)
 
 # Points a side: 3 integrate the degree 5 of straight beams. Curved ones have a rational integrand;
 # with a radius of curvature R the error of A falls like (height / 4R)^(2 n): measured with 6
@@ -29,10 +34,6 @@ class Rectangular(Section):
     def half_extents(self) -> tuple[float, float]:
         """Half of height and width."""
         return self.height / 2, self.width / 2
-
-    def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Corners."""
-        return corners(sizes[:, 0], sizes[:, 1])
 
 
 @final
@@ -67,6 +68,37 @@ class Rectangle(Rectangular):
         """Saint-Venant's series."""
         return rectangle_torsion(*sizes.T)
 
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Corners, middles of the sides, and near corners on the sides; see `around`."""
+        return around(*sizes.T)
+
+    def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Saint-Venant's series."""
+        h, w = columns(sizes)
+        return rectangle_torsional_shear(h, w, y, z)
+
+    def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Parabolas, 3/2 in the middle."""
+        h, w = columns(sizes)
+        return stepped_share(h, h / 2, w, w, y), stepped_share(w, w / 2, h, h, z)
+
+
+def around(h: Array, w: Array) -> tuple[Array, Array]:
+    """Places on the four sides of rectangles about the axis, 16 of each.
+
+    Bending has its largest stress at corners and torsion in the middle of the long sides, but it
+    keeps most of it up to about the thickness from the corners: so places there come in, which the
+    number 0.4 puts best. Of stresses that are linear along the sides and of torsion together none
+    exceeds those of all places by 3.5 % (tests/test_stress.py).
+    """
+    zero = 0.0 * h
+    y_near = h / 2 * (1 - w / (w + 0.4 * h))
+    z_near = w / 2 * (1 - h / (h + 0.4 * w))
+    y = [s * h / 2 for s in (-1, 1) for _ in range(5)] + [s * y_near for s in (-1, -1, 1, 1)]
+    z = [t for _ in (-1, 1) for t in (-w / 2, -z_near, zero, z_near, w / 2)]
+    z += [s * w / 2 for s in (-1, 1, -1, 1)]
+    return np.stack([*y, zero, zero], axis=1), np.stack([*z, -w / 2, w / 2], axis=1)
+
 
 def corners(h: Array, w: Array) -> tuple[Array, Array]:
     """Corners of rectangles of these heights and widths about the axis."""
@@ -84,19 +116,3 @@ def rectangles_points(
     z = [w[:, None] * zeta + z_c[:, None] for _, w, _, z_c in rectangles]
     dA = [(h * w)[:, None] * rule for h, w, _, _ in rectangles]
     return np.concatenate(y, axis=1), np.concatenate(z, axis=1), np.concatenate(dA, axis=1)
-
-
-def rectangle_torsion(h: Array, w: Array) -> Array:
-    """Torsion constant of rectangles.
-
-    J = a b^3 (1/3 - (64/pi^5) (b/a) sum_{n odd} tanh(n pi a / 2b) / n^5), b the shorter side
-    (Timoshenko & Goodier, Theory of Elasticity, sec. 109). With tanh x = 1 - 2/(e^{2x} + 1) and
-    sum 1/n^5 = 31/32 zeta(5) what is summed falls like e^{-n pi}: below round-off after n = 11.
-    """
-    a, b = np.where(h.real >= w.real, (h, w), (w, h))
-    n = np.arange(1, 13, 2)[:, None]
-    # e^{-2x} instead of e^{2x}, which overflows for thin strips.
-    decay = np.exp(-n * np.pi * a / b)
-    series = 31 / 32 * 1.0369277551433699 - np.sum(2 * decay / (1 + decay) / n**5, axis=0)
-    J: Array = a * b**3 * (1 / 3 - 64 / np.pi**5 * (b / a) * series)
-    return J

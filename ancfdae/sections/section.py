@@ -12,6 +12,9 @@ import numpy as np
 from ancfdae.errors import InvalidInput, require_positive, require_vector
 from ancfdae.numerics.arrays import Array
 
+#: Widens a section by round-off, so that its surface belongs to it.
+ROUND_UP = 1 + 1e-12
+
 #: Points of a section: y, z and the area that each stands for, shape (n, n_p) each.
 SectionPoints = tuple[Array, Array, Array]
 
@@ -90,7 +93,10 @@ class Section(abc.ABC):
 
     @abc.abstractmethod
     def outline(self, sizes: Array) -> tuple[Array, Array]:
-        """Return y and z of the points of the contour where stresses are largest, (n, n_o) each."""
+        """Return y and z of points of the contour, those of largest stresses, (n, n_o) each.
+
+        Of bending about both axes and of torsion, alone and together.
+        """
 
     def contour(self, sizes: Array) -> tuple[Array, Array]:
         """Return y and z of the outer contour, for pictures, shape (n, n_c) each.
@@ -113,6 +119,44 @@ class Section(abc.ABC):
     def torsion(self, sizes: Array) -> Array:
         """Torsion constants J, shape (n,)."""
 
+    def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Return shear stresses along y and z in torsion, over G and the rate of twist; m.
+
+        Those of free warping, in balance with the torque G J of `torsion`.
+
+        Parameters
+        ----------
+        sizes : array, shape (n, n_sizes)
+        y, z : array, shape (n, n_f)
+            Places within the section.
+
+        Raises
+        ------
+        InvalidInput
+            If the section does not know them.
+        """
+        raise InvalidInput(
+            f"stress in a {type(self).__name__}",
+            "needs a section that knows its shear stress in torsion",
+            "one that does not",
+            "Use a section of a known shape, or make the stress of axial_force, bending_moment and"
+            " torque.",
+        )
+
+    def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Return how much of the mean shear along y, and along z, there is at places (n, n_f).
+
+        The mean of a share over the section is 1, which is all that a section knows by default.
+        Radial stress in curved beams spreads alike.
+        """
+        one = np.ones_like(y * sizes[:, :1])
+        return one, one
+
+    def holds(self, y: float, z: float) -> bool:
+        """Whether there is material at a place; up to the half extents unless it says otherwise."""
+        extents = self.half_extents
+        return all(abs(x) <= half * ROUND_UP for x, half in zip((y, z), extents, strict=True))
+
     def properties(self, sizes: Array, nu: Array) -> tuple[Array, Array, Array]:
         """Shear factors along y and z and the torsion constant, those declared or by formula."""
         k_y, k_z = self.shear(sizes, nu)
@@ -122,6 +166,11 @@ class Section(abc.ABC):
         if self.torsion_constant is not None:
             J = np.full_like(J, self.torsion_constant)
         return k_y, k_z, J
+
+
+def columns(sizes: Array) -> tuple[Array, ...]:
+    """Return each of the sizes as a column, to go with places of shape (n, n_f)."""
+    return tuple(sizes.T[..., None])
 
 
 def central_moments(y: Array, z: Array, dA: Array) -> tuple[Array, Array]:

@@ -8,8 +8,14 @@ from typing import ClassVar, final
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
-from ancfdae.sections.rectangle import Rectangular, rectangle_torsion, rectangles_points
-from ancfdae.sections.section import SectionPoints, require_smaller
+from ancfdae.sections.rectangle import Rectangular, around, corners, rectangles_points
+from ancfdae.sections.section import ROUND_UP, SectionPoints, columns, require_smaller
+from ancfdae.sections.spread import (
+    in_web,
+    rectangle_torsion,
+    rectangle_torsional_shear,
+    stepped_share,
+)
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,35 @@ class Box(_Walled):
         J: Array = 2 * (a * b) ** 2 / (a / t_w + b / t_f)
         return J
 
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Corners, as of the flanges, and where webs end, outside."""
+        h, w, _, t_f = sizes.T
+        (y, z), (y_w, z_w) = corners(h, w), corners(h - 2 * t_f, w)
+        return np.concatenate([y, y_w], axis=1), np.concatenate([z, z_w], axis=1)
+
+    def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Bredt's J/(2 A t) along each wall; flanges have the full width."""
+        h, w, t_w, t_f = columns(sizes)
+        flow = self.torsion(sizes)[:, None] / (2 * (h - t_f) * (w - t_w))
+        web = in_web(y, h / 2 - t_f)
+        t_y = np.where(web, -np.sign(z.real) * flow / t_w, 0 * flow)
+        return t_y, np.where(web, 0 * flow, np.sign(y.real) * flow / t_f)
+
+    def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Jourawski's formula, either pair of walls as the webs."""
+        h, w, t_w, t_f = columns(sizes)
+        along_y = stepped_share(h, h / 2 - t_f, w, 2 * t_w, y)
+        return along_y, stepped_share(w, w / 2 - t_w, h, 2 * t_f, z)
+
+    def holds(self, y: float, z: float) -> bool:
+        """Within the walls."""
+        hole_y, hole_z = (
+            self.height / 2 - self.flange_thickness,
+            self.width / 2 - self.web_thickness,
+        )
+        in_wall = abs(y) * ROUND_UP >= hole_y or abs(z) * ROUND_UP >= hole_z
+        return in_wall and super().holds(y, z)
+
 
 @final
 @dataclass(frozen=True)
@@ -108,6 +143,41 @@ class ISection(_Walled):
         """Sum of the three rectangles; warping is free."""
         h, w, t_w, t_f = sizes.T
         return 2 * rectangle_torsion(w, t_f) + rectangle_torsion(h - 2 * t_f, t_w)
+
+    def outline(self, sizes: Array) -> tuple[Array, Array]:
+        """Places of the flanges' outer sides and of the web's sides; see `around`."""
+        h, w, t_w, t_f = sizes.T
+        (y_f, z_f), (y_w, z_w) = around(t_f, w), around(h - 2 * t_f, t_w)
+        shift = ((h - t_f) / 2)[:, None]
+        low, high, sides = slice(0, 5), slice(5, 10), slice(10, 16)
+        y = [y_f[:, low] - shift, y_f[:, high] + shift, y_w[:, sides]]
+        return np.concatenate(y, axis=1), np.concatenate(
+            [z_f[:, low], z_f[:, high], z_w[:, sides]], axis=1
+        )
+
+    def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """As of each of the three rectangles, which turn alike."""
+        h, w, t_w, t_f = columns(sizes)
+        flange = y - np.sign(y.real) * (h - t_f) / 2
+        walls = (
+            rectangle_torsional_shear(h - 2 * t_f, t_w, y, z),
+            rectangle_torsional_shear(t_f, w, flange, z),
+        )
+        web = in_web(y, h / 2 - t_f)
+        t_y, t_z = (np.where(web, *pair) for pair in zip(*walls, strict=True))
+        return t_y, t_z
+
+    def shares(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Jourawski's formula."""
+        h, w, t_w, t_f = columns(sizes)
+        along_y = stepped_share(h, h / 2 - t_f, w, t_w, y)
+        return along_y, stepped_share(w, t_w / 2, 2 * t_f, h, z)
+
+    def holds(self, y: float, z: float) -> bool:
+        """Within the walls."""
+        inner, half = self.height / 2 - self.flange_thickness, self.web_thickness / 2
+        in_wall = abs(y) * ROUND_UP >= inner or abs(z) <= half * ROUND_UP
+        return in_wall and super().holds(y, z)
 
 
 def _box_shear(h: Array, w: Array, t_w: Array, t_f: Array, nu: Array) -> Array:

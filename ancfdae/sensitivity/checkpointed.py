@@ -24,7 +24,7 @@ from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.objectives import Objective
 from ancfdae.objectives.objective import require_finite_number
 from ancfdae.objectives.reductions import Reduction
-from ancfdae.observables import States, states_of
+from ancfdae.observables import States, remembered, states_of
 from ancfdae.observables.expression import evaluated, leaf_weights, leaves
 from ancfdae.protocol import MechanicalSystem
 from ancfdae.protocol.solution import Solution
@@ -105,13 +105,19 @@ class _Watched:
         self._system, self._objective, self._grid = system, objective, TimeGrid(t, 1)
         self._values = {x: np.zeros(len(t)) for x in cast("list[Reduction]", leaves(objective))}
         self._slopes: dict[Reduction, Array] = {}
+        # What observables remember where a part begins.
+        self._past: dict[int, dict[object, float]] = {0: {}}
         self.value, self.gradient = 0.0, np.zeros(system.n_b)
         self.on = np.zeros((6, system.n_q))
 
     def look(self, states: States, first: int) -> None:
         """Note the values at instants from `first` on."""
+        states, last = replace(states, past=self._past[first]), first + len(states.t) - 1
+        self._past[last] = {}
         for leaf, values in self._values.items():
-            values[first : first + len(states.t)] = leaf.observable.value(self._system, states)
+            nodes = leaf.observable.node_values(self._system, states)
+            values[first : last + 1] = list(nodes.values())[-1]
+            self._past[last] |= remembered(nodes)
 
     def close(self) -> None:
         """Make the value of those of all instants, and the slopes in each."""
@@ -130,6 +136,7 @@ class _Watched:
 
         The instant that a part begins with belongs to the one before.
         """
+        states = replace(states, past=self._past[first])
         total: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
         for leaf, all_slopes in self._slopes.items():
             slopes = all_slopes[first : first + len(states.t)].copy()

@@ -10,8 +10,8 @@ import numpy as np
 
 from ancfdae import (
     HHT, Adjoint, Beam, DesignVariable, Drive, Integral, Material, Pin, PointMass, PointOnLine,
-    Rectangle, Scene, SmoothMaximum, Uniform, design_value, distribution, gradients,
-    maximum_stress, position, time,
+    Rectangle, Scene, SmoothMaximum, Uniform, design_value, distribution, elapsed_time,
+    gradients, maximum_stress, position,
 )
 from ancfdae.plotting import gradient_bars, save
 
@@ -32,7 +32,7 @@ scene = Scene([crank, rod], joints, bodies=[slider], assemble=True)
 # `SmoothMaximum` is a maximum over time that has a derivative. `design_value` lets the ideal know
 # the speed.
 
-turned = design_value("motor.speed") * time()
+turned = design_value("motor.speed") * elapsed_time()
 ideal = 0.15 * np.cos(turned) + np.sqrt(0.4**2 - (0.15 * np.sin(turned)) ** 2)
 strays = np.sqrt(Integral((position(rod.at_end, 0) - ideal) ** 2) / 0.105)
 stress = SmoothMaximum(maximum_stress("rod", sharpness=1e-5) / 1e6, sharpness=10.0)  # MPa

@@ -1,0 +1,93 @@
+"""Flip the sign of every override of the protocol in turn: does `check_system` see it?
+
+python tests/sign_mutation.py      prints what it sees, and fails if it misses one
+"""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from ancfdae import (
+    Beam,
+    ComplexStepSystem,
+    Distance,
+    Drive,
+    FollowerForce,
+    Harmonic,
+    Material,
+    Pin,
+    Rectangle,
+    RigidMotion,
+    Scene,
+    assemble,
+    check_system,
+)
+from ancfdae.user_systems.derived import members
+
+from mechanisms import GuidedDoublePendulum
+
+DESIGN = ("a.height", "m.frequency", "push.force_x")
+
+
+def everything(design=DESIGN):
+    """An assembled scene in which no member of the protocol vanishes."""
+    section, soft = Rectangle(0.05, 0.04), Material(4000.0, 1e6, 0.3, damping_time=1e-3)
+    a = Beam("a", (0.0, 0.0), (0.5, 0.0), 1, section, soft)
+    joints = [
+        Pin(a.at_start),
+        Drive(a.at_start, Harmonic(0.5, 4.0), name="m"),
+        Distance(a.at_end, 0.8, ground=(1.1, 0.8), name="d"),
+    ]
+    push = FollowerForce(a.at(0.6), (4.0, 1.0), law=Harmonic(1.0, 3.0, 0.4), name="push")
+    start = [RigidMotion("a", 2.0, (0.0, 0.0))]
+    scene = Scene([a], joints, (0.0, -9.81), start, [push], project_start=True)
+    return assemble(scene, design)
+
+
+def negative(value):
+    if isinstance(value, tuple):
+        return tuple(-x for x in value)
+    if isinstance(value, np.ndarray):
+        return -value
+    arrays = {name: array for name, array in vars(value).items() if array is not None}
+    return replace(value, **{name: -array for name, array in arrays.items()})
+
+
+def overrides(kind):
+    """Return the names of the members that a class writes itself."""
+    return [name for name in members() if name in vars(kind)]
+
+
+def flipped(kind, name):
+    """Return the member with the other sign."""
+    right = vars(kind)[name]
+    return lambda self, *arguments: negative(right(self, *arguments))
+
+
+def seen(system, kind, name):
+    """Return the findings that are wrong once the sign of one member of a class is."""
+    right = vars(kind)[name]
+    setattr(kind, name, flipped(kind, name))
+    try:
+        # Signs in a fresh system: caches know the right ones.
+        return check_system(system(), samples=1).wrong
+    finally:
+        setattr(kind, name, right)
+
+
+def main():
+    missed = []
+    for system, kind in (
+        (everything, type(everything())),
+        (GuidedDoublePendulum, ComplexStepSystem),
+    ):
+        for name in overrides(kind):
+            findings = [finding.name for finding in seen(system, kind, name)]
+            missed += [] if findings else [f"{kind.__name__}.{name}"]
+            print(f"{kind.__name__}.{name}: {', '.join(findings) or 'NOT SEEN'}")
+    sys.exit(f"not seen: {', '.join(missed)}" if missed else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""Files on a full disk: a clear error, what was there before, and a process that lives."""
+
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from ancfdae import HHT, Solution, simulate
+from validation.scenes import pendulum
+
+# No file may grow beyond this, which a system tells like a full disk; bytes.
+LIMIT = 20_000
+
+FULL = f"""
+import resource, sys
+from pathlib import Path
+import numpy as np
+sys.path.insert(0, "tests")
+from ancfdae import HHT, NotSaved, Solution, observations, position, sweep
+from validation.scenes import pendulum
+from mechanisms import CartesianPendulum
+
+folder, system = Path(sys.argv[1]), CartesianPendulum()
+solution = Solution.load(folder / "run.npz")
+resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
+
+def refused(call):
+    try:
+        call()
+    except NotSaved as error:
+        print(error)
+
+for name in ("new.npz", "new.h5", "run.npz", "run.h5"):
+    refused(lambda: solution.save(folder / name))
+drop = [position(pendulum().beams[0].at_end, 1)]
+refused(lambda: observations(pendulum(), drop, 32.0, HHT(2.0**-6), every=1, file=folder / "x.npy"))
+rows = folder / "rows.jsonl"
+refused(lambda: sweep(system, [[1.0, 9.0], [2.0, 9.0]], lambda s: np.ones(3000), file=rows))
+print("alive")
+"""
+
+
+def test_a_full_disk_is_told_and_harms_nothing(tmp_path):
+    pytest.importorskip("h5py")
+    run = simulate(pendulum(elements=1), 1.0, HHT(2.0**-7))
+    for name in ("run.npz", "run.h5"):
+        assert run.save(tmp_path / name).stat().st_size > 2 * LIMIT
+    (tmp_path / "x.npy").write_bytes(b"old")
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(FULL), tmp_path], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    *refused, last = done.stdout.splitlines()
+    assert last == "alive"
+    names = ["new.npz", "new.h5", "run.npz", "run.h5", "x.npy", "rows.jsonl"]
+    for name, line in zip(names, refused, strict=True):
+        assert name in line
+        assert "must be written whole; got File too large" in line
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[2:])
+    assert (tmp_path / "x.npy").read_bytes() == b"old"
+    for name in ("run.npz", "run.h5"):
+        assert (Solution.load(tmp_path / name).q == run.q).all()
+    # The first line and a whole row of an array of 3,000 ones in 15,000 bytes; nothing of another.
+    assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 2
+    assert (tmp_path / "rows.jsonl").read_text().endswith("\n")
