@@ -119,6 +119,10 @@ class Section(abc.ABC):
     def torsion(self, sizes: Array) -> Array:
         """Torsion constants J, shape (n,)."""
 
+    def twist_centre(self, sizes: Array, centroid: Array) -> Array:
+        """Return y and z of the shear centre, shape (n, 1, 2): the centroid, (n, 1, 2), here."""
+        return centroid
+
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Return shear stresses along y and z in torsion, over G and the rate of twist; m.
 
