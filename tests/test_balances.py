@@ -211,7 +211,8 @@ def test_spread_loads_and_inertia_are_carried_to_second_order(name, moves):
             error.append(np.abs(np.array(found) - expected))
         errors.append(np.max(error) / np.linalg.norm(f))
     assert errors[1] < 3e-3
-    assert errors[1] < 0.35 * errors[0]
+    # A quarter, and terms of higher order.
+    assert errors[1] < 0.4 * errors[0]
 
 
 def slope_along(function, Y, direction):
