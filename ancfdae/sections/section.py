@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -40,6 +40,9 @@ class Section(abc.ABC):
     InvalidInput
         If a size or a property is not finite and positive.
     """
+
+    #: Whether `torsional_shear` is known.
+    shaped: ClassVar[bool] = False
 
     shear_factors: Sequence[float] | None = field(default=None, kw_only=True)
     torsion_constant: float | None = field(default=None, kw_only=True)
