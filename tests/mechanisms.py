@@ -159,6 +159,53 @@ class GuidedDoublePendulum(ComplexStepSystem):
         return np.array([self.tip(q) - self.tip(self.angles) - self.b[3] * np.sin(self.w * t)])
 
 
+class CarAxis(ComplexStepSystem):
+    """Half of a car on a bumpy road (Mazzia & Magherini, Test Set for IVP Solvers, index 3).
+
+    A light rod of length L = 1 with two masses rests on springs of the length L0; the left one ends
+    at the origin, where its direction stays across the road, the right one on the road at
+    (sqrt(L^2 - y^2), y), y = sin(10 t)/10. Half of eps^2 times the mass M, eps = 0.01, stands
+    before the accelerations.
+    """
+
+    n_q, n_lam = 4, 2
+    design_names = ("L0", "M")
+    constant_mass, velocity_forces = True, False
+    # At t = 3, by the test set.
+    published = np.array(
+        [0.04934557842755629, 0.4969894602303324, 1.041742524885400, 0.3739110272652214]
+    )
+
+    def __init__(self, b=(0.5, 10.0)):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return CarAxis(b)
+
+    def road(self, t):
+        y = np.sin(10 * t) / 10
+        return np.array([np.sqrt(1 - y * y), y])
+
+    def start(self):
+        L0 = self.b[0]
+        return np.array([0.0, L0, 1.0, L0]), np.array([-L0, 0.0, -L0, 0.0])
+
+    def mass_matrix(self, q):
+        return self.b[1] * 0.01**2 / 2 * np.eye(4)
+
+    def force(self, q, v, t):
+        weight = self.b[1] * 0.01**2 / 2
+        springs = []
+        for x, y in ((q[0], q[1]), (q[2] - self.road(t)[0], q[3] - self.road(t)[1])):
+            pull = self.b[0] / np.sqrt(x * x + y * y) - 1
+            springs += [pull * x, pull * y - weight]
+        return np.array(springs)
+
+    def constraint(self, q, t):
+        x, y = self.road(t)
+        return np.array([q[0] * x + q[1] * y, (q[0] - q[2]) ** 2 + (q[1] - q[3]) ** 2 - 1])
+
+
 CHAIN_DESIGN = ("a.height", "b.length", "m.frequency", "s.damping", "d.length", "a.damping_time")
 
 

@@ -7,11 +7,13 @@ import pytest
 
 from ancfdae import (
     HHT,
+    IDA,
     Adjoint,
     ComplexStep,
     ComplexStepSystem,
     ContinuousAdjoint,
     Direct,
+    Explicit,
     Integral,
     InvalidInput,
     custom,
@@ -21,7 +23,7 @@ from ancfdae import (
 )
 from ancfdae.numerics.extrapolation import real_derivative
 
-from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum
+from mechanisms import CarAxis, CartesianPendulum, GuidedDoublePendulum, WrittenPendulum
 
 STATE = {"t": 0.3}
 _rng = np.random.default_rng(4)
@@ -302,6 +304,21 @@ class Compared(Kept):
         return super().force(q, v, t) * (1.0 if t < 2.0 else 0.5)
 
 
+class Drag(Kept):
+    """A drag that vanishes beside gravity at the start."""
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) - 1e-3 * np.abs(v) * v
+
+
+class DragOneWay(Kept):
+    """Differs from the analytic -v^2 only where v_0 is negative."""
+
+    def force(self, q, v, t):
+        size = np.abs(v[0]) if v[0].real < -0.1 else v[0]
+        return super().force(q, v, t) - 1e-3 * size * v
+
+
 class OneNumber(Kept):
     def constraint(self, q, t):
         return (q @ q - self.b[0] ** 2) / 2
@@ -329,6 +346,8 @@ class NoMass(Kept):
         (FilledIn, "FilledIn.force"),
         (Absolute, "Absolute.constraint"),
         (Compared, "Compared.force"),
+        (Drag, "Drag.force"),
+        (DragOneWay, "DragOneWay.force"),
         (OneNumber, "OneNumber.constraint"),
         (FloatStart, "FloatStart.start"),
         (BadMass, "BadMass.mass_matrix"),
@@ -381,6 +400,54 @@ def test_a_kink_is_refused_and_not_differentiated():
     system = Kinked(-1.0, 2.0)
     with pytest.raises(InvalidInput, match="analytic"):
         system.acceleration_side(np.array([0.5, -0.5]), np.array([1.0, 0.0]), 0.0)
+
+
+def test_the_car_axis_of_the_ivp_test_set():
+    # Held to ten times the tolerance, in units of the size of the car.
+    run = simulate(CarAxis(), 3.0, IDA(rtol=1e-5))
+    assert run.outcome.success, str(run.outcome)
+    assert np.max(np.abs(run.q[-1] - CarAxis.published)) < 1e-4
+    # By a method of another kind, which asks for accelerations at every stage.
+    explicit = simulate(CarAxis(), 0.1, Explicit(rtol=1e-5))
+    assert np.max(np.abs(explicit.q[-1] - run.at(0.1).q[0])) < 1e-4
+
+
+class FarBar(ComplexStepSystem):
+    """A bar between two masses, far from the origin, in flight."""
+
+    n_q, n_lam, design_names = 4, 1, ("L",)
+
+    def __init__(self, away, b=(1.0,)):
+        self.away = away
+        super().__init__(b)
+
+    def with_values(self, b):
+        return FarBar(self.away, b)
+
+    def start(self):
+        return np.array([self.away, 0.3, self.away + 0.6, 1.1]), np.array([0.4, 0.3, 0.4, 0.3])
+
+    def mass_matrix(self, q):
+        return np.eye(4)
+
+    def force(self, q, v, t):
+        return 0 * q
+
+    def constraint(self, q, t):
+        x, y = q[2] - q[0], q[3] - q[1]
+        return np.array([(x * x + y * y - self.b[0] ** 2) / 2])
+
+
+@pytest.mark.parametrize("away", [1.0, 1e3, 1e6])
+def test_a_bar_that_does_not_turn_has_accelerations(away):
+    # Its constraint is round-off of terms of order one on every circle along the motion. That of
+    # the ends grows with `away`, and so does the radius.
+    system = FarBar(away)
+    q, v = system.start()
+    turning = v + np.array([0.0, 0.0, -0.8, 0.6])
+    # gamma = -|v_2 - v_1|^2
+    for velocities, exact in ((v, 0.0), (turning, -1.0)):
+        assert abs(system.acceleration_side(q, velocities, 0.3)[0] - exact) < 1e-12
 
 
 # ---- many states in one call

@@ -29,7 +29,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,16 +68,17 @@ def derivative(
     scale : callable
         Returns values of the size of the terms of f. Where these cancel on the whole circle, as
         those of a constraint do along its own motion, only round-off is left, and these values show
-        it.
+        it. Asked for where the values on the circle do not explain what is left.
     """
     if len(radii) == 1 and order == 1:
         step = _STEP * radii[0]
         return np.asarray(np.imag(f(1j * step)) / step)
-    terms = float(np.max(np.abs(scale()), initial=0.0))
+    terms = cache(lambda: float(np.max(np.abs(scale()), initial=0.0)))
     for _ in range(_SHRINKS):
-        value, resolved, _ = _on_circle(f, radii, order, terms)
-        if resolved:
-            return value
+        circle = _on_circle(f, radii, order)
+        # Mostly the values on the circle tell enough.
+        if circle.resolved(0.0) or circle.resolved(terms()):
+            return circle.value
         radii = tuple(_SHRINK * radius for radius in radii)
     raise InvalidInput(
         "functions of the system",
@@ -87,18 +90,29 @@ def derivative(
 
 def circle_size(f: Callable[..., Array], radius: float) -> float | None:
     """Largest value on the circle; None if the circle does not resolve f to round-off."""
-    value, resolved, size = _on_circle(f, (radius,), 1, 0.0)
-    return size if resolved and np.all(np.isfinite(value)) else None
+    circle = _on_circle(f, (radius,), 1)
+    return circle.largest if circle.resolved(0.0) else None
 
 
-def _on_circle(
-    f: Callable[..., Array], radii: tuple[float, ...], order: int, terms: float
-) -> tuple[Array, bool, float]:
-    """Return the derivative, whether aliasing is round-off, and the largest value."""
+class _Circle(NamedTuple):
+    """The derivative, sizes of the components and of their last coefficients, and the largest."""
+
+    value: Array
+    sizes: Array
+    tails: Array
+    largest: float
+
+    def resolved(self, terms: float) -> bool:
+        """Whether aliasing is round-off, of terms that may be larger than the values."""
+        allowed = _OWN * self.sizes + _LARGEST * max(self.largest, terms)
+        return bool(np.all(self.tails <= allowed) and np.all(np.isfinite(self.value)))
+
+
+def _on_circle(f: Callable[..., Array], radii: tuple[float, ...], order: int) -> _Circle:
     degree = order + len(radii) - 1
     roots = np.exp(2j * np.pi * np.arange(order + 1) / (order + 1))
     with np.errstate(all="ignore"):
-        mean, size = 0.0, 0.0
+        mean, size = np.zeros(()), np.zeros(())
         for c in product(roots, repeat=len(radii) - 1):
             factors = np.multiply(radii, (1.0, *c))
             values = np.array([f(*(factors * s)) for s in _UPPER])
@@ -106,13 +120,10 @@ def _on_circle(
             mean = mean + values / np.prod(c)
         mean = mean / len(roots) ** (len(radii) - 1)
         last = np.arange(3 * _POINTS // 4, _POINTS)
-        tail = np.max(np.abs(_coefficients(mean, last)), axis=0)
-        largest = float(np.max(size, initial=0.0))
-        allowed = _OWN * size + _LARGEST * max(largest, terms)
+        tails = np.max(np.abs(_coefficients(mean, last)), axis=0)
         value = _coefficients(mean, np.array([degree]))[0]
         value = value * (math.factorial(order) / (radii[0] ** order * math.prod(radii[1:])))
-    resolved = bool(np.all(tail <= allowed) and np.all(np.isfinite(value)))
-    return value, resolved, largest
+    return _Circle(value, size, tails, float(np.max(size, initial=0.0)))
 
 
 def _coefficients(values: Array, degrees: Array) -> Array:

@@ -24,8 +24,13 @@ _PART = 0.5
 # Reach in a design variable, relative to its value.
 _DESIGN = 0.125
 _STEP = 1e-40
-# Relative difference of complex step and finite difference that is refused.
+# Relative difference of complex step and finite difference that is refused, the steps of these and
+# their round-off against a value.
 _DISAGREE = 1e-3
+_STEPS, _ROUND_OFF = 10.0 ** np.arange(-3, -13, -1), 4e-16
+# Distances of the trial states from the start, relative to its size: beside it, where every system
+# is defined, and beyond it on both sides, where velocities have either sign.
+_BESIDE, _BEYOND = 1e-2, (0.4, -0.4)
 
 
 @final
@@ -99,51 +104,63 @@ class Reach:
 
 
 def require_analytic(system: MechanicalSystem) -> None:
-    """Evaluate M, Q, Phi and the start with complex numbers, near the start.
+    """Evaluate M, Q, Phi and the start with complex numbers, near the start and on both sides.
 
     InvalidInput if one fails on complex numbers, drops an imaginary part or has another shape.
     """
-    for name, along, shape in _probes(system):
-        where = f"{type(system).__name__}.{name}"
-        try:
-            with warnings.catch_warnings(), np.errstate(all="ignore"):
-                warnings.simplefilter("error", np.exceptions.ComplexWarning)
-                value, moved = np.asarray(along(0.0)), np.asarray(along(1j * _STEP))
-        except (TypeError, np.exceptions.ComplexWarning) as error:
-            raise _unsafe(where, f"{type(error).__name__}: {error}") from error
-        if value.shape != shape:
-            raise InvalidInput(where, f"must have shape {shape}", value.shape, "Return an array.")
-        with np.errstate(all="ignore"):
-            if not _agrees(along, value, moved.imag / _STEP):
+    for away in (_BESIDE, *_BEYOND):
+        for name, along, shape in _probes(system, away):
+            where = f"{type(system).__name__}.{name}"
+            try:
+                with warnings.catch_warnings(), np.errstate(all="ignore"):
+                    warnings.simplefilter("error", np.exceptions.ComplexWarning)
+                    value, moved = np.asarray(along(0.0)), np.asarray(along(1j * _STEP))
+                    refused = value.shape == shape and not _agrees(along, value, moved)
+            except (TypeError, np.exceptions.ComplexWarning) as error:
+                raise _unsafe(where, f"{type(error).__name__}: {error}") from error
+            except (ArithmeticError, ValueError):
+                if away == _BESIDE:
+                    raise
+                continue  # It is not defined there.
+            if value.shape != shape:
+                rule = f"must have shape {shape}"
+                raise InvalidInput(where, rule, value.shape, "Return an array.")
+            if refused and (away == _BESIDE or np.all(value.imag == 0)):
                 raise _unsafe(where, "a complex step that differs from the finite difference")
 
 
-def _agrees(along: Callable[[complex], Array], value: Array, slope: Array) -> bool:
-    """Whether the slope is a central difference of one of several sizes, entry by entry."""
-    agreed = ~np.isfinite(slope)
-    for s in 10.0 ** np.arange(-3, -13, -1):
-        if np.all(agreed):
-            break
-        # Complex numbers throughout, so that differences try the same code.
-        difference = np.real(np.asarray(along(complex(s))) - np.asarray(along(complex(-s))))
-        difference = difference / (2 * s)
-        allowed = _DISAGREE * np.abs(slope) + 1e-15 * np.max(np.abs(value), initial=0.0) / s
-        agreed |= (np.abs(difference - slope) <= allowed) | ~np.isfinite(difference)
+def _agrees(along: Callable[[complex], Array], value: Array, moved: Array) -> bool:
+    """Whether the complex step is the finite difference, entry by entry.
+
+    Of central differences that is the one whose change to the next smaller step, which is its
+    error, and round-off are least.
+    """
+    slope = moved.imag / _STEP
+    # Complex numbers throughout, so that differences try the same code.
+    differences = np.array(
+        [np.real(np.asarray(along(complex(s))) - along(complex(-s))) / (2 * s) for s in _STEPS]
+    )
+    round_off = _ROUND_OFF * np.max(np.abs(value), initial=0.0) / _STEPS[1:, None]
+    errors = np.abs(np.diff(differences, axis=0)) + round_off
+    best = np.argmin(np.where(np.isfinite(errors), errors, np.inf), axis=0)[None]
+    error, difference = (np.take_along_axis(x, best, 0)[0] for x in (errors, differences[1:]))
+    gap = np.abs(difference - slope)
+    agreed = (gap <= _DISAGREE * np.abs(slope) + 10 * error) | ~np.isfinite(gap)
     return bool(np.all(agreed))
 
 
 def _probes(
-    system: MechanicalSystem,
+    system: MechanicalSystem, away: float
 ) -> list[tuple[str, Callable[[complex], Array], tuple[int, ...]]]:
     """Names, functions of a number that moves all arguments at once, and shapes."""
     n_q, n_lam, n_b = system.n_q, system.n_lam, system.n_b
     q, v = (np.asarray(x, dtype=complex) for x in _start(system))
-    # Near the start, but not at it, where velocities may be zero; no two directions alike.
+    # Not at the start, where velocities may be zero; no two directions alike.
     dq, dv = np.cos(np.arange(1.0, n_q + 1)), np.sin(np.arange(2.0, n_q + 2))
     dq, dv = dq * (np.max(np.abs(q)) or 1.0), dv * (np.max(np.abs(v)) or 1.0)
     b, db = system.b.astype(complex), np.where(system.b == 0, 1.0, system.b)
     db = db * np.cos(0.5 + np.arange(n_b))
-    q, v = q + 1e-2 * dq, v + 1e-2 * dv
+    q, v = q + away * dq, v + away * dv
 
     def at(s: complex) -> tuple[Any, Array, Array, complex]:
         return system.with_values(b + s * db), q + s * dq, v + s * dv, 0.01 + s

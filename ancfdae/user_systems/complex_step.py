@@ -106,7 +106,7 @@ class Differentiator:
         base = self.base
         m, change = m.parts()
         value = derivative(
-            lambda *z: kernel(base, m, *z), radii, order, lambda: self._beside(kernel, m, radii)
+            lambda *z: kernel(base, m, *z), radii, order, lambda: self.terms(kernel, m, radii)
         )
         db = self._system.b.imag
         if not np.any(db) and change.is_zero:
@@ -147,7 +147,7 @@ class Differentiator:
             return kernel(system, m.plus(e, change), *z)
 
         radius = self.reach.along(change, base.b, db, radii[0] if radii else 0.0)
-        return derivative(moved, (*radii, radius), order, lambda: self._beside(kernel, m, radii))
+        return derivative(moved, (*radii, radius), order, lambda: self.terms(kernel, m, radii))
 
     def _at(self, db: Array) -> MechanicalSystem:
         """Return the system at other design values; the same ones come again and again."""
@@ -158,11 +158,21 @@ class Differentiator:
             self._moved[key] = self.base.with_values(self.base.b + db)
         return self._moved[key]
 
-    def _beside(self, kernel: Kernel, m: Motion, radii: tuple[float, ...]) -> Array:
-        """Value at another configuration: of the size of the terms of the kernel."""
-        beside = m._replace(q=m.q + self.reach.coordinates)
-        value: Array = kernel(self.base, beside, *(0.0 for _ in radii))
-        return value
+    def terms(self, kernel: Kernel, m: Motion, radii: tuple[float, ...]) -> Array:
+        """Values of the size of the terms of the kernel: it may cancel, its round-off does not.
+
+        An argument that is off by round-off moves a value by its slope times that; slopes are
+        differences within reach. What is left of a value beside the state counts as it is.
+        """
+        zeros, t, steps = [0.0] * len(radii), self.reach.t, self.reach.coordinates
+        beside = [m._replace(q=m.q + x) for x in np.diag(steps)] + [m._replace(t=m.t + t)]
+        sizes = np.append(np.abs(m.q) / steps, abs(m.t) / t)
+        value = kernel(self.base, m, *zeros)
+        with np.errstate(all="ignore"):
+            changes = [np.abs(kernel(self.base, x, *zeros) - value) for x in beside]
+        weighted = [x * max(1.0, size) for x, size in zip(changes, sizes, strict=True)]
+        terms: Array = np.abs(value) + np.nansum(weighted, axis=0)
+        return terms
 
 
 class ComplexStepSystem(MechanicalSystem):
@@ -268,7 +278,7 @@ class ComplexStepSystem(MechanicalSystem):
             return _constraint_moved(base, m, s * changes * reach)
 
         curvature = np.zeros((n, n))
-        second = derivative(moved, (1.0,), 2, lambda: moved(1.0))
+        second = derivative(moved, (1.0,), 2, lambda: self._d.terms(_minus_constraint, m, (0.0,)))
         curvature[i, j] = second @ m.lam
         own = np.diag(curvature)
         mixed = np.triu(0.5 * (curvature - own[:, None] - own), 1)
