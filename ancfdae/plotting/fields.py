@@ -198,8 +198,7 @@ class Sensitivity(Field):
 
 def section_forces(mesh: BeamMesh, motion: Solution) -> Array:
     """Return N, V_y, V_z, T, M_y and M_z of a beam that deforms, shape (k, n, n_xi, 6)."""
-    own = mesh.elements
-    assert own is not None
-    Y, V = (own.relative(x[:, own.coordinates]) for x in (motion.q, motion.v))
-    laws = (own.element.section_law(own.batch, xi) for xi in mesh.xi.tolist())
-    return np.stack([law.forces(Y, V) for law in laws], axis=2)
+    places = ((k, xi) for k in range(mesh.shape[0]) for xi in mesh.xi.tolist())
+    laws = (mesh.sections.forces_in(mesh.name, *place) for place in places)
+    forces = np.stack([law.values(motion.q, motion.v) for law in laws], axis=1)
+    return forces.reshape(len(forces), *mesh.shape[:2], 6)
