@@ -37,9 +37,9 @@ def modes(
         How many; modes that coincide are not separated, so there may be a few more.
     at : Equilibrium or Configuration, optional
         Where: what `equilibrium` found, or coordinates and multipliers, for example
-        ``Configuration.of(solution, instant)``. By default the start of the model, at rest, with
-        the multipliers that hold it best; if forces there are not in balance these are the modes
-        of a motion that is held there, and the result says so.
+        ``Configuration.of(solution, instant)`` of a motion that has come to rest. By default the
+        start of the model, at rest, with the multipliers that hold it best; if forces there are
+        not in balance these are the modes of a motion that is held there, and the result says so.
     design : sequence of str or DesignVariable, optional
         Design variables of a scene to differentiate in; a mechanical system brings its own.
     damped : bool, optional
@@ -59,7 +59,7 @@ def modes(
     Raises
     ------
     InvalidInput
-        If the input makes no sense.
+        If the input makes no sense, or `at` is an instant of a motion, such as a steady rotation.
     """
     require_count("count", count, "Ask for one or more modes.")
     require_flag("highest", highest)
@@ -86,8 +86,8 @@ def suggest_step(
     ----------
     model : Scene or MechanicalSystem
     per_period : float
-        Steps in the shortest period that counts; HHT-I3 errs by about (2 pi / per_period)^2 / 12
-        of a turn in each.
+        Steps in the shortest period that counts; HHT-I3 errs by about (2 pi / per_period)^2 / 8 of
+        a turn in each, / 12 with ``hht_alpha=0``.
     follow : int, optional
         How many motions count, from the slowest; None for all of them. Waves through the sections
         of stiff beams are thousands of times faster than what one wants to see.
