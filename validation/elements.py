@@ -20,6 +20,7 @@ from ancfdae import (
     modes,
 )
 from ancfdae.plotting import Panel, Series
+from validation import shapes
 from validation.report import Agreement, Report
 
 __all__ = ["run"]
@@ -48,6 +49,7 @@ def run(report: Report, quick: bool) -> None:
     _claims(report, counts[-1])
     _large(report, counts[2:] if quick else counts[1:])
     _frequencies(report, counts, quick)
+    shapes.fill(report, quick)
     report.heading("Verdict")
     report.text(_VERDICT)
     report.heading("Limits")
