@@ -159,6 +159,7 @@ class InvariantPartial:
     ----------
     A : array, shape (n, n_g, n_g)
     g_o : array, shape (n, n_g)
+    p_o : array, shape (n, n_g)
     c : array, shape (n, n_g)
         A (dg_o/db) - dp_o/db: minus what the stress gains with g held, beside A_b dg.
     m : array, shape (n, n_a, n_a)
@@ -166,6 +167,7 @@ class InvariantPartial:
 
     A: Array
     g_o: Array
+    p_o: Array
     c: Array
     m: Array
 

@@ -156,6 +156,8 @@ class Frames:
         true = h if shear_power == 2 else self._shears(at, 2, R.shape[-1], twist)
         R[..., 0, :] += np.einsum("...i,...is->...s", q, true)
         radii = at.radii[:, None, None, :turns]
+        # What squares of curvatures and twist give fades in elements shorter than these.
+        radii = radii / np.sqrt(1 + radii**4)
         R[..., len(pairs) + np.arange(turns), places.turns[:turns]] = radii
         if self.is_straight:
             R[..., 0, places.turns[: min(m, turns)]] = -1.5 * radii[..., :m] ** 2

@@ -18,18 +18,20 @@ linearly. So c.c is taken at the nodes and linear between them, and so are the s
 the section of the axis then turns, for small strains, by r_x - S, not by the linear r_y, and its
 curvature is that of this rotation,
 
-    a.b  ->  -a'.c + S(1) - S(0)          (a.b = S' - a'.c with S' its mean over the element).
+    a.b  ->  S(1) - S(0) - a'.c + a'_m.(c - c_m)
 
-Both vanish with the mesh alike. In the thin limit the bending part is that of the cubic Hermite
-beam. c_2.b_2 is half the derivative of c_2.c_2 and becomes half the difference of its values at the
-nodes; c_2.b_3 + c_3.b_2 likewise, and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
+with a'_m and c_m those at mid-element. The mean is that of a.b, the chord times b; the last term,
+no part of a curvature, takes the product of kinks out that -a'.c has (docs/theory.md, section 2).
+In the thin limit the bending part is that of the cubic Hermite beam. c_2.b_2 is half the derivative
+of c_2.c_2 and becomes half the difference of its values at the nodes; c_2.b_3 + c_3.b_2 likewise,
+and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
 
 Two terms in the squares of curvatures and twist, which are linear in g too (`_squares`), follow.
 Turns: what a finite turn of the element takes off curvature and twist is put back as further rows
 of strain, l kappa^2 times the radius of gyration, with a stiffness of their own. Stretch: the axial
 strain of a straight beam is lowered by 3/2 of the squared curvature times the squared radius of
-gyration, so that bending neither shortens the axis nor softens the beam. Derivations:
-docs/theory.md, section 2.
+gyration, so that bending neither shortens the axis nor softens the beam. Both fade where elements
+are shorter than the radius of gyration (`fibre_strains`). Derivations: docs/theory.md, section 2.
 """
 
 from __future__ import annotations
@@ -180,11 +182,12 @@ class _Assumed:
     def __init__(self, d: int, xi: Array, axis: Axis) -> None:
         self._axis, self._xi = axis, xi[:, None]
         self._ends = _Exact(Axis.of(d, np.array([0.0, 1.0])))
+        self._middle = Axis.of(d, np.array([0.5]))
 
     def curvature(self, i: int) -> Array:
-        return np.asarray(
-            np.diff(self._ends.shear(i), axis=0) - _gram(self._axis.a_xi, self._axis.c[i])
-        )
+        axis, middle, turn = self._axis, self._middle, np.diff(self._ends.shear(i), axis=0)
+        change = _gram(axis.a_xi - middle.a_xi, axis.c[i] - middle.c[i])
+        return np.asarray(turn - _gram(axis.a_xi, middle.c[i]) - change)
 
     def shear(self, i: int) -> Array:
         return self._linear(self._ends.shear(i))

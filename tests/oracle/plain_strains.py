@@ -34,9 +34,9 @@ def products(Y, xi, l, assumed):
         S = [slopes @ tangent for slopes, tangent in ends]
         t = [slopes @ slopes.T for slopes, _ in ends]
         shear, thickness = (1 - xi) * S[0] + xi * S[1], (1 - xi) * t[0] + xi * t[1]
-        bending = (S[1] - S[0]) / l - c @ r_xx
+        middle, c_m = curve(Y, 0.5, l)[1], section_slopes(Y, 0.5, l)[0]
+        bending = (S[1] - S[0]) / l - c @ r_xx + (c - c_m) @ middle
         slopes = 0.5 * ((t[1] - t[0]) / l + c @ b.T - b @ c.T)
-        middle = curve(Y, 0.5, l)[1]
         bent = middle @ middle
         if d == 2:
             turns = np.array([0.5 * (bent + b[0] @ b[0])])
@@ -122,6 +122,7 @@ def strain(Y, Y_o, xi, y, z, l, law):
     change[0, 0] += offset @ (squares - squares_o) @ offset
     change[1:, 1:] = thick - thick_o
     radii = np.asarray(law["radii"])
+    radii = radii / np.sqrt(1 + (radii / l) ** 4)
     if law["straight"] and len(turns):
         change[0, 0] -= 3 * radii[:m] ** 2 @ (turns - turns_o)[:m]
     greens = []
