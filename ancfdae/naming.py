@@ -300,12 +300,15 @@ class PointVector:
     """A position or slope vector of a material point as a combination of vectors of its body.
 
     `vectors`, (n_a,), has their numbers in the scene; vector k has the coordinates d k to
-    d k + d - 1. `weights` is (n_a,), with design derivatives (n_a, n_b).
+    d k + d - 1. `weights` is (n_a,), with design derivatives (n_a, n_b). A vector
+    that is `turned` is this combination turned by a right angle, from x to y, as the constraints
+    take it.
     """
 
     vectors: Array
     weights: Array
     weights_b: Array
+    turned: bool = False
 
     def of(self, states: Array, d: int) -> Array:
         """Return the vector in states of shape (..., n_q), shape (..., d)."""

@@ -24,6 +24,17 @@ class CentreLine:
     beam: str
 
 
+@final
+@dataclass(frozen=True)
+class Normal:
+    """The tangent at a point, turned by a right angle from x to y.
+
+    It stands for the slope across a planar element that has no section.
+    """
+
+    point: Point
+
+
 # Names by default hold numbers: pin(rod@0.5).
 _NO_NAME = re.compile(r"\.(?!\d)|\[")
 
@@ -38,7 +49,7 @@ class Direction:
 
 
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
-Vectors: TypeAlias = tuple[tuple[Point, Quantity] | CentreLine | Direction, ...]
+Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | Direction, ...]
 
 
 class Part(Designable, abc.ABC):

@@ -23,7 +23,7 @@ from ancfdae.errors import (
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
 from ancfdae.numerics.arrays import Array
-from ancfdae.parts import CentreLine, Direction, Part
+from ancfdae.parts import Normal, Part
 from ancfdae.point_mass import PointMass
 from ancfdae.starts import AtRest, NodeState, RigidMotion, Start
 
@@ -310,9 +310,9 @@ class SceneDesign(Designable):
         nodes = np.concatenate([[0.0], ends / ends[-1]])
         at_node = bool(np.any(np.abs(nodes - point.fraction) < 1e-9))
         slopes = any(
-            vector[1] is not Quantity.POSITION
+            vector == Normal(point)
+            or (isinstance(vector, tuple) and vector[0] == point and vector[1] > Quantity.POSITION)
             for vector in part.vectors(element)
-            if not isinstance(vector, CentreLine | Direction) and vector[0] == point
         )
         if point.fraction in (0.0, 1.0) or (at_node and slopes):
             raise InvalidInput(

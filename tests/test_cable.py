@@ -1,5 +1,7 @@
 """The planar cable: beam theory, the catenary, and what a cable does not have."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -11,6 +13,7 @@ from ancfdae import (
     Clamp,
     ComplexStep,
     CurvedBeam,
+    Drive,
     FollowerForce,
     InvalidInput,
     Material,
@@ -18,10 +21,15 @@ from ancfdae import (
     NodeState,
     Pin,
     PointForce,
+    Prismatic,
     Rectangle,
+    RigidBody,
+    RigidMotion,
     Scene,
     Solution,
     Terminal,
+    Uniform,
+    Weld,
     assemble,
     equilibrium,
     gradient,
@@ -128,3 +136,91 @@ def test_what_a_cable_does_not_have_is_refused_in_words():
     ):
         with pytest.raises(InvalidInput, match=words):
             action()
+
+
+# ---- a cable turns with its tangent: joints of sections
+
+
+@pytest.mark.parametrize("angle", [np.pi / 3, np.pi / 2, -2.0])
+def test_a_welded_frame_bends_as_by_castigliano(angle):
+    """Cantilever and an arm at its end, force F across the first: v = dU/dF of linear theory."""
+    F, c, s = 1e-6, np.cos(angle), np.sin(angle)
+    first = cable(2)
+    arm = cable(1, start=(1.0, 0.0), end=(1.0 + c, s))
+    arm = dataclasses.replace(arm, name="arm")
+    joints = [Clamp(first.at_start), Weld(first.at_end, arm.at_start)]
+    found = equilibrium(Scene([first, arm], joints, loads=[PointForce(arm.at_end, (0.0, F))]))
+    area = STRIP.width * STRIP.height
+    bending, axial = (SOFT.youngs_modulus * x for x in (area * STRIP.height**2 / 12, area))
+    # M = F (c + u) along the cantilever, F c u along the arm; N = F s in the arm.
+    v = F / bending * (c**2 + c + 1 / 3 + c**2 / 3) + F * s**2 / axial
+    # The solver's round-off is 1e6 eps, as above; products of displacements are 1e-5 of them.
+    assert found.solution.position(arm.at_end)[0, 1] - s == pytest.approx(v, rel=3e-5)
+
+
+def tangent_angle(solution, point):
+    x, y = solution.slope(point).T
+    return np.unwrap(np.arctan2(y, x))
+
+
+def test_a_weld_keeps_its_angle_in_motion():
+    """Two cables and a body, welded at 60 degrees each, bend and spin; the angles stay."""
+    first = cable(2)
+    arm = dataclasses.replace(cable(2, start=(1, 0), end=(1.5, np.sqrt(0.75))), name="arm")
+    ball = RigidBody("ball", (1.5, np.sqrt(0.75)), mass=0.5, inertia=0.01, turn=0.4)
+    joints = [
+        Pin(first.at_start),
+        Weld(first.at_end, arm.at_start),
+        Weld(ball.at(0, 0), arm.at_end),
+    ]
+    scene = Scene([first, arm], joints, (0.0, -9.81), bodies=[ball])
+    solution = simulate(scene, 0.25, HHT(2.0**-7))
+    a, b, c = (tangent_angle(solution, x) for x in (first.at_end, arm.at_start, arm.at_end))
+    assert np.ptp(a) > 0.05
+    assert b - a == pytest.approx(np.full(len(a), np.pi / 3), abs=1e-9)
+    assert tangent_angle(solution, ball.at(0, 0)) - c == pytest.approx(0.4 - np.pi / 3, abs=1e-9)
+
+
+@pytest.mark.parametrize("carried", [False, True])
+def test_a_cable_slides_without_turning_as_a_falling_point(carried):
+    """x = g t^2 / 2 along the axis for every point: gravity has no part across it."""
+    rod = cable(2, end=(0.6, 0.8))
+    rail = RigidBody("rail", (0.0, 0.0), mass=1.0, inertia=1.0)
+    fixed = [Clamp(rail.at(0, 0))] if carried else []
+    slide = Prismatic(rod.at_start, (0.8, -0.6), rail.at(0, 0) if carried else None)
+    bodies = [rail] if carried else []
+    scene = Scene([rod], [*fixed, slide], (8.0, -6.0), bodies=bodies)
+    solution = simulate(scene, 0.5, HHT(2.0**-5))
+    fall = 10 * solution.t[:, None] ** 2 / 2 * (0.8, -0.6)
+    for point, place in ((rod.at_start, (0.0, 0.0)), (rod.at_end, (0.6, 0.8))):
+        assert solution.position(point) == pytest.approx(fall + place, abs=1e-9)
+
+
+def test_a_drive_against_a_body_adds_its_angle():
+    """A wheel turns at 3 rad/s, a stiff light cable against it at 2 rad/s, from 30 degrees on."""
+    stiff = Material(density=1e-3, youngs_modulus=1e7, poisson_ratio=0.3)
+    rod = cable(1, end=(np.cos(np.pi / 6), 0.5), material=stiff)
+    wheel = RigidBody("wheel", (0.0, 0.0), mass=1.0, inertia=1.0)
+    joints = [
+        Pin(wheel.at(0, 0), ground=(0.0, 0.0)),
+        Drive(wheel.at(0, 0), Uniform(3.0), name="axle"),
+        Pin(rod.at_start, wheel.at(0, 0)),
+        Drive(rod.at_start, Uniform(2.0), other=wheel.at(0, 0), name="elbow"),
+    ]
+    start = [RigidMotion("wheel", 3.0, (0, 0)), RigidMotion("rod", 5.0, (0, 0))]
+    solution = simulate(Scene([rod], joints, bodies=[wheel], start=start), 1.0, HHT(2.0**-7))
+    angle = np.pi / 6 + 5.0 * solution.t
+    assert tangent_angle(solution, rod.at_start) == pytest.approx(angle, abs=1e-9)
+    # The pull stretches it by rho w^2 L^2 / (2 E) = 1e-9; the start bends it by 1e-7 (measured).
+    tip = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert solution.position(rod.at_end) == pytest.approx(tip, abs=1e-6)
+
+
+def test_a_gradient_through_welded_cables_is_that_of_the_complex_step():
+    first = cable(2)
+    arm = dataclasses.replace(cable(1, start=(1, 0), end=(1.4, 0.3)), name="arm")
+    scene = Scene([first, arm], [Pin(first.at_start), Weld(first.at_end, arm.at_start)], (0, -9.81))
+    call = scene, Terminal(position(arm.at_end, 1)), 2.0**-3, HHT(2.0**-6)
+    design = ["rod.height", "arm.length", "arm.turn"]
+    exact = gradient(*call, design=design, method=ComplexStep()).gradient
+    assert gradient(*call, design=design).gradient == pytest.approx(exact, rel=1e-8)

@@ -149,6 +149,15 @@ def test_frozen_steps_repeat_the_run():
     assert fixed.frozen(run) is fixed
 
 
+def test_halved_steps_are_solved_four_times_as_exactly():
+    """Newton's tolerance is a share of the error of a step, which falls with its square."""
+    integrator = HHT(rtol=1e-4)
+    found = simulate(CartesianPendulum(), 0.25, integrator)
+    assert integrator.refined(found).newton_tolerance == integrator.newton_tolerance / 4
+    fixed = HHT(2.0**-6, newton_tolerance=1e-10)
+    assert fixed.refined(simulate(CartesianPendulum(), 0.25, fixed)).newton_tolerance == 1e-10
+
+
 def test_uniform_instants_are_a_fixed_step():
     fixed = differentiate(CartesianPendulum(), 1.0, HHT(2.0**-6))
     times = tuple(np.arange(65) / 64)

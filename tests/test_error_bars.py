@@ -1,5 +1,7 @@
 """Error bars of objectives and gradients: how large, how often they hold, when they widen."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from ancfdae import (
     IDA,
     Adjoint,
     Direct,
+    EstimatedErrors,
     Explicit,
     Integral,
     InvalidInput,
@@ -18,6 +21,7 @@ from ancfdae import (
     gradient,
     position,
 )
+from ancfdae.api.error_bars import _resolved
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.scenes import pendulum
 
@@ -125,6 +129,18 @@ def test_adjoint_weighted_estimate_refuses_what_it_cannot_do():
         adjoint_error(CartesianPendulum(), objective, 0.2, HHT(0.1))
     with pytest.raises(InvalidInput, match="objective"):
         adjoint_error(CartesianPendulum(), HEIGHT, 0.2, HHT(0.1))
+
+
+@pytest.mark.parametrize(("order", "resolved"), [(1.9, False), (1.996, True), (2.03, True)])
+def test_resolved_waves_are_told_by_the_order_of_the_estimates(order, resolved):
+    """Bars failed at orders of 1.9 and held from 1.996 on (docs/reports/error-bars)."""
+    runs = [
+        SimpleNamespace(
+            solution=SimpleNamespace(estimated_errors=EstimatedErrors(0.0, (x, np.nan)))
+        )
+        for x in (1.0, 2.0**-order)
+    ]
+    assert _resolved(*runs) is resolved
 
 
 def test_bars_say_whether_waves_are_resolved():

@@ -14,6 +14,7 @@ from ancfdae import (
     ComplexStep,
     DesignVariable,
     Direct,
+    FailedDesign,
     InvalidInput,
     Material,
     Misfit,
@@ -27,7 +28,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.observables import elapsed_time, observe, position, reaction, slope_angle
+from ancfdae.observables import elapsed_time, mass, observe, position, reaction, slope_angle
 
 RUBBER = Material(density=1100.0, youngs_modulus=2e6, poisson_ratio=0.3, damping_time=2e-3)
 STEP, END = 2**-7, 0.5
@@ -206,6 +207,25 @@ def test_bad_calls_are_refused_in_words():
     infinite = Misfit([1.0 / (elapsed_time() - 0.0)], [0.1], [[0.0]])
     with pytest.raises(NonFiniteObjective):
         infinite.fit(pendulum(), END, HHT(STEP), design=DESIGN).residuals(fit.start)
+
+
+def test_a_fit_steps_back_from_designs_without_residuals():
+    """Densities are positive; Newton's step for a root of the mass goes from 3000 to -1900."""
+    root = [np.sqrt(mass("rod"))]
+    data = record(pendulum(density=100.0), root, [0.05], HHT(STEP))
+    fit = Misfit(root, [0.05], data).fit(
+        pendulum(density=3000.0), 2**-4, HHT(STEP), design=["rod.density"]
+    )
+    assert fit.design_names == ("rod.density",)
+    with pytest.warns(FailedDesign, match=r"'rod.density': -\d.* has no residuals: .*positive"):
+        found = least_squares(fit.residuals, fit.start, fit.jacobian, x_scale="jac", gtol=None)
+    assert found.x[0] == pytest.approx(100.0, rel=1e-3)
+    with pytest.warns(FailedDesign):
+        assert np.all(np.isposinf(fit.residuals([-1.0])))
+    assert np.all(np.isnan(fit.jacobian([-1.0])))
+    for call in (fit.solution, fit.covariance):
+        with pytest.raises(InvalidInput, match="must be positive"):
+            call([-1.0])
 
 
 def test_a_run_that_ends_early_is_told():

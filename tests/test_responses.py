@@ -194,6 +194,10 @@ def test_a_design_without_values_is_an_error_where_nothing_else_can_be_said():
     with pytest.warns(FailedDesign):
         assert np.all(np.isinf(r.values(bad)))
     assert np.all(np.isnan(r.jacobian(bad)))
+    # The parabola along d through y_0 that falls by r at first: y_0 - r s + 2 r s^2, s = 1 at bad.
+    d, rise = bad - r.start, r["y"](bad) - good
+    assert rise == pytest.approx(np.linalg.norm(r["y"].gradient(r.start)) * np.linalg.norm(d))
+    assert r["y"].gradient(bad) == pytest.approx(3 * rise * d / (d @ d))
     # A constraint turns to what it forbids.
     assert r.constraint("y", upper=0.0).fun(bad) > good > r.constraint("y", lower=0.0).fun(bad)
     with pytest.raises(UnfinishedRun):

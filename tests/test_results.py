@@ -22,6 +22,9 @@ from ancfdae import (
     Interrupted,
     InvalidInput,
     MissingPackage,
+    RigidBody,
+    RigidMotion,
+    Scene,
     Solution,
     Terminal,
     UnfinishedRun,
@@ -110,6 +113,28 @@ def test_a_run_that_is_there_gets_gradients_without_another(method):
     np.testing.assert_array_equal(found.gradient, fresh.gradient)
     assert found.solution.statistics.iterations == run.statistics.iterations
     assert evaluate(Integral(X), run, system) == fresh.value
+
+
+def thrown(speed):
+    """Return a body in free fall: its velocity changes no force."""
+    ball = RigidBody("ball", (0.0, 0.0), mass=1.0, inertia=0.01)
+    start = [RigidMotion("ball", 0.0, (0, 0), (speed, 0))]
+    return Scene([], bodies=[ball], gravity=(0.0, -9.81), start=start)
+
+
+@pytest.mark.parametrize("millionths", [0, 1])
+def test_runs_of_nearly_the_same_model_are_refused(millionths):
+    """A millionth in what pulls, or in the speed, is another motion; round-off is 1e-15."""
+    system, factor = CartesianPendulum(-1.0, 2.0), 1 + millionths * 1e-6
+    # Length stays, so that positions and velocities of the start do.
+    pulled = system.with_values(system.b * (1.0, factor))
+    for model, other in ((system, pulled), (thrown(1.0), thrown(factor))):
+        run = simulate(model, 2**-4, FIXED)
+        if millionths == 0:
+            assert simulate(other, 2**-3, FIXED, after=run).outcome.success
+            continue
+        with pytest.raises(InvalidInput, match="another start"):
+            simulate(other, 2**-3, FIXED, after=run)
 
 
 def test_other_runs_are_refused():

@@ -171,6 +171,74 @@ def test_sizes_are_the_formula_of_the_filter(order):
     assert controller.judge(20, t, 1e-13, 2.0) is Verdict.ERROR_TEST
 
 
+def stepped_to_its_last_steps(steps, t_end, method):
+    """Take steps until the next one is one of the last, which meet the end."""
+    controller, n, t = steps.controller(t_end, method), 0, 0.0
+    for n in range(1000):
+        h, t_next = controller.plan(n, t)
+        if controller.state()[-1] > 0:
+            return controller, n, t, h, t_next
+        controller.judge(n, t, h, method.e * h**method.order)
+        t = t_next
+    raise AssertionError
+
+
+@pytest.mark.parametrize("taken", [0, 1, 3])
+def test_a_run_that_goes_on_within_its_last_steps_meets_the_end_alike(taken):
+    steps, method, t_end = ControlledSteps(1e-3), NumbersOnly(2, 3e4), 1.0
+    controller, n, t, h, t_next = stepped_to_its_last_steps(steps, t_end, method)
+    for _ in range(taken):
+        n, t = controller.judge(n, t, h, method.e * h**2), t_next
+        h, t_next = controller.plan(n, t)
+    # What the filter proposes is not asked within the last steps: their number is kept, and tells.
+    proposed, *rest = controller.state()
+    again = steps.controller(t_end, method, (3 * proposed, *rest))
+    while True:
+        assert controller.plan(n, t) == again.plan(n, t)
+        if controller.plan(n, t) is Verdict.FINISHED:
+            break
+        h, t_next = controller.plan(n, t)
+        for each in (controller, again):
+            assert each.judge(n, t, h, method.e * h**2) == n + 1
+        n, t = n + 1, t_next
+
+
+@pytest.mark.parametrize("taken", [0, 2])
+def test_a_step_rejected_within_the_last_ones_becomes_smaller(taken):
+    """Its factor is 1/2: e = 2 is four times what control aims at, and the order is 2."""
+    steps, method, t_end = ControlledSteps(1e-3), NumbersOnly(2, 3e4), 1.0
+    controller, n, t, h, t_next = stepped_to_its_last_steps(steps, t_end, method)
+    for _ in range(taken):
+        n, t = controller.judge(n, t, h, method.e * h**2), t_next
+        h, t_next = controller.plan(n, t)
+    assert controller.judge(n, t, h, 2.0) == n
+    # More steps are left now; they share what is left, the first within an eighth of what it asks.
+    assert controller.plan(n, t)[0] == pytest.approx(h / 2, rel=1 / 8)
+
+
+def test_the_error_of_a_step_is_that_from_the_state_it_began_with(monkeypatch):
+    """The state of another step size is made for this one first, and the error counts from it."""
+    began, measured = [], []
+
+    def resized(self, state, ratio):
+        began.append((*state, ratio))
+        return (state[0] + 0.0, *state[1:])
+
+    def advance(self, h, before, t, true=ImplicitEuler.advance):
+        began.append(before)
+        return true(self, h, before, t)
+
+    def error(self, h, before, after, true=ImplicitEuler.error):
+        measured.append(before is began[-1])
+        return true(self, h, before, after)
+
+    for name, function in (("resized", resized), ("advance", advance), ("error", error)):
+        monkeypatch.setattr(ImplicitEuler, name, function)
+    run(ControlledSteps(1e-2))
+    assert len(measured) > 10
+    assert all(measured)
+
+
 class NumbersOnly:
     """All that a controller reads of a method."""
 

@@ -23,7 +23,7 @@ class HeldAngles:
 
     Slopes of a section vary linearly along an element, and so does the change of its right angle:
     two sections of an element hold that of every third. Bodies that are `rigid` keep their shape by
-    themselves.
+    themselves; of an element without a section nothing is asked.
     """
 
     def __init__(self, layout: Layout, rigid: Container[str] = ()) -> None:
@@ -33,6 +33,8 @@ class HeldAngles:
 
     def add(self, angle: RightAngle) -> bool:
         """Name one more, and tell whether it needs an equation."""
+        if Quantity.SLOPE_Y not in self._layout.element.quantities:
+            return False
         if angle.fraction is None or angle.beam in self._rigid or angle in self._named:
             return False
         self._named.add(angle)

@@ -5,16 +5,18 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 import scipy
 
 from ancfdae.bodies import Point
+from ancfdae.elements import Quantity
 from ancfdae.naming import Naming, PointVector
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
-from ancfdae.parts import CentreLine, Direction
+from ancfdae.parts import CentreLine, Direction, Normal
 from ancfdae.parts import Vectors as Names
 
 
@@ -32,10 +34,12 @@ class Vectors:
         for number, vector in enumerate(vectors):
             used = (vector.weights != 0) | np.any(vector.weights_b != 0, axis=1)
             for axis in range(d):
-                columns.append(vector.vectors[used] * d + axis)
+                # U turned by a right angle is (-U_y, U_x).
+                component, sign = (1 - axis, 2 * axis - 1) if vector.turned else (axis, 1)
+                columns.append(vector.vectors[used] * d + component)
                 rows.append(np.full(int(np.sum(used)), number * d + axis))
-                values.append(vector.weights[used])
-                values_b.append(vector.weights_b[used])
+                values.append(sign * vector.weights[used])
+                values_b.append(sign * vector.weights_b[used])
         empty = np.zeros(0, dtype=np.int64)
         self._row, self._column = np.concatenate([empty, *rows]), np.concatenate([empty, *columns])
         self._value = np.concatenate([np.zeros(0), *values])
@@ -93,6 +97,9 @@ def point_vectors(
             own.append(naming.centre_line(name.beam))
         elif isinstance(name, Direction):
             own.append(naming.direction(name.body, name.number))
+        elif isinstance(name, Normal):
+            place = None if places is None else places[name.point]
+            own.append(replace(naming.vector(name.point, Quantity.SLOPE_X, place), turned=True))
         else:
             own.append(naming.vector(*name, None if places is None else places[name[0]]))
     return own

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import final
@@ -11,6 +12,8 @@ import numpy as np
 from ancfdae.api.calls import design_bounds, differentiable
 from ancfdae.design import DesignVariable
 from ancfdae.errors import (
+    AncfdaeError,
+    FailedDesign,
     InvalidInput,
     require_array,
     require_each,
@@ -135,7 +138,8 @@ class Fit:
     gtol=None)`` finds the design values. Without ``gtol=None`` it may stop at the start and report
     success: SciPy compares J^T r with 1e-8, whatever the units, and in moduli in Pa that is small.
     Both functions come from one run with direct differentiation per design, which is kept for the
-    other.
+    other. A later design than the first whose run ends early, or which cannot be put together, is
+    warned about (`FailedDesign`); its residuals are infinite, so that SciPy steps back.
 
     Attributes
     ----------
@@ -144,12 +148,19 @@ class Fit:
         The system, the end time and the integrator.
     bounds : pair of arrays, shape (n_b,)
         Lower and upper bounds of the design values; infinite where there are none.
+    design_names : tuple of str
+        Of the design values, in their order.
     """
 
     misfit: Misfit
     run: Run
     bounds: tuple[Array, Array]
     _last: _Evaluation | None = field(default=None, init=False, repr=False)
+
+    @property
+    def design_names(self) -> tuple[str, ...]:
+        """Names of the design values."""
+        return tuple(self.run.system.design_names)
 
     @property
     def start(self) -> Array:
@@ -161,27 +172,37 @@ class Fit:
 
         Raises
         ------
+        InvalidInput
+            If the first design cannot be put together.
         UnfinishedRun
-            If the run ends early; the error carries what was computed.
+            If its run ends early; the error carries what was computed.
         NonFiniteObjective
-            If an observable is not finite.
+            If an observable is not finite in it.
         """
         return self._at(b).residuals.copy()
 
     def jacobian(self, b: Array) -> Array:
-        """Return the derivative of the residuals, shape (n_measurements, n_b); see `residuals`."""
+        """Return the derivative of the residuals, shape (n_measurements, n_b).
+
+        NaN where the design has no residuals; see there.
+        """
         return self._at(b).jacobian.copy()
 
     def solution(self, b: Array) -> Solution:
-        """Return the run at these design values."""
-        return self._at(b).solution
+        """Return the run at these design values; raises the error of a design that has none."""
+        solution = self._at(b).solution
+        if isinstance(solution, AncfdaeError):
+            raise solution
+        return solution
 
     def covariance(self, b: Array) -> Array:
         """Return the covariance of the design values, shape (n_b, n_b), inverse of J^T J.
 
         In first order, if the weights are one over the standard deviations of independent errors
         of the data and b is the best fit. Infinite where the data do not tell the variables apart.
+        Raises the error of a design that has no residuals.
         """
+        self.solution(b)
         J = self.jacobian(b)
         # Scaled to columns of length one, so that units do not matter.
         lengths = np.sqrt(np.sum(J * J, axis=0))
@@ -196,8 +217,22 @@ class Fit:
     def _at(self, b: Array) -> _Evaluation:
         b = require_array("design values", b, (self.run.system.n_b,))
         if self._last is None or not np.array_equal(self._last.b, b):
-            self._last = self._evaluated(b)
+            self._last = self._tried(b)
         return self._last
+
+    def _tried(self, b: Array) -> _Evaluation:
+        """Evaluate a design; warn of one that has no residuals, unless it is the first."""
+        try:
+            return self._evaluated(b)
+        except AncfdaeError as error:
+            if self._last is None:
+                raise
+            at = dict(zip(self.design_names, b.tolist(), strict=True))
+            text = f"the design {at} has no residuals: {error}"
+            warnings.warn(text, FailedDesign, stacklevel=5)
+            measured = np.count_nonzero(~np.isnan(self.misfit.data))
+            none = np.full(measured, np.inf), np.full((measured, len(b)), np.nan)
+            return _Evaluation(b, *none, error)
 
     def _evaluated(self, b: Array) -> _Evaluation:
         run, misfit = self.run.at(b), self.misfit
@@ -218,12 +253,12 @@ class Fit:
 @final
 @dataclass(frozen=True)
 class _Evaluation:
-    """What one run gave."""
+    """What one run gave, or why there is none."""
 
     b: Array
     residuals: Array
     jacobian: Array
-    solution: Solution
+    solution: Solution | AncfdaeError
 
 
 def _along(

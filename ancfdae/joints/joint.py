@@ -25,7 +25,7 @@ from ancfdae.errors import require_direction
 from ancfdae.laws import Law
 from ancfdae.laws.law import require_law
 from ancfdae.numerics.arrays import Array
-from ancfdae.parts import Part, Vectors
+from ancfdae.parts import Normal, Part, Vectors
 
 #: Position and all slopes take part, as many as space has dimensions.
 SECTION = tuple(Quantity)
@@ -90,10 +90,18 @@ class Joint(Part):
     holds_position: ClassVar[bool] = False
 
     def vectors(self, element: BeamElement) -> Vectors:
-        """Return the vectors that take part: positions first, then slopes point by point."""
+        """Return the vectors that take part: positions first, then slopes point by point.
+
+        A planar element without a section turns with its tangent.
+        """
         chosen = [quantity for quantity in self.takes_part if quantity <= element.d]
         positions = [(point, q) for q in chosen if q is Quantity.POSITION for point in self.points]
-        slopes = [(point, q) for point in self.points for q in chosen if q is not Quantity.POSITION]
+        slopes = [
+            (point, q) if q in element.quantities else Normal(point)
+            for point in self.points
+            for q in chosen
+            if q is not Quantity.POSITION
+        ]
         return (*positions, *slopes)
 
     @abc.abstractmethod
