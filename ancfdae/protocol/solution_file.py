@@ -24,8 +24,8 @@ from ancfdae.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, 
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 
-# What is written, and the oldest version that is read: it lacks `control`.
-_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 6, 5
+# What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies.
+_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 7, 5
 _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
 # Arrays that are not worth compressing; bytes.
 _SMALL = 10_000
@@ -176,11 +176,15 @@ def _unpacked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str,
 def _layout(meta: Mapping[str, Any]) -> Layout:
     return Layout(
         element_name=meta["element_name"],
-        bodies=tuple(BodyLayout(**x) for x in meta["bodies"]),
+        bodies=tuple(_body(x) for x in meta["bodies"]),
         beams=tuple(_beam(x) for x in meta["beams"]),
         masses=tuple(meta["masses"]),
         joints=tuple(JointLayout(**x) for x in meta["joints"]),
     )
+
+
+def _body(meta: Mapping[str, Any]) -> BodyLayout:
+    return BodyLayout(**{**meta, "kinks": tuple(meta.get("kinks", ()))})
 
 
 def _beam(meta: Mapping[str, Any]) -> BeamLayout:
