@@ -128,7 +128,7 @@ class GuidedDoublePendulum(ComplexStepSystem):
         super().__init__(b)
 
     def with_values(self, b):
-        return GuidedDoublePendulum(self.spin, b)
+        return type(self)(self.spin, b)
 
     def tip(self, q):
         return self.b[1] * np.sin(q[0]) + self.second * np.sin(q[1])
@@ -157,6 +157,12 @@ class GuidedDoublePendulum(ComplexStepSystem):
 
     def constraint(self, q, t):
         return np.array([self.tip(q) - self.tip(self.angles) - self.b[3] * np.sin(self.w * t)])
+
+
+class HeldDoublePendulum(GuidedDoublePendulum):
+    """Its line stands still."""
+
+    w = 0.0
 
 
 class CarAxis(ComplexStepSystem):
@@ -209,7 +215,7 @@ class CarAxis(ComplexStepSystem):
 CHAIN_DESIGN = ("a.height", "b.length", "m.frequency", "s.damping", "d.length", "a.damping_time")
 
 
-def chain(length=1.0, mass=1.0, time=1.0, design=CHAIN_DESIGN):
+def chain(length=1.0, mass=1.0, time=1.0, design=CHAIN_DESIGN, frequency=4.0):
     """Two damped beams, driven, with curved constraints and a spring-damper; in given units."""
     force, section = mass * length / time**2, Rectangle(0.05 * length, 0.04 * length)
     density, modulus = 4000 * mass / length**3, 1e6 * force / length**2
@@ -226,7 +232,7 @@ def chain(length=1.0, mass=1.0, time=1.0, design=CHAIN_DESIGN):
     )
     joints = [
         Pin(a.at_start),
-        Drive(a.at_start, Harmonic(0.5, 4.0 / time), name="m"),
+        Drive(a.at_start, Harmonic(0.5, frequency / time), name="m"),
         Pin(a.at_end, b.at_start),
         Distance(b.at_end, 0.8 * length, ground=(1.1 * length, 0.8 * length), name="d"),
     ]

@@ -40,6 +40,8 @@ def test_energy_is_that_of_strains_in_vectors(element, form, assumed):
         "straight": form == "straight",
         "factors": np.sqrt([K_Y, K_Z, J / moments.sum()]),
         "radii": np.sqrt(np.append(moments, J) / AREAS.sum()),
+        "centroid": AREAS @ PLACES / AREAS.sum(),
+        "shear_centre": AREAS @ PLACES / AREAS.sum(),
     }
     points = [(*place, area) for place, area in zip(PLACES, AREAS, strict=True)]
     random = np.random.default_rng(3)

@@ -100,8 +100,8 @@ class Case:
         # Element, variable and number of what changes stresses (two by one), or tau.
         self.pairs = [(0, 3, 0), (2, 0, 1), (0, 0, 2), (2, 0, 3), (2, 0, 4), (1, 2, 5)]
         A_b = numbers(rng, (4, n_g, n_g), dtype)
-        A_b, c_b = A_b + A_b.swapaxes(1, 2), numbers(rng, (4, n_g), dtype)
-        self.law_b = A_b, c_b, numbers(rng, 2, dtype), *sorted_pairs(self.pairs)
+        A_b, rest_b = A_b + A_b.swapaxes(1, 2), numbers(rng, (4, 2, n_g), dtype)
+        self.law_b = A_b, rest_b, numbers(rng, 2, dtype), *sorted_pairs(self.pairs)
         self.F = numbers(rng, (self.k, n, n_y, d), dtype)
         # Entries at the same place are summed.
         self.index = np.arange(n * ((n_y + 1) * d) ** 2, dtype=np.int32).reshape(n, -1) // 2
@@ -139,13 +139,15 @@ class Case:
 
     def totals(self, q, v, pairs):
         """The force, and its derivatives along rows with the stresses of pairs added."""
-        Y, V, (A_b, c_b, tau_b) = self.Y(q[0]), None if v is None else self.Y(v[0]), self.law_b[:3]
+        Y, V = self.Y(q[0]), None if v is None else self.Y(v[0])
+        A_b, rest_b, tau_b = self.law_b[:3]
         x = packed(Y, Y) / 2 - self.block.g_o
         x = x if v is None else x + self.block.tau[:, None] * packed(Y, V)
         p_b = np.zeros((len(q), *x.shape), dtype=x.dtype)
         for e, i, number in pairs:
             if number < len(A_b):
-                p_b[i + 1, e] += A_b[number] @ x[e] - c_b[number]
+                g_ob, p_ob = rest_b[number]
+                p_b[i + 1, e] += A_b[number] @ x[e] - self.law(np.tile(g_ob, (3, 1)))[e] + p_ob
             else:
                 p_b[i + 1, e] += tau_b[number - len(A_b)] * self.law(packed(Y, V))[e]
         rates = (q[1:], None, None) if v is None else (q[1:], v[:1], v[1:])
@@ -570,14 +572,15 @@ def _refused():
     yield "two q", kernels.forces_along, (b, q[:2], v[:2], u, z)
     yield "fewer z", kernels.forces_along, (b, q, v, u, z[:4], None)
     yield "no z", kernels.forces_along, (b, q, v, u, None)
-    A_b, c_b, tau_b, first, pairs, variables = case.law_b
+    A_b, rest_b, tau_b, first, pairs, variables = case.law_b
     for name, law_b in {
         "A_b small": (A_b[:, :-1], *case.law_b[1:]),
         "A_b none": (None, *case.law_b[1:]),
-        "A_b fewer": (A_b[:-1], c_b[:-1], *case.law_b[2:]),
-        "c_b fewer": (A_b, c_b[:-1], *case.law_b[2:]),
-        "c_b small": (A_b, c_b[:, :-1], *case.law_b[2:]),
-        "tau_b fewer": (A_b, c_b, tau_b[:-1], *case.law_b[3:]),
+        "A_b fewer": (A_b[:-1], rest_b[:-1], *case.law_b[2:]),
+        "rest_b fewer": (A_b, rest_b[:-1], *case.law_b[2:]),
+        "rest_b small": (A_b, rest_b[..., :-1], *case.law_b[2:]),
+        "rest_b of one": (A_b, rest_b[:, :1], *case.law_b[2:]),
+        "tau_b fewer": (A_b, rest_b, tau_b[:-1], *case.law_b[3:]),
         "first short": (*case.law_b[:3], first[1:], pairs, variables),
         "first late": (*case.law_b[:3], first + (first == 0), pairs, variables),
         "first back": (*case.law_b[:3], first[[0, 2, 1, 3]], pairs, variables),

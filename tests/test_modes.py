@@ -52,6 +52,17 @@ def rod(
     return Beam("rod", start, end, elements, section, Material(rho, E, nu, **damped), energy=energy)
 
 
+def test_what_creeps_does_not_vibrate():
+    # Fast vibrations of a material with the retardation time tau creep, at about -1/tau: of
+    # s^2 + tau omega^2 s + omega^2 both roots are real where tau omega > 2.
+    beam = rod(4, (0, 0), (1, 0), 0.05, damping_time=1.0)
+    found = modes(Scene([beam], [Clamp(beam.at_start)]), 8)
+    still = rod(4, (0, 0), (1, 0), 0.05)
+    assert modes(Scene([still], [Clamp(still.at_start)]), 1).frequencies[0] > 2.0
+    assert set(found.kinds) == {MotionKind.DECAYING}
+    np.testing.assert_array_equal(found.frequencies, 0.0)
+
+
 class Stuck(ComplexStepSystem):
     """A point that is held in its only direction."""
 

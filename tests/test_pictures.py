@@ -10,8 +10,9 @@ from xml.etree import ElementTree
 import meshio
 import numpy as np
 import pytest
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 from PIL import Image
 
 from ancfdae import (
@@ -19,14 +20,17 @@ from ancfdae import (
     HHT,
     Beam,
     Circle,
+    Clamp,
     Distance,
     DistributedForce,
     FollowerForce,
+    Harmonic,
     InvalidInput,
     ISection,
     Material,
     MissingPackage,
     Moment,
+    MomentSection,
     Pin,
     Point,
     PointForce,
@@ -439,6 +443,123 @@ def test_space_is_drawn_at_its_places_with_equal_axes(spatial, monkeypatch):
     assert low == -high < 0  # signed: white is zero
 
 
+def pixels(axes, places):
+    """Where places in space are drawn."""
+    x, y, _ = proj_transform(*places.T, axes.get_proj())
+    return axes.transData.transform(np.stack([x, y], axis=1))
+
+
+@pytest.mark.parametrize("camera", [None, (60.0, 20.0)])
+def test_pictures_of_space_are_whole_beside_their_colour_bar(spatial, camera):
+    scene, solution = spatial
+    times = [0.0, 4 / 256]
+    figure = snapshots(scene, solution, times, AxialForce(), "An arm", camera=camera)
+    axes, bar = figure.axes
+    own = mechanism(scene, solution, times, AxialForce())
+    boxes = [axis.get_tightbbox() for axis in (axes.xaxis, axes.yaxis, axes.zaxis)]
+    drawn = pixels(axes, np.concatenate([x.reshape(-1, 3) for x in own.places]))
+    corners = np.concatenate([drawn, *(box.get_points() for box in boxes)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    height = figure.bbox.height
+    assert low[0] >= 0
+    assert high[0] < bar.bbox.x0
+    assert figure.legends[0].get_window_extent().y1 < low[1]
+    assert high[1] < height
+    # And they fill their room, in one direction at least.
+    assert (high - low)[0] > 0.9 * bar.bbox.x0 or (high - low)[1] > 0.6 * height
+    assert (axes.elev, axes.azim) == ((22, -60) if camera is None else camera)
+
+
+def test_limits_of_colours_are_those_asked_for(planar, tmp_path):
+    scene, solution = planar
+    limits = (1e3, 2e4)
+    figure = snapshots(scene, solution, colour=VonMisesStress(), limits=limits)
+    assert figure.axes[1].get_ylim() == limits
+    data = page_data(mechanism(scene, solution, None, VonMisesStress(), limits), 1.0, "")
+    assert data["limits"] == limits
+    shades = np.frombuffer(base64.b64decode(data["shades"]), np.uint8).reshape(13, -1)
+    values, _ = mechanism(scene, solution, None, VonMisesStress()).values
+    assert values.min() < limits[0]
+    assert values.max() > limits[1]
+    share = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0, 1)
+    np.testing.assert_array_equal(shades[:, : values.shape[1]], np.round(254 * share))
+    animate(scene, solution, tmp_path / "a.gif", VonMisesStress(), 2, 1, dpi=30, limits=limits)
+    assert (tmp_path / "a.gif").exists()
+
+
+def test_colours_of_a_page_are_those_of_the_colour_bar(planar):
+    own = mechanism(*planar, None, VonMisesStress())
+    data = page_data(own, 1.0, "")
+    colours = np.frombuffer(base64.b64decode(data["map"]), np.uint8).reshape(256, 4)
+    shades = np.frombuffer(base64.b64decode(data["shades"]), np.uint8).reshape(13, -1)
+    values = own.values[0]
+    drawn = colours[shades[:, : values.shape[1]]]
+    # A texture of 256 colours and 254 shades: two colours beside it at most, of 3 in 255 each.
+    expected = 255 * painters.PlanePainter(Figure(), own).colours.to_rgba(values)
+    assert np.max(np.abs(drawn - expected)) <= 6
+
+
+def test_bodies_of_a_plane_cover_each_other_in_their_order(planar, tmp_path):
+    own = mechanism(*planar, None, None)
+    data = page_data(own, 1.0, "")
+    triangles = np.frombuffer(base64.b64decode(data["triangles"]), np.uint32).reshape(-1, 3)
+    bodies = np.repeat([0, 1], [x.shape[1] for x in own.places])[triangles]
+    assert np.all(bodies == bodies[:, :1])
+    assert np.all(np.diff(bodies[:, 0]) >= 0)
+    # One depth has no order: the page tests depth in space only.
+    text = animate(*planar, tmp_path / "a.html", frames=2).read_text(encoding="utf-8")
+    assert re.findall(r".*DEPTH_TEST.*", text)[0].strip().startswith("if (data.d === 3)")
+
+
+def test_a_page_starts_from_the_camera(spatial, tmp_path):
+    path = animate(*spatial, tmp_path / "a.html", frames=2, camera=(10, 30))
+    text = path.read_text(encoding="utf-8")
+    assert json.loads(re.search(r"const data = (.*);\n", text)[1])["camera"] == [10, 30]
+    assert "azimuth: data.camera[1], elevation: data.camera[0]" in text
+
+
+def test_arrows_follow_the_law_of_their_load():
+    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.1, 0.1), STEEL)
+    law = Harmonic(1.0, 2.0)
+    loads = [PointForce(rod.at_end, (0.0, 3.0), law=law), DistributedForce("rod", (0.0, -2.0))]
+    loads.append(Moment(rod.at_end, 0.5, law=law))
+    scene = Scene([rod], joints=[Clamp(rod.at_start)], loads=loads)
+    solution = simulate(scene, 16 / 64, HHT(step=1 / 64))
+    force, line, moment = mechanism(scene, solution, None, None).arrows
+    factor = law.derivative(np.array(list(law.parameters().values())), solution.t, 0)
+    assert np.ptp(factor) > 0.1
+    np.testing.assert_allclose(force.vectors[:, 0], np.outer(factor, (0.0, 3.0)), atol=1e-14)
+    np.testing.assert_allclose(line.vectors, np.broadcast_to((0.0, -2.0), line.vectors.shape))
+    # The slopes that the moment pulls at turn and stretch by the strain.
+    np.testing.assert_allclose(moment.vectors[:, 0, 0], 0.5 * factor, rtol=1e-3, atol=1e-12)
+
+
+def test_the_legend_names_sizes_with_their_units(planar, spatial):
+    def texts(scene, solution):
+        legend = snapshots(scene, solution).legends[0]
+        return [text.get_text() for text in legend.get_texts() if "largest" in text.get_text()]
+
+    assert texts(*planar) == [
+        "force, largest 5 N",
+        "moment, largest 0.7 N m",
+        "force per length, largest 5 N/m",
+    ]
+    assert texts(*spatial) == ["moment, largest 1.5 N m"]
+
+
+def test_thin_beams_have_the_colour_of_the_largest_stress():
+    rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.004, 0.01), STEEL)
+    scene = Scene([rod], joints=[Clamp(rod.at_start)], gravity=(0, -0.1))
+    rest = equilibrium(scene).solution
+    figure = snapshots(scene, rest, colour=VonMisesStress())
+    own = mechanism(scene, rest, None, VonMisesStress())
+    (line,) = [x for x in figure.axes[0].collections if isinstance(x, LineCollection)][:1]
+    largest = own.values[0][0].reshape(-1, own.meshes[0].shape[2]).max(axis=1)
+    brush = painters.PlanePainter(Figure(), own)
+    expected = brush.colours.to_rgba((largest[1:] + largest[:-1]) / 2)
+    np.testing.assert_allclose(line.get_colors(), expected)
+
+
 def test_equilibrium_is_drawn():
     rod = Beam("rod", (0, 0), (1, 0), 2, Rectangle(0.1, 0.1), STEEL)
     spring = SpringDamper(rod.at_end, 500.0, ground=(1.0, 0.5))
@@ -591,6 +712,9 @@ def test_vtk_reads_back_with_fields_and_times(moving, tmp_path):
         np.testing.assert_array_equal(mesh.points[:, : own.d], x)
         first = len(own.meshes[0].faces)
         np.testing.assert_array_equal(mesh.cells[0].data[:first], own.meshes[0].faces)
+        counts = [len(each.faces) for each in own.meshes]
+        numbers = np.repeat(np.arange(len(counts)), counts)
+        np.testing.assert_array_equal(mesh.cell_data["body"][0][:, 0], numbers)
         stress = np.concatenate([values[k] for values in own.values])
         np.testing.assert_array_equal(mesh.point_data["von Mises stress [Pa]"][:, 0], stress)
         declared = mechanism(scene, None, None, None)
@@ -627,6 +751,9 @@ def test_nonsense_is_refused_in_words(planar, spatial, tmp_path, monkeypatch):
         (lambda: snapshots(scene, solution, title=3), "type str"),
         (lambda: snapshots(scene, bare, colour=Sensitivity("rod.height")), "differentiate"),
         (lambda: snapshots(scene, solution, colour=Sensitivity("x")), "Known names"),
+        (lambda: snapshots(scene, solution, limits=(0, 1)), "increasing numbers"),
+        (lambda: snapshots(scene, solution, colour=Speed(), limits=(1, 1)), "increasing numbers"),
+        (lambda: snapshots(scene, solution, camera=(0, 0)), "in space"),
         (lambda: BendingMoment(3), "must be 1 or 2"),
         (lambda: animate(scene, solution, tmp_path / "a.avi"), "ends with"),
         (lambda: animate(scene, solution, 3), "name of a file"),
@@ -656,3 +783,14 @@ def test_every_field_has_a_name_and_a_unit():
     for field in [*kinds, Sensitivity("rod.height")]:
         assert isinstance(field, Field)
         assert re.fullmatch(r".+ \[.+\]", field.label)
+
+
+def test_vtk_leaves_out_stresses_that_no_section_knows(tmp_path):
+    section = MomentSection(2e-4, 2e-8, 1e-8, 2e-8)
+    rod = Beam("rod", (0, 0, 0), (1, 0, 0), 1, section, STEEL)
+    scene = Scene([rod], joints=[Clamp(rod.at_start)], gravity=(0, 0, -0.1))
+    path = write_vtk(scene, equilibrium(scene).solution, tmp_path / "rest.pvd")
+    (entry,) = ElementTree.parse(path).getroot().findall(".//DataSet")
+    names = meshio.read(path.parent / entry.get("file")).point_data
+    assert "M_z [N m]" in names
+    assert "von Mises stress [Pa]" not in names

@@ -286,3 +286,25 @@ def test_symbols_are_set_as_mathematics(plain: str, set_: str) -> None:
     drawn = draw([Panel(plain, "t [s]", "x [m]", [Series("a", T, T)])])
     assert drawn.axes[0].get_title() == set_
     drawn.draw_without_rendering()
+
+
+def test_points_of_every_series_have_a_marker_of_their_own() -> None:
+    ways = ["HHT, fixed", "HHT, controlled", "IDA", "Explicit"]
+    names = [f"{way}, {levels} levels" for way in ways for levels in (2, 3)]
+    series = [Series(name, T, T, line=False, marker=True) for name in names]
+    assert len({line.get_marker() for line in draw([panel(*series)]).axes[0].lines}) == 8
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3])
+def test_powers_of_ten_do_not_run_into_each_other(columns: int) -> None:
+    x = np.logspace(-13, -1, 13)
+    panels = [Panel(str(n), "x [-]", "y [-]", [Series("s", x, x)], "log", "log") for n in range(3)]
+    figure = draw(panels, columns)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
+        labels = [label for place, label in ticks if low <= place <= high]
+        boxes = [label.get_window_extent() for label in labels]
+        assert len(boxes) >= 3
+        assert all(b.x0 - a.x1 > 3 for a, b in itertools.pairwise(boxes))

@@ -46,7 +46,7 @@ from ancfdae import (
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.mobility import free_mechanism
 
-from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum, chain
+from mechanisms import CartesianPendulum, HeldDoublePendulum, WrittenPendulum, chain
 
 G = 9.81
 SOFT = Material(1000.0, 1e7, 0.3)
@@ -269,7 +269,7 @@ def test_systems_of_any_kind_have_equilibria():
         np.testing.assert_allclose(found.q_b, [[0, 0], [-1, 0]], atol=1e-12)
         np.testing.assert_allclose(found.lam_b, [[-9.81, 1]], atol=1e-11)
     np.testing.assert_allclose(equilibrium(WrittenPendulum()).q, [0, -1], atol=1e-12)
-    for system in (GuidedDoublePendulum(), chain()):
+    for system in (HeldDoublePendulum(), chain(frequency=0.0)):
         height = custom(lambda t, q, v, lam, b: q[:, 1] * b[0] + lam[:, 0], "height")
         exact = static_gradient(system, height, method=ComplexStep()).gradient
         for method in (Direct(), Adjoint()):
@@ -335,7 +335,8 @@ def test_a_search_goes_on_from_an_equilibrium():
     ahead, anew = equilibrium(more, start=first), equilibrium(more)
     np.testing.assert_allclose(ahead.q, anew.q, atol=1e-11)
     again = equilibrium(scene, start=first)
-    assert again.statistics.iterations <= 2
+    # One of the path, and two that see corrections stop to shrink.
+    assert again.statistics.iterations <= 3
     np.testing.assert_allclose(again.q, first.q, atol=1e-12)
 
 

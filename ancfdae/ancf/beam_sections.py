@@ -14,6 +14,7 @@ from ancfdae.ancf.section_force import SectionForces
 from ancfdae.ancf.stress_points import StressPoints
 from ancfdae.bodies import Point, require_in_section
 from ancfdae.elements import Batch
+from ancfdae.elements.element import SectionPlace
 from ancfdae.errors import InvalidInput
 from ancfdae.naming import Layout
 from ancfdae.numerics.arrays import Array
@@ -39,8 +40,27 @@ class BeamSections:
     def forces(self, point: Point) -> SectionForces:
         """Return what gives the forces in the section at a point of a beam."""
         if point not in self._forces:
-            self._forces[point] = SectionForces(*self._element(point))
+            (element, xi), nodes = self._locate(point), self._acted_on(point.beam)
+            smooth = element not in nodes, element + 1 not in nodes
+            count = self._layout.beam(point.beam).element_count
+            first = max(element - smooth[0], 0)
+            run = slice(first, min(element + 1 + smooth[1], count))
+            place = SectionPlace(element - first, xi, smooth)
+            self._forces[point] = SectionForces(self._elements(point.beam, run), place)
         return self._forces[point]
+
+    def _acted_on(self, beam: str) -> set[int]:
+        """Return the nodes of a beam that joints, loads or masses act on, or beside which."""
+        scene, nodes = self._scene, set()
+        for part in (*scene.joints, *scene.loads, *scene.point_masses):
+            for point in part.points:
+                if point.beam == beam:
+                    element, xi = self._locate(point)
+                    nodes |= {element + (xi == 1.0), element + (xi > 0.0)}
+        return nodes
+
+    def _locate(self, point: Point) -> tuple[int, float]:
+        return self._layout.beam(point.beam).locate(point.fraction)
 
     def require_material(self, where: str, point: Point) -> None:
         """Refuse a point of a beam that lies outside its section, or in a hole of it.
@@ -80,7 +100,7 @@ class BeamSections:
 
     def _element(self, point: Point) -> tuple[BeamElements, float]:
         """Return the element that a point lies in, and where."""
-        element, xi = self._layout.beam(point.beam).locate(point.fraction)
+        element, xi = self._locate(point)
         return self._elements(point.beam, slice(element, element + 1)), xi
 
     def _elements(self, beam: str, elements: slice) -> BeamElements:

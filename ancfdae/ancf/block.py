@@ -30,7 +30,9 @@ class ElementBlock:
         Damping times; None when no element is damped and no design variable could change that.
     stiffness_pairs, damping_pairs, mass_pairs : array of int
         Pairs of the `ParameterMap` of these elements whose parameter enters A, tau and m.
-    A_b, g_ob, c_b : array, shape (n_stiffness_pairs, ...)
+    A_b, c_b : array, shape (n_stiffness_pairs, ...)
+    rest_b : array, shape (n_stiffness_pairs, 2, n_g)
+        Of g_o and of p_o, zero where there is none.
     m_b : array, shape (n_mass_pairs, n_a, n_a)
         Derivatives in the design variable of the pair (weight included).
     """
@@ -44,7 +46,7 @@ class ElementBlock:
     damping_pairs: Array
     mass_pairs: Array
     A_b: Array
-    g_ob: Array
+    rest_b: Array
     c_b: Array
     m_b: Array
 
@@ -85,7 +87,7 @@ def element_block(
     mass = np.flatnonzero(~np.isin(mapping.parameters, _WEIGHTLESS))
     A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
     c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=distinct.A.dtype)
-    g_ob = np.zeros_like(c_b)
+    rest_b = np.zeros((len(c_b), 2, c_b.shape[1]), dtype=c_b.dtype)
     m_b = np.zeros((len(mass), *distinct.m.shape[1:]), dtype=distinct.m.dtype)
     for which, partial in distinct.partials.items():
         at = mapping.parameters[stiffness] == which
@@ -93,7 +95,8 @@ def element_block(
         weight = mapping.weights[stiffness][at]
         A_b[at] = partial.A[source] * weight[:, None, None]
         c_b[at] = partial.c[source] * weight[:, None]
-        g_ob[at] = partial.g_o[source] * weight[:, None]
+        rest_b[at, 0] = partial.g_o[source] * weight[:, None]
+        rest_b[at, 1] = partial.p_o[source] * weight[:, None]
         at = mapping.parameters[mass] == which
         source = index[mapping.elements[mass][at]]
         m_b[at] = partial.m[source] * mapping.weights[mass][at][:, None, None]
@@ -109,7 +112,7 @@ def element_block(
         damping_pairs=mapping.pairs(damped),
         mass_pairs=mass,
         A_b=A_b,
-        g_ob=g_ob,
+        rest_b=rest_b,
         c_b=c_b,
         m_b=m_b,
     )
@@ -120,7 +123,9 @@ def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:
     n_g, none = element.n_y * (element.n_y + 1) // 2, np.zeros(0, dtype=np.int64)
     A, g = np.zeros((0, n_g, n_g), parameters.dtype), np.zeros((0, n_g), parameters.dtype)
     m = np.zeros((0, element.n_a, element.n_a), parameters.dtype)
-    return ElementBlock(A, g, None, m, None, none, none, none, A, g, g, m)
+    return ElementBlock(
+        A, g, None, m, None, none, none, none, A, np.zeros((0, 2, n_g), A.dtype), g, m
+    )
 
 
 def _kinds(beams: Sequence[BeamBody]) -> tuple[list[ElementType], Array]:

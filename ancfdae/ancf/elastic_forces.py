@@ -70,7 +70,7 @@ class ElasticForces:
         order = np.lexsort((self._pair_variable, self._pair_element))
         first = np.searchsorted(self._pair_element[order], np.arange(n + 1))
         tau_b = self._pair_weight[self._stiff :]
-        self._law_b = block.A_b, block.c_b, tau_b, first, order, self._pair_variable[order]
+        self._law_b = block.A_b, block.rest_b, tau_b, first, order, self._pair_variable[order]
 
     @property
     def damped(self) -> bool:

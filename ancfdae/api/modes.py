@@ -37,9 +37,9 @@ def modes(
         How many; modes that coincide are not separated, so there may be a few more.
     at : Equilibrium or Configuration, optional
         Where: what `equilibrium` found, or coordinates and multipliers, for example
-        ``Configuration.of(solution, instant)``. By default the start of the model, at rest, with
-        the multipliers that hold it best; if forces there are not in balance these are the modes
-        of a motion that is held there, and the result says so.
+        ``Configuration.of(solution, instant)`` of a motion that has come to rest. By default the
+        start of the model, at rest, with the multipliers that hold it best; if forces there are
+        not in balance these are the modes of a motion that is held there, and the result says so.
     design : sequence of str or DesignVariable, optional
         Design variables of a scene to differentiate in; a mechanical system brings its own.
     damped : bool, optional
@@ -59,7 +59,7 @@ def modes(
     Raises
     ------
     InvalidInput
-        If the input makes no sense.
+        If the input makes no sense, or `at` is an instant of a motion, such as a steady rotation.
     """
     require_count("count", count, "Ask for one or more modes.")
     require_flag("highest", highest)

@@ -52,7 +52,7 @@ def equilibrium(
     FreeMechanism
         If nothing holds a motion; the message names it.
     InvalidInput
-        If the input makes no sense.
+        If the input makes no sense, or a joint drives a motion at t = 0 (a law with a rate there).
     Interrupted
         At Ctrl-C; its `result` is what was found up to there.
     """

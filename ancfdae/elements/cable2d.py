@@ -25,6 +25,7 @@ from ancfdae.elements.element import (
     Integrals,
     Quantity,
     SectionLaw,
+    SectionPlace,
 )
 from ancfdae.elements.hermite import (
     curvature_weights,
@@ -34,7 +35,7 @@ from ancfdae.elements.hermite import (
     slope_weights_xi,
 )
 from ancfdae.elements.packing import upper_triangle
-from ancfdae.elements.stresses import scaled, smoothing
+from ancfdae.elements.stresses import scaled
 from ancfdae.elements.volume import change
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import Array
@@ -76,9 +77,9 @@ class Cable2D(BeamElement):
             )
         return _CableIntegrals(own)
 
-    def section_law(self, own: Batch, xi: float) -> SectionLaw:
+    def section_law(self, own: Batch, place: SectionPlace) -> SectionLaw:
         """Return forces of the beam law."""
-        return _CableSectionLaw(own, xi)
+        return _CableSectionLaw(own, place)
 
     def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
         """Refuse: the law knows forces of a section, no stresses in it."""
@@ -115,19 +116,21 @@ class _CableIntegrals(Integrals):
 class _CableSectionLaw(SectionLaw):
     """E A eps r_x - E I r_xxx and r_x x E I r_xx along tangent and normal.
 
-    The variation of U in r leaves these; eps with tau eps', linear as `smoothing` has it.
+    The variation of U in r leaves these; eps with tau eps', linear as `_smoothing` has it.
     """
 
-    def __init__(self, own: Batch, xi: float) -> None:
+    def __init__(self, run: Batch, place: SectionPlace) -> None:
+        self._element = [place.element]
+        own = run[np.array(self._element)]
         self._E_A, _, self._E_I = _moduli(own)
         self._l, self._tau = own.lengths, own.of(ElementParameter.DAMPING_TIME)
-        self._xi = np.array(xi)
+        self._xi = np.array(place.xi)
 
     def forces(self, Y: Array, V: Array) -> Array:
         """N, V_y and M_z."""
         l, E_I, xi = self._l[:, None], self._E_I, self._xi
-        Y, V = scaled(Y, self._l), scaled(V, self._l)
-        places, weights = smoothing(float(xi))
+        Y, V = (scaled(x[..., self._element, :, :], self._l) for x in (Y, V))
+        places, weights = _smoothing(float(xi))
         along, along_v = (np.einsum("pa,...nad->...pnd", _tangent(places), x) for x in (Y, V))
         strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0)
         strains = strains + self._tau * np.sum(along * along_v, axis=-1)
@@ -139,7 +142,20 @@ class _CableSectionLaw(SectionLaw):
         forces[..., 0] = np.sum(n * r_x, axis=-1) / speed
         forces[..., 1] = (r_x[..., 0] * n[..., 1] - r_x[..., 1] * n[..., 0]) / speed
         forces[..., 5] = E_I * (r_x[..., 0] * r_xx[..., 1] - r_x[..., 1] * r_xx[..., 0])
-        return forces
+        return forces[..., 0, :]
+
+
+def _smoothing(xi: float) -> tuple[Array, Array]:
+    """Return Gauss points and their weights in the linear force at xi.
+
+    Of all linear forces along an element it is the one that does the same work as the force of the
+    law on the chord and on both tangents, which have the weights 6 xi (1 - xi), (1 - xi)(1 - 3 xi)
+    and xi (3 xi - 2).
+    """
+    corner, rule = box_rule((5,))
+    places = corner[:, 0]
+    weights = rule * (end_weight_xi(places) + 6 * (xi - 0.5) * (2 * places - 1))
+    return places, weights
 
 
 def _moduli(own: Batch) -> tuple[Array, Array, Array]:

@@ -159,6 +159,7 @@ class InvariantPartial:
     ----------
     A : array, shape (n, n_g, n_g)
     g_o : array, shape (n, n_g)
+    p_o : array, shape (n, n_g)
     c : array, shape (n, n_g)
         A (dg_o/db) - dp_o/db: minus what the stress gains with g held, beside A_b dg.
     m : array, shape (n, n_a, n_a)
@@ -166,6 +167,7 @@ class InvariantPartial:
 
     A: Array
     g_o: Array
+    p_o: Array
     c: Array
     m: Array
 
@@ -216,12 +218,31 @@ class Integrals(abc.ABC):
         """Return the derivatives of the values in a parameter."""
 
 
+@final
+@dataclass(frozen=True)
+class SectionPlace:
+    """Where a section lies in a run of neighbouring elements.
+
+    Attributes
+    ----------
+    element : int
+        Its element in the run, which holds those beside it on `smooth` nodes.
+    xi : float
+    smooth : (bool, bool)
+        Whether nothing acts at the first, at the second node of its element.
+    """
+
+    element: int
+    xi: float
+    smooth: tuple[bool, bool] = (False, False)
+
+
 class SectionLaw(abc.ABC):
-    """Forces in sections of n elements, prepared for many states."""
+    """Forces in a section, prepared for many states."""
 
     @abc.abstractmethod
     def forces(self, Y: Array, V: Array) -> Array:
-        """Return N, V_y, V_z, T, M_y and M_z, shape (..., n, 6).
+        """Return N, V_y, V_z, T, M_y and M_z, shape (..., 6).
 
         What the part beyond the section does to the part before it, in the axes of the section;
         real or complex. In the plane V_z, T and M_y are zero.
@@ -229,7 +250,7 @@ class SectionLaw(abc.ABC):
         Parameters
         ----------
         Y, V : array, shape (..., n, n_y, d)
-            Relative node vectors and their velocities.
+            Relative node vectors of the run of elements and their velocities.
         """
 
 
@@ -319,8 +340,8 @@ class BeamElement(abc.ABC):
         """Integrate the invariants of some elements; `owners` as in `invariants.prepare`."""
 
     @abc.abstractmethod
-    def section_law(self, own: Batch, xi: float) -> SectionLaw:
-        """Return what gives the forces in the sections at xi of some elements."""
+    def section_law(self, own: Batch, place: SectionPlace) -> SectionLaw:
+        """Return what gives the forces in a section of a run of elements."""
 
     @abc.abstractmethod
     def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:

@@ -86,8 +86,9 @@ def _invariants(
             Y_b = Y_l
         A_b, m_b, *linear_b = changes
         g_ob = gram(Y_o, Y_b)
-        c = np.einsum("nij,nj->ni", A, g_ob)
-        partials[which] = InvariantPartial(A_b, g_ob, c - linear_b[0] if linear_b else c, m_b)
+        p_ob = linear_b[0] if linear_b else np.zeros_like(g_ob)
+        c = np.einsum("nij,nj->ni", A, g_ob) - p_ob
+        partials[which] = InvariantPartial(A_b, g_ob, p_ob, c, m_b)
     return Invariants(A, packed_gram(Y_o), m, linear[0] if linear else None, partials)
 
 
@@ -103,7 +104,7 @@ def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invarian
 
     partials = {
         which: InvariantPartial(
-            **fields([piece.partials[which] for piece in pieces], "A", "g_o", "c", "m")
+            **fields([piece.partials[which] for piece in pieces], "A", "g_o", "p_o", "c", "m")
         )
         for which in pieces[0].partials
     }

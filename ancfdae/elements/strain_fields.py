@@ -3,16 +3,14 @@
 In node vectors with the chord divided by the length, and with section coordinates divided by it,
 the components B of the metric r_,alpha . r_,beta at a point (xi, y, z) are
 
-    B = sum_k phi_k(y, z) beta_k(xi) g,
-
-with beta independent of every parameter. With a the coefficients of r_x on the axis, c_2 and c_3
-those of the section slopes r_y and r_z, and b = dc/dxi,
-
     B_xx = a.a + 2 y a.b_2 + 2 z a.b_3 + y^2 b_2.b_2 + 2 y z b_2.b_3 + z^2 b_3.b_3
     B_xy = c_2.a + y c_2.b_2 + z c_2.b_3,     B_xz = c_3.a + y c_3.b_2 + z c_3.b_3
     B_yy = c_2.c_2,     B_zz = c_3.c_3,     B_yz = c_2.c_3
 
-where u.v stands for the coefficients of (sum u_i Y_i) . (sum v_j Y_j) in g.
+with a the coefficients of r_x on the axis, c_2 and c_3 those of the section slopes r_y and r_z, and
+b = dc/dxi; u.v stands for the coefficients of (sum u_i Y_i) . (sum v_j Y_j) in g. These scalar
+products are the strains s = beta(xi) g of the section, with beta independent of every parameter;
+`fibre_strains` says what a fibre makes of them.
 
 Assumed strains. The section slopes are linear in xi, r cubic: where the beam turns, c.c sags
 between the nodes, and the curvature a.b is constant along an element although the axis can bend
@@ -20,18 +18,20 @@ linearly. So c.c is taken at the nodes and linear between them, and so are the s
 the section of the axis then turns, for small strains, by r_x - S, not by the linear r_y, and its
 curvature is that of this rotation,
 
-    a.b  ->  -a'.c + S(1) - S(0)          (a.b = S' - a'.c with S' its mean over the element).
+    a.b  ->  S(1) - S(0) - a'.c + a'_m.(c - c_m)
 
-Both vanish with the mesh alike. In the thin limit the bending part is that of the cubic Hermite
-beam. c_2.b_2 is half the derivative of c_2.c_2 and becomes half the difference of its values at the
-nodes; c_2.b_3 + c_3.b_2 likewise, and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
+with a'_m and c_m those at mid-element. The mean is that of a.b, the chord times b; the last term,
+no part of a curvature, takes the product of kinks out that -a'.c has (docs/theory.md, section 2).
+In the thin limit the bending part is that of the cubic Hermite beam. c_2.b_2 is half the derivative
+of c_2.c_2 and becomes half the difference of its values at the nodes; c_2.b_3 + c_3.b_2 likewise,
+and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
 
 Two terms in the squares of curvatures and twist, which are linear in g too (`_squares`), follow.
 Turns: what a finite turn of the element takes off curvature and twist is put back as further rows
 of strain, l kappa^2 times the radius of gyration, with a stiffness of their own. Stretch: the axial
 strain of a straight beam is lowered by 3/2 of the squared curvature times the squared radius of
-gyration, so that bending neither shortens the axis nor softens the beam. Derivations:
-docs/theory.md, section 2.
+gyration, so that bending neither shortens the axis nor softens the beam. Both fade where elements
+are shorter than the radius of gyration (`fibre_strains`). Derivations: docs/theory.md, section 2.
 """
 
 from __future__ import annotations
@@ -46,108 +46,63 @@ from ancfdae.elements.hermite import curvature_weights, end_weight_xi, slope_wei
 from ancfdae.elements.packing import upper_triangle
 from ancfdae.numerics.arrays import Array
 
-# Places of the phi_k: 1, y, z, y^2, y z, z^2; those of shear along y and z; those of torsion, y, z;
-# the squared radii of gyration; these radii and that of twist.
-_ONE, _Y, _Z, _YY, _YZ, _ZZ, _SHEAR_Y, _SHEAR_Z, _TWIST_Y, _TWIST_Z = range(10)
-_I_Y, _I_Z, _R_Y, _R_Z, _R_TWIST = range(10, 15)
 
+@final
+@dataclass(frozen=True)
+class StrainPlaces:
+    """Where each strain of a section stands among all of them; that of the axis, a.a, stands first.
 
-def section_functions(offsets: Array, factors: Array, radii: Array) -> Array:
-    """Return the phi_k, shape (n, n_s, 15).
-
-    Parameters
-    ----------
-    offsets : array, shape (n, n_s, 2)
-        y and z over the length.
-    factors : array, shape (n, 3)
-        What shears along y, along z and twist are multiplied by.
-    radii : array, shape (n, 3)
-        Radii of gyration along y and z, and that of twist, over the length.
+    Indices i and j run over y and z. `turns` are the last ones, of assumed strains only.
     """
-    y, z = offsets[..., 0], offsets[..., 1]
-    one = np.ones_like(y)
-    shear_y, shear_z, twist = factors.T[:, :, None]
-    products = [one, y, z, y * y, y * z, z * z, one * shear_y, one * shear_z, y * twist, z * twist]
-    products += [one * r for r in (*(radii[:, :2] ** 2).T[:, :, None], *radii.T[:, :, None])]
-    return np.stack(products, axis=-1)
+
+    bending: Array  # a.b_i
+    squares: Array  # b_i.b_j
+    shears: Array  # c_i.a
+    slopes: Array  # c_i.b_j
+    thickness: Array  # c_i.c_j
+    turns: Array  # squares of curvatures and twist
+
+    @property
+    def count(self) -> int:
+        """How many there are without turns."""
+        return int(self.turns[0])
 
 
-def twist_shears(beta: Array, shear: Array, radii: Array) -> Array:
-    """Return B of shears along y and z per rate of twist, shape (n, n_s, n_xi, n_v, n_g).
-
-    r_y turns by c_3.b_2 and r_z by -c_2.b_3. Where they differ, the torque is that of their mean
-    with the weights I_y and I_z.
-
-    Parameters
-    ----------
-    beta : array
-        As `axial_functions` returns it in space.
-    shear : array, shape (n, n_s, 2)
-    radii : array, shape (n, 2)
-        Radii of gyration along y and z.
-    """
-    rows = [components(3).index((0, i)) for i in (1, 2)]
-    turns = np.stack([beta[_TWIST_Y, :, rows[1]], -beta[_TWIST_Z, :, rows[0]]])
-    weights = radii**2 / np.sum(radii**2, axis=1, keepdims=True)
-    rate = np.einsum("ni,ixg->nxg", weights, turns)
-    B = np.zeros((*shear.shape[:2], *beta.shape[1:]), dtype=np.result_type(shear, radii))
-    for i, row in enumerate(rows):
-        B[:, :, :, row] = shear[:, :, None, None, i] * rate[:, None]
-    return B
+@lru_cache(maxsize=2)
+def strain_places(d: int) -> StrainPlaces:
+    """Return the places of the strains of sections in d dimensions."""
+    m = d - 1
+    pairs = np.zeros((m, m), dtype=int)
+    rows, columns = np.triu_indices(m)
+    pairs[rows, columns] = pairs[columns, rows] = np.arange(len(rows))
+    bending, slopes = 1 + np.arange(m), np.arange(m * m).reshape(m, m)
+    squares = np.max(bending) + 1 + pairs
+    shears = np.max(squares) + bending
+    slopes = np.max(shears) + 1 + slopes
+    thickness = np.max(slopes) + 1 + pairs
+    turns = np.max(thickness) + 1 + np.arange(turn_count(d))
+    return StrainPlaces(bending, squares, shears, slopes, thickness, turns)
 
 
 @lru_cache(maxsize=16)
-def axial_functions(d: int, xi: tuple[float, ...], assumed: bool, straight: bool) -> Array:
-    """Return the beta_k, shape (15, n_xi, n_v, n_g); components in the order of `components`."""
-    place, axis = np.array(xi), _Axis.of(d, np.array(xi))
-    index = {pair: v for v, pair in enumerate(components(d))}
-    n_y = 2 * d + 1
-    extra = turn_count(d) if assumed else 0
-    beta = np.zeros((15, len(place), len(index) + extra, n_y * (n_y + 1) // 2))
-    own = ((1, _Y, _YY, _SHEAR_Y), (2, _Z, _ZZ, _SHEAR_Z))
+def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
+    """Return what makes strains of sections out of g, shape (n_xi, n_s, n_g); `StrainPlaces`."""
+    place, axis, at = np.array(xi), Axis.of(d, np.array(xi)), strain_places(d)
+    count = at.count + (len(at.turns) if assumed else 0)
+    beta = np.zeros((len(place), count, (2 * d + 1) * (d + 1)))
     fields = _Assumed(d, place, axis) if assumed else _Exact(axis)
-    beta[_ONE, :, index[0, 0]] = _gram(axis.a, axis.a)
-    for i, first, second, shear in own[: d - 1]:
-        beta[first, :, index[0, 0]] = 2 * fields.curvature(i)
-        beta[second, :, index[0, 0]] = _gram(axis.b[i], axis.b[i])
-        beta[shear, :, index[0, i]] = fields.shear(i)
-        beta[first, :, index[0, i]] = fields.slope(i, i)
-        beta[_ONE, :, index[i, i]] = fields.thickness(i, i)
-    if d == 3:
-        beta[_YZ, :, index[0, 0]] = 2 * _gram(axis.b[1], axis.b[2])
-        beta[_TWIST_Z, :, index[0, 1]] = fields.slope(1, 2)
-        beta[_TWIST_Y, :, index[0, 2]] = fields.slope(2, 1)
-        beta[_ONE, :, index[1, 2]] = fields.thickness(1, 2)
+    beta[:, 0] = _gram(axis.a, axis.a)
+    for i in range(1, d):
+        beta[:, at.bending[i - 1]] = fields.curvature(i)
+        beta[:, at.shears[i - 1]] = fields.shear(i)
+        for j in range(1, d):
+            beta[:, at.squares[i - 1, j - 1]] = _gram(axis.b[i], axis.b[j])
+            beta[:, at.slopes[i - 1, j - 1]] = fields.slope(i, j)
+            beta[:, at.thickness[i - 1, j - 1]] = fields.thickness(i, j)
     if assumed:
-        squares = _squares(d)
-        if straight:
-            beta[[_I_Y, _I_Z][: d - 1], :, index[0, 0]] = -3 * squares[: d - 1, None]
-        own_turns = (_R_Y,) if d == 2 else (_R_Y, _R_Z, _R_TWIST)
-        for row, (function, square) in enumerate(zip(own_turns, squares, strict=True), len(index)):
-            beta[function, :, row] = square
+        beta[:, at.turns] = _squares(d)
     beta.setflags(write=False)
     return beta
-
-
-@lru_cache(maxsize=64)
-def frame_products(d: int, xi: float, assumed: bool, straight: bool) -> Array:
-    """Return the scalar products of r_x, r_y(, r_z) with these and b_2(, b_3) in g.
-
-    As the strains have them; shape (d, 2 d - 1, n_g).
-    """
-    beta = axial_functions(d, (xi,), assumed, straight)[:, 0]
-    index = {pair: v for v, pair in enumerate(components(d))}
-    products = np.zeros((d, 2 * d - 1, beta.shape[-1]))
-    ends, slopes = (_SHEAR_Y, _SHEAR_Z), ((_Y, _TWIST_Z), (_TWIST_Y, _Z))
-    products[0, 0] = beta[_ONE, index[0, 0]]
-    for i in range(1, d):
-        products[0, i] = products[i, 0] = beta[ends[i - 1], index[0, i]]
-        products[0, d - 1 + i] = 0.5 * beta[(_Y, _Z)[i - 1], index[0, 0]]
-        for j in range(1, d):
-            products[i, j] = beta[_ONE, index[min(i, j), max(i, j)]]
-            products[i, d - 1 + j] = beta[slopes[i - 1][j - 1], index[0, i]]
-    products.setflags(write=False)
-    return products
 
 
 def turn_count(d: int) -> int:
@@ -174,7 +129,7 @@ def components(d: int) -> tuple[tuple[int, int], ...]:
 
 @final
 @dataclass(frozen=True)
-class _Axis:
+class Axis:
     """Coefficients of r_x, its derivative, the section slopes and theirs, shape (n_xi, n_y) each.
 
     Lists are by axis of the section; entry 0 is not used.
@@ -186,7 +141,8 @@ class _Axis:
     b: tuple[Array, ...]
 
     @classmethod
-    def of(cls, d: int, xi: Array) -> _Axis:
+    def of(cls, d: int, xi: Array) -> Axis:
+        """Return those of beams in d dimensions at places xi."""
         shape, second = (len(xi), 2 * d + 1), d
         a, a_xi = np.zeros(shape), np.zeros(shape)
         a[:, 0] = end_weight_xi(xi)
@@ -204,7 +160,7 @@ class _Axis:
 class _Exact:
     """Strains as the position field has them."""
 
-    axis: _Axis
+    axis: Axis
 
     def curvature(self, i: int) -> Array:
         return _gram(self.axis.a, self.axis.b[i])
@@ -223,14 +179,15 @@ class _Exact:
 class _Assumed:
     """Strains that do not lock; see the module description."""
 
-    def __init__(self, d: int, xi: Array, axis: _Axis) -> None:
+    def __init__(self, d: int, xi: Array, axis: Axis) -> None:
         self._axis, self._xi = axis, xi[:, None]
-        self._ends = _Exact(_Axis.of(d, np.array([0.0, 1.0])))
+        self._ends = _Exact(Axis.of(d, np.array([0.0, 1.0])))
+        self._middle = Axis.of(d, np.array([0.5]))
 
     def curvature(self, i: int) -> Array:
-        return np.asarray(
-            np.diff(self._ends.shear(i), axis=0) - _gram(self._axis.a_xi, self._axis.c[i])
-        )
+        axis, middle, turn = self._axis, self._middle, np.diff(self._ends.shear(i), axis=0)
+        change = _gram(axis.a_xi - middle.a_xi, axis.c[i] - middle.c[i])
+        return np.asarray(turn - _gram(axis.a_xi, middle.c[i]) - change)
 
     def shear(self, i: int) -> Array:
         return self._linear(self._ends.shear(i))
@@ -253,7 +210,7 @@ def _squares(d: int) -> Array:
     At mid-element a'.a' = kappa_z^2 + kappa_y^2, b_2.b_2 = kappa_z^2 + tau^2 and
     b_3.b_3 = kappa_y^2 + tau^2.
     """
-    middle = _Axis.of(d, np.array([0.5]))
+    middle = Axis.of(d, np.array([0.5]))
     bent = _gram(middle.a_xi, middle.a_xi)[0]
     if d == 2:
         return np.asarray(0.5 * (bent + _gram(middle.b[1], middle.b[1])[0]))[None]

@@ -7,19 +7,15 @@ that the length enters through the fibres only.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import final
 
 import numpy as np
 
 from ancfdae.elements.element import Batch, ElementParameter, Quantity
+from ancfdae.elements.fibre_strains import Fibres, Frames
 from ancfdae.elements.hermite import shape_weights
-from ancfdae.elements.strain_fields import (
-    axial_functions,
-    components,
-    section_functions,
-    twist_shears,
-)
+from ancfdae.elements.strain_fields import section_strains, turn_count, turn_stiffness
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.quadrature import box_rule
@@ -28,43 +24,6 @@ from ancfdae.sections.section import central_moments
 # Poisson's effect on the axis couples stretch, quadratic in xi, with thickness strains, linear in
 # xi: two points ask it where both can follow.
 AXIS_POINTS = 2
-
-
-@final
-@dataclass(frozen=True)
-class Fibres:
-    """Fibres of n elements, or their derivative in a parameter.
-
-    Attributes
-    ----------
-    offsets : array, shape (n, n_s, 2)
-        y and z over l.
-    volume : array, shape (n, n_s)
-        Area that a fibre stands for, times l.
-    factors : array, shape (n, 3)
-        Square roots of the shear factors along y and z and of what the torsion constant is to the
-        polar moment about the centroid: strains are multiplied by them.
-    radii : array, shape (n, 3)
-        Radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
-    centroid : array, shape (n, 1, 2)
-        y and z of the centroid over l.
-    """
-
-    offsets: Array
-    volume: Array
-    factors: Array
-    radii: Array
-    centroid: Array
-
-    def any(self) -> bool:
-        """Whether anything differs from zero; radii and centroid follow from the rest."""
-        parts = (self.offsets, self.volume, self.factors)
-        return any(bool(np.any(part)) for part in parts)
-
-    def axis(self) -> Fibres:
-        """All of the section in one fibre at the centroid."""
-        volume = self.volume.sum(axis=1, keepdims=True)
-        return Fibres(self.centroid, volume, self.factors, self.radii, self.centroid)
 
 
 def fibres(own: Batch) -> Fibres:
@@ -79,9 +38,11 @@ def fibres(own: Batch) -> Fibres:
         factors = np.sqrt(np.stack([k_y, k_z, J / polar], axis=1))
     twist = factors[:, 2] ** 2 * polar
     squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
-    offsets = np.stack([y, z], axis=-1) / l[:, None, None]
-    radii, centroid = np.sqrt(squares) / l[:, None], centroid / l[:, None, None]
-    return Fibres(offsets, dA * l[:, None], factors, radii, centroid)
+    shear_centre = kind.section.twist_centre(sizes, centroid)
+    places = (x / l[:, None, None] for x in (np.stack([y, z], axis=-1), centroid, shear_centre))
+    offsets, centroid, shear_centre = places
+    radii = np.sqrt(squares) / l[:, None]
+    return Fibres(offsets, dA * l[:, None], factors, radii, centroid, shear_centre)
 
 
 def fibres_partial(own: Batch, which: ElementParameter) -> Fibres:
@@ -113,7 +74,7 @@ def change(moved: Array, at: Array, step: Array) -> Array:
 
 @final
 class Region:
-    """Strains and volume at the points where an energy is integrated.
+    """Strains of sections, and what they cost, at the places where an energy is integrated.
 
     Parameters
     ----------
@@ -126,11 +87,11 @@ class Region:
 
     Attributes
     ----------
-    P : array, shape (n, n_p, n_v, n_g)
-        Strains in the Gram matrix of the scaled node vectors.
-    T : array, shape (n, n_p, n_v, n_v), or (n_v, n_v) for a straight reference
-        Strains in the components of the metric.
-    dV : array, shape (n, n_p)
+    beta : array, shape (n_xi, n_s, n_g)
+        Strains of the section in the Gram matrix of the scaled node vectors.
+    R : array, shape (n, n_xi or 1, n_f, n_v, n_s)
+        Strains at the fibres in these; one for all places of straight elements.
+    volume : array, shape (n, n_xi or 1, n_f)
 
     Raises
     ------
@@ -141,108 +102,105 @@ class Region:
     def __init__(
         self, own: Batch, fibres: Fibres, along: tuple[Array, Array], owners: Array
     ) -> None:
-        self._xi, self._rule = along
+        self._xi, self.rule = along
         self._d, self._fibres = own.d, fibres
-        assumed, straight = own.energy.assumed_strains, own.kind.straight
-        self._beta = axial_functions(own.d, tuple(self._xi.tolist()), assumed, straight)
-        self._B = self._metric(section_functions(fibres.offsets, fibres.factors, fibres.radii))
-        self._straight, self._J_inv = straight, np.eye(own.d)
-        self.dV = self._measure(fibres.volume)
+        assumed = own.energy.assumed_strains
+        self._turns = turn_count(own.d) if assumed else 0
+        self.beta = section_strains(own.d, tuple(self._xi.tolist()), assumed)
+        straight = own.kind.straight
+        self._frames = Frames.straight(own.d) if straight else Frames.of(own.Y_unit, self._xi)
+        self.R, self.volume = self._strains(fibres), self._measure(fibres)
         if not straight:
-            self._Y = own.Y_unit
-            J = self._gradient(fibres.offsets)
-            det_J = np.linalg.det(J)
-            _refuse_folds(det_J, owners)
-            self._axes = _section_axes(J)
-            self._J_inv = np.linalg.inv(self._axes @ J)
-            self.dV = self.dV * det_J
-        self.T = self._transform(self._J_inv, self._J_inv, 1.0)
-        self.P = self.T @ self._B
+            _refuse_folds(self._frames.stretch(fibres.offsets), owners)
 
-    def partial(self, fibres_b: Fibres) -> tuple[Array, Array]:
-        """Return the derivatives of P and dV."""
-        own = self._fibres
-        parts = [(x.offsets, x.factors, x.radii) for x in (own, fibres_b)]
-        phi_b = along(section_functions, *parts)
-        P_b = self.T @ self._metric(phi_b)
-        dV_b = self._measure(fibres_b.volume)
-        if self._straight:
-            return P_b, dV_b
-        # The section slopes of the reference, and so its axes, depend on no parameter.
-        J_b = self._axes @ along(self._gradient, (own.offsets,), (fibres_b.offsets,))
-        K_b = -self._J_inv @ J_b @ self._J_inv
-        T_b = self._transform(K_b, self._J_inv, 0.0) + self._transform(self._J_inv, K_b, 0.0)
-        trace = np.einsum("npij,npji->np", self._J_inv, J_b)
-        det_J = self.dV / self._measure(own.volume)
-        return P_b + T_b @ self._B, dV_b * det_J + self.dV * trace
+    def stiffness(self, C: Array) -> Array:
+        """Return the integral of R^T C R over the sections, shape (n, n_xi or 1, n_s, n_s)."""
+        return self._integral(self.R, C, self.volume, self.R)
 
-    def of_twist(self, shear: Array) -> Array:
-        """P of shear strains along y and z, (n, n_s, 2), over the rate of twist; in space."""
-        B = twist_shears(self._beta, shear, self._fibres.radii[:, :2])
-        return np.asarray(self.T @ B.reshape(len(B), -1, *B.shape[3:]))
+    def stiffness_partial(self, C: Array, fibres_b: Fibres) -> Array:
+        """Return the derivative of `stiffness` along that of the fibres."""
+        R_b, volume_b = (self._along(of, fibres_b) for of in (self._strains, self._measure))
+        cross = self._integral(R_b, C, self.volume, self.R)
+        return cross + cross.swapaxes(-1, -2) + self._integral(self.R, C, volume_b, self.R)
 
-    def shape(self, offsets: Array) -> Array:
-        """Scaled shape functions, shape (n, n_p, n_a)."""
-        return self._weights(Quantity.POSITION, offsets)
+    def total(self, K: Array) -> Array:
+        """Return the sum of beta^T K beta along the axis, shape (n, n_g, n_g)."""
+        right = self.rule[:, None, None] * (K @ self.beta)
+        n_g = self.beta.shape[-1]
+        return np.asarray(self.beta.reshape(-1, n_g).T @ right.reshape(len(K), -1, n_g))
 
-    def _weights(self, quantity: Quantity, offsets: Array) -> Array:
-        """Weights of the node vectors at all points, shape (n, n_p, n_a)."""
-        y, z = np.moveaxis(offsets[:, :, None], -1, 0)
-        weights = shape_weights(self._d, quantity, self._xi, y, z)
-        return weights.reshape(len(weights), -1, weights.shape[-1])
+    def true_strains(self, twist: Array | None) -> Array:
+        """Return `R` with the shears of the material; `twist` as in `Frames.strains`."""
+        return self._frames.strains(self._fibres, self._turns, 2, twist)
 
-    def _metric(self, phi: Array) -> Array:
-        """B at all points, shape (n, n_p, n_v, n_g)."""
-        n_phi, _, n_v, n_g = self._beta.shape
-        B = phi.reshape(-1, n_phi) @ self._beta.reshape(n_phi, -1)
-        return B.reshape(len(phi), -1, n_v, n_g)
+    def mass(self, rho: Array) -> Array:
+        """Return the integral of rho s s^T (eq. 10), shape (n, n_a, n_a)."""
+        s = self._shape(self._fibres.offsets)
+        return _product(rho, self._points(self.volume), s, s)
 
-    def _measure(self, volume: Array) -> Array:
-        measure: Array = volume[:, :, None] * self._rule
-        return measure.reshape(len(volume), -1)
+    def mass_partial(self, rho: Array, fibres_b: Fibres) -> Array:
+        """Return the derivative of `mass` along that of the fibres."""
+        offsets, offsets_b = self._fibres.offsets, fibres_b.offsets
+        s, s_b = self._shape(offsets), along(self._shape, (offsets,), (offsets_b,))
+        volume_b = self._along(self._measure, fibres_b)
+        cross = _product(rho, self._points(self.volume), s_b, s)
+        return cross + cross.swapaxes(-1, -2) + _product(rho, self._points(volume_b), s, s)
 
-    def _gradient(self, offsets: Array) -> Array:
-        """dr_o/dx (eq. 16), shape (n, n_p, d, d)."""
-        n_s = self._d + 1
-        slopes = [self._weights(quantity, offsets) for quantity in tuple(Quantity)[1:n_s]]
-        # Of both positions the weights are opposite: that of the chord is the second one.
-        N = np.stack(slopes, axis=-1)[..., np.r_[n_s, 1:n_s, n_s + 1 : 2 * n_s], :]
-        J: Array = self._Y.transpose(0, 2, 1)[:, None] @ N
-        return J
+    def _strains(self, fibres: Fibres) -> Array:
+        return self._frames.strains(fibres, self._turns, 1)
 
-    def _transform(self, K_1: Array, K_2: Array, turn: float) -> Array:
-        """T of the module `continuum`, bilinear in (K_1, K_2), both J_o^-1; (..., n_v, n_v)."""
-        pairs = np.array(components(self._d))
-        i, j = pairs.T[:, :, None]
-        alpha, beta = pairs.T[:, None]
-        product = K_1[..., alpha, i] * K_2[..., beta, j] + K_1[..., beta, i] * K_2[..., alpha, j]
-        # 1/2 from 2 E = ..., doubled for engineering shear, halved where both terms are one entry.
-        T = product * np.where(i == j, 0.5, 1.0) * np.where(alpha == beta, 0.5, 1.0)
-        n_v, all_rows = len(pairs), self._beta.shape[2]
-        # Turns are the same in all axes.
-        padded = np.zeros((*T.shape[:-2], all_rows, all_rows), dtype=T.dtype)
-        padded[..., :n_v, :n_v] = T
-        turns = np.arange(n_v, all_rows)
-        padded[..., turns, turns] = turn
-        return padded
+    def _measure(self, fibres: Fibres) -> Array:
+        j = self._frames.stretch(fibres.offsets) * self._frames.det[..., None]
+        return np.asarray(fibres.volume[:, None] * j)
+
+    def _along(self, function: Callable[[Fibres], Array], fibres_b: Fibres) -> Array:
+        names = [each.name for each in fields(Fibres)]
+        parts = [[getattr(x, name) for name in names] for x in (self._fibres, fibres_b)]
+        return along(lambda *moved: function(Fibres(*moved)), *parts)
+
+    def _integral(self, R_1: Array, C: Array, volume: Array, R_2: Array) -> Array:
+        weighted = volume[..., None, None] * (C[:, None, None] @ R_2)
+        left, right = (x.reshape(*x.shape[:2], -1, x.shape[-1]) for x in (R_1, weighted))
+        return np.asarray(left.swapaxes(-1, -2) @ right)
+
+    def _shape(self, offsets: Array) -> Array:
+        """Scaled shape functions, shape (n, n_xi, n_f, n_a)."""
+        y, z = np.moveaxis(offsets[:, None], -1, 0)
+        weights = shape_weights(self._d, Quantity.POSITION, self._xi[:, None], y, z)
+        return weights
+
+    def _points(self, volume: Array) -> Array:
+        """Volume of points, shape (n, n_xi, n_f)."""
+        return np.asarray(self.rule[:, None] * volume)
 
 
-def _section_axes(J: Array) -> Array:
-    """Rows: the normal of the section, r_y over its length, and what is across both in space.
-
-    Shear factors, and C without Poisson's effect, belong to these axes.
-    """
-    r_y = J[..., 1] / np.sqrt(np.sum(J[..., 1] ** 2, axis=-1, keepdims=True))
-    if J.shape[-1] == 2:
-        normal = np.stack([r_y[..., 1], -r_y[..., 0]], axis=-1)
-        return np.stack([normal, r_y], axis=-2)
-    normal = np.cross(r_y, J[..., 2])
-    normal = normal / np.sqrt(np.sum(normal**2, axis=-1, keepdims=True))
-    return np.stack([normal, r_y, np.cross(normal, r_y)], axis=-2)
+def _product(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
+    weighted = (rho[:, None, None] * dV)[..., None] * s_2
+    left, right = (s.reshape(len(s), -1, s.shape[-1]) for s in (s_1, weighted))
+    return np.asarray(left.swapaxes(-1, -2) @ right)
 
 
-def _refuse_folds(det_J: Array, owners: Array) -> None:
-    worst = np.min(det_J.real, axis=1)
+def section_stiffness(own: Batch) -> tuple[Array, ...]:
+    """C of strains and turns, in the volume and where there is such a part on the axis."""
+    C = own.stiffness
+    if not own.energy.assumed_strains:
+        return C
+    turns = turn_stiffness(own.d, *own.moduli, own.kind.straight)
+    return tuple(_with_diagonal(x, turns * k) for x, k in zip(C, (1.0, 0.0), strict=False))
+
+
+def _with_diagonal(C: Array, more: Array) -> Array:
+    """Add rows and columns with a diagonal, shape (n, n_more), to C."""
+    n_v, size = C.shape[1], C.shape[1] + more.shape[1]
+    whole = np.zeros((len(C), size, size), dtype=C.dtype)
+    whole[:, :n_v, :n_v] = C
+    rows = np.arange(n_v, size)
+    whole[:, rows, rows] = more
+    return whole
+
+
+def _refuse_folds(stretch: Array, owners: Array) -> None:
+    worst = np.min(stretch.real, axis=(1, 2))
     if not np.all(worst > 0):
         k = int(np.argmin(worst))
         raise InvalidInput(

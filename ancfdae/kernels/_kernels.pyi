@@ -28,7 +28,7 @@ def force_totals(
     q: Array,
     v: Array | None,
     A_b: Array,
-    c_b: Array,
+    rest_b: Array,
     tau_b: Array,
     first: Array,
     pairs: Array,
@@ -39,7 +39,7 @@ def force_totals(
 
     Row i + 1 belongs to design variable i. What variables change is said pair by pair of an element
     and a variable: element e has pairs[first[e]] to pairs[first[e + 1] - 1], sorted by variables.
-    One below len(A_b) changes stresses by A_b x - c_b, shapes (n, n_g, n_g) and (n, n_g), the
+    One below len(A_b) changes A by A_b, (n, n_g, n_g), and g_o and p_o by rest_b, (n, 2, n_g), the
     further ones change tau by tau_b.
     """
 

@@ -122,7 +122,7 @@ INLINE void NAME(forces_along_)(int n_y, int d, const NAME(block) *b, int one, c
                 NAME(gather)(n_y, d, vectors, z + at, Z);
             for (int i = 0; i < n_y * d; i++)
                 F[i] = 0;
-            NAME(force_along)(n_y, d, &own, p, Y, v ? V : NULL, U, Z, NULL, F);
+            NAME(force_along)(n_y, d, &own, p, Y, v ? V : NULL, U, Z, NULL, NULL, F);
             NAME(spread)(n_y, d, vectors, F, Q + at);
         }
     }

@@ -89,14 +89,18 @@ INLINE void NAME(force)(int n_y, int d, const NAME(element) *e, const T *Y, cons
     NAME(stressed)(n_y, d, p, Y, F);
 }
 
-/* F += derivative of the force along (U, Z) of (Y, V), and along p_b of p at held Y and V:
- * W(A x') Y + W(p_b) Y + W(p) U with x' = g'(Y, U) + tau (g'(U, V) + g'(Y, Z)). */
+/* F += derivative of the force along (U, Z) of (Y, V), along g_b of g_o, and along p_b of p at
+ * held Y, V and g_o: W(A x' + p_b) Y + W(p) U with x' = g'(Y, U) - g_b + tau (g'(U, V) + g'(Y, Z)).
+ * Where the element follows its reference x' vanishes before A, far larger, multiplies it. */
 INLINE void NAME(force_along)(int n_y, int d, const NAME(element) *e, const T *p, const T *Y,
-                              const T *V, const T *U, const T *Z, const T *p_b, T *F)
+                              const T *V, const T *U, const T *Z, const T *g_b, const T *p_b,
+                              T *F)
 {
     int n_g = n_y * (n_y + 1) / 2;
     T x[MOST_G], rate[MOST_G], change[MOST_G];
     NAME(gram)(n_y, d, Y, U, x);
+    for (int k = 0; g_b && k < n_g; k++)
+        x[k] -= g_b[k];
     if (V != NULL) {
         NAME(gram)(n_y, d, U, V, rate);
         for (int k = 0; k < n_g; k++)

@@ -362,19 +362,19 @@ static PyObject *py_forces_along(PyObject *const *args)
     return (PyObject *)out;
 }
 
-/* Whether partials A_b, c_b and tau_b are those of the pairs of n elements and k - 1 variables. */
+/* Whether partials A_b, rest_b and tau_b are those of the pairs of n elements and k - 1 variables. */
 static int paired(const Arguments *a, PyArrayObject *const *index, npy_intp k)
 {
-    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g};
-    PyArrayObject *A_b = a->states[2], *c_b = a->states[3], *tau_b = a->states[4];
+    npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g}, two[] = {2, n_g};
+    PyArrayObject *A_b = a->states[2], *rest_b = a->states[3], *tau_b = a->states[4];
     npy_intp n_stiff = A_b ? leading_size(A_b, 2) : 0, n_damped = tau_b ? PyArray_SIZE(tau_b) : 0;
     const npy_int64 *first = PyArray_DATA(index[0]);
     npy_intp size = PyArray_SIZE(index[1]);
     int in_order = PyArray_SIZE(index[0]) == a->n + 1 && first[0] == 0 && first[a->n] == size;
     for (npy_intp e = 0; in_order && e < a->n; e++)
         in_order = first[e] <= first[e + 1];
-    return (in_order && A_b && c_b && ends_with(A_b, 2, shape) && ends_with(c_b, 1, shape) &&
-            leading_size(c_b, 1) == n_stiff && (n_damped == 0 || a->states[1]) &&
+    return (in_order && A_b && rest_b && ends_with(A_b, 2, shape) && ends_with(rest_b, 2, two) &&
+            leading_size(rest_b, 2) == n_stiff && (n_damped == 0 || a->states[1]) &&
             size == PyArray_SIZE(index[2]) && within_64(index[1], n_stiff + n_damped - 1) &&
             within_64(index[2], k - 2)) ||
            wrong("partials must be those of pairs of elements and variables, one row each");

@@ -2,23 +2,27 @@
 
 /* What design variables change in the law of elements, pair by pair of the two. Of element e these
  * are pairs[first[e]] to pairs[first[e + 1] - 1] in the order of their variables: one below n_stiff
- * changes stresses by A_b x - c_b, one above changes tau by tau_b. */
+ * changes A by A_b and, side by side in rest_b, g_o and p_o; one above changes tau by tau_b. */
 typedef struct {
     npy_intp n_stiff;
     const npy_int64 *first, *pairs, *variables;
-    const T *A_b, *c_b, *tau_b;
+    const T *A_b, *rest_b, *tau_b;
 } NAME(law_partials);
 
-/* p_b += partial of the stress in the variable of a pair, at the strain x of Y and V. */
+/* Partials in the variable of a pair: g_b += that of g_o, p_b += that of the stress at held strain
+ * x of Y and V. */
 INLINE void NAME(add_stress_partial)(int n_y, int d, const NAME(element) *e,
                                      const NAME(law_partials) *of, npy_int64 pair, const T *x,
-                                     const T *Y, const T *V, T *p_b)
+                                     const T *Y, const T *V, T *g_b, T *p_b)
 {
     int n_g = n_y * (n_y + 1) / 2;
     T rate[MOST_G];
     if (pair < of->n_stiff) {
-        for (int k = 0; k < n_g; k++)
-            p_b[k] -= of->c_b[pair * n_g + k];
+        const T *rest_b = of->rest_b + 2 * pair * n_g;
+        for (int k = 0; k < n_g; k++) {
+            g_b[k] += rest_b[k];
+            p_b[k] += rest_b[n_g + k];
+        }
         NAME(apply)(n_g, of->A_b + pair * n_g * n_g, x, p_b);
         return;
     }
@@ -33,7 +37,8 @@ INLINE void NAME(add_stress_partial)(int n_y, int d, const NAME(element) *e,
 INLINE void NAME(force_totals_)(int n_y, int d, const NAME(block) *b, const NAME(law_partials) *of,
                                 const T *q, const T *v, T *Q)
 {
-    T Y[MOST_M], V[MOST_M], U[MOST_M], Z[MOST_M], F[MOST_M], x[MOST_G], p[MOST_G], p_b[MOST_G];
+    T Y[MOST_M], V[MOST_M], U[MOST_M], Z[MOST_M], F[MOST_M], x[MOST_G], p[MOST_G];
+    T g_b[MOST_G], p_b[MOST_G];
     int n_g = n_y * (n_y + 1) / 2;
     for (npy_intp e = 0; e < b->n; e++) {
         const npy_int64 *vectors = b->vectors + e * (n_y + 1);
@@ -53,12 +58,12 @@ INLINE void NAME(force_totals_)(int n_y, int d, const NAME(block) *b, const NAME
             if (v)
                 NAME(gather)(n_y, d, vectors, v + k * b->n_q, Z);
             for (int i = 0; i < n_g; i++)
-                p_b[i] = 0;
+                g_b[i] = p_b[i] = 0;
             for (; at < of->first[e + 1] && of->variables[at] == k - 1; at++)
-                NAME(add_stress_partial)(n_y, d, &own, of, of->pairs[at], x, Y, V, p_b);
+                NAME(add_stress_partial)(n_y, d, &own, of, of->pairs[at], x, Y, V, g_b, p_b);
             for (int i = 0; i < n_y * d; i++)
                 F[i] = 0;
-            NAME(force_along)(n_y, d, &own, p, Y, v ? V : NULL, U, Z, p_b, F);
+            NAME(force_along)(n_y, d, &own, p, Y, v ? V : NULL, U, Z, g_b, p_b, F);
             NAME(spread)(n_y, d, vectors, F, Q + k * b->n_q);
         }
     }

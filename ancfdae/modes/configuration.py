@@ -24,6 +24,8 @@ class Configuration:
         Design derivatives of both; None where q and lam stay as the design changes.
     t : float
         Time at which prescribed motions stand.
+    v : array, shape (n_q,), or None
+        Velocities there, which must be small; None for rest.
     """
 
     q: Array
@@ -31,6 +33,7 @@ class Configuration:
     q_b: Array | None = None
     lam_b: Array | None = None
     t: float = 0.0
+    v: Array | None = None
 
     def __repr__(self) -> str:
         """Return sizes and time."""
@@ -64,6 +67,7 @@ class Configuration:
             None if own is None else own.q_b[instant],
             None if own is None else own.lam_b[instant],
             float(solution.t[instant]),
+            solution.v[instant],
         )
 
     def check(self, system: MechanicalSystem) -> None:
@@ -74,3 +78,5 @@ class Configuration:
             require_array("Configuration.q_b", self.q_b, (system.n_q, system.n_b))
         if self.lam_b is not None:
             require_array("Configuration.lam_b", self.lam_b, (system.n_lam, system.n_b))
+        if self.v is not None:
+            require_array("Configuration.v", self.v, (system.n_q,))

@@ -56,6 +56,7 @@ class Linearised:
         InvalidInput if the configuration does not fit the system or a matrix is not finite.
         """
         at.check(system)
+        _refuse_motion(system, at)
         rest = np.zeros((1, system.n_q))
         states = at.q[None], rest, rest, at.lam[None]
         # What is not finite is refused below, not warned about.
@@ -184,6 +185,30 @@ class Linearised:
         if left <= 1e3 * system.force_round_off:
             return 0.0
         return left / (norm(Q, inverse) + norm(reaction, inverse))
+
+
+# Forces that turning needs, relative to all forces, up to which a state counts as one at rest.
+_AT_REST = 1e-6
+
+
+def _refuse_motion(system: MechanicalSystem, at: Configuration) -> None:
+    """Refuse a state that turns: M v^2/|q| is a force there, and its change a stiffness."""
+    if at.v is None or not np.any(at.v):
+        return
+    inverse = 1 / system.weights
+    still = np.zeros(system.n_q)
+    forces = norm(system.force(at.q, still, at.t), inverse)
+    forces += norm(system.constraint_force(at.q, at.lam, at.t), inverse)
+    turning = norm(at.v, system.weights) ** 2 / (norm(at.q, system.weights) or 1.0)
+    if turning > _AT_REST * forces:
+        raise InvalidInput(
+            "modes, at",
+            "must be a state at rest: centrifugal and Coriolis forces are not in these modes",
+            f"an instant at t = {at.t:.6g} whose motion takes {turning / (forces or 1.0):.2g} of "
+            "all forces",
+            "Pass at=equilibrium(...), or an instant at which it has come to rest; vibrations "
+            "about a steady rotation are not there yet.",
+        )
 
 
 def split(linear: Callable[[Array], Array], x: Array) -> Array:

@@ -57,11 +57,15 @@ def coincident(pairs: Eigenpairs) -> list[list[int]]:
     they, and derivatives that take them for simple, have lost as much as those that take them
     for one.
     """
-    size = np.abs(pairs.z)
-    near = np.sqrt(pairs.noise * np.maximum(size, pairs.noise))
+    near = _near(pairs.z, pairs.noise)
     joined = np.abs(np.diff(pairs.z)) <= near[:-1] + near[1:]
     groups = np.split(np.arange(len(pairs.z)), np.flatnonzero(~joined) + 1)
     return [group.tolist() for group in groups if len(group)]
+
+
+def _near(z: Array, noise: Array) -> Array:
+    """Half the distance of neighbours that coincide."""
+    return np.asarray(np.sqrt(noise * np.maximum(np.abs(z), noise)))
 
 
 def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
@@ -193,6 +197,8 @@ def _finished(small: Linearised, z: Array, X: Array) -> Eigenpairs:
         z = np.where(np.abs(z.imag) <= ROUND_OFF * noise, z.real, z)
     else:
         z = np.where(np.abs(z.real) <= ROUND_OFF * noise, 1j * z.imag, z)
+        # A pair that coincides is a double real root: it creeps.
+        z = np.where(np.abs(z.imag) <= _near(z, noise), z.real, z)
     return Eigenpairs(z, X, noise)
 
 

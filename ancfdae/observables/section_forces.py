@@ -1,18 +1,15 @@
 """Observables of the sections of beams: axial and shear forces, bending moments, torque.
 
-They are integrals over the section of the stresses of the beam's law, second Piola-Kirchhoff ones
-with the part of internal damping, in the axes of the deformed section: its normal, its height, and
-what is across both. They are what the beam beyond the section does to the beam before it, moments
-about the axis of the beam (docs/theory.md, section 2).
-
-All converge with the mesh, the error of second order in the element length or better at any point:
-at the ends of an element that turns by phi, phi^2/6 of the bending moment. Best places, where the
-error is smaller by an order or two: the middle of an element for axial force and torque, and for
-bending moments the points 1/2 -+ 1/(2 sqrt 3) of it, or its middle where it is very slender; shear
-forces are as good anywhere with assumed strains, and best in the middle without, and in cables.
+They are what the beam beyond the section does to the beam before it, in the axes of the deformed
+section: its normal, its height, and what is across both; moments are about the axis of the beam.
+Internal damping has its part. They follow from what elements transmit from node to node, so that
+they are in balance with loads, reactions and inertia to round-off where these act at nodes; loads
+spread along elements, inertia among them, leave an error of second order in the element length, at
+any point (docs/theory.md, section 2). A load or joint between nodes spreads over its element.
 
 A node belongs to the element that begins there, the end of a beam to the last one: forces jump at
-nodes that carry a load.
+nodes that carry a load. In cables, whose forces are those of their strains, axial forces are best
+in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it.
 """
 
 from __future__ import annotations

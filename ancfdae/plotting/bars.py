@@ -71,6 +71,7 @@ def gradient_bars(
         entries.append(Patch(color=_LOWERS, label="lowers it"))
         entries.append(Patch(color="none", label=f"longest bar: {largest}"))
         figure.legend(handles=entries, loc="outside lower center", ncols=3)
+        brush.settle(figure)
     return figure
 
 
@@ -116,4 +117,4 @@ def _include(axes: Any, bars: Array, d: int) -> None:
         room = 0.02 * (right - left)
         getattr(axes, f"set_{axis}lim")(min(left, a - room), max(right, b + room))
     if d == 3:
-        axes.set_box_aspect([np.ptp(getattr(axes, f"get_{axis}lim")()) for axis in "xyz"], zoom=1.1)
+        axes.set_box_aspect([np.ptp(getattr(axes, f"get_{axis}lim")()) for axis in "xyz"], zoom=1.0)

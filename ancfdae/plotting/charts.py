@@ -28,6 +28,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
 
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.plotting.looks import Look, looks
@@ -198,6 +199,10 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
         for number, panel in enumerate(panels, start=1):
             axes = figure.add_subplot(rows, columns, number)
             _draw_panel(axes, panel, own, entries)
+            if panel.x_scale == "log":
+                # A power of ten is 0.5 inches wide; axes are an inch narrower than their panel.
+                count = int((width / columns - 1.0) / 0.65)
+                axes.xaxis.set_major_locator(LogLocator(numticks=count))
         _add_legend(figure, {label: entries[label] for label in own})
         if title:
             figure.suptitle(set_as_mathematics(title))

@@ -43,6 +43,8 @@ _METHODS: Final[dict[str, Look]] = {
     "discrete adjoint": _look(3),
     "continuous adjoint": _look(2),
 }
+# Of these: filled and dashed, with a marker of their own, since small ones look filled anyway.
+_PARTNERS: Final = dict(zip(_MARKERS[:7], (">", "p", "h", "*", "d", "8", "<"), strict=True))
 # How labels end that stand beside another one of the same method.
 _SECOND: Final = ("alpha = -0.05", "index 1", ", 3 levels", ", adjoint")
 
@@ -54,7 +56,7 @@ def looks(labels: Iterable[str]) -> dict[str, Look]:
         known = max((name for name in _METHODS if label.startswith(name)), key=len, default="")
         look = _METHODS[known] if known else _free(found)
         if known and label.endswith(_SECOND):
-            look = replace(look, dashes=_DASHES[1], filled=True)
+            look = replace(look, dashes=_DASHES[1], filled=True, marker=_PARTNERS[look.marker])
         if look in found.values():
             look = _free(found)
         found[label] = look

@@ -14,7 +14,7 @@ from ancfdae.ancf.parameters import ParameterMap, parameter_map
 from ancfdae.ancf.reference import Reference
 from ancfdae.bodies import RigidBody
 from ancfdae.elements import ElementParameter
-from ancfdae.errors import InvalidInput, Outcome, Verdict, require_kind
+from ancfdae.errors import InvalidInput, Outcome, Verdict, require_kind, require_vector
 from ancfdae.naming import Layout, Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.fields import Field
@@ -34,7 +34,7 @@ class Mechanism:
     """A scene at k instants of a motion.
 
     `places` are the points of each mesh, (k, n, d), `values` the field there, (k, n): NaN where
-    there is none; empty without a field.
+    there is none; empty without a field. `asked` are limits of the colours, if given.
     """
 
     d: int
@@ -46,6 +46,7 @@ class Mechanism:
     lines: tuple[Line, ...]
     arrows: tuple[Arrows, ...]
     field: Field | None
+    asked: tuple[float, float] | None = None
 
     @property
     def bounds(self) -> Array:
@@ -65,7 +66,9 @@ class Mechanism:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Least and largest value of the field; symmetric about zero if it is signed."""
+        """Those asked for, or least and largest value, symmetric about zero for a signed field."""
+        if self.asked is not None:
+            return self.asked
         own = np.concatenate([np.zeros(0), *(x[np.isfinite(x)] for x in self.values)])
         if not len(own):
             return 0.0, 1.0
@@ -78,15 +81,21 @@ class Mechanism:
 
 
 def mechanism(
-    scene: Scene, motion: Solution | None, times: Sequence[float] | None, field: Field | None
+    scene: Scene,
+    motion: Solution | None,
+    times: Sequence[float] | None,
+    field: Field | None,
+    limits: Sequence[float] | None = None,
 ) -> Mechanism:
     """Put a scene at instants of a motion, or as declared without one.
 
-    InvalidInput if the solution is that of another scene or a field needs what it lacks.
+    InvalidInput if the solution is that of another scene, a field needs what it lacks, or limits
+    of the colours are none.
     """
     require_kind("picture, scene", scene, (Scene,), "Give the Scene that was integrated.")
     if field is not None:
         require_kind("picture, colour", field, (Field,), "For example VonMisesStress().")
+    asked = _span(limits, field)
     mapping, own = parameter_map(scene, ()), _naming(scene)
     reference = Reference(scene, mapping, mapping.nominal, own)
     if motion is None:
@@ -109,7 +118,21 @@ def mechanism(
         tuple(symbols.lines(motion)),
         tuple(symbols.arrows(motion)),
         field,
+        asked,
     )
+
+
+def _span(limits: Sequence[float] | None, field: Field | None) -> tuple[float, float] | None:
+    if limits is None:
+        return None
+    require_vector("picture, limits", limits, (2,))
+    low, high = map(float, limits)
+    if field is None or not low < high:
+        rule = "must be two increasing numbers, those of a colour"
+        got = f"{low} and {high}" + (" without a colour" if field is None else "")
+        repair = "For example colour=VonMisesStress(), limits=(0, 1e8)."
+        raise InvalidInput("picture, limits", rule, got, repair)
+    return low, high
 
 
 def _naming(scene: Scene) -> Naming:

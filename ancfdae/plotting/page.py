@@ -17,22 +17,26 @@ import numpy.typing as npt
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.glyphs import Glyphs
 from ancfdae.plotting.mechanism import Mechanism
-from ancfdae.plotting.painters import EDGE, GROUND, JOINT, LOAD, colour_map
+from ancfdae.plotting.painters import CAMERA, EDGE, GROUND, JOINT, LOAD, colour_map
 
 _MARK = "/*DATA*/null"
 # Shade of what has no value, and the largest of a value.
 _NO_VALUE, _TOP = 255, 254
 
 
-def write_page(own: Mechanism, file: Path, seconds: float, title: str) -> None:
+def write_page(
+    own: Mechanism, file: Path, seconds: float, title: str, camera: tuple[float, float] = CAMERA
+) -> None:
     """Write the page."""
     # No text of the data may end the script that it stands in.
-    data = json.dumps(page_data(own, seconds, title), allow_nan=False).replace("</", "<\\/")
+    data = json.dumps(page_data(own, seconds, title, camera), allow_nan=False).replace("</", "<\\/")
     page = files("ancfdae.plotting").joinpath("viewer.html").read_text(encoding="utf-8")
     file.write_text(page.replace(_MARK, data), encoding="utf-8")
 
 
-def page_data(own: Mechanism, seconds: float, title: str) -> dict[str, Any]:
+def page_data(
+    own: Mechanism, seconds: float, title: str, camera: tuple[float, float] = CAMERA
+) -> dict[str, Any]:
     """Return what the program in the page reads."""
     low, high = (_spatial(x) for x in own.bounds)
     span, faces = high - low, own.faces
@@ -43,12 +47,14 @@ def page_data(own: Mechanism, seconds: float, title: str) -> dict[str, Any]:
         "d": own.d,
         "title": title,
         "seconds": seconds,
+        "camera": camera,
         "t": own.motion.t.tolist(),
         "low": low.tolist(),
         "span": span.tolist(),
         "points": x.shape[1],
         "places": _packed(np.round(65535 * (x - low) / scale), np.uint16),
-        "triangles": _packed(np.concatenate([faces[:, :3], faces[:, [0, 2, 3]]]), np.uint32),
+        # Body by body: in the plane later ones cover earlier ones.
+        "triangles": _packed(faces[:, [0, 1, 2, 0, 2, 3]], np.uint32),
         "shades": _packed(_shades(own), np.uint8),
         "map": _packed(255 * colour_map(own)(np.linspace(0, 1, 256)), np.uint8),
         "label": "" if own.field is None else own.field.label,
@@ -74,7 +80,7 @@ def _shades(own: Mechanism) -> Array:
         return np.full([len(own.motion.t), sum(x.shape[1] for x in own.places)], _NO_VALUE)
     values = np.concatenate(own.values, axis=1)
     low, high = own.limits
-    share = (values - low) / (high - low)
+    share = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.where(np.isfinite(values), np.round(_TOP * share), _NO_VALUE)
 
 

@@ -14,7 +14,9 @@ from matplotlib.colors import Colormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.glyphs import Glyphs
@@ -46,17 +48,22 @@ SIGNS: Final[dict[str, tuple[str, str]]] = {
 _OTHER: Final = ("*", "joint")
 _FILLED: Final = ("clamp", "weld", "mass", "base")
 _WIDTH: Final = 7.5  # inches
+_EDGE: Final = 0.08  # inches, around a picture of space
 _NARROW, _WIDE = 0.15, 1.1  # height of the axes over their width
 # Of the extent of the picture: height of thin beams, and margin.
 _THIN, _MARGIN = 0.008, 0.12
+#: Elevation and azimuth from which space is seen; degrees.
+CAMERA: Final = (22.0, -60.0)
 _LIGHT: Final = np.array([-0.35, -0.55, 0.75])
 
 
 class Painter(abc.ABC):
     """Axes with equal scales for all instants of a mechanism."""
 
-    def __init__(self, figure: Figure, mechanism: Mechanism) -> None:
-        self.mechanism, self._bounds = mechanism, mechanism.bounds
+    def __init__(
+        self, figure: Figure, mechanism: Mechanism, camera: tuple[float, float] = CAMERA
+    ) -> None:
+        self.mechanism, self._bounds, self._camera = mechanism, mechanism.bounds, camera
         self.glyphs = Glyphs(mechanism)
         self.extent = self.glyphs.extent
         self.colours = ScalarMappable(Normalize(*mechanism.limits), colour_map(mechanism))
@@ -69,6 +76,10 @@ class Painter(abc.ABC):
     @abc.abstractmethod
     def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
         """Paint all bodies at instant k, the fainter the less the strength, from 0 to 1."""
+
+    @abc.abstractmethod
+    def settle(self, figure: Figure) -> None:
+        """Give the axes the room that title, legend and colour bar leave."""
 
     @abc.abstractmethod
     def _mark(self, kind: str, x: Array) -> list[Artist]:
@@ -184,6 +195,9 @@ class PlanePainter(Painter):
                 found.append(self.axes.add_collection(self._stroke(number, k, strength)))
         return found
 
+    def settle(self, figure: Figure) -> None:
+        """Leave it to the layout."""
+
     def _stroke(self, number: int, k: int, strength: float) -> LineCollection:
         """Return a line along a thin beam, in the colour of the largest value over the height."""
         mesh = self.mechanism.meshes[number]
@@ -228,15 +242,60 @@ class SpacePainter(Painter):
     def _make_axes(self, figure: Figure) -> Any:
         axes = figure.add_subplot(projection="3d")
         low, high = self._bounds
-        middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.12 * self.extent)
+        middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.2 * self.extent)
         half = half + 0.4 * _MARGIN * self.extent
         for axis, m, h in zip("xyz", middle, half, strict=True):
             axes.set(**{f"{axis}lim": (m - h, m + h), f"{axis}label": f"{axis} [m]"})
-            ticks = max(2, round(5 * h / half.max()))
+            ticks = max(1, round(5 * h / half.max()))
             getattr(axes, f"{axis}axis").set_major_locator(MaxNLocator(ticks))
-        axes.set_box_aspect(half, zoom=1.1)
-        axes.view_init(elev=22, azim=-60)
+        axes.set_box_aspect(half, zoom=1.0)
+        axes.view_init(*self._camera)
         return axes
+
+    def settle(self, figure: Figure) -> None:
+        """Fill what the layout leaves with the cube of the limits and its labels, and cut nothing.
+
+        The layout takes the axes for a rectangle, which the cube fills badly and reaches beyond.
+        """
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        pixels, (width, height) = figure.dpi_scale_trans.inverted(), figure.get_size_inches()
+        left, right, bottom, top = _EDGE, width - _EDGE, _EDGE, height - _EDGE
+        for other in figure.axes:
+            if other is not self.axes:
+                right = min(right, other.bbox.transformed(pixels).x0 - 2 * _EDGE)
+        for legend in figure.legends:
+            bottom = max(bottom, legend.get_window_extent().transformed(pixels).y1 + _EDGE)
+        if figure.get_suptitle():
+            top -= 0.3
+        # Letters do not grow with the axes: the third time changes little.
+        for _ in range(3):
+            box = self._seen().transformed(pixels)
+            grow = min((right - left) / box.width, (top - bottom) / box.height)
+            at = self.axes.get_position()
+            middle = np.array(
+                [
+                    at.x0 + at.width / 2 - (box.x0 + box.x1) / 2 / width,
+                    at.y0 + at.height / 2 - (box.y0 + box.y1) / 2 / height,
+                ]
+            )
+            room = np.array([(left + right) / 2 / width, (bottom + top) / 2 / height])
+            x, y = room + grow * middle
+            w, h = grow * at.width, grow * at.height
+            self.axes.set_position((x - w / 2, y - h / 2, w, h))
+        for artist in self.axes.get_children():
+            artist.set_clip_on(False)
+
+    def _seen(self) -> Bbox:
+        """Return what the cube of the limits and its labels take; pixels."""
+        own = self.axes
+        limits = [getattr(own, f"get_{axis}lim")() for axis in "xyz"]
+        corners = np.stack(np.meshgrid(*limits), axis=-1).reshape(-1, 3)
+        x, y, _ = proj_transform(*corners.T, own.get_proj())
+        cube = Bbox.null()
+        cube.update_from_data_xy(own.transData.transform(np.stack([x, y], axis=1)))
+        labels = [axis.get_tightbbox() for axis in (own.xaxis, own.yaxis, own.zaxis)]
+        return Bbox.union([cube, *(box for box in labels if box is not None)])
 
     def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
         """All faces in one collection, so that they hide each other."""
@@ -269,23 +328,37 @@ def colour_map(mechanism: Mechanism) -> Colormap:
     return colormaps[SIGNED if signed else PLAIN].with_extremes(bad=BODY)
 
 
-def canvas(own: Mechanism, title: str, signs: bool = False) -> tuple[Figure, Painter]:
+def canvas(
+    own: Mechanism, title: str, signs: bool = False, camera: tuple[float, float] = CAMERA
+) -> tuple[Figure, Painter]:
     """Make a figure as high as the mechanism needs, with colour bar and a legend of signs."""
     span = np.ptp(own.bounds, axis=0) + 0.24 * np.ptp(own.bounds, axis=0).max()
     ratio = 0.65 if own.d == 3 else span[1] / span[0]
     height = _WIDTH * float(np.clip(0.9 * ratio, _NARROW, _WIDE)) + 1.2
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    brush = PlanePainter(figure, own) if own.d == 2 else SpacePainter(figure, own)
-    brush.axes.set_title(title)
+    kind = PlanePainter if own.d == 2 else SpacePainter
+    brush = kind(figure, own, camera)
+    if own.d == 2:
+        brush.axes.set_title(title)
+    elif title:
+        figure.suptitle(title, fontsize="large")
     entries = brush.legend() if signs else []
     if entries:
         figure.legend(handles=entries, loc="outside lower center", ncols=min(4, len(entries)))
     if own.field is not None:
         bar = figure.colorbar(
-            brush.colours, ax=brush.axes, shrink=0.8, pad=0.03 + 0.07 * (own.d == 3)
+            brush.colours, ax=brush.axes, shrink=0.8, pad=0.03, extend=_extend(own)
         )
         bar.set_label(own.field.label)
     return figure, brush
+
+
+def _extend(own: Mechanism) -> str:
+    """Which ends of the colour bar point to values beyond its limits."""
+    values = np.concatenate([x[np.isfinite(x)] for x in own.values])
+    low, high = own.limits
+    below, above = bool(np.any(values < low)), bool(np.any(values > high))
+    return {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[below, above]
 
 
 def lit(colours: Array, corners: Array) -> Array:

@@ -15,16 +15,18 @@ from ancfdae.errors import (
     InvalidInput,
     MissingPackage,
     require_count,
+    require_kind,
     require_path,
     require_positive,
     require_text,
+    require_vector,
 )
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import settings
 from ancfdae.plotting.fields import Field
 from ancfdae.plotting.mechanism import Mechanism, frames_of, mechanism
 from ancfdae.plotting.page import write_page
-from ancfdae.plotting.painters import Painter, canvas
+from ancfdae.plotting.painters import CAMERA, Painter, canvas
 from ancfdae.protocol import Solution
 from ancfdae.scene import Scene
 
@@ -38,6 +40,8 @@ def snapshots(
     times: Sequence[float] | None = None,
     colour: Field | None = None,
     title: str = "",
+    limits: Sequence[float] | None = None,
+    camera: Sequence[float] | None = None,
 ) -> Figure:
     """Draw a mechanism as declared, or at several instants of a motion in one picture.
 
@@ -58,6 +62,12 @@ def snapshots(
         `StrainEnergyDensity()`, `VonMisesStress()`, `AxialForce()`, `BendingMoment()`, `Speed()` or
         `Sensitivity(variable)`. Bodies without the quantity are grey.
     title : str
+    limits : (float, float), optional
+        Values of the first and the last colour, so that pictures can be compared; by default the
+        least and the largest in the picture.
+    camera : (float, float), optional
+        From where space is seen: elevation above the plane x y and azimuth, in degrees; by default
+        (22, -60). (0, -90) shows x to the right and z upwards, (90, -90) x and y.
 
     Returns
     -------
@@ -70,11 +80,12 @@ def snapshots(
         If the solution is not that of the scene, or lacks what is asked for.
     """
     require_text("snapshots, title", title)
+    seen = _camera("snapshots", scene, camera)
     if isinstance(solution, Solution) and times is None and len(solution.t) > 1:
         times = frames_of(solution, _INSTANTS).tolist()
-    own = mechanism(scene, solution, times, colour)
+    own = mechanism(scene, solution, times, colour, limits)
     with settings():
-        figure, brush = canvas(own, title, signs=True)
+        figure, brush = canvas(own, title, True, seen)
         count = len(own.motion.t)
         for k in range(count):
             share = (k + 1) / count
@@ -82,6 +93,7 @@ def snapshots(
         brush.symbols(count - 1)
         if count > 1:
             _label_instants(brush, own)
+        brush.settle(figure)
     return figure
 
 
@@ -94,13 +106,15 @@ def animate(
     seconds: float = 4.0,
     title: str = "",
     dpi: int = 100,
+    limits: Sequence[float] | None = None,
+    camera: Sequence[float] | None = None,
 ) -> Path:
     """Write a film of a motion: GIF, MP4, or a page to turn and zoom, by the suffix of the path.
 
     Parameters
     ----------
-    scene, solution, colour, title
-        As in `snapshots`.
+    scene, solution, colour, title, limits, camera
+        As in `snapshots`; a page starts from the camera.
     path : str or path
         Ends with ``.gif``; with ``.mp4``, for which the program ffmpeg must be installed; or with
         ``.html``: a page that needs nothing else and no network, with play, pause, a slider, and in
@@ -133,13 +147,14 @@ def animate(
             "animate: MP4 needs the program ffmpeg, which is not on the path. Install it (apt "
             "install ffmpeg, brew install ffmpeg), or write a .gif or .html."
         )
-    own = mechanism(scene, solution, frames_of(solution, frames).tolist(), colour)
+    seen = _camera("animate", scene, camera)
+    own = mechanism(scene, solution, frames_of(solution, frames).tolist(), colour, limits)
     file.parent.mkdir(parents=True, exist_ok=True)
     if file.suffix == ".html":
-        write_page(own, file, seconds, title)
+        write_page(own, file, seconds, title, seen)
         return file
     with settings():
-        _film(own, file, frames / seconds, title, dpi)
+        _film(own, file, frames / seconds, title, dpi, seen)
     return file
 
 
@@ -154,31 +169,55 @@ def checked_path(where: str, path: str | os.PathLike[str], suffixes: tuple[str, 
     return file
 
 
-def _film(own: Mechanism, file: Path, rate: float, title: str, dpi: int) -> None:
+def _camera(where: str, scene: Scene, camera: Sequence[float] | None) -> tuple[float, float]:
+    """Return elevation and azimuth; InvalidInput in the plane, which is seen from above."""
+    if camera is None:
+        return CAMERA
+    require_vector(f"{where}, camera", camera, (2,))
+    require_kind(f"{where}, scene", scene, (Scene,), "Give the Scene that was integrated.")
+    if scene.dimension == 2:
+        rule, repair = "needs a scene in space", "Leave it out."
+        raise InvalidInput(f"{where}, camera", rule, "a planar one", repair)
+    elevation, azimuth = map(float, camera)
+    return elevation, azimuth
+
+
+def _film(
+    own: Mechanism, file: Path, rate: float, title: str, dpi: int, camera: tuple[float, float]
+) -> None:
     writers: dict[str, Any] = {".gif": animation.PillowWriter, ".mp4": animation.FFMpegWriter}
-    figure, brush = canvas(own, title, signs=True)
+    figure, brush = canvas(own, title, True, camera)
     # Found once: it takes longer than all the rest of a frame.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
+    brush.settle(figure)
     clock = figure.text(0.02, 0.98, "", va="top", fontsize=10)
     writer = writers[file.suffix](fps=rate)
     with writer.saving(figure, file, dpi):
         for k, t in enumerate(own.motion.t.tolist()):
             clock.set_text(f"t = {t:.3g} s")
             artists = brush.bodies(k) + brush.symbols(k)
+            for artist in artists:
+                artist.set_clip_on(False)
             writer.grab_frame()
             for artist in artists:
                 artist.remove()
 
 
 def _label_instants(brush: Painter, own: Mechanism) -> None:
-    """Write each instant beside the point that travels farthest."""
+    """Write instants beside the point that travels farthest, where it left room."""
     travel = [np.linalg.norm(np.diff(x, axis=0), axis=-1).sum(axis=0) for x in own.places]
     if not any(len(x) for x in travel):
         return
     mesh = int(np.argmax([x.max(initial=-1.0) for x in travel]))
     track: Array = own.places[mesh][:, int(np.argmax(travel[mesh]))]
-    for x, t in zip(track, own.motion.t.tolist(), strict=True):
+    shown: list[int] = []
+    for k in reversed(range(len(track))):
+        # Letters are about so high.
+        if not shown or np.linalg.norm(track[k] - track[shown[-1]]) > 0.04 * brush.extent:
+            shown.append(k)
+    for k in shown:
+        x, t = track[k], own.motion.t[k]
         offset = (x[:2] - own.bounds.mean(axis=0)[:2]) >= 0
         brush.axes.text(
             *x,

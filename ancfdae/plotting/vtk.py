@@ -38,9 +38,9 @@ def write_vtk(
     """Write a motion for ParaView: a .pvd, which lists one .vtu per instant in a folder beside it.
 
     Points carry displacement from the configuration as declared, velocity, von Mises stress (not
-    of cables), strain energy density, forces and moments of the section, and the derivative of the
-    place in each design variable of the solution; cells the number of their body. What a body does
-    not have is NaN.
+    if there are cables, or in space sections without a shape), strain energy density, forces and
+    moments of the section, and the derivative of the place in each design variable of the
+    solution; cells the number of their body. What a body does not have is NaN.
 
     Parameters
     ----------
@@ -125,7 +125,10 @@ def _joined(own: Mechanism, function: Any) -> Array:
 
 
 def _has_stress(mesh: Mesh) -> bool:
-    return not isinstance(mesh, BeamMesh) or Quantity.SLOPE_Y in mesh.body.element.quantities
+    if not isinstance(mesh, BeamMesh):
+        return True
+    shaped = mesh.body.dimension == 2 or mesh.body.element_type().section.shaped
+    return shaped and Quantity.SLOPE_Y in mesh.body.element.quantities
 
 
 def _section_forces(mesh: Mesh, motion: Solution) -> Array:

@@ -20,6 +20,8 @@ _AROUND = 16
 class _Round(Section):
     """A section between two circles, of which the inner one may be a point."""
 
+    shaped = True
+
     radius: float
 
     @abc.abstractmethod

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_array
+from ancfdae.errors import InvalidInput, require_array, require_vector
 from ancfdae.numerics.arrays import Array
 from ancfdae.sections.rectangle import corners
 from ancfdae.sections.section import Section, SectionPoints, central_moments, columns
@@ -98,6 +98,9 @@ class PointSection(Section):
         1 by default.
     torsion_constant : float, optional
         By default the polar moment about the centroid, as if the section did not warp; m^4.
+    shear_centre : (float, float), optional
+        Its coordinates y and z: forces through it do not twist the beam. By default the centroid;
+        stretched with the points.
 
     Raises
     ------
@@ -109,6 +112,7 @@ class PointSection(Section):
     width_factor: float = 1.0
     places: Sequence[Sequence[float]] = field(kw_only=True)
     areas: Sequence[float] = field(kw_only=True)
+    shear_centre: Sequence[float] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Validate and freeze."""
@@ -124,6 +128,9 @@ class PointSection(Section):
         places = require_array("PointSection.places", self.places, (len(areas), 2))
         object.__setattr__(self, "areas", tuple(areas.tolist()))
         object.__setattr__(self, "places", tuple(map(tuple, places.tolist())))
+        if self.shear_centre is not None:
+            require_vector("PointSection.shear_centre", self.shear_centre, (2,))
+            object.__setattr__(self, "shear_centre", tuple(map(float, self.shear_centre)))
 
     @property
     def half_extents(self) -> tuple[float, float]:
@@ -144,6 +151,12 @@ class PointSection(Section):
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
         """None known: 1."""
         return np.ones_like(nu), np.ones_like(nu)
+
+    def twist_centre(self, sizes: Array, centroid: Array) -> Array:
+        """As declared, stretched."""
+        if self.shear_centre is None:
+            return centroid
+        return np.asarray(sizes[:, None] * np.asarray(self.shear_centre))
 
     def torsion(self, sizes: Array) -> Array:
         """Polar moment."""

@@ -27,6 +27,8 @@ _COARSE, _FINE = 3, 6
 class Rectangular(Section):
     """A section with a rectangle around it: height along y and width along z."""
 
+    shaped = True
+
     height: float
     width: float
 

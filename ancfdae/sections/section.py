@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -40,6 +40,9 @@ class Section(abc.ABC):
     InvalidInput
         If a size or a property is not finite and positive.
     """
+
+    #: Whether `torsional_shear` is known.
+    shaped: ClassVar[bool] = False
 
     shear_factors: Sequence[float] | None = field(default=None, kw_only=True)
     torsion_constant: float | None = field(default=None, kw_only=True)
@@ -118,6 +121,10 @@ class Section(abc.ABC):
     @abc.abstractmethod
     def torsion(self, sizes: Array) -> Array:
         """Torsion constants J, shape (n,)."""
+
+    def twist_centre(self, sizes: Array, centroid: Array) -> Array:
+        """Return y and z of the shear centre, shape (n, 1, 2): the centroid, (n, 1, 2), here."""
+        return centroid
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Return shear stresses along y and z in torsion, over G and the rate of twist; m.

@@ -26,9 +26,12 @@ from ancfdae.protocol.saddle_points import saddle_point, solve
 
 # Estimated error after the last iteration, relative to positions and to forces: near round-off.
 _TOLERANCE = 1e-13
-# Corrections that stop shrinking are round-off if they, and the forces left, are this small.
-_ROUND_OFF = 1e-6
 _ITERATIONS = 25
+# A sum of forces goes through this many roundings at most, with a margin.
+_ROUNDINGS = 64
+_EPS = float(np.finfo(float).eps)
+# Loads below so many times their round-off are measured against that instead.
+_SEEN = 1e7
 # A correction of so many times the size of the system, or growth so many times, is divergence.
 _FAR, _GROWTHS = 100.0, 4
 
@@ -48,13 +51,14 @@ class Work:
 @final
 @dataclass(frozen=True)
 class Solved:
-    """A solution at the load fraction s, and the matrix of the last iteration."""
+    """A solution at the load fraction s, and the matrix and correction of the last iteration."""
 
     s: float
     q: Array
     lam: Array
     factors: Factorization
     iterations: int
+    correction: float
 
 
 @final
@@ -163,8 +167,8 @@ class Balance:
                     factors = self.factor(K if mu == 0.0 else K + mu * self.M_0, q)
                     dq, dlam = solve(factors, R, -Phi)
                     q, lam = q + dq, lam + dlam
-                    if test.converged(q, lam, dq, dlam, R):
-                        return Solved(s, q, lam, factors, iteration)
+                    if test.converged(q, lam, dq, dlam, R, K):
+                        return Solved(s, q, lam, factors, iteration, test.size)
                     if test.diverged:
                         break
         except SingularMatrix:
@@ -183,9 +187,69 @@ class Balance:
             R = R - mu * self.system.pattern.dot(self.M_0, q - anchor)
         return R, self.system.constraint(q, self.t) - (1.0 - s) * self.Phi_0
 
+    def polished(self, q: Array, lam: Array) -> Solved | Failure:
+        """Solve the equations of the full load to the last digit, from a solution near it.
+
+        Corrections with one matrix are added as long as they halve; that of a thin or a finely
+        divided beam has few digits. What is left must be round-off, or it is no solution.
+        """
+        K = self.tangent(1.0, q, lam)
+        try:
+            factors = self.factor(K, q)
+        except SingularMatrix:
+            return Failure(Verdict.SINGULAR, 0.0)
+        sizes = np.full(2, np.inf)
+        for _ in range(_ITERATIONS):
+            R, Phi = self._residual(1.0, q, lam, 0.0, None)
+            dq, dlam = solve(factors, R, -Phi)
+            # A complex step, far below the real part, is followed on its own.
+            last, sizes = sizes, np.array([self.length(dq.real), self.length(dq.imag)])
+            if not np.any(sizes < 0.5 * last):
+                break
+            q, lam = q + dq, lam + dlam
+        size = float(sizes[0]) / self.extent
+        if self.is_round_off(R, K, q, lam):
+            return Solved(1.0, q, lam, factors, 0, size)
+        return Failure(Verdict.NO_CONVERGENCE, size)
+
+    def is_round_off(self, R: Array, K: Array, q: Array, lam: Array) -> bool:
+        """Whether forces left are the round-off of this scene.
+
+        Coordinates carry eps |q|, which forces multiply by K, and their sums round; all terms by
+        their magnitude. What stays of R is a tenth of this (docs/measurements.md, section 17).
+        """
+        system, pattern = self.system, self.system.pattern
+        blur = pattern.dot(np.abs(K.real), np.abs(q.real))
+        reaction = self.strength(system.constraint_force(q, lam, self.t))
+        force = self.strength(system.force(q, np.zeros_like(q), self.t))
+        noise = max(system.force_round_off, _EPS * self.strength(blur))
+        return self.strength(R.real) <= noise + _ROUNDINGS * _EPS * (force + reaction)
+
     def path_tangent(self, q: Array, factors: Factorization) -> tuple[Array, Array]:
         """Return dq/ds and dlam/ds of the path of solutions."""
         return solve(factors, self.held_back(q), -self.Phi_0)
+
+    def refuse_motion(self) -> None:
+        """Refuse joints that drive a motion at this instant: the forces that it needs would lack.
+
+        InvalidInput if M v^2/|q|, v the motion that the joints prescribe, is more than the
+        round-off of forces.
+        """
+        system, q = self.system, self.q_0.real
+        nu = system.velocity_side(q, self.t).real
+        if not np.any(nu):
+            return
+        v = solve(self.factor(self.M_0.real, q), np.zeros_like(q), nu)[0].real
+        turning = self.length(v) ** 2 / self.extent
+        if turning > max(system.force_round_off, _EPS * self.strength(self.unbalanced(q, nu * 0))):
+            driven = sorted({system.constraint_names[int(i)] for i in np.flatnonzero(nu)})
+            raise InvalidInput(
+                "equilibrium",
+                "needs joints that stand still: nothing is at rest that a joint drives",
+                f"joints {', '.join(map(repr, driven))} that move at t = {self.t:.6g}",
+                "Give their laws no rate there, or simulate; a steady rotation about which things "
+                "are at rest is not there yet.",
+            )
 
     # -- natural sizes -------------------------------------------------------------------------
 
@@ -210,7 +274,7 @@ class Balance:
     @cached_property
     def load(self) -> float:
         """Size of the load at the start, and no less than round-off tells."""
-        least = self.system.force_round_off / (0.1 * _ROUND_OFF)
+        least = _SEEN * self.system.force_round_off
         return max(self.strength(self.held_back(self.q_0)), least, float(np.finfo(float).tiny))
 
 
@@ -225,8 +289,8 @@ class _Convergence:
         self._balance, self._last, self._growths, self._settled = balance, math.inf, 0, 0
         self.size, self.diverged = math.inf, False
 
-    def converged(self, q: Array, lam: Array, dq: Array, dlam: Array, R: Array) -> bool:
-        """Judge a correction that led to q and lam, from the unbalanced forces R."""
+    def converged(self, q: Array, lam: Array, dq: Array, dlam: Array, R: Array, K: Array) -> bool:
+        """Judge a correction that led to q and lam, from the unbalanced forces R, with K."""
         b, system = self._balance, self._balance.system
         moved = b.length(dq)
         # Where all coordinates are zero at the start, the first correction tells their size.
@@ -237,9 +301,9 @@ class _Convergence:
         rate = moved / self._last if 0 < self._last < math.inf else float(moved > 0)
         self._growths += rate > 1.0
         self.diverged = moved > _FAR or self._growths >= _GROWTHS
-        self._last = moved
+        last, self._last = self._last, moved
         left = self.size * min(1.0, rate * rate)
-        stuck = rate > 0.5 and self.size <= _ROUND_OFF and b.strength(R) <= _ROUND_OFF * force
+        stuck = last < math.inf and rate > 0.5 and b.is_round_off(R, K, q, lam)
         if left <= _TOLERANCE or stuck:
             self._settled += 1
         return self._settled >= (3 if np.iscomplexobj(q) else 1)

@@ -101,11 +101,12 @@ def find_equilibrium(
     FreeMechanism
         If a motion is held by nothing.
     InvalidInput
-        If the start is not finite, or constraints depend on each other.
+        If the start is not finite, constraints depend on each other, or a joint drives a motion.
     """
     began = time.perf_counter()
     q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else (start.q, start.lam)
     balance = Balance.of(system, 0.0, q, lam)
+    balance.refuse_motion()
     found, derivatives = search(balance, max_steps), None
     if sensitivities and found.outcome.success:
         balance.work.factorisations += 1

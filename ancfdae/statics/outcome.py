@@ -23,8 +23,9 @@ class LoadOutcome:
     step : int
         Steps that converged, of the load or downhill.
     residual : float
-        Size of the last correction of Newton's method where it failed, relative to positions and
-        forces; zero where it did not.
+        Size of the last correction of Newton's method, relative to positions (where it failed, to
+        forces too). Of an equilibrium it is round-off: corrections have stopped to shrink, and the
+        forces left are no more than what rounding the coordinates changes in them.
     stable_to : float or None
         None if it is stable; else the part of the load above which a motion meets a negative
         stiffness, as above a buckling load, to one per cent.

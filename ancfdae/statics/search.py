@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from ancfdae.errors import SingularMatrix, Verdict
@@ -55,10 +55,19 @@ def _followed(balance: Balance, start: Softness, max_steps: int) -> Found:
     first = PathPoint(0.0, q, lam, *balance.path_tangent(q, factors), start.stable)
     path = LoadPath(balance, first, max_steps)
     verdict, last = path.follow(), path.places[-1]
-    residual = 0.0 if verdict is Verdict.EQUILIBRIUM else path.residual
-    steps = len(path.places) - 1
-    outcome = LoadOutcome(verdict, last.s, steps, residual, path.stable_to())
-    return Found(last.q, last.lam, outcome)
+    outcome = LoadOutcome(verdict, last.s, len(path.places) - 1, path.residual, path.stable_to())
+    found = Found(last.q, last.lam, outcome)
+    return _polished(balance, found) if outcome.success else found
+
+
+def _polished(balance: Balance, found: Found) -> Found:
+    """Return an equilibrium with all its digits, or where it has come if it is none."""
+    exact = balance.polished(found.q, found.lam)
+    if isinstance(exact, Failure):
+        outcome = replace(found.outcome, verdict=exact.verdict, residual=exact.residual)
+        return replace(found, outcome=outcome)
+    outcome = replace(found.outcome, residual=exact.correction)
+    return Found(exact.q, exact.lam, outcome)
 
 
 def _settled(balance: Balance, start: Softness, max_steps: int) -> Found:
@@ -77,5 +86,5 @@ def _settled(balance: Balance, start: Softness, max_steps: int) -> Found:
         outcome = LoadOutcome(found.verdict, 0.0, steps, found.residual, downhill=True)
         return Found(q, lam, outcome)
     stable_to = None if end.stable else 0.0
-    outcome = LoadOutcome(verdict, 1.0, steps, 0.0, stable_to, downhill=True)
-    return Found(found.q, found.lam, outcome)
+    outcome = LoadOutcome(verdict, 1.0, steps, found.correction, stable_to, downhill=True)
+    return _polished(balance, Found(found.q, found.lam, outcome))

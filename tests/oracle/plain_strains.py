@@ -23,47 +23,29 @@ def section_slopes(Y, xi, l):
     return (1 - xi) * first + xi * second, (second - first) / l
 
 
-def metric(Y, xi, y, z, l, law):
-    """Return the metric B, (d, d), and the rows of turns."""
-    d, offset = Y.shape[1], (y, z)
+def products(Y, xi, l, assumed):
+    """Return r_x.r_x, b_i.r_x, b_i.b_j, c_i.r_x, c_i.b_j, c_i.c_j and the squared turns."""
+    d = Y.shape[1]
     r_x, r_xx = curve(Y, xi, l)
     c, b = section_slopes(Y, xi, l)
-    shear, thickness, twist = c @ r_x, c @ c.T, c @ b.T
-    bending = b @ r_x
-    if law["assumed"]:
+    bending, shear, slopes, thickness, turns = b @ r_x, c @ r_x, c @ b.T, c @ c.T, np.zeros(0)
+    if assumed:
         ends = [(section_slopes(Y, x, l)[0], curve(Y, x, l)[0]) for x in (0.0, 1.0)]
         S = [slopes @ tangent for slopes, tangent in ends]
         t = [slopes @ slopes.T for slopes, _ in ends]
         shear, thickness = (1 - xi) * S[0] + xi * S[1], (1 - xi) * t[0] + xi * t[1]
-        bending = (S[1] - S[0]) / l - c @ r_xx
-        twist = 0.5 * ((t[1] - t[0]) / l + c @ b.T - b @ c.T)
-    B = np.zeros((d, d))
-    B[1:, 1:] = thickness
-    B[0, 0] = r_x @ r_x
-    for i in range(d - 1):
-        B[0, 0] += 2 * offset[i] * bending[i]
-        B[0, 1 + i] = law["factors"][i] * shear[i] + offset[i] * twist[i, i]
-        for j in range(d - 1):
-            B[0, 0] += offset[i] * offset[j] * (b[i] @ b[j])
-            if j != i:
-                B[0, 1 + i] += law["factors"][2] * offset[j] * twist[i, j]
-    turns = np.zeros(0)
-    if law["assumed"]:
-        middle = curve(Y, 0.5, l)[1]
+        middle, c_m = curve(Y, 0.5, l)[1], section_slopes(Y, 0.5, l)[0]
+        bending = (S[1] - S[0]) / l - c @ r_xx + (c - c_m) @ middle
+        slopes = 0.5 * ((t[1] - t[0]) / l + c @ b.T - b @ c.T)
         bent = middle @ middle
         if d == 2:
-            squares = np.array([0.5 * (bent + b[0] @ b[0])])
+            turns = np.array([0.5 * (bent + b[0] @ b[0])])
         else:
             y_turn, z_turn = b[0] @ b[0], b[1] @ b[1]
-            squares = 0.5 * np.array(
+            turns = 0.5 * np.array(
                 [bent + y_turn - z_turn, bent - y_turn + z_turn, y_turn + z_turn - bent]
             )
-        turns = l * np.asarray(law["radii"])[: len(squares)] * squares
-        if law["straight"]:
-            radii = np.asarray(law["radii"])[: d - 1]
-            B[0, 0] -= 3 * np.sum(radii**2 * squares[: d - 1])
-    B[1:, 0] = B[0, 1:]
-    return B, turns
+    return r_x @ r_x, bending, b @ b.T, shear, slopes, thickness, turns
 
 
 def section_axes(J):
@@ -117,12 +99,44 @@ def lame(d, E, nu):
 
 def strain(Y, Y_o, xi, y, z, l, law):
     """Return strains with engineering shears in the axes of the section, turns and det J_o."""
-    (B, turns), (B_o, turns_o) = (metric(X, xi, y, z, l, law) for X in (Y, Y_o))
-    d, green, det_J = len(B), 0.5 * (B - B_o), 1.0
-    if not law["straight"]:
-        J = gradient(Y_o, xi, y, z, l)
-        inverse, det_J = np.linalg.inv(section_axes(J) @ J), np.linalg.det(J)
-        green = inverse.T @ green @ inverse
+    d = Y.shape[1]
+    offset, m = np.array([y, z])[: d - 1], d - 1
+    (stretch, bending, squares, shear, slopes, thick, turns), at_rest = (
+        products(X, xi, l, law["assumed"]) for X in (Y, Y_o)
+    )
+    stretch_o, bending_o, squares_o, shear_o, slopes_o, thick_o, turns_o = at_rest
+    J = gradient(Y_o, xi, y, z, l)
+    J = section_axes(J) @ J if not law["straight"] else np.eye(d)
+    # Components of r_ox and the b_oj along the normal, r_oy(, r_oz): what the reference has across
+    # the normal moves with r_y(, r_z) as strains vanish.
+    c_o, b_o = section_slopes(Y_o, xi, l)
+    frame = np.column_stack([section_axes(gradient(Y_o, xi, 0, 0, l))[0], *c_o])
+    r_across = np.linalg.solve(frame, curve(Y_o, xi, l)[0])[1:]
+    b_across = np.linalg.solve(frame, b_o.T)[1:].T
+    if law["straight"]:
+        r_across, b_across = 0 * r_across, 0 * b_across
+    g = shear - shear_o - (thick - thick_o) @ r_across
+    G = slopes - slopes_o - (thick - thick_o) @ b_across.T
+    change = np.zeros((d, d))
+    change[0, 0] = stretch - stretch_o + 2 * offset @ (bending - bending_o)
+    change[0, 0] += offset @ (squares - squares_o) @ offset
+    change[1:, 1:] = thick - thick_o
+    radii = np.asarray(law["radii"])
+    radii = radii / np.sqrt(1 + (radii / l) ** 4)
+    if law["straight"] and len(turns):
+        change[0, 0] -= 3 * radii[:m] ** 2 @ (turns - turns_o)[:m]
+    greens = []
+    for power in (1, 2):
+        k = np.asarray(law["factors"]) ** power
+        twist = np.where(np.eye(m) == 1, 1.0, k[2])
+        centre, shear_centre = (np.asarray(law[name])[:m] for name in ("centroid", "shear_centre"))
+        h = k[:m] * (g + G @ shear_centre) + (twist * G) @ (offset - centre)
+        # The metric of which the fibre has these shears.
+        change[0, 1:] = change[1:, 0] = h + change[1:, 1:] @ (r_across + offset @ b_across)
+        inverse = np.linalg.inv(J)
+        greens.append(0.5 * inverse.T @ change @ inverse)
+    green = greens[0]
+    green[0, 0] = greens[1][0, 0]
     shears = [(0, 1)] if d == 2 else [(1, 2), (0, 2), (0, 1)]
     eps = np.append(np.diag(green), [2 * green[i, j] for i, j in shears])
-    return eps, turns - turns_o, det_J
+    return eps, l * radii[: len(turns)] * (turns - turns_o), np.linalg.det(J)
