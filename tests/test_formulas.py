@@ -40,6 +40,7 @@ from ancfdae import (
     PlanarJoint,
     PointForce,
     PointMass,
+    PointOnLine,
     PointSection,
     Prismatic,
     Rectangle,
@@ -59,6 +60,7 @@ from ancfdae import (
     axial_strain,
     centre_of_mass,
     drive_torque,
+    equilibrium,
     gradients,
     guide_force,
     inertia,
@@ -74,8 +76,12 @@ from ancfdae import (
     reaction,
     simulate,
     slope_angle,
+    strain_energy,
+    suggest_step,
 )
 from ancfdae.observables import States
+from ancfdae.plotting.fields import StrainEnergyDensity
+from ancfdae.plotting.mechanism import mechanism
 
 from oracle.newton_euler import (
     Action,
@@ -416,7 +422,7 @@ def slider():
     twin = [Body(m[k], I[k], c[k]) for k in range(4)]
     chain = Chain(scene, twin, places, list(p), named)
     chain.run(np.zeros(3), np.array([0.4, 1.3, -0.7]), 0.1, coordinates)
-    chain.laws, chain.axes = (slide, turn), (a, b)
+    chain.laws, chain.axes, chain.frames = (slide, turn), (a, b), F
     return chain
 
 
@@ -427,13 +433,24 @@ def test_universal_joint_and_weld_react_with_their_force(slider):
         # The rows behind the force are the turns: their multipliers are of the size of the moment.
         turns = slider.solution.multipliers(name)[0, 3:]
         assert np.allclose(np.linalg.norm(turns), np.linalg.norm(moment), **CLOSE)
+        if name == "weld":
+            carried = slider.moving[k].R @ slider.frames[k].T
+            assert np.allclose(-turns, (carried.T @ moment)[[2, 0, 1]], **CLOSE)
+
+
+def as_on_a_line(a):
+    """The directions across a line in space, as `PointOnLine` words them."""
+    most = np.eye(3)[np.argmin(np.abs(a))]
+    first = unit(most - (most @ a) * a)
+    return np.stack([first, np.cross(a, first)])
 
 
 def test_sliding_joints_hold_the_force_across_their_axis(slider):
     for name, k, axis, turns in (("prismatic", 0, 0, 3), ("cylindrical", 1, 1, 2)):
         (force, moment), a = slider.wrenches[k], slider.axes[axis]
-        lam = slider.solution.multipliers(name)[0]
-        assert np.allclose(np.linalg.norm(lam[:2]), np.linalg.norm(np.cross(a, force)), **CLOSE)
+        lam, e = slider.solution.multipliers(name)[0], as_on_a_line(a)
+        # Body 0 does not turn, and carries the axis of the cylinder.
+        assert np.allclose(-lam[:2] @ e, force - (force @ a) * a, **CLOSE)
         if k == 1:
             moment = np.cross(a, moment)
         own = np.linalg.norm(lam[2 : 2 + turns])
@@ -710,6 +727,17 @@ def test_the_multiplier_of_a_link_is_its_tension():
     assert np.allclose(solution.multipliers("link")[:, 0], 2.0 * 9.81, rtol=1e-12)
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_point_on_a_line_is_held_by_the_force_across(d):
+    line, g = unit([0.2, -0.3, 0.9][:d]), GRAVITY[-d:]
+    inertia = 0.1 if d == 2 else (0.1, 0.2, 0.25)
+    bead = RigidBody("bead", (0.1, 0.2, 0.3)[:d], mass=2.0, inertia=inertia)
+    held = PointOnLine(bead.origin, line, name="held")
+    lam = simulate(Scene([], [held], g, bodies=[bead]), 0.01, HHT(0.005)).multipliers("held")[0]
+    n = as_on_a_line(line) if d == 3 else np.array([[-line[1], line[0]]])
+    assert np.allclose(-lam @ n, -2.0 * (g - (g @ line) * line), rtol=1e-12)
+
+
 def test_a_planar_joint_holds_the_force_along_its_normal():
     """A plate that slides on an incline."""
     n = unit([0.2, -0.3, 0.9])
@@ -923,3 +951,66 @@ def test_a_free_bar_in_space_vibrates_and_is_damped_as_theory_says():
     for expected, near in ((stretch, 2e-4), (twist, 2e-3), (bend, 2.5e-3)):
         assert np.min(np.abs(w / expected - 1)) < near
     assert np.allclose(found.damping_ratios, tau * w / 2, rtol=1e-8)
+
+
+def test_the_colour_of_a_strain_energy_is_that_over_the_volume():
+    """Of a curved beam whose section lies beside its axis: the mass over the density."""
+    one = dataclasses.replace(curved(3), section=LOPSIDED)
+    scene = Scene([one], [Clamp(one.at_start)], start=[ruffled(one, 3)], project_start=True)
+    solution = simulate(scene, 1e-5, HHT(1e-5))
+    shown = mechanism(scene, solution, None, StrainEnergyDensity())
+    values = shown.values[0].reshape(len(solution.t), *shown.meshes[0].shape)[0, :, 0, 0]
+    at, lengths = hermite(one), one.reference().lengths
+    nodes, weights = (x / 2 for x in np.polynomial.legendre.leggauss(6))
+    volumes = [
+        sum(
+            w * lengths[k] * area * np.linalg.det(at(k, x, y, z)[1])
+            for x, w in zip(nodes + 0.5, weights, strict=True)
+            for (y, z), area in zip(LOPSIDED.places, LOPSIDED.areas, strict=True)
+        )
+        for k in range(len(lengths))
+    ]
+    expected = observe(strain_energy(), solution, assemble(scene))[0]
+    assert np.isclose(values @ volumes, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("alpha", [-0.3, -0.1])
+def test_hht_errs_in_phase_as_the_docstring_of_a_step_says(alpha):
+    """C (2 pi / N)^2 of a turn in each, C = 1/12 - alpha/4 - 3 alpha^2/8, 1/8 by default."""
+    k, count, periods = 1000.0, 40, 8
+    w = np.sqrt(k)
+    wheel = RigidBody("wheel", (0.1, 0.2), mass=1.0, inertia=1.0)
+    spring, turning = TorsionSpring(wheel.origin, k), RigidMotion("wheel", 0.05 * w, wheel.position)
+    scene = Scene([], [Pin(wheel.origin)], start=[turning], loads=[spring], bodies=[wheel])
+    suggested = suggest_step(scene, count)
+    assert np.isclose(suggested.step, 2 * np.pi / w / count, rtol=1e-10)
+    solution = simulate(scene, periods * 2 * np.pi / w, HHT(suggested.step, hht_alpha=alpha))
+    angle = observe(slope_angle(wheel.origin), solution)
+    # Where it passes zero upwards, n periods later than at the start: by a secant, right to h^3.
+    k = np.flatnonzero((angle[:-1] < 0) & (angle[1:] >= 0))[-1]
+    at = solution.t[k] - angle[k] * np.diff(solution.t)[k] / (angle[k + 1] - angle[k])
+    turns = round(at * w / (2 * np.pi))
+    late = at * w / (2 * np.pi) / turns - 1
+    expected = (1 / 12 - alpha / 4 - 3 * alpha**2 / 8) * (2 * np.pi / count) ** 2
+    # The next term is (2 pi / N)^4, 0.02 of this; the secant errs by a thousandth of it.
+    assert np.isclose(late, expected, rtol=0.03)
+
+
+def test_a_tilted_pendulum_swings_and_rests_as_a_physical_one():
+    frame, g = rotation([1, 2, 3], 0.7), GRAVITY
+    (tensor,), centre = tensors(11, 1), np.array([0.2, -0.3, 0.1])
+    a, x = unit([0.5, -0.4, 0.7]), np.array([-0.3, 0.2, 0.4])
+    body = RigidBody(
+        "body", (0.1, 0, 0), mass=2.0, inertia=six(tensor), centre=centre, frame=frame.T
+    )
+    scene = Scene([], [Revolute(body.at(*x), a, name="hinge")], g, bodies=[body])
+    rest = equilibrium(scene)
+    assert np.allclose(rest.solution.reaction("hinge")[0], -2.0 * g, rtol=0, atol=1e-10)
+    arm, pull = (v - (v @ a) * a for v in (frame @ (centre - x), g))
+    about = a @ frame @ tensor @ frame.T @ a + 2.0 * arm @ arm
+    expected = np.sqrt(2.0 * np.linalg.norm(arm) * np.linalg.norm(pull) / about)
+    assert np.isclose(modes(scene, 1, at=rest).frequencies[0], expected, rtol=1e-10)
+    assert np.allclose(
+        simulate(scene, 0.01, HHT(0.01)).position(body.centre_of_mass)[0],
+        np.array([0.1, 0, 0]) + frame @ centre,
+    )

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf.beam_elements import BeamElements
+from ancfdae.ancf.beam_sections import BeamSections
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
 from ancfdae.ancf.reference import Reference
@@ -145,13 +146,15 @@ def _naming(scene: Scene) -> Naming:
 
 def _meshes(scene: Scene, mapping: ParameterMap, naming: Naming, n_q: int) -> tuple[Mesh, ...]:
     numbering, parameters = number(scene), mapping.values(mapping.nominal)
+    sections = BeamSections(scene, naming.layout, numbering, mapping, mapping.nominal)
     found: list[Mesh] = []
     for body in scene.members:
         if isinstance(body, RigidBody):
             found.append(RigidMesh(body, naming, n_q))
             continue
         own = naming.layout.beam(body.name), numbering, mapping, parameters, slice(None)
-        found.append(BeamMesh(body, naming, n_q, None if body.rigid else BeamElements(body, *own)))
+        elements = None if body.rigid else BeamElements(body, *own)
+        found.append(BeamMesh(body, naming, n_q, elements, sections))
     return tuple(found)
 
 
