@@ -152,7 +152,7 @@ def flat_angle(point: Point) -> tuple[RightAngle, ...]:
 
 
 def _angle(point: Point, first: Quantity, second: Quantity) -> RightAngle:
-    return RightAngle(point.beam, point.fraction, frozenset((first, second)))
+    return RightAngle(point.beam, point.fraction, point.before, frozenset((first, second)))
 
 
 def sections(points: Sequence[Point], reference: Array) -> list[Section]:
@@ -177,9 +177,10 @@ def square(carrier: Carrier, unless_it_holds: Array | None = None) -> tuple[Righ
 
 def place_shapes(c: Equations, at: Sequence[Section]) -> None:
     """Enter the last equations, the right angles of sections."""
-    places = {(section.point.beam, section.point.fraction): section for section in at}
+    points = (section.point for section in at)
+    places = dict(zip(((x.beam, x.fraction, x.before) for x in points), at, strict=True))
     for row, angle in enumerate(c.shapes, len(c.offset) - len(c.shapes)):
-        places[angle.beam, angle.fraction].place_right_angle(c, row, angle)
+        places[angle.beam, angle.fraction, angle.before].place_right_angle(c, row, angle)
 
 
 def is_fixed_in(own: Section, carrier: Carrier, axis: Array) -> bool:

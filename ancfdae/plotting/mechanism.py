@@ -180,7 +180,7 @@ def _checked(motion: Solution, own: Naming) -> Naming:
         rule, repair = "must be that of an ANCF scene", "Other systems have no bodies to draw."
         raise InvalidInput("picture, solution", rule, "a system of another kind", repair)
     vectors = [
-        {body.name: (body.first_vector, body.count) for body in x.layout.bodies}
+        {body.name: (body.first_vector, body.count, body.kinks) for body in x.layout.bodies}
         for x in (given, own)
     ]
     if vectors[0] != vectors[1] or len(given.lengths) != len(own.lengths):

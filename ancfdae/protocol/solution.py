@@ -82,9 +82,14 @@ class Solution:
     def nodes(self, beam: str) -> Array:
         """Node vectors of a beam, shape (n_t, n_nodes, n_s, d): position, then slopes.
 
-        Of a rigid body those of its one frame, (n_t, 1, d + 1, d).
+        At a kink (`Beam`) the slope along the beam is that of the element which begins there, and
+        `ends` has both. Of a rigid body those of its one frame, (n_t, 1, d + 1, d).
         """
         return self._known_naming().nodes(self.q, beam)
+
+    def ends(self, beam: str) -> Array:
+        """Node vectors of both ends of every element of a beam, shape (n_t, n, 2, n_s, d)."""
+        return self._known_naming().ends(self.q, beam)
 
     def position(self, point: Point) -> Array:
         """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).

@@ -25,8 +25,8 @@ from ancfdae.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, 
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 
-# What is written, and the oldest version that is read: it lacks `control`.
-_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 6, 5
+# What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies.
+_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 7, 5
 _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
 # Arrays that are not worth compressing; bytes.
 _SMALL = 10_000
@@ -188,11 +188,15 @@ def _written(layout: Layout) -> dict[str, Any]:
 def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:
     return Layout(
         element=named("element of a solution file", meta["element_name"], elements),
-        bodies=tuple(BodyLayout(**x) for x in meta["bodies"]),
+        bodies=tuple(_body(x) for x in meta["bodies"]),
         beams=tuple(_beam(x) for x in meta["beams"]),
         masses=tuple(meta["masses"]),
         joints=tuple(JointLayout(**x) for x in meta["joints"]),
     )
+
+
+def _body(meta: Mapping[str, Any]) -> BodyLayout:
+    return BodyLayout(**{**meta, "kinks": tuple(meta.get("kinks", ()))})
 
 
 def _beam(meta: Mapping[str, Any]) -> BeamLayout:
