@@ -65,6 +65,27 @@ class CartesianPendulum(MechanicalSystem):
         return motion[-1]
 
 
+class WhirlingPendulum(CartesianPendulum):
+    """A pendulum of varying mass in a wind that pushes across: Q_v is not symmetric."""
+
+    traits = Traits()
+
+    def with_values(self, b):
+        return WhirlingPendulum(self.angle, self.spin, b)
+
+    def mass(self, q):
+        return super().mass(q) * (2 + q[0])
+
+    def mass_along(self, q, dq):
+        return super().mass(q) * dq[0]
+
+    def force(self, t, q, v):
+        return super().force(t, q, v) + np.array([v[1], -v[0]])
+
+    def force_along(self, t, q, v, direction):
+        return np.array([direction.v[1], -direction.v[0]])
+
+
 class NeverRight(CartesianPendulum):
     """Its force is a number at the start only."""
 

@@ -31,6 +31,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.objectives import Objective
 from ancfdae.observables import Observable, observe, states_of
 from ancfdae.protocol import MechanicalSystem
+from ancfdae.protocol.complex_steps import at_values
 from ancfdae.scene import Scene
 from ancfdae.sensitivity import GradientMethod
 from ancfdae.sensitivity.method import Run, finished
@@ -195,7 +196,7 @@ def _at(model: Scene | MechanicalSystem, design: Design) -> Scene | MechanicalSy
     for name in named:
         if name not in b:
             raise UnknownName("design variable", name, b)
-    return model.with_values(np.array(list((b | named).values())))
+    return at_values(model, np.array(list((b | named).values())))
 
 
 def _name(key: object) -> str:

@@ -5,12 +5,23 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable
 from functools import cached_property
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 
+from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import Pattern
+
+#: What is wrong with a `with_values` that does not hand its argument on.
+FORGOTTEN = (
+    "must return the system at the values b that it is given",
+    "one at others",
+    "Hand b on to the constructor, and keep it as self.b, complex or not.",
+)
+
+
+_System = TypeVar("_System", bound="ComplexSteps")
 
 
 class ComplexSteps(abc.ABC):
@@ -32,7 +43,7 @@ class ComplexSteps(abc.ABC):
     def _at_step(self, i: int) -> Self:
         """Return the system with design variable i moved by a small imaginary step."""
         if i not in self._at_steps:
-            self._at_steps[i] = self.with_values(self.b + 1j * STEP * np.eye(self.n_b)[i])
+            self._at_steps[i] = at_values(self, self.b + 1j * STEP * np.eye(self.n_b)[i])
         return self._at_steps[i]
 
     @cached_property
@@ -59,3 +70,11 @@ class ComplexSteps(abc.ABC):
         columns = [np.imag(value(x + 1j * STEP * e)) - still for e in np.eye(self.n_q)]
         matrix = np.stack(columns, axis=-1) / STEP
         return np.asarray(matrix[pattern.rows, pattern.columns])
+
+
+def at_values(system: _System, b: Array) -> _System:
+    """Return `with_values` of a system; raise InvalidInput if it forgets them."""
+    other = system.with_values(b)
+    if not np.array_equal(other.b, b):
+        raise InvalidInput(f"{type(system).__name__}.with_values", *FORGOTTEN)
+    return other
