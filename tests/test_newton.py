@@ -16,6 +16,7 @@ from ancfdae import (
     PointForce,
     Rectangle,
     Scene,
+    StabilityWarning,
     Terminal,
     differentiate,
     gradient,
@@ -195,7 +196,8 @@ class Wall(ComplexStepSystem):
 @pytest.mark.parametrize("step", [0.05, 0.02])
 def test_a_correction_is_not_small_because_forces_got_huge(step):
     # Within the wall forces grow to 1e200, beside which any correction is round-off.
-    run = simulate(Wall(), 0.4, HHT(step))
+    with pytest.warns(StabilityWarning, match="too long to follow"):
+        run = simulate(Wall(), 0.4, HHT(step))
     assert run.outcome.success, str(run.outcome)
     # exp(K (q - 1)) / K cannot exceed the work of the push, 5e3 q: q = 1.31 at most.
     assert 1.1 < np.max(run.q) < 1.32
