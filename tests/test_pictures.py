@@ -494,9 +494,10 @@ def test_colours_of_a_page_are_those_of_the_colour_bar(planar):
     shades = np.frombuffer(base64.b64decode(data["shades"]), np.uint8).reshape(13, -1)
     values = own.values[0]
     drawn = colours[shades[:, : values.shape[1]]]
-    # A texture of 256 colours and 254 shades: two colours beside it at most, of 3 in 255 each.
+    # A texture of 256 colours and 254 shades: two colours beside it at most, of 3 in 255 each; the
+    # drawn one is rounded.
     expected = 255 * painters.PlanePainter(Figure(), own).colours.to_rgba(values)
-    assert np.max(np.abs(drawn - expected)) <= 6
+    assert np.max(np.abs(drawn - expected)) <= 6.5
 
 
 def test_bodies_of_a_plane_cover_each_other_in_their_order(planar, tmp_path):
