@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point, Quantity, locate, require_fraction
-from ancfdae.elements import ALL_ELEMENTS, BeamElement
+from ancfdae.elements import BeamElement
 from ancfdae.errors import InvalidInput, UnknownName, named
 from ancfdae.numerics.arrays import STEP, Array
 
@@ -137,22 +137,17 @@ class JointLayout:
 @final
 @dataclass(frozen=True)
 class Layout:
-    """Places of all parts of a scene, and the name of the element of all beams.
+    """Places of all parts of a scene, and the element of all beams.
 
     `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
     the point masses.
     """
 
-    element_name: str
+    element: BeamElement
     bodies: tuple[BodyLayout, ...]
     beams: tuple[BeamLayout, ...]
     masses: tuple[str, ...]
     joints: tuple[JointLayout, ...]
-
-    @property
-    def element(self) -> BeamElement:
-        """The element of every beam."""
-        return next(each for each in ALL_ELEMENTS if each.name == self.element_name)
 
     @property
     def d(self) -> int:

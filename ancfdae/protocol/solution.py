@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -13,12 +13,14 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ancfdae.bodies import Point, Quantity, require_point
+from ancfdae.elements import BeamElement
 from ancfdae.errors import (
     InvalidInput,
     Outcome,
     UnknownName,
     Verdict,
     require_array,
+    require_each,
     require_flag,
     require_function,
     require_index,
@@ -280,9 +282,14 @@ class Solution:
         return solution_file.write(require_path("path of a solution", path), vars(self))
 
     @staticmethod
-    def load(path: str | os.PathLike[str]) -> Solution:
-        """Read a solution written by `save`; InvalidInput if the file is no such solution."""
-        return Solution(**solution_file.read(require_path("path of a solution", path)))
+    def load(path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()) -> Solution:
+        """Read a solution written by `save`; InvalidInput if the file is no such solution.
+
+        A file knows its element by name; give `elements` of your own.
+        """
+        file, repair = require_path("path of a solution", path), "Give [MY_ELEMENT]."
+        known = require_each("Solution.load, elements", elements, (BeamElement,), repair)
+        return Solution(**solution_file.read(file, known))
 
     def to_dataframe(
         self, columns: Mapping[str, ArrayLike] | None = None, *, derivatives: bool = False
