@@ -84,6 +84,20 @@ class SceneDesign(Designable):
         """Return the beam or rigid body of this name, or raise UnknownName."""
         return named("beam or body", name, self.members)
 
+    @cached_property
+    def kinks(self) -> dict[str, tuple[int, ...]]:
+        """Inner nodes of each beam that deforms with a slope along the beam on either side.
+
+        Those declared, and those that a part acts on: forces of sections jump there.
+        """
+        fractions: dict[str, set[float]] = {beam.name: set(beam.kinks) for beam in self.beams}
+        for part in self.parts().values():
+            for point in () if isinstance(part, RigidBody) else part.points:
+                if point.fraction is not None:
+                    fractions[point.beam].add(point.fraction)
+        soft = (beam for beam in self.beams if not beam.rigid and beam.element.can_kink)
+        return {beam.name: tuple(sorted(beam.inner_nodes(fractions[beam.name]))) for beam in soft}
+
     def parts(self) -> dict[str, Part | RigidBody]:
         """Return bodies, joints and loads, of the start too; their numbers can be targets."""
         parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
@@ -306,15 +320,14 @@ class SceneDesign(Designable):
                 rule = f"{point.beam!r} has no such axis"
                 raise InvalidInput(where, rule, coordinate, "Leave it out.")
             return
-        ends = np.cumsum(self.beam(point.beam).reference().lengths)
-        nodes = np.concatenate([[0.0], ends / ends[-1]])
+        nodes = self.beam(point.beam).reference().fractions
         at_node = bool(np.any(np.abs(nodes - point.fraction) < 1e-9))
         slopes = any(
             vector == Normal(point)
             or (isinstance(vector, tuple) and vector[0] == point and vector[1] > Quantity.POSITION)
             for vector in part.vectors(element)
         )
-        if point.fraction in (0.0, 1.0) or (at_node and slopes):
+        if point.fraction in (0.0, 1.0) or (at_node and (slopes or element.can_kink)):
             raise InvalidInput(
                 where,
                 "the point must lie inside an element, to move both ways"
