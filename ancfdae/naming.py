@@ -309,6 +309,8 @@ class Naming:
         """
         n_s, body = self.layout.element.n_s, self.layout.body(beam.name)
         if beam.rigid is None:
+            if len(elements) == 1:  # each vector stands once
+                return PointVector(body.ends[elements[0]], weights, weights_b)
             vectors, at = np.unique(body.ends[elements], return_inverse=True)
             combined = np.zeros(len(vectors), dtype=weights.dtype)
             combined_b = np.zeros((len(vectors), weights_b.shape[1]), dtype=weights_b.dtype)

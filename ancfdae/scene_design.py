@@ -19,6 +19,7 @@ from ancfdae.errors import (
     require_finite,
     require_kind,
     require_text,
+    require_vector,
 )
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
@@ -148,6 +149,7 @@ class SceneDesign(Designable):
             return target
         numbers = self.numbers(target.owner)
         if target.indexed not in numbers:
+            self._refuse_default_ground(target)
             beams = (beam for beam in self.beams if beam.name == target.owner)
             names = [name for beam in beams for name in beam.parameter_names()]
             known = [f"{target.owner}.{name}" for name in (*names, *numbers)]
@@ -156,6 +158,20 @@ class SceneDesign(Designable):
         if isinstance(part, Part):
             self._check_point_target(part, target)
         return target
+
+    def _refuse_default_ground(self, target: Target) -> None:
+        """Tell how the place of a joint becomes a target where it was not written."""
+        part, (word, _, axis) = self.parts().get(target.owner), target.parameter.partition("_")
+        if not isinstance(part, Joint) or axis not in ("x", "y", "z"):
+            return
+        known = (word, require_vector) in part.design_fields and not part.numbers_of(word)
+        if known and len(part.points) == 1:
+            raise InvalidInput(
+                f"design target {target}",
+                f"the {word} of joint {part.name!r} must be written to be a target",
+                "none: it stands where the point does, and goes with it",
+                f"Give {word}=(...), the place of {part.points[0]} in the reference.",
+            )
 
     def is_of_elements(self, target: Target) -> bool:
         """Whether a target names a parameter of elements of a beam."""
