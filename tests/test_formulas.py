@@ -16,6 +16,7 @@ from ancfdae import (
     HHT,
     IDA,
     Adjoint,
+    AtTimes,
     Beam,
     Bushing,
     Circle,
@@ -40,6 +41,7 @@ from ancfdae import (
     PlanarJoint,
     PointForce,
     PointMass,
+    PointOnLine,
     PointSection,
     Prismatic,
     Rectangle,
@@ -48,7 +50,9 @@ from ancfdae import (
     RigidMotion,
     Scene,
     SlideFriction,
+    SmoothMaximum,
     SpringDamper,
+    Terminal,
     Torque,
     TorsionSpring,
     Uniform,
@@ -59,6 +63,8 @@ from ancfdae import (
     axial_strain,
     centre_of_mass,
     drive_torque,
+    elapsed_time,
+    equilibrium,
     gradients,
     guide_force,
     inertia,
@@ -74,8 +80,12 @@ from ancfdae import (
     reaction,
     simulate,
     slope_angle,
+    strain_energy,
+    suggest_step,
 )
 from ancfdae.observables import States
+from ancfdae.plotting.fields import StrainEnergyDensity
+from ancfdae.plotting.mechanism import mechanism
 
 from oracle.newton_euler import (
     Action,
@@ -416,7 +426,7 @@ def slider():
     twin = [Body(m[k], I[k], c[k]) for k in range(4)]
     chain = Chain(scene, twin, places, list(p), named)
     chain.run(np.zeros(3), np.array([0.4, 1.3, -0.7]), 0.1, coordinates)
-    chain.laws, chain.axes = (slide, turn), (a, b)
+    chain.laws, chain.axes, chain.frames = (slide, turn), (a, b), F
     return chain
 
 
@@ -427,13 +437,24 @@ def test_universal_joint_and_weld_react_with_their_force(slider):
         # The rows behind the force are the turns: their multipliers are of the size of the moment.
         turns = slider.solution.multipliers(name)[0, 3:]
         assert np.allclose(np.linalg.norm(turns), np.linalg.norm(moment), **CLOSE)
+        if name == "weld":
+            carried = slider.moving[k].R @ slider.frames[k].T
+            assert np.allclose(-turns, (carried.T @ moment)[[2, 0, 1]], **CLOSE)
+
+
+def as_on_a_line(a):
+    """The directions across a line in space, as `PointOnLine` words them."""
+    most = np.eye(3)[np.argmin(np.abs(a))]
+    first = unit(most - (most @ a) * a)
+    return np.stack([first, np.cross(a, first)])
 
 
 def test_sliding_joints_hold_the_force_across_their_axis(slider):
     for name, k, axis, turns in (("prismatic", 0, 0, 3), ("cylindrical", 1, 1, 2)):
         (force, moment), a = slider.wrenches[k], slider.axes[axis]
-        lam = slider.solution.multipliers(name)[0]
-        assert np.allclose(np.linalg.norm(lam[:2]), np.linalg.norm(np.cross(a, force)), **CLOSE)
+        lam, e = slider.solution.multipliers(name)[0], as_on_a_line(a)
+        # Body 0 does not turn, and carries the axis of the cylinder.
+        assert np.allclose(-lam[:2] @ e, force - (force @ a) * a, **CLOSE)
         if k == 1:
             moment = np.cross(a, moment)
         own = np.linalg.norm(lam[2 : 2 + turns])
@@ -710,6 +731,17 @@ def test_the_multiplier_of_a_link_is_its_tension():
     assert np.allclose(solution.multipliers("link")[:, 0], 2.0 * 9.81, rtol=1e-12)
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_point_on_a_line_is_held_by_the_force_across(d):
+    line, g = unit([0.2, -0.3, 0.9][:d]), GRAVITY[-d:]
+    inertia = 0.1 if d == 2 else (0.1, 0.2, 0.25)
+    bead = RigidBody("bead", (0.1, 0.2, 0.3)[:d], mass=2.0, inertia=inertia)
+    held = PointOnLine(bead.origin, line, name="held")
+    lam = simulate(Scene([], [held], g, bodies=[bead]), 0.01, HHT(0.005)).multipliers("held")[0]
+    n = as_on_a_line(line) if d == 3 else np.array([[-line[1], line[0]]])
+    assert np.allclose(-lam @ n, -2.0 * (g - (g @ line) * line), rtol=1e-12)
+
+
 def test_a_planar_joint_holds_the_force_along_its_normal():
     """A plate that slides on an incline."""
     n = unit([0.2, -0.3, 0.9])
@@ -923,3 +955,157 @@ def test_a_free_bar_in_space_vibrates_and_is_damped_as_theory_says():
     for expected, near in ((stretch, 2e-4), (twist, 2e-3), (bend, 2.5e-3)):
         assert np.min(np.abs(w / expected - 1)) < near
     assert np.allclose(found.damping_ratios, tau * w / 2, rtol=1e-8)
+
+
+def test_the_colour_of_a_strain_energy_is_that_over_the_volume():
+    """Of a curved beam whose section lies beside its axis: the mass over the density."""
+    one = dataclasses.replace(curved(3), section=LOPSIDED)
+    scene = Scene([one], [Clamp(one.at_start)], start=[ruffled(one, 3)], project_start=True)
+    solution = simulate(scene, 1e-5, HHT(1e-5))
+    shown = mechanism(scene, solution, None, StrainEnergyDensity())
+    values = shown.values[0].reshape(len(solution.t), *shown.meshes[0].shape)[0, :, 0, 0]
+    at, lengths = hermite(one), one.reference().lengths
+    nodes, weights = (x / 2 for x in np.polynomial.legendre.leggauss(6))
+    volumes = [
+        sum(
+            w * lengths[k] * area * np.linalg.det(at(k, x, y, z)[1])
+            for x, w in zip(nodes + 0.5, weights, strict=True)
+            for (y, z), area in zip(LOPSIDED.places, LOPSIDED.areas, strict=True)
+        )
+        for k in range(len(lengths))
+    ]
+    expected = observe(strain_energy(), solution, assemble(scene))[0]
+    assert np.isclose(values @ volumes, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("alpha", [-0.3, -0.1])
+def test_hht_errs_in_phase_as_the_docstring_of_a_step_says(alpha):
+    """C (2 pi / N)^2 of a turn in each, C = 1/12 - alpha/4 - 3 alpha^2/8, 1/8 by default."""
+    k, count, periods = 1000.0, 40, 8
+    w = np.sqrt(k)
+    wheel = RigidBody("wheel", (0.1, 0.2), mass=1.0, inertia=1.0)
+    spring, turning = TorsionSpring(wheel.origin, k), RigidMotion("wheel", 0.05 * w, wheel.position)
+    scene = Scene([], [Pin(wheel.origin)], start=[turning], loads=[spring], bodies=[wheel])
+    suggested = suggest_step(scene, count)
+    assert np.isclose(suggested.step, 2 * np.pi / w / count, rtol=1e-10)
+    solution = simulate(scene, periods * 2 * np.pi / w, HHT(suggested.step, hht_alpha=alpha))
+    angle = observe(slope_angle(wheel.origin), solution)
+    # Where it passes zero upwards, n periods later than at the start: by a secant, right to h^3.
+    k = np.flatnonzero((angle[:-1] < 0) & (angle[1:] >= 0))[-1]
+    at = solution.t[k] - angle[k] * np.diff(solution.t)[k] / (angle[k + 1] - angle[k])
+    turns = round(at * w / (2 * np.pi))
+    late = at * w / (2 * np.pi) / turns - 1
+    expected = (1 / 12 - alpha / 4 - 3 * alpha**2 / 8) * (2 * np.pi / count) ** 2
+    # The next term is (2 pi / N)^4, 0.02 of this; the secant errs by a thousandth of it.
+    assert np.isclose(late, expected, rtol=0.03)
+
+
+def test_a_tilted_pendulum_swings_and_rests_as_a_physical_one():
+    frame, g = rotation([1, 2, 3], 0.7), GRAVITY
+    (tensor,), centre = tensors(11, 1), np.array([0.2, -0.3, 0.1])
+    a, x = unit([0.5, -0.4, 0.7]), np.array([-0.3, 0.2, 0.4])
+    body = RigidBody(
+        "body", (0.1, 0, 0), mass=2.0, inertia=six(tensor), centre=centre, frame=frame.T
+    )
+    scene = Scene([], [Revolute(body.at(*x), a, name="hinge")], g, bodies=[body])
+    rest = equilibrium(scene)
+    assert np.allclose(rest.solution.reaction("hinge")[0], -2.0 * g, rtol=0, atol=1e-10)
+    arm, pull = (v - (v @ a) * a for v in (frame @ (centre - x), g))
+    about = a @ frame @ tensor @ frame.T @ a + 2.0 * arm @ arm
+    expected = np.sqrt(2.0 * np.linalg.norm(arm) * np.linalg.norm(pull) / about)
+    assert np.isclose(modes(scene, 1, at=rest).frequencies[0], expected, rtol=1e-10)
+    assert np.allclose(
+        simulate(scene, 0.01, HHT(0.01)).position(body.centre_of_mass)[0],
+        np.array([0.1, 0, 0]) + frame @ centre,
+    )
+
+
+# ---------------------------------------------------------------- energies, objectives
+
+
+@pytest.mark.parametrize("damping", [0.0, 2e-3])
+def test_energy_changes_by_the_power_of_loads_motors_and_weight(monkeypatch, damping):
+    """dT/dt + dU/dt of a strained moving chain; damping of the material takes the rest."""
+    monkeypatch.setitem(globals(), "SOFT", Material(1100, 2e6, 0.3, damping_time=damping))
+    one, two, base, inner, elbow = two_beams(3, "soft")
+    a = unit([0.3, -0.5, 0.8])
+    motor = Drive(base, Uniform(0.9, 0.0, 0.7), a, name="motor")
+    joints = [Revolute(base, a, name="base"), motor, Pin(inner, elbow, name="elbow")]
+    own = loaded(one, two, base, inner, elbow, joints)
+    states = States(*(getattr(own.solution, x)[:1] for x in ("t", "q", "v", "lam")))
+    kinetic, strain = (x().partials(own.system, states) for x in (kinetic_energy, strain_energy))
+    rate = kinetic.v[0] @ own.solution.a[0] + strain.q[0] @ states.v[0]
+    names = ("line 1", "line 2", "force", "moment", "spring", "follower")
+    power = sum(own.value(load_power(name)) for name in names)
+    weight = sum(own.value(linear_momentum(i)) * g for i, g in enumerate(GRAVITY))
+    turned = own.value(joint_power("motor"))
+    assert min(abs(power), abs(weight), abs(turned)) > 1e-3
+    lost = power + weight + turned - rate
+    if damping:
+        # The waves of this state lose far more than anything else gives.
+        assert lost > 1.0
+    else:
+        assert abs(lost) <= 1e-9 * abs(strain.q[0] @ states.v[0])
+
+
+def test_strain_energy_is_that_of_beam_theory():
+    """A tilted cantilever under a force and a moment at its tip, each along its own axes."""
+    E, nu, L, h, w = 7e9, 0.3, 1.0, 0.06, 0.04
+    axis, start = unit([0.3, -0.5, 0.8]), np.array([0.1, 0.2, 0.3])
+    section = Rectangle(h, w)
+    bar = Beam(
+        "bar",
+        tuple(start),
+        tuple(start + L * axis),
+        8,
+        section,
+        Material(2700, E, nu),
+        height_axis=(1, 1, 0),
+    )
+    height = unit(np.array([1, 1, 0]) - (np.array([1, 1, 0]) @ axis) * axis)
+    frame = np.array([axis, height, np.cross(axis, height)])
+    N, V_y, V_z, T, M_y, M_z = 0.3, 0.03, -0.02, 0.015, 0.008, -0.012
+    loads = [
+        PointForce(bar.at_end, tuple(np.array([N, V_y, V_z]) @ frame)),
+        Moment(bar.at_end, tuple(np.array([T, M_y, M_z]) @ frame)),
+    ]
+    scene = Scene([bar], [Clamp(bar.at_start)], loads=loads)
+    found = equilibrium(scene)
+    A, I_y, I_z, G = h * w, h * w**3 / 12, w * h**3 / 12, E / 2 / (1 + nu)
+    k = 10 * (1 + nu) / (12 + 11 * nu)
+    n = np.arange(1, 40, 2)
+    series = np.sum(np.tanh(n * np.pi * h / 2 / w) / n**5)
+    J = h * w**3 * (1 / 3 - 64 / np.pi**5 * w / h * series)
+    # Moments along the beam: M_z + V_y (L - x) about the width, M_y - V_z (L - x) about the height.
+    bend = sum(
+        (M**2 * L + M * V * L**2 + V**2 * L**3 / 3) / (2 * E * I)
+        for M, V, I in ((M_z, V_y, I_z), (M_y, -V_z, I_y))
+    )
+    rest = N**2 / (E * A) + (V_y**2 + V_z**2) / (k * G * A) + T**2 / (G * J)
+    expected = bend + rest * L / 2
+    energy = observe(strain_energy(), found.solution, assemble(scene))[0]
+    # The tension stiffens by less than N L^2/(E I) = 1.3e-4.
+    assert np.isclose(energy, expected, rtol=1.3e-4)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "near"),
+    [(HHT(0.01), 1e-3), (IDA(1e-6, intervals=4), 1e-6), (Explicit(1e-6, intervals=4), 1e-6)],
+    ids=["HHT", "IDA", "Explicit"],
+)
+def test_objectives_of_the_time_are_integrals_of_calculus(integrator, near):
+    wheel = RigidBody("wheel", (0.1, 0.2), mass=1.0, inertia=0.1)
+    start = [RigidMotion("wheel", 2.0, wheel.position)]
+    scene = Scene([], start=start, bodies=[wheel])
+    system, T, k = assemble(scene, ["wheel.mass"]), 0.7, 9.0
+    t = elapsed_time()
+    expected = {
+        Integral(t**2): T**3 / 3,
+        AtTimes(t**2, [0.123, 0.456]): 0.123**2 + 0.456**2,
+        Terminal(np.exp(t)): np.exp(T),
+        SmoothMaximum(t, k): np.log(np.expm1(k * T) / (k * T)) / k,
+        -SmoothMaximum(-t, k): -np.log(-np.expm1(-k * T) / (k * T)) / k,
+    }
+    found = gradients(system, list(expected), T, integrator, method=Direct())
+    for each, exact in zip(found, expected.values(), strict=True):
+        assert np.isclose(each.value, exact, rtol=near)

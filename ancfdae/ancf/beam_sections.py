@@ -40,14 +40,17 @@ class BeamSections:
     def forces(self, point: Point) -> SectionForces:
         """Return what gives the forces in the section at a point of a beam."""
         if point not in self._forces:
-            (element, xi), nodes = self._locate(point), self._acted_on(point.beam)
-            smooth = element not in nodes, element + 1 not in nodes
-            count = self._layout.beam(point.beam).element_count
-            first = max(element - smooth[0], 0)
-            run = slice(first, min(element + 1 + smooth[1], count))
-            place = SectionPlace(element - first, xi, smooth)
-            self._forces[point] = SectionForces(self._elements(point.beam, run), place)
+            self._forces[point] = self.forces_in(point.beam, *self._locate(point))
         return self._forces[point]
+
+    def forces_in(self, beam: str, element: int, xi: float) -> SectionForces:
+        """Return what gives the forces in a section of an element of a beam."""
+        nodes, count = self._acted_on(beam), self._layout.beam(beam).element_count
+        smooth = element not in nodes, element + 1 not in nodes
+        first = max(element - smooth[0], 0)
+        run = slice(first, min(element + 1 + smooth[1], count))
+        place = SectionPlace(element - first, xi, smooth)
+        return SectionForces(self._elements(beam, run), place)
 
     def _acted_on(self, beam: str) -> set[int]:
         """Return the nodes of a beam that joints, loads or masses act on, or beside which."""
@@ -60,7 +63,7 @@ class BeamSections:
         return nodes
 
     def _locate(self, point: Point) -> tuple[int, float]:
-        return self._layout.beam(point.beam).locate(point.fraction)
+        return self._layout.beam(point.beam).locate(point.fraction, point.before)
 
     def require_material(self, where: str, point: Point) -> None:
         """Refuse a point of a beam that lies outside its section, or in a hole of it.

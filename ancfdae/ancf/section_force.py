@@ -25,8 +25,12 @@ class SectionForces:
 
     def value(self, component: int, q: Array, v: Array) -> Array:
         """Return a force or moment, shape (k,)."""
+        return self.values(q, v)[..., component]
+
+    def values(self, q: Array, v: Array) -> Array:
+        """Return all of them, shape (k, 6)."""
         at = self._own.coordinates
-        return self._of(self._law, q[:, at], v[:, at])[..., component]
+        return self._of(self._law, q[:, at], v[:, at])
 
     def partials(self, component: int, q: Array, v: Array, n_b: int) -> StatePartials:
         """Return its partials, by complex steps of the coordinates of the elements."""

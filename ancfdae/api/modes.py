@@ -86,8 +86,8 @@ def suggest_step(
     ----------
     model : Scene or MechanicalSystem
     per_period : float
-        Steps in the shortest period that counts; HHT-I3 errs by about (2 pi / per_period)^2 / 12
-        of a turn in each.
+        Steps in the shortest period that counts; HHT-I3 errs by about (2 pi / per_period)^2 / 8 of
+        a turn in each, / 12 with ``hht_alpha=0``.
     follow : int, optional
         How many motions count, from the slowest; None for all of them. Waves through the sections
         of stiff beams are thousands of times faster than what one wants to see.

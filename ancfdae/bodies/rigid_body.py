@@ -130,7 +130,7 @@ class RigidBody(Placed, Designable):
     @property
     def centre_of_mass(self) -> Point:
         """The centre of mass, where it is at these values."""
-        return self.at(*(float(x) for x in self.centre or ()))
+        return self.at(*map(float, self.centre))  # type: ignore[arg-type]  # never None here
 
     def at(self, x: float, y: float = 0.0, z: float = 0.0) -> Point:
         """Return the point at a place in the axes of the body; m."""

@@ -18,7 +18,8 @@ class Cylindrical(AxisJoint):
 
     The axis passes through `ground` or `other`. With e_1, e_2 across it in the reference
     configuration: e_j . (r(point) - r(other)) = 0, and the section keeps across the axis. The
-    section of `other` carries e_j along and keeps at right angles to its centre line.
+    section of `other` carries e_j along and keeps at right angles to its centre line. The force on
+    the point is the sum of -lam_j e_j over the first two, with e_j as `PointOnLine` has n_j.
     """
 
     kind = "cylindrical"

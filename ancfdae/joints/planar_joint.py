@@ -17,7 +17,7 @@ class PlanarJoint(AxisJoint):
     """Let a section slide in a plane and turn about its normal, the axis; fields as in `AxisJoint`.
 
     The plane passes through `ground` or `other`: axis . (r(point) - r(other)) = 0, and the section
-    keeps across the axis.
+    keeps across the axis. The first multiplier is minus the force on the point along the axis.
     """
 
     kind = "planar"

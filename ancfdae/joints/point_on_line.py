@@ -18,8 +18,11 @@ from ancfdae.numerics.arrays import Array
 class PointOnLine(Joint):
     """Keep a point on a straight line.
 
-    n_j . (r(point) - through) = 0 for the d - 1 directions n_j across the line. Design targets:
-    ``direction_x`` ..., and ``through_x`` ... where `through` is given.
+    n_j . (r(point) - through) = 0 for the d - 1 directions n_j across the line: in the plane the
+    direction turned by +90 degrees, in space n_1 as near as possible to the axis of space that is
+    most across, the first of equals, and n_2 = direction x n_1. The force on the point is the sum
+    of -lam_j n_j. Design targets: ``direction_x`` ..., and ``through_x`` ... where `through` is
+    given.
 
     Parameters
     ----------

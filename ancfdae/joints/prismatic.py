@@ -29,8 +29,9 @@ class Prismatic(Joint):
 
     e_j . (r(point) - r(other)) stays as in the reference configuration for the d - 1 directions
     e_j across the axis, and the section turns with that of `other` or not at all. The section of
-    `other` carries e_j along and keeps at right angles to its centre line. Design targets:
-    ``axis_x`` ...
+    `other` carries e_j along and keeps at right angles to its centre line. The force on the point
+    is the sum of -lam_j e_j over the first equations, with e_j as `PointOnLine` has n_j. Design
+    targets: ``axis_x`` ...
 
     Parameters
     ----------

@@ -25,7 +25,9 @@ class Weld(Joint):
     The points coincide, and the sections turn as one and keep flat right angles: 3 equations in the
     plane; in space 6, and one for each section that is not rigid and that no other joint holds. As
     behind a `Clamp` a section may contract, and its centre line may leave it obliquely. To ground
-    use `Clamp`.
+    use `Clamp`. Behind those of the force the multipliers are minus the moments on the section of
+    the point, to the order of its strain: in the plane one, in space three, about the axes that
+    were z, x and y of space in the reference.
 
     Parameters
     ----------

@@ -32,7 +32,11 @@ def reaction(joint: str, axis: int) -> Observable:
 
 
 def multiplier(joint: str, row: int) -> Observable:
-    """Return the multiplier of an equation of a joint; these are counted from 0 on."""
+    """Return the multiplier of an equation of a joint; these are counted from 0 on.
+
+    The joint acts with -lam Phi_q: of an equation e . (r(point) - r(other)) = 0 it is minus the
+    force along e on the point; N.
+    """
     return Multiplier(joint, row)
 
 

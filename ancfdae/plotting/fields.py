@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf.stress_points import StressPoints
-from ancfdae.elements import elastic
+from ancfdae.elements import ElementParameter, elastic
 from ancfdae.elements.invariants import prepare
 from ancfdae.errors import InvalidInput, require_text
 from ancfdae.numerics.arrays import Array
@@ -79,8 +79,10 @@ class StrainEnergyDensity(_OfBeams):
         law = prepare(own.element, own.batch)
         Y = own.relative(motion.q[:, own.coordinates])
         energy = elastic.energy(law.A, law.g_o, Y, law.p_o)
-        areas = own.batch.kind.section.points(own.batch.sizes, False)[2].sum(axis=1)
-        density: Array = energy / (areas * mesh.body.reference().lengths)
+        # m holds the mass of an element as what moves with both of its positions.
+        positions = slice(None, None, own.element.n_s)
+        mass = law.m[:, positions, positions].sum(axis=(1, 2))
+        density: Array = energy * own.batch.parameters[:, ElementParameter.DENSITY] / mass
         return density[..., None, None]
 
 
@@ -196,8 +198,7 @@ class Sensitivity(Field):
 
 def section_forces(mesh: BeamMesh, motion: Solution) -> Array:
     """Return N, V_y, V_z, T, M_y and M_z of a beam that deforms, shape (k, n, n_xi, 6)."""
-    own = mesh.elements
-    assert own is not None
-    Y, V = (own.relative(x[:, own.coordinates]) for x in (motion.q, motion.v))
-    laws = (own.element.section_law(own.batch, xi) for xi in mesh.xi.tolist())
-    return np.stack([law.forces(Y, V) for law in laws], axis=2)
+    places = ((k, xi) for k in range(mesh.shape[0]) for xi in mesh.xi.tolist())
+    laws = (mesh.sections.forces_in(mesh.name, *place) for place in places)
+    forces = np.stack([law.values(motion.q, motion.v) for law in laws], axis=1)
+    return forces.reshape(len(forces), *mesh.shape[:2], 6)

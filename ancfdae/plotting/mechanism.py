@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf.beam_elements import BeamElements
+from ancfdae.ancf.beam_sections import BeamSections
 from ancfdae.ancf.numbering import number
 from ancfdae.ancf.parameters import ParameterMap, parameter_map
 from ancfdae.ancf.reference import Reference
@@ -138,20 +139,22 @@ def _span(limits: Sequence[float] | None, field: Field | None) -> tuple[float, f
 def _naming(scene: Scene) -> Naming:
     """Return where bodies stand in the coordinates; assembling the scene would cost far more."""
     numbering, masses = number(scene), tuple(mass.name for mass in scene.point_masses)
-    layout = Layout(scene.element.name, numbering.bodies, numbering.beams, masses, ())
+    layout = Layout(scene.element, numbering.bodies, numbering.beams, masses, ())
     lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
     return Naming(layout, lengths, np.zeros((len(lengths), 0)))
 
 
 def _meshes(scene: Scene, mapping: ParameterMap, naming: Naming, n_q: int) -> tuple[Mesh, ...]:
     numbering, parameters = number(scene), mapping.values(mapping.nominal)
+    sections = BeamSections(scene, naming.layout, numbering, mapping, mapping.nominal)
     found: list[Mesh] = []
     for body in scene.members:
         if isinstance(body, RigidBody):
             found.append(RigidMesh(body, naming, n_q))
             continue
         own = naming.layout.beam(body.name), numbering, mapping, parameters, slice(None)
-        found.append(BeamMesh(body, naming, n_q, None if body.rigid else BeamElements(body, *own)))
+        elements = None if body.rigid else BeamElements(body, *own)
+        found.append(BeamMesh(body, naming, n_q, elements, sections))
     return tuple(found)
 
 
@@ -177,7 +180,7 @@ def _checked(motion: Solution, own: Naming) -> Naming:
         rule, repair = "must be that of an ANCF scene", "Other systems have no bodies to draw."
         raise InvalidInput("picture, solution", rule, "a system of another kind", repair)
     vectors = [
-        {body.name: (body.first_vector, body.count) for body in x.layout.bodies}
+        {body.name: (body.first_vector, body.count, body.kinks) for body in x.layout.bodies}
         for x in (given, own)
     ]
     if vectors[0] != vectors[1] or len(given.lengths) != len(own.lengths):

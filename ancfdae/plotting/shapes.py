@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.ancf.beam_elements import BeamElements
+from ancfdae.ancf.beam_sections import BeamSections
 from ancfdae.ancf.vectors import Vectors
 from ancfdae.bodies import (
     BeamBody,
@@ -69,14 +70,20 @@ class Mesh(abc.ABC):
 class BeamMesh(Mesh):
     """The surface of a beam, in the plane the area between its lowest and highest fibres.
 
-    `elements` are None if it is rigid. Its points lie at the places xi, (n_xi,), of every element
-    and at fibres y, z, (n, n_f); they are numbered element by element, station by station.
+    `elements` are None if it is rigid; `sections` are those of the scene. Its points lie at the
+    places xi, (n_xi,), of every element and at fibres y, z, (n, n_f); they are numbered element by
+    element, station by station.
     """
 
     def __init__(
-        self, body: BeamBody, naming: Naming, n_q: int, elements: BeamElements | None
+        self,
+        body: BeamBody,
+        naming: Naming,
+        n_q: int,
+        elements: BeamElements | None,
+        sections: BeamSections,
     ) -> None:
-        self.name, self.body, self.elements = body.name, body, elements
+        self.name, self.body, self.elements, self.sections = body.name, body, elements, sections
         n, d = body.element_count, body.dimension
         self.xi = np.linspace(0.0, 1.0, max(2, -(-_STATIONS // n)) + 1)
         kind = body.element_type()
