@@ -25,7 +25,7 @@ from ancfdae import (
     shear_force,
 )
 from ancfdae.plotting import Panel, Series
-from validation import shapes
+from validation import shapes, short_elements
 from validation.report import Agreement, Report
 
 __all__ = ["run"]
@@ -56,6 +56,7 @@ def run(report: Report, quick: bool) -> None:
     _large(report, counts[2:] if quick else counts[1:])
     _frequencies(report, counts, quick)
     shapes.fill(report, quick)
+    short_elements.fill(report, quick)
     report.heading("Verdict")
     report.text(_VERDICT)
     report.heading("Limits")
