@@ -26,6 +26,8 @@ from ancfdae.errors import AncfdaeError, SingularMatrix
 from ancfdae.modes.linearised import EPS, Linearised
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
+from ancfdae.protocol import reaction
+from ancfdae.protocol.held import held_q
 from ancfdae.protocol.saddle_points import solve
 from ancfdae.statics import Balance, stiffness_of_coordinates
 
@@ -72,7 +74,8 @@ class Precise:
     def _beyond(self) -> Array:
         """The correction of q that is below its last digit; zero where forces do not balance."""
         system, at, none = self.small.system, self.small.at, np.zeros(self.small.system.n_lam)
-        R = system.force(self.q, 0 * self.q, at.t) - system.constraint_force(self.q, at.lam, at.t)
+        Q = system.force(at.t, self.q, 0 * self.q)
+        R = Q - reaction(system, at.t, self.q, at.lam)
         balance = Balance(system, at.t, self.q, at.lam)
         if not balance.is_round_off(R, self.small.K, self.q, at.lam):
             return 0 * self.q
@@ -86,14 +89,12 @@ class Precise:
         if np.any(step):
             slope = self._elastic(self.q + step, X) - self._elastic(self.q - step, X)
             product = product + slope / (2 * _MAGNIFIED)
-        if system.linear_constraints:
-            return product
-        held = system.constraint_force_q(self.q, at.lam, at.t)
+        held = held_q(system, at.t, self.q, 0 * self.q, at.lam)
         return product + system.pattern.dot(held, X)
 
     def _elastic(self, q: Array, X: Array) -> Array:
         system, still, t = self.small.system, np.zeros_like(self.q), self.small.at.t
-        rates = [-np.imag(system.force(q + 1j * STEP * x, still, t)) for x in X.T]
+        rates = [-np.imag(system.force(t, q + 1j * STEP * x, still)) for x in X.T]
         return np.stack(rates, axis=1) / STEP
 
     def left(self, X: Array, z: Array) -> Array:
