@@ -105,6 +105,11 @@ class StabilityWarning(UserWarning):
 
 
 @final
+class ManySteps(UserWarning):
+    """A run that will take many more steps than a method that suits the scene; it goes on."""
+
+
+@final
 class FailedDesign(UserWarning):
     """A design that an optimiser tried has no values; the message says why."""
 

@@ -6,12 +6,13 @@ Plain numbers only, so that a saved solution can be read without its scene.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
 
-from ancfdae.bodies import Point, Quantity, require_fraction
-from ancfdae.elements import ALL_ELEMENTS, BeamElement
+from ancfdae.bodies import Point, Quantity, locate, require_fraction
+from ancfdae.elements import BeamElement
 from ancfdae.errors import InvalidInput, UnknownName, named
 from ancfdae.numerics.arrays import STEP, Array
 
@@ -22,8 +23,10 @@ class BodyLayout:
     """Place of a beam or a rigid body: its vectors, `count` in a row from `first_vector` on.
 
     Every `stride`-th of them is a position, the others are directions: per node of a beam, or of
-    the one frame of what is rigid. Vector k has the coordinates d k to d k + d - 1. `size` is the
-    length of a beam, the radius of gyration of a body, as declared.
+    the one frame of what is rigid. `kinks` are the inner nodes where the slope along the beam may
+    jump: that of the element which ends there comes after all nodes. Vector k has the coordinates
+    d k to d k + d - 1. `size` is the length of a beam, the radius of gyration of a body, as
+    declared.
     """
 
     name: str
@@ -31,6 +34,7 @@ class BodyLayout:
     count: int
     stride: int
     size: float
+    kinks: tuple[int, ...] = ()
 
     @property
     def vectors(self) -> Array:
@@ -38,9 +42,32 @@ class BodyLayout:
         return self.first_vector + np.arange(self.count)
 
     @property
+    def nodes(self) -> Array:
+        """Numbers of the vectors of every node, shape (n_nodes, stride).
+
+        Of a kink those of the element that begins there.
+        """
+        return self.vectors[: self.count - len(self.kinks)].reshape(-1, self.stride)
+
+    @property
     def positions(self) -> Array:
         """Numbers of those that are positions."""
-        return self.vectors[:: self.stride]
+        return self.nodes[:, 0]
+
+    @cached_property
+    def ends(self) -> Array:
+        """Numbers of the vectors of both ends of every element, shape (n, 2 stride)."""
+        nodes = self.nodes
+        ends = np.concatenate([nodes[:-1], nodes[1:]], axis=1)
+        kinks = np.array(self.kinks, dtype=np.int64)
+        ends[kinks - 1, self.stride + Quantity.SLOPE_X] = self.vectors[nodes.size :]
+        return ends
+
+    def of_ends(self, X: Array) -> Array:
+        """Return its vectors from those of both ends of every element, (n, 2, stride, d)."""
+        vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
+        vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)
+        return vectors
 
 
 @final
@@ -87,17 +114,10 @@ class BeamLayout:
         """Its elements among those of the scene."""
         return slice(self.first_element, self.first_element + self.element_count)
 
-    def locate(self, fraction: float | None) -> tuple[int, float]:
+    def locate(self, fraction: float | None, before: bool = False) -> tuple[int, float]:
         """Element of the beam and its xi at an arc-length fraction; refuse one beyond [0, 1]."""
         fraction = require_fraction(f"point of {self.name!r}", fraction)
-        nodes = np.asarray(self.fractions)
-        element = min(int(np.searchsorted(nodes, fraction, side="right")) - 1, len(nodes) - 2)
-        xi = (fraction - nodes[element]) / (nodes[element + 1] - nodes[element])
-        # A fraction such as 1/3 of three elements means the node, not a point 1e-16 beside it.
-        near = 4 * np.finfo(float).eps * len(nodes)
-        if xi < near:
-            return element, 0.0
-        return element, 1.0 if xi > 1.0 - near else float(xi)
+        return locate(np.asarray(self.fractions), fraction, before)
 
 
 @final
@@ -117,22 +137,17 @@ class JointLayout:
 @final
 @dataclass(frozen=True)
 class Layout:
-    """Places of all parts of a scene, and the name of the element of all beams.
+    """Places of all parts of a scene, and the element of all beams.
 
     `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
     the point masses.
     """
 
-    element_name: str
+    element: BeamElement
     bodies: tuple[BodyLayout, ...]
     beams: tuple[BeamLayout, ...]
     masses: tuple[str, ...]
     joints: tuple[JointLayout, ...]
-
-    @property
-    def element(self) -> BeamElement:
-        """The element of every beam."""
-        return next(each for each in ALL_ELEMENTS if each.name == self.element_name)
 
     @property
     def d(self) -> int:
@@ -191,7 +206,8 @@ class Naming:
         if beam is None:
             return self._of_body(point, quantity, body, numbers, numbers_b)
         fraction, y, z = numbers
-        local, at = beam.locate(None if point.fraction is None else float(fraction.real))
+        along = None if point.fraction is None else float(fraction.real)
+        local, at = beam.locate(along, point.before)
         span = beam.fractions[local + 1] - beam.fractions[local]
         xi = at + 1j * fraction.imag / span if np.iscomplexobj(numbers) else at
         element = beam.first_element + local
@@ -206,20 +222,29 @@ class Naming:
                 moved = (x.real + 1j * step for x, step in zip((xi, y, z), steps, strict=True))
                 w_k = kind.vector_weights(quantity, *moved)[0].imag / STEP
                 s_b = s_b + np.outer(w_k * l**p, numbers_b[k])
-        return self._of_nodes(beam, local, s, s_b)
+        return self._of_elements(beam, np.array([local]), s, s_b)
 
     def nodes(self, states: Array, name: str) -> Array:
         """Return the node vectors of a beam or a rigid body in states of shape (k, n_q).
 
         Shape (k, n_nodes, n_s, d); a rigid body has one node, of d + 1 vectors.
         """
-        body, beam, d = self.layout.body(name), self._beam(name), self.layout.d
-        X = states.reshape(len(states), -1, d)[:, body.vectors]
-        X = X.reshape(len(states), -1, body.stride, d)
+        body, beam = self.layout.body(name), self._beam(name)
+        X = states.reshape(len(states), -1, self.layout.d)[:, body.nodes]
         if beam is None or beam.rigid is None:
             return X
         W = beam.rigid.weights(self.lengths[beam.elements], self.layout.element.n_s)
         return np.asarray(W @ X)
+
+    def ends(self, states: Array, name: str) -> Array:
+        """Return the node vectors of both ends of every element of a beam, (k, n, 2, n_s, d)."""
+        beam, body = self.layout.beam(name), self.layout.body(name)
+        if beam.rigid is not None:
+            X = self.nodes(states, name)
+            return np.stack([X[:, :-1], X[:, 1:]], axis=2)
+        d = self.layout.d
+        X = states.reshape(len(states), -1, d)[:, body.ends]
+        return X.reshape(len(states), -1, 2, body.stride, d)
 
     def centre_line(self, beam: str) -> PointVector:
         """Return the integral of the position along the centre line of a beam.
@@ -228,14 +253,15 @@ class Naming:
         """
         place, n_s = self.layout.beam(beam), self.layout.element.n_s
         l, l_b = self.lengths[place.elements], self.lengths_b[place.elements]
-        weights = np.zeros((len(l) + 1, n_s), dtype=l.dtype)
-        weights_b = np.zeros((len(l) + 1, n_s, l_b.shape[1]), dtype=l.dtype)
-        for end, sign in ((slice(None, -1), 1.0), (slice(1, None), -1.0)):
-            weights[end, 0] += l / 2
-            weights[end, 1] += sign * l**2 / 12
-            weights_b[end, 0] += l_b / 2
-            weights_b[end, 1] += sign * l[:, None] * l_b / 6
-        return self._of_nodes(place, 0, weights.ravel(), weights_b.reshape(weights.size, -1))
+        weights = np.zeros((len(l), 2, n_s), dtype=l.dtype)
+        weights_b = np.zeros((*weights.shape, l_b.shape[1]), dtype=l.dtype)
+        for end, sign in ((0, 1.0), (1, -1.0)):
+            weights[:, end, 0] = l / 2
+            weights[:, end, 1] = sign * l**2 / 12
+            weights_b[:, end, 0] = l_b / 2
+            weights_b[:, end, 1] = sign * l[:, None] * l_b / 6
+        by_vector = weights.ravel(), weights_b.reshape(weights.size, -1)
+        return self._of_elements(place, np.arange(len(l)), *by_vector)
 
     def direction(self, body: str, number: int) -> PointVector:
         """Return a direction of the axes of something rigid, counted from 1 on."""
@@ -274,24 +300,30 @@ class Naming:
             weights[quantity] = 1.0
         return PointVector(body.vectors, weights, weights_b)
 
-    def _of_nodes(
-        self, beam: BeamLayout, node: int, weights: Array, weights_b: Array
+    def _of_elements(
+        self, beam: BeamLayout, elements: Array, weights: Array, weights_b: Array
     ) -> PointVector:
-        """Return a combination of vectors of nodes from the given one on.
+        """Return a combination of the vectors of both ends of elements, (m n_a,) in a row.
 
         Those of a rigid beam are combinations of the vectors of its frame.
         """
-        n_s, first = self.layout.element.n_s, self.layout.body(beam.name).first_vector
-        own = slice(node * n_s, node * n_s + len(weights))
+        n_s, body = self.layout.element.n_s, self.layout.body(beam.name)
         if beam.rigid is None:
-            return PointVector(first + np.arange(own.start, own.stop), weights, weights_b)
+            if len(elements) == 1:  # each vector stands once
+                return PointVector(body.ends[elements[0]], weights, weights_b)
+            vectors, at = np.unique(body.ends[elements], return_inverse=True)
+            combined = np.zeros(len(vectors), dtype=weights.dtype)
+            combined_b = np.zeros((len(vectors), weights_b.shape[1]), dtype=weights_b.dtype)
+            np.add.at(combined, at.ravel(), weights)
+            np.add.at(combined_b, at.ravel(), weights_b)
+            return PointVector(vectors, combined, combined_b)
         W = beam.rigid.weights(self.lengths[beam.elements], n_s)
-        W = W.reshape(-1, W.shape[-1])[own]
+        at = (elements[:, None] * n_s + np.arange(2 * n_s)).ravel()
+        W = W.reshape(-1, W.shape[-1])[at]
         moved = beam.rigid.positions_b(self.lengths_b[beam.elements])
-        at = slice(node, node + len(weights) // n_s)
         combined_b = W.T @ weights_b
-        combined_b[1:] += np.einsum("k,kdb->db", weights[::n_s], moved[at])
-        return PointVector(first + np.arange(W.shape[1]), W.T @ weights, combined_b)
+        combined_b[1:] += np.einsum("k,kdb->db", weights[::n_s], moved[at[::n_s] // n_s])
+        return PointVector(body.first_vector + np.arange(W.shape[1]), W.T @ weights, combined_b)
 
 
 @final

@@ -112,8 +112,11 @@ class Scene(SceneDesign):
         rest = self.rest
         if rest is None:
             return None
+        # Of the same coordinates, whatever it carries.
+        beams = [beam.with_kinks(self.kinks.get(beam.name, ())) for beam in self.beams]
         return replace(
             self,
+            beams=beams,
             loads=self.loads if rest.loads is None else rest.loads,
             gravity=self.gravity if rest.gravity is None else rest.gravity,
             start=[start for start in self.start if start is not rest],
@@ -183,9 +186,8 @@ class Scene(SceneDesign):
             )
         if isinstance(beam, RigidBody) or point.fraction is None:
             return
-        ends = np.cumsum(beam.reference().lengths)
-        ends /= ends[-1]
-        starts = np.concatenate([[0.0], ends[:-1]])
+        nodes = beam.reference().fractions
+        starts, ends = nodes[:-1], nodes[1:]
         # Widened by round-off, so that nodes belong to both elements.
         touched = (starts <= point.fraction + 1e-12) & (point.fraction - 1e-12 <= ends)
         require_in_section(where, point, beam.half_extents(np.flatnonzero(touched)))
@@ -193,7 +195,8 @@ class Scene(SceneDesign):
     def _checked_start(self, start: Start) -> Start:
         if isinstance(start, AtRest):
             return start
-        return checked_start(start, self.member(start.body), self.dimension)
+        body = self.member(start.body)
+        return checked_start(start, body, self.dimension, self.kinks.get(body.name, ()))
 
     def _check_rest(self) -> None:
         """Refuse a start at rest that moves."""

@@ -19,6 +19,7 @@ from ancfdae.errors import (
     require_finite,
     require_kind,
     require_text,
+    require_vector,
 )
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
@@ -84,6 +85,20 @@ class SceneDesign(Designable):
         """Return the beam or rigid body of this name, or raise UnknownName."""
         return named("beam or body", name, self.members)
 
+    @cached_property
+    def kinks(self) -> dict[str, tuple[int, ...]]:
+        """Inner nodes of each beam that deforms with a slope along the beam on either side.
+
+        Those declared, and those that a part acts on: forces of sections jump there.
+        """
+        fractions: dict[str, set[float]] = {beam.name: set(beam.kinks) for beam in self.beams}
+        for part in self.parts().values():
+            for point in () if isinstance(part, RigidBody) else part.points:
+                if point.fraction is not None:
+                    fractions[point.beam].add(point.fraction)
+        soft = (beam for beam in self.beams if not beam.rigid and beam.element.can_kink)
+        return {beam.name: tuple(sorted(beam.inner_nodes(fractions[beam.name]))) for beam in soft}
+
     def parts(self) -> dict[str, Part | RigidBody]:
         """Return bodies, joints and loads, of the start too; their numbers can be targets."""
         parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
@@ -134,6 +149,7 @@ class SceneDesign(Designable):
             return target
         numbers = self.numbers(target.owner)
         if target.indexed not in numbers:
+            self._refuse_default_ground(target)
             beams = (beam for beam in self.beams if beam.name == target.owner)
             names = [name for beam in beams for name in beam.parameter_names()]
             known = [f"{target.owner}.{name}" for name in (*names, *numbers)]
@@ -142,6 +158,20 @@ class SceneDesign(Designable):
         if isinstance(part, Part):
             self._check_point_target(part, target)
         return target
+
+    def _refuse_default_ground(self, target: Target) -> None:
+        """Tell how the place of a joint becomes a target where it was not written."""
+        part, (word, _, axis) = self.parts().get(target.owner), target.parameter.partition("_")
+        if not isinstance(part, Joint) or axis not in ("x", "y", "z"):
+            return
+        known = (word, require_vector) in part.design_fields and not part.numbers_of(word)
+        if known and len(part.points) == 1:
+            raise InvalidInput(
+                f"design target {target}",
+                f"the {word} of joint {part.name!r} must be written to be a target",
+                "none: it stands where the point does, and goes with it",
+                f"Give {word}=(...), the place of {part.points[0]} in the reference.",
+            )
 
     def is_of_elements(self, target: Target) -> bool:
         """Whether a target names a parameter of elements of a beam."""
@@ -306,15 +336,14 @@ class SceneDesign(Designable):
                 rule = f"{point.beam!r} has no such axis"
                 raise InvalidInput(where, rule, coordinate, "Leave it out.")
             return
-        ends = np.cumsum(self.beam(point.beam).reference().lengths)
-        nodes = np.concatenate([[0.0], ends / ends[-1]])
+        nodes = self.beam(point.beam).reference().fractions
         at_node = bool(np.any(np.abs(nodes - point.fraction) < 1e-9))
         slopes = any(
             vector == Normal(point)
             or (isinstance(vector, tuple) and vector[0] == point and vector[1] > Quantity.POSITION)
             for vector in part.vectors(element)
         )
-        if point.fraction in (0.0, 1.0) or (at_node and slopes):
+        if point.fraction in (0.0, 1.0) or (at_node and (slopes or element.can_kink)):
             raise InvalidInput(
                 where,
                 "the point must lie inside an element, to move both ways"

@@ -8,7 +8,7 @@ from typing import ClassVar, TypeAlias, final
 
 import numpy as np
 
-from ancfdae.bodies import BeamBody, RigidBody
+from ancfdae.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.design import Designable
 from ancfdae.errors import (
     InvalidInput,
@@ -70,15 +70,22 @@ class NodeState:
     ----------
     body : str
         Name of the beam.
-    coordinates : array, shape (n + 1, n_s, d)
-        Position and slopes of every node.
-    velocities : array, shape (n + 1, n_s, d), optional
+    coordinates : array, shape (n + 1, n_s, d) or (n, 2, n_s, d)
+        Position and slopes of every node, or of both ends of every element as `Solution.ends`
+        returns them, where the slope along the beam differs on both sides of a node (`Beam`,
+        kinks).
+    velocities : array, shape as that of either, optional
         Zero by default.
     """
 
     body: str
     coordinates: Array
     velocities: Array | None = None
+
+    @staticmethod
+    def ends(nodes: Array) -> Array:
+        """Return vectors of both ends of every element, (n, 2, n_s, d), from either form."""
+        return nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
 
 
 @final
@@ -121,14 +128,14 @@ Start: TypeAlias = RigidMotion | NodeState | AtRest
 
 
 def checked_start(
-    start: RigidMotion | NodeState, beam: BeamBody | RigidBody, d: int
+    start: RigidMotion | NodeState, beam: BeamBody | RigidBody, d: int, kinks: tuple[int, ...]
 ) -> RigidMotion | NodeState:
-    """Return a start with its arrays as such.
+    """Return a start, of a beam with kinks at these nodes, with its arrays as such.
 
     Raises
     ------
     InvalidInput
-        If vectors have another size, or a rigid body has states of nodes.
+        If vectors have another size, a rigid body has states of nodes, or elements do not meet.
     """
     where = f"start of {beam.name!r}"
     if isinstance(start, RigidMotion):
@@ -140,27 +147,44 @@ def checked_start(
     if isinstance(beam, RigidBody) or beam.rigid:
         rule, repair = "a rigid body has no nodes", "Give it a RigidMotion."
         raise InvalidInput(where, rule, "a NodeState", repair)
-    shape = (beam.element_count + 1, beam.element.n_s, d)
-    coordinates = require_array(f"{where}, coordinates", start.coordinates, shape)
+    coordinates = _of_nodes(f"{where}, coordinates", start.coordinates, beam, kinks)
     _require_sections(f"{where}, coordinates", coordinates)
     velocities = None
     if start.velocities is not None:
-        velocities = require_array(f"{where}, velocities", start.velocities, shape)
+        velocities = _of_nodes(f"{where}, velocities", start.velocities, beam, kinks)
     return replace(start, coordinates=coordinates, velocities=velocities)
+
+
+def _of_nodes(where: str, given: Array, beam: BeamBody, kinks: tuple[int, ...]) -> Array:
+    """Return vectors of nodes, or of both ends of elements, which meet with the same."""
+    n, vectors = beam.element_count, (beam.element.n_s, beam.dimension)
+    if np.ndim(given) != 4:
+        return require_array(where, given, (n + 1, *vectors))
+    ends = require_array(where, given, (n, 2, *vectors))
+    differ = np.any(ends[:-1, 1] != ends[1:, 0], axis=-1)
+    differ[np.array(kinks, dtype=np.int64) - 1, Quantity.SLOPE_X] = False
+    if np.any(differ):
+        raise InvalidInput(
+            where,
+            "elements must meet with the same vectors, but for the slope along the beam at kinks",
+            f"others at node {1 + int(np.argmax(np.any(differ, axis=1)))}",
+            "Declare Beam(..., kinks=[...]) where it jumps.",
+        )
+    return ends
 
 
 def _require_sections(where: str, coordinates: Array) -> None:
     """Refuse nodes without a centre line or a section, or with one that is turned inside out."""
-    slopes = coordinates[:, 1:]
+    slopes = coordinates[..., 1:, :]
     sizes = np.linalg.norm(slopes, axis=-1)
-    flat = np.any(sizes == 0, axis=1)
-    if slopes.shape[1] == slopes.shape[2]:
+    flat = np.any(sizes == 0, axis=-1)
+    if slopes.shape[-2] == slopes.shape[-1]:
         # Round-off of a determinant is some 1e-16 of the product of the sizes.
-        flat |= np.linalg.det(slopes) <= 1e-12 * np.prod(sizes, axis=1)
+        flat |= np.linalg.det(slopes) <= 1e-12 * np.prod(sizes, axis=-1)
     if np.any(flat):
         raise InvalidInput(
             where,
             "slopes must span the body with the turning sense of the axes",
-            f"{slopes[flat][0].tolist()} at node {int(np.argmax(flat))}",
+            f"{slopes[flat][0].tolist()} at node {np.argwhere(flat)[0].sum()}",
             "A node holds its position, then its slopes, as solution.nodes returns them.",
         )

@@ -70,6 +70,27 @@ class CartesianPendulum(MechanicalSystem):
         return -3 * np.array([v @ a])
 
 
+class WhirlingPendulum(CartesianPendulum):
+    """A pendulum of varying mass in a wind that pushes across: Q_v is not symmetric."""
+
+    constant_mass, velocity_forces = False, True
+
+    def with_values(self, b):
+        return WhirlingPendulum(self.angle, self.spin, b)
+
+    def mass(self, q):
+        return super().mass(q) * (2 + q[0])
+
+    def inertia_q(self, q, a):
+        return np.outer(a, [1.0, 0.0]).ravel()
+
+    def force(self, q, v, t):
+        return super().force(q, v, t) + np.array([v[1], -v[0]])
+
+    def force_rate(self, q, v, a, t):
+        return np.array([a[1], -a[0]])
+
+
 class NeverRight(CartesianPendulum):
     """Its force is a number at the start only."""
 

@@ -19,6 +19,7 @@ from ancfdae import (
     Drive,
     FiniteDifference,
     Guide,
+    Harmonic,
     InconsistentStart,
     InvalidInput,
     Material,
@@ -27,6 +28,7 @@ from ancfdae import (
     Point,
     Rectangle,
     RedundantConstraints,
+    RigidBody,
     RigidMotion,
     Scene,
     StabilityWarning,
@@ -603,6 +605,35 @@ def test_small_inconsistencies_count_and_round_off_does_not():
         rods = scene(Pin(ROD.at_start, ground=(0.0, size)))
         with pytest.raises(kind):
             run(rods)
+
+
+def test_a_drive_from_rest_gives_small_velocities_a_size():
+    # A rod of length 1, turned by a law from rest with q'' = A w^2 = 8: speeds of sqrt(8) count.
+    # The threshold is 1e-8 of that; a slip of 1e-6 is far above it, one of 1e-11 below.
+    for slip, kind in ((1e-6, InconsistentStart), (1e-11, AssertionError)):
+        motor = Drive(ROD.at_start, Harmonic(2.0, 2.0, 0.5 * np.pi, offset=-2.0), name="motor")
+        start = [RigidMotion("rod", slip, (0.0, 0.0))]
+        with pytest.raises(kind):
+            run(scene(Pin(ROD.at_start), motor, start=start))
+
+
+def test_flat_bodies_and_flat_sections_are_refused_in_any_direction():
+    # Round-off puts the moment across a disc, and the determinant of parallel slopes, on either
+    # side of zero.
+    generator = np.random.default_rng(0)
+    for _ in range(20):
+        axes, _ = np.linalg.qr(generator.normal(size=(3, 3)))
+        J = axes @ np.diag([0.3, 0.7, 1.0]) @ axes.T
+        tensor = (J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2])
+        with pytest.raises(InvalidInput, match="less than the sum of the other two"):
+            RigidBody("disc", (0.0, 0.0, 0.0), mass=1.0, inertia=tensor)
+        slope, factor = generator.normal(size=(2, 2))
+        nodes = NODES.copy()
+        nodes[1, 1:] = slope, slope * factor[0]
+        with pytest.raises(InvalidInput, match="must span the body"):
+            scene(start=[NodeState("rod", nodes)])
+    # A body of a thickness of a thousandth is one.
+    RigidBody("disc", (0.0, 0.0, 0.0), mass=1.0, inertia=(1.0, 1.0, 2.0 - 1e-6, 0.0, 0.0, 0.0))
 
 
 def test_projected_start_satisfies_the_constraints_to_round_off(monkeypatch):

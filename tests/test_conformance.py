@@ -25,7 +25,7 @@ from ancfdae import (
 from ancfdae.user_systems.derived import Related, is_value, members
 from validation.scenes import crank_slider, pendulum
 
-from mechanisms import CartesianPendulum, GuidedDoublePendulum, WrittenPendulum
+from mechanisms import CartesianPendulum, GuidedDoublePendulum, WhirlingPendulum, WrittenPendulum
 from sign_mutation import everything, negative
 
 # A start is judged by Phi and by its partials, which are there with design variables.
@@ -177,25 +177,11 @@ def test_right_systems_pass(system):
     assert max(finding.error for finding in report.findings) < 1e-8
 
 
-class Declared(CartesianPendulum):
-    """A pendulum of varying mass in a whirling wind, with declarations of the test's choice."""
-
-    constant_mass, velocity_forces = False, True
+class Declared(WhirlingPendulum):
+    """The pendulum in a whirling wind with declarations of the test's choice."""
 
     def with_values(self, b):
         return type(self)(self.angle, self.spin, b)
-
-    def mass(self, q):
-        return super().mass(q) * (2 + q[0])
-
-    def inertia_q(self, q, a):
-        return np.outer(a, [1.0, 0.0]).ravel()
-
-    def force(self, q, v, t):
-        return super().force(q, v, t) + np.array([v[1], -v[0]])
-
-    def force_rate(self, q, v, a, t):
-        return np.array([a[1], -a[0]])
 
 
 def test_undeclared_twin_passes():

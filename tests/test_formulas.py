@@ -16,6 +16,7 @@ from ancfdae import (
     HHT,
     IDA,
     Adjoint,
+    AtTimes,
     Beam,
     Bushing,
     Circle,
@@ -49,7 +50,9 @@ from ancfdae import (
     RigidMotion,
     Scene,
     SlideFriction,
+    SmoothMaximum,
     SpringDamper,
+    Terminal,
     Torque,
     TorsionSpring,
     Uniform,
@@ -60,6 +63,7 @@ from ancfdae import (
     axial_strain,
     centre_of_mass,
     drive_torque,
+    elapsed_time,
     equilibrium,
     gradients,
     guide_force,
@@ -1014,3 +1018,94 @@ def test_a_tilted_pendulum_swings_and_rests_as_a_physical_one():
         simulate(scene, 0.01, HHT(0.01)).position(body.centre_of_mass)[0],
         np.array([0.1, 0, 0]) + frame @ centre,
     )
+
+
+# ---------------------------------------------------------------- energies, objectives
+
+
+@pytest.mark.parametrize("damping", [0.0, 2e-3])
+def test_energy_changes_by_the_power_of_loads_motors_and_weight(monkeypatch, damping):
+    """dT/dt + dU/dt of a strained moving chain; damping of the material takes the rest."""
+    monkeypatch.setitem(globals(), "SOFT", Material(1100, 2e6, 0.3, damping_time=damping))
+    one, two, base, inner, elbow = two_beams(3, "soft")
+    a = unit([0.3, -0.5, 0.8])
+    motor = Drive(base, Uniform(0.9, 0.0, 0.7), a, name="motor")
+    joints = [Revolute(base, a, name="base"), motor, Pin(inner, elbow, name="elbow")]
+    own = loaded(one, two, base, inner, elbow, joints)
+    states = States(*(getattr(own.solution, x)[:1] for x in ("t", "q", "v", "lam")))
+    kinetic, strain = (x().partials(own.system, states) for x in (kinetic_energy, strain_energy))
+    rate = kinetic.v[0] @ own.solution.a[0] + strain.q[0] @ states.v[0]
+    names = ("line 1", "line 2", "force", "moment", "spring", "follower")
+    power = sum(own.value(load_power(name)) for name in names)
+    weight = sum(own.value(linear_momentum(i)) * g for i, g in enumerate(GRAVITY))
+    turned = own.value(joint_power("motor"))
+    assert min(abs(power), abs(weight), abs(turned)) > 1e-3
+    lost = power + weight + turned - rate
+    if damping:
+        # The waves of this state lose far more than anything else gives.
+        assert lost > 1.0
+    else:
+        assert abs(lost) <= 1e-9 * abs(strain.q[0] @ states.v[0])
+
+
+def test_strain_energy_is_that_of_beam_theory():
+    """A tilted cantilever under a force and a moment at its tip, each along its own axes."""
+    E, nu, L, h, w = 7e9, 0.3, 1.0, 0.06, 0.04
+    axis, start = unit([0.3, -0.5, 0.8]), np.array([0.1, 0.2, 0.3])
+    section = Rectangle(h, w)
+    bar = Beam(
+        "bar",
+        tuple(start),
+        tuple(start + L * axis),
+        8,
+        section,
+        Material(2700, E, nu),
+        height_axis=(1, 1, 0),
+    )
+    height = unit(np.array([1, 1, 0]) - (np.array([1, 1, 0]) @ axis) * axis)
+    frame = np.array([axis, height, np.cross(axis, height)])
+    N, V_y, V_z, T, M_y, M_z = 0.3, 0.03, -0.02, 0.015, 0.008, -0.012
+    loads = [
+        PointForce(bar.at_end, tuple(np.array([N, V_y, V_z]) @ frame)),
+        Moment(bar.at_end, tuple(np.array([T, M_y, M_z]) @ frame)),
+    ]
+    scene = Scene([bar], [Clamp(bar.at_start)], loads=loads)
+    found = equilibrium(scene)
+    A, I_y, I_z, G = h * w, h * w**3 / 12, w * h**3 / 12, E / 2 / (1 + nu)
+    k = 10 * (1 + nu) / (12 + 11 * nu)
+    n = np.arange(1, 40, 2)
+    series = np.sum(np.tanh(n * np.pi * h / 2 / w) / n**5)
+    J = h * w**3 * (1 / 3 - 64 / np.pi**5 * w / h * series)
+    # Moments along the beam: M_z + V_y (L - x) about the width, M_y - V_z (L - x) about the height.
+    bend = sum(
+        (M**2 * L + M * V * L**2 + V**2 * L**3 / 3) / (2 * E * I)
+        for M, V, I in ((M_z, V_y, I_z), (M_y, -V_z, I_y))
+    )
+    rest = N**2 / (E * A) + (V_y**2 + V_z**2) / (k * G * A) + T**2 / (G * J)
+    expected = bend + rest * L / 2
+    energy = observe(strain_energy(), found.solution, assemble(scene))[0]
+    # The tension stiffens by less than N L^2/(E I) = 1.3e-4.
+    assert np.isclose(energy, expected, rtol=1.3e-4)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "near"),
+    [(HHT(0.01), 1e-3), (IDA(1e-6, intervals=4), 1e-6), (Explicit(1e-6, intervals=4), 1e-6)],
+    ids=["HHT", "IDA", "Explicit"],
+)
+def test_objectives_of_the_time_are_integrals_of_calculus(integrator, near):
+    wheel = RigidBody("wheel", (0.1, 0.2), mass=1.0, inertia=0.1)
+    start = [RigidMotion("wheel", 2.0, wheel.position)]
+    scene = Scene([], start=start, bodies=[wheel])
+    system, T, k = assemble(scene, ["wheel.mass"]), 0.7, 9.0
+    t = elapsed_time()
+    expected = {
+        Integral(t**2): T**3 / 3,
+        AtTimes(t**2, [0.123, 0.456]): 0.123**2 + 0.456**2,
+        Terminal(np.exp(t)): np.exp(T),
+        SmoothMaximum(t, k): np.log(np.expm1(k * T) / (k * T)) / k,
+        -SmoothMaximum(-t, k): -np.log(-np.expm1(-k * T) / (k * T)) / k,
+    }
+    found = gradients(system, list(expected), T, integrator, method=Direct())
+    for each, exact in zip(found, expected.values(), strict=True):
+        assert np.isclose(each.value, exact, rtol=near)

@@ -140,6 +140,8 @@ def test_a_periodic_spline_repeats():
     for order in range(4):
         # Third derivatives are 1e2 here.
         assert law.at(t + 9.0, order) == pytest.approx(law.at(t, order), abs=1e-10)
+        # Before its first time, too.
+        assert law.at(t - 9.0, order) == pytest.approx(law.at(t, order), abs=1e-10)
     assert law.at(law.times) == pytest.approx(law.values, abs=1e-12)
 
 

@@ -8,6 +8,16 @@ from ancfdae.numerics.least_norm import LeastNorm
 
 
 @pytest.mark.parametrize("size", [40, 200])
+def test_small_singular_values_count(size):
+    # 1e-6 of the largest: a pass of the sparse way leaves (a/s)^2 = 1e-2 of it, and round-off is
+    # 1e-16 / 1e-6 of the solution.
+    matrix = np.diag(np.r_[np.full(20, 1e-6), np.linspace(0.5, 1.0, size - 20)])
+    exact = np.random.default_rng(1).normal(size=size)
+    found = LeastNorm(sparse.csr_array(matrix)).solve(matrix @ exact)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [40, 200])
 def test_solutions_are_those_of_the_pseudo_inverse(size):
     # Of rank size - 10 in both directions: the last ten rows and columns repeat others.
     generator = np.random.default_rng(0)

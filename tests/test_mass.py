@@ -107,6 +107,15 @@ def test_rigid_bodies_and_point_masses_count():
     full = [[2.0, 0.1, -0.2], [0.1, 3.0, 0.3], [-0.2, 0.3, 4.0]]
     # Squares of places, 9, times the mass, less those of the centre.
     assert np.allclose(alone.inertia, full, rtol=0, atol=1e-12)
+    place = np.array([0.3, -0.4, 0.7])
+    d = (1.1, 2.0, 2.8) - place
+    # Steiner's rule, moments and products.
+    steiner = full + 5 * (d @ d * np.eye(3) - np.outer(d, d))
+    tensor = [
+        [seen(inertia(i, j, beam="body", about=tuple(place)), system) for j in range(3)]
+        for i in range(3)
+    ]
+    assert np.allclose(tensor, steiner, rtol=0, atol=1e-12)
     both = mass_properties(system)
     assert both.mass == pytest.approx(7.0, rel=CLOSE)
     assert np.allclose(both.mass_b, [1.0, 1.0], rtol=CLOSE, atol=0)

@@ -9,6 +9,7 @@ from ancfdae import (
     Beam,
     Clamp,
     ComplexStep,
+    ComplexStepSystem,
     Direct,
     Material,
     Point,
@@ -163,3 +164,38 @@ def test_derivatives_of_a_run_that_needed_shorter_steps_are_those_of_the_call():
     found = (value(base + d) - value(base - d)) / (2 * d)
     # Truncation d^2 and round-off 1e-14/1e-5.
     assert exact.gradient[0] == pytest.approx(found, rel=1e-6)
+
+
+class Wall(ComplexStepSystem):
+    """A mass that is pushed all at once at t = 0.1 s, 5000 times as hard, against a steep wall."""
+
+    n_q, n_lam, design_names = 1, 0, ("K",)
+    constant_mass, velocity_forces = True, False
+
+    def __init__(self, b=(40.0,)):
+        super().__init__(b)
+
+    def with_values(self, b):
+        return Wall(b)
+
+    def start(self):
+        return np.zeros(1), np.zeros(1)
+
+    def mass_matrix(self, q):
+        return np.eye(1)
+
+    def force(self, q, v, t):
+        push = 1.0 + 5e3 / (1 + np.exp(-2000 * (t - 0.1)))
+        return push - np.exp(self.b[0] * (q - 1.0))
+
+    def constraint(self, q, t):
+        return np.zeros(0) * q[0]
+
+
+@pytest.mark.parametrize("step", [0.05, 0.02])
+def test_a_correction_is_not_small_because_forces_got_huge(step):
+    # Within the wall forces grow to 1e200, beside which any correction is round-off.
+    run = simulate(Wall(), 0.4, HHT(step))
+    assert run.outcome.success, str(run.outcome)
+    # exp(K (q - 1)) / K cannot exceed the work of the push, 5e3 q: q = 1.31 at most.
+    assert 1.1 < np.max(run.q) < 1.32

@@ -247,6 +247,13 @@ def test_values_at_instants_are_taken_as_they_are(system, states):
     assert np.isclose(middle, 0.5 * (x[2] + x[3]), rtol=1e-13)
 
 
+def test_values_beyond_the_end_are_refused(system, states):
+    # Round-off of a time passes, a millionth part of the run does not.
+    for late in (0.5 * (1 + 1e-6), 0.6):
+        with pytest.raises(InvalidInput, match=r"AtTimes, times: must not exceed 0\.5"):
+            AtTimes(X, [0.1, late]).value(system, states)
+
+
 # ---------------------------------------------------------------- smooth maximum
 
 

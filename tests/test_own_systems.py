@@ -16,10 +16,12 @@ from ancfdae import (
     Explicit,
     Integral,
     InvalidInput,
+    Terminal,
     custom,
     differentiate,
     gradient,
     simulate,
+    sweep,
 )
 from ancfdae.numerics.extrapolation import real_derivative
 
@@ -448,6 +450,34 @@ def test_a_bar_that_does_not_turn_has_accelerations(away):
     # gamma = -|v_2 - v_1|^2
     for velocities, exact in ((v, 0.0), (turning, -1.0)):
         assert abs(system.acceleration_side(q, velocities, 0.3)[0] - exact) < 1e-12
+
+
+class Forgetful(FarBar):
+    """Does not hand on the values of its design variables."""
+
+    def with_values(self, b):
+        return Forgetful(1.0)
+
+
+class ForgetfulPendulum(CartesianPendulum):
+    def with_values(self, b):
+        return ForgetfulPendulum(self.angle, self.spin)
+
+
+def test_values_that_are_forgotten_are_told():
+    """They were an endless recursion, or derivatives of zero."""
+    for call in (
+        lambda: Forgetful(1.0),
+        lambda: gradient(
+            ForgetfulPendulum(), Terminal(custom(lambda t, q, v, lam, b: q[:, 1])), 0.1, HHT(0.01)
+        ),
+        lambda: sweep(ForgetfulPendulum(), [[1.1, 9.0]], len).failed[0],
+    ):
+        try:
+            told = str(call())
+        except InvalidInput as error:
+            told = str(error)
+        assert "with_values: must return the system at the values b that it is given" in told
 
 
 # ---- many states in one call

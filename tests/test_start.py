@@ -33,7 +33,7 @@ from ancfdae.integrators.start import (
 )
 from validation.scenes import crank_slider
 
-from mechanisms import CartesianPendulum
+from mechanisms import CartesianPendulum, WhirlingPendulum
 
 TIMES = (1e-5, 1e-4, 1e-3, 1e-2, 1.0)
 
@@ -141,9 +141,10 @@ def test_gradients_through_a_damped_start_are_exact(step):
         assemble(resolved(), ["rod.damping_time", "rod.height", "rod.length", "rod.density"]),
         assemble(crank_slider(), ["crank.length", "rod.height"]),
         CartesianPendulum(),
+        WhirlingPendulum(-1.0, 2.0),
         assemble(driven(), ["rod.length", "drive.frequency"]),
     ],
-    ids=["damped", "spatial", "curved constraint", "driven"],
+    ids=["damped", "spatial", "curved constraint", "whirling", "driven"],
 )
 def test_the_start_is_pulled_back_by_its_transpose(system):
     problem = Problem.of(system, 1.0).differentiated()

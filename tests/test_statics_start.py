@@ -72,6 +72,19 @@ SCENES = {
 }
 
 
+def test_gravity_of_the_start_stays_where_that_of_the_motion_is_a_design_variable():
+    joints, rest = [Clamp(ROD.at_start)], AtRest(gravity=(0.0, -3.0))
+    system = assemble(Scene([ROD], joints, GRAVITY, start=[rest]), ["scene.gravity_y"])
+    q, _ = system.start()
+    other = assemble(Scene([ROD], joints, (0.0, -3.0), start=[AtRest()]))
+    np.testing.assert_array_equal(q, other.start()[0])
+    np.testing.assert_array_equal(q, system.with_values(np.array([-5.0])).start()[0])
+    assert not np.any(system.start_b()[0])
+    # Without gravity of its own it hangs under that of the motion.
+    hanging = assemble(Scene([ROD], joints, GRAVITY, start=[AtRest()]), ["scene.gravity_y"])
+    assert np.any(hanging.start_b()[0])
+
+
 @pytest.mark.parametrize("joint", [Pin, Clamp])
 def test_what_starts_at_rest_stays_at_rest(joint):
     scene = Scene([ROD], [joint(ROD.at_start)], GRAVITY, start=[AtRest()])

@@ -11,15 +11,21 @@ from ancfdae import (
     EnhancedContinuum,
     Material,
     Moment,
+    Pin,
     PointForce,
+    PointOnLine,
     Rectangle,
     SaintVenantKirchhoff,
     Scene,
     StrainEnergy,
+    assemble,
     equilibrium,
     modes,
+    observe,
+    shear_force,
 )
 from ancfdae.plotting import Panel, Series
+from validation import shapes
 from validation.elements_sections import sections
 from validation.report import Agreement, Report
 
@@ -47,9 +53,11 @@ def run(report: Report, quick: bool) -> None:
     for nu in (0.0, 0.3):
         _small(report, nu, counts, quick)
     _claims(report, counts[-1])
+    _within(report, counts[1:])
     _large(report, counts[2:] if quick else counts[1:])
     _frequencies(report, counts, quick)
     sections(report, quick)
+    shapes.fill(report, quick)
     report.heading("Verdict")
     report.text(_VERDICT)
     report.heading("Limits")
@@ -131,6 +139,49 @@ def _claims(report: Report, n: int) -> None:
         )
 
 
+def _within(report: Report, counts: tuple[int, ...]) -> None:
+    report.heading("A force within a beam: three-point bending")
+    report.text(
+        "A beam on two supports, planar element, h/L = 0.1, nu = 0, with a force F in its middle, "
+        "where a node is: error of the deflection under it against F L^3/(48 E I) + F L/(4 k G A), "
+        "and of the shear forces just before and after it against -F/2 and F/2, over F."
+    )
+    rows, largest = [], {}
+    for name, energy in _ENERGIES.items():
+        errors = [_bent(n, energy) for n in counts]
+        for k, what in enumerate(("deflection", "shear force")):
+            rows.append([name, what, *(f"{pair[k]:.1e}" for pair in errors)])
+            for n, pair in zip(counts, errors, strict=True):
+                key = what.replace(" ", "-")
+                report.figure(f"within.{key}.{_word(name)}.n{n}", pair[k])
+        largest[name] = np.max(np.abs(errors), axis=0)
+    report.table(["energy", "error of", *map(str, counts)], rows)
+    deflection = largest["enhanced (default)"][0]
+    shear = max(each[1] for each in largest.values())
+    # What is left is the square of the deflection over the height, 1e-8.
+    for what, error in (("deflection, default energy", deflection), ("shear force, all", shear)):
+        report.claim(
+            f"three-point bending, any mesh: error of the {what}",
+            "0",
+            f"{error:.1e}",
+            Agreement.AGREES if error < 1e-6 else Agreement.DISAGREES,
+        )
+
+
+def _bent(n: int, energy: StrainEnergy) -> tuple[float, float]:
+    """Return the errors of deflection and shear force in three-point bending."""
+    h, beam = 0.1, _beam(2, 0.1, n, 0.0, energy)
+    force, factor = 1e-6 * _E * h**4, 1.0 if isinstance(energy, SaintVenantKirchhoff) else 5 / 6
+    joints = [Pin(beam.at_start), PointOnLine(beam.at_end, (1.0, 0.0))]
+    scene = Scene([beam], joints, loads=[PointForce(beam.at(0.5), (0.0, -force))])
+    rest, system = equilibrium(scene), assemble(scene)
+    exact = force / (4 * _E * h**4) + force / (2 * factor * _E * h**2)
+    deflection = -rest.solution.position(beam.at(0.5))[0, 1] / exact - 1
+    places = (beam.at(0.5, before=True), beam.at(0.5))
+    V = [observe(shear_force(place), rest.solution, system)[0] / force for place in places]
+    return float(deflection), float(np.max(np.abs(np.array(V) - (-0.5, 0.5))))
+
+
 def _large(report: Report, counts: tuple[int, ...]) -> None:
     report.heading("A quarter circle by an end moment")
     report.text(
@@ -194,7 +245,7 @@ _VERDICT = """
 - **Section forces** of loads at nodes are exact on any mesh, curved, pretwisted or off the axis.
 """
 _LIMITS = """
-Straight beams under end loads: loads along the beam leave an error of fourth order in the element
-length. What is left of one element at h/L = 0.001 is the square of the deflection times
-(L/h)^2: the axis of one cubic cannot keep its length.
+Straight beams under loads at ends and nodes: loads along the beam leave an error of fourth order in
+the element length, forces between nodes one of first order. What is left of one element at h/L =
+0.001 is the square of the deflection times (L/h)^2: the axis of one cubic cannot keep its length.
 """

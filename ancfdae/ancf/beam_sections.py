@@ -63,7 +63,7 @@ class BeamSections:
         return nodes
 
     def _locate(self, point: Point) -> tuple[int, float]:
-        return self._layout.beam(point.beam).locate(point.fraction)
+        return self._layout.beam(point.beam).locate(point.fraction, point.before)
 
     def require_material(self, where: str, point: Point) -> None:
         """Refuse a point of a beam that lies outside its section, or in a hole of it.

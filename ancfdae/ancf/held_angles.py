@@ -41,7 +41,7 @@ class HeldAngles:
         if angle.slopes != _FLAT:
             return True
         beam = self._layout.beam(angle.beam)
-        element, xi = beam.locate(angle.fraction)
+        element, xi = beam.locate(angle.fraction, angle.before)
         weights = np.zeros((1, beam.element_count + 1))
         weights[0, element], weights[0, element + 1] = 1 - xi, xi
         held = self._flat.get(angle.beam, weights[:0])

@@ -1,7 +1,7 @@
 """Numbering of coordinates: vectors of d numbers, of all beams and rigid bodies in a row.
 
-A beam has n_s vectors per node, what is rigid one frame of d + 1 vectors: its reference point and
-its directions (docs/theory.md, section 2).
+A beam has n_s vectors per node and one more per kink, what is rigid one frame of d + 1 vectors: its
+reference point and its directions (docs/theory.md, section 2).
 """
 
 from __future__ import annotations
@@ -89,15 +89,14 @@ def number(scene: Scene) -> Numbering:
     element, bodies, beams, vectors, elements = scene.element, [], [], [], []
     vector = first = 0
     for member in scene.members:
-        own = _body_layout(member, vector, element)
+        own = _body_layout(member, vector, element, scene.kinks.get(member.name, ()))
         bodies.append(own)
         vector += own.count
         if isinstance(member, RigidBody):
             continue
         numbers = np.arange(member.element_count)
         if not member.rigid:
-            starts = own.first_vector + numbers * element.n_s
-            vectors.append(starts[:, None] + np.arange(element.n_a))
+            vectors.append(own.ends)
             elements.append(first + numbers)
         beams.append(_beam_layout(member, first))
         first += member.element_count
@@ -113,25 +112,25 @@ def number(scene: Scene) -> Numbering:
     )
 
 
-def _body_layout(member: BeamBody | RigidBody, first: int, element: BeamElement) -> BodyLayout:
+def _body_layout(
+    member: BeamBody | RigidBody, first: int, element: BeamElement, kinks: tuple[int, ...]
+) -> BodyLayout:
     if isinstance(member, RigidBody):
         moments = member.moments(np.array(list(member.parameters().values())))
         size = float(np.sqrt(np.trace(moments[1:, 1:]) / moments[0, 0]))
     else:
         size = float(np.sum(member.reference().lengths))
         if not member.rigid:
-            count = (member.element_count + 1) * element.n_s
-            return BodyLayout(member.name, first, count, element.n_s, size)
+            count = (member.element_count + 1) * element.n_s + len(kinks)
+            return BodyLayout(member.name, first, count, element.n_s, size, kinks)
     return BodyLayout(member.name, first, element.d + 1, element.d + 1, size)
 
 
 def _beam_layout(beam: BeamBody, first: int) -> BeamLayout:
     shape, rigid = beam.reference(), None
-    fractions = np.concatenate([[0.0], np.cumsum(shape.lengths) / np.sum(shape.lengths)])
-    fractions[-1] = 1.0
     if beam.rigid:
         axes = beam.directions().T
         chords = tuple(map(tuple, (shape.chords @ axes).tolist()))
         slopes = tuple(tuple(map(tuple, node)) for node in (shape.slopes @ axes).tolist())
         rigid = RigidNodes(chords, slopes)
-    return BeamLayout(beam.name, first, tuple(fractions.tolist()), rigid)
+    return BeamLayout(beam.name, first, tuple(shape.fractions.tolist()), rigid)

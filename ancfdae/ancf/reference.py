@@ -43,17 +43,16 @@ class Reference:
     @cached_property
     def q(self) -> Array:
         """Reference configuration, shape (n_q,)."""
-        return np.concatenate([self._nodes(body).ravel() for body in self._scene.members])
+        return np.concatenate([self._vectors(body).ravel() for body in self._scene.members])
 
     @cached_property
     def Z(self) -> Array:
         """Vectors of the start as declared, before any assembly, shape (n_vectors, d)."""
         parts = []
         for body in self._scene.members:
-            X, start = self._nodes(body), self._scene.start_of(body.name)
-            parts.append(start.coordinates if isinstance(start, NodeState) else X)
-        d = self._scene.dimension
-        return np.concatenate([part.reshape(-1, d) for part in parts])
+            X, start = self._vectors(body), self._scene.start_of(body.name)
+            parts.append(self._of(start.coordinates, body) if isinstance(start, NodeState) else X)
+        return np.concatenate(parts)
 
     def velocities(self, q: Array, motion: Array) -> Array:
         """Return the declared velocities at coordinates that a rigid motion brought there.
@@ -62,14 +61,14 @@ class Reference:
         """
         d, first, parts = self._scene.dimension, 0, []
         for body, x in zip(self._scene.members, motion, strict=True):
-            X = self._nodes(body)
+            X = self._vectors(body)
             own, first = q[first : first + X.size].reshape(X.shape), first + X.size
             start = self._scene.start_of(body.name)
             V = np.zeros_like(own)
             if isinstance(start, RigidMotion):
                 V = self._rigid_velocity(body, start, own)
             elif isinstance(start, NodeState) and start.velocities is not None:
-                V = start.velocities @ cayley(x[None, d:], d)[0].T
+                V = self._of(start.velocities, body) @ cayley(x[None, d:], d)[0].T
             parts.append(V.ravel())
         return np.concatenate(parts)
 
@@ -85,32 +84,41 @@ class Reference:
         other._naming = replace(self._naming, lengths=other._lengths)
         return other
 
-    def _nodes(self, body: BeamBody | RigidBody) -> Array:
-        """Node vectors (n_nodes, n_s, d) in the reference configuration, one node if rigid."""
+    def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
+        """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""
+        return self._naming.layout.body(body.name).of_ends(NodeState.ends(nodes))
+
+    def _positions(self, body: BeamBody | RigidBody) -> Array:
+        """Return the places of positions among the vectors of a body."""
+        layout = self._naming.layout.body(body.name)
+        return layout.positions - layout.first_vector
+
+    def _vectors(self, body: BeamBody | RigidBody) -> Array:
+        """Vectors of a body in the reference configuration, shape (count, d)."""
         numbers = self._placed(body)
         place, turn = body.split_placement(numbers)
         X = self._unturned(body)
         X = X.astype(np.result_type(X, numbers, self._lengths)) @ rotation(turn, body.dimension).T
-        X[:, 0] += self._attached(body) if place is None else place
+        X[self._positions(body)] += self._attached(body) if place is None else place
         return X
 
     def _unturned(self, body: BeamBody | RigidBody) -> Array:
-        """Return node vectors of a body that stands at the origin."""
+        """Return the vectors of a body that stands at the origin."""
         if isinstance(body, RigidBody) or body.rigid:
-            return np.concatenate([np.zeros((1, body.dimension)), body.directions()])[None]
+            return np.concatenate([np.zeros((1, body.dimension)), body.directions()])
         shape, first, n_s = body.reference(), self._firsts[body.name], body.element.n_s
         lengths = self._lengths[first : first + body.element_count]
         X = np.zeros((len(lengths) + 1, n_s, body.dimension), dtype=lengths.dtype)
         X[1:, 0] = np.cumsum(lengths[:, None] * shape.chords, axis=0)
         X[:, 1:] = shape.slopes[:, : n_s - 1]
-        return X
+        return self._of(X, body)
 
     def _attached(self, body: BeamBody | RigidBody) -> Array:
         """Return the place of the point of another body where a beam starts."""
         point = body.attached
         assert point is not None
         vector = self._naming.vector(point, Quantity.POSITION)
-        other = self._nodes(self._scene.member(point.beam)).reshape(-1, body.dimension)
+        other = self._vectors(self._scene.member(point.beam))
         first = self._naming.layout.body(point.beam).first_vector
         place: Array = vector.weights @ other[vector.vectors - first]
         return place
@@ -131,9 +139,9 @@ class Reference:
         numbers = self._placed(body)[len(body.placement()) :]
         spin, about, velocity = start.split(numbers)
         omega = np.tensordot(np.atleast_1d(spin), generators(d), 1)
-        arms = X.astype(np.result_type(X, numbers))
-        arms[:, 0] -= about
+        arms, positions = X.astype(np.result_type(X, numbers)), self._positions(body)
+        arms[positions] -= about
         V: Array = arms @ omega.T
         if velocity is not None:
-            V[:, 0] += velocity
+            V[positions] += velocity
         return V

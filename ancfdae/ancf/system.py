@@ -99,7 +99,7 @@ class AncfSystem(MechanicalSystem):
         lengths = parameters[:, ElementParameter.LENGTH]
         masses = tuple(mass.name for mass in scene.point_masses)
         numbering = self._numbering
-        layout = Layout(self.element.name, numbering.bodies, numbering.beams, masses, ())
+        layout = Layout(self.element, numbering.bodies, numbering.beams, masses, ())
         self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
         inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)

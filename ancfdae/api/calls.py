@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +11,7 @@ from ancfdae.ancf import assemble
 from ancfdae.design import DesignVariable
 from ancfdae.errors import (
     InvalidInput,
+    StabilityWarning,
     require_kind,
     require_positive,
     require_sequence,
@@ -59,8 +61,26 @@ def simulate(
         If the input makes no sense; before anything is integrated.
     Interrupted
         At Ctrl-C; its `result` is the solution up to there.
+
+    Warns
+    -----
+    StabilityWarning
+        If the run estimates that its errors are larger than the motion (`EstimatedErrors`).
+    ManySteps
+        If `IDA`, `IDAS` or `Explicit` will take more than 100,000 steps.
     """
-    return uninterrupted(Run(as_system(model), t_end, integrator, progress, after).solution())
+    run = Run(as_system(model), t_end, integrator, progress, after)
+    solution = uninterrupted(run.solution())
+    errors = solution.estimated_errors
+    if solution.outcome.success and errors is not None and not errors.motion <= 1:
+        warnings.warn(
+            f"the errors of this run are estimated at {errors.motion:.2g} times the size of the "
+            "coordinates: its steps are too long to follow the motion. Take shorter ones "
+            "(suggest_step tells which), or rtol.",
+            StabilityWarning,
+            stacklevel=2,
+        )
+    return solution
 
 
 def differentiate(

@@ -65,7 +65,8 @@ def equilibrium(
                 "start",
                 f"must have {system.n_q} coordinates and {system.n_lam} multipliers",
                 f"{len(start.q)} and {len(start.lam)}",
-                "Start from an equilibrium of the same beams and joints.",
+                "Start from an equilibrium of the same beams and joints; where other loads act "
+                "within a beam, declare Beam(kinks=...).",
             )
     return uninterrupted(
         find_equilibrium(system, start=start, max_steps=max_steps, sensitivities=bool(system.n_b))

@@ -195,7 +195,7 @@ def _at(model: Scene | MechanicalSystem, design: Design) -> Scene | MechanicalSy
     for name in named:
         if name not in b:
             raise UnknownName("design variable", name, b)
-    return model.with_values(np.array(list((b | named).values())))
+    return model.at_values(np.array(list((b | named).values())))
 
 
 def _name(key: object) -> str:

@@ -53,6 +53,14 @@ class Beam(BeamBody):
         the axis; rad. Design targets: ``turn``, in space ``turn_x`` ..., and ``start_x`` ...
     rigid : bool, optional
         Whether it does not deform: the scene then pays for a rigid body of the same mass only.
+    kinks : sequence of float, optional
+        Fractions of inner nodes where the slope along the beam may jump: it has one on either side,
+        while place and section are shared. Nodes that a joint, load or point mass acts on have that
+        anyway: shear and axial forces jump there, and the deflection is of second order in the
+        element length or better. Declare more where sections or materials change from one element
+        to the next, or to have the same coordinates with and without such a load. Forces between
+        nodes are smeared over elements, and the deflection under them is of first order. Not of a
+        cable, whose slopes carry bending.
 
     Raises
     ------
@@ -72,6 +80,7 @@ class Beam(BeamBody):
     energy: StrainEnergy | None = None
     turn: float | Sequence[float] = 0.0
     rigid: bool = False
+    kinks: Sequence[float] = ()
 
     def __post_init__(self) -> None:
         """Validate."""

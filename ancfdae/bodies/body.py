@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies.placed import Placed
-from ancfdae.bodies.point import Point
+from ancfdae.bodies.point import Point, locate, require_fraction
 from ancfdae.elements import (
     ALL_ELEMENTS,
     BeamElement,
@@ -19,7 +19,14 @@ from ancfdae.elements import (
     Quantity,
     StrainEnergy,
 )
-from ancfdae.errors import InvalidInput, UnknownName, require_finite, require_kind, require_name
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    require_finite,
+    require_kind,
+    require_name,
+    require_sequence,
+)
 from ancfdae.material import Material
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.frames import orthonormal
@@ -59,6 +66,13 @@ class ReferenceShape:
     chords: Array
     straight: bool
 
+    @property
+    def fractions(self) -> Array:
+        """Arc-length fractions of the nodes, shape (n + 1,)."""
+        fractions = np.concatenate([[0.0], np.cumsum(self.lengths) / np.sum(self.lengths)])
+        fractions[-1] = 1.0
+        return fractions
+
 
 class BeamBody(Placed):
     """What the rest of the package needs to know about a beam; name and turn as in `Placed`.
@@ -75,6 +89,8 @@ class BeamBody(Placed):
         How it resists strain; None for elements with a law of their own.
     rigid : bool
         Whether it has the coordinates of a rigid body instead of those of its elements.
+    kinks : sequence of float
+        Fractions of inner nodes with a slope along the beam on either side, see `Beam`.
     """
 
     element: BeamElement
@@ -82,6 +98,7 @@ class BeamBody(Placed):
     section: Section | Sequence[Section]
     material: Material | Sequence[Material]
     rigid: bool
+    kinks: Sequence[float]
 
     @property
     @abc.abstractmethod
@@ -110,10 +127,25 @@ class BeamBody(Placed):
         """The point at the end of the centre line."""
         return Point(self.name, 1.0)
 
-    def at(self, fraction: float, y: float = 0.0, z: float = 0.0) -> Point:
-        """Return the point at an arc-length fraction, offset in the section by y and z."""
+    def at(self, fraction: float, y: float = 0.0, z: float = 0.0, before: bool = False) -> Point:
+        """Return the point at an arc-length fraction, offset in the section by y and z.
+
+        At an inner node it belongs to the element that begins there, or with `before` to the one
+        that ends there.
+        """
         require_finite(f"point of {self.name!r}", fraction)
-        return Point(self.name, fraction, y, z)
+        return Point(self.name, fraction, y, z, before=before)
+
+    def inner_nodes(self, fractions: Iterable[float]) -> set[int]:
+        """Return the numbers of the inner nodes at some of the fractions."""
+        nodes, n = self.reference().fractions, self.element_count
+        places = [locate(nodes, fraction) for fraction in fractions]
+        return {element for element, xi in places if xi == 0.0 and 0 < element < n}
+
+    def with_kinks(self, nodes: Iterable[int]) -> BeamBody:
+        """Return the same beam with kinks declared at these inner nodes."""
+        kinks = self.reference().fractions[sorted(nodes)].tolist()
+        return replace(self, kinks=tuple(kinks))  # type: ignore[type-var]
 
     def parameter_names(self) -> dict[str, ElementParameter]:
         """Return what can be a design target, e.g. ``"rod.height"``, and its column."""
@@ -241,6 +273,21 @@ class BeamBody(Placed):
         self._check_part(self.material, Material)
         self._check_sections()
         self._check_energy()
+        self._check_kinks()
+
+    def _check_kinks(self) -> None:
+        where = f"beam {self.name!r}, kinks"
+        kinks = require_sequence(where, self.kinks)
+        for fraction in kinks:
+            require_finite(where, fraction)
+            require_fraction(where, fraction)
+            if not self.inner_nodes([fraction]):
+                rule, repair = "must lie at nodes between elements", "Choose other elements."
+                raise InvalidInput(where, rule, fraction, repair)
+        if kinks and not self.element.can_kink:
+            rule = f"the slope along a beam of {self.element.name} resists bending"
+            raise InvalidInput(where, rule, kinks, "Leave them out.")
+        object.__setattr__(self, "kinks", kinks)
 
     def _check_part(self, part: object, kind: type) -> None:
         if isinstance(part, kind):

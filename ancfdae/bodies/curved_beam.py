@@ -38,7 +38,7 @@ class CurvedBeam(BeamBody):
     frames : array, shape (n + 1, d, d)
         Slope vectors of the nodes, row k along the section's k-th axis (tangent first);
         right-handed.
-    section, material, element, energy, rigid
+    section, material, element, energy, rigid, kinks
         As in `Beam`.
     turn : float or sequence of float, optional
         Turn of the whole beam about its first node, as in `Beam`.
@@ -58,6 +58,7 @@ class CurvedBeam(BeamBody):
     energy: StrainEnergy | None = None
     turn: float | Sequence[float] = 0.0
     rigid: bool = False
+    kinks: Sequence[float] = ()
 
     def __post_init__(self) -> None:
         """Validate."""

@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from ancfdae.errors import (
     InvalidInput,
     require_finite,
+    require_flag,
     require_kind,
     require_text,
 )
+from ancfdae.numerics.arrays import Array
 
 
 @final
@@ -29,6 +33,9 @@ class Point:
         m.
     x : float
         Place along the first axis of the body; m. Zero for a beam.
+    before : bool
+        At an inner node of a beam: whether its slope along the beam and its forces are those of
+        the element that ends there. By default they are those of the one that begins there.
 
     Raises
     ------
@@ -42,13 +49,18 @@ class Point:
     y: float = 0.0
     z: float = 0.0
     x: float = 0.0
+    before: bool = False
 
     def __post_init__(self) -> None:
         """Validate."""
         require_text("point, beam", self.beam)
         where = f"point of {self.beam!r}"
+        require_flag(f"{where}, before", self.before)
         for value in (self.x, self.y, self.z):
             require_finite(where, value)
+        if self.before and not self.fraction:
+            rule, repair = "nothing lies before the start of a beam, or in a body", "Leave it out."
+            raise InvalidInput(f"{where}, before", rule, f"fraction {self.fraction}", repair)
         if self.fraction is None:
             return
         require_finite(where, self.fraction)
@@ -63,9 +75,9 @@ class Point:
         return first | {"y": self.y, "z": self.z}
 
     def __str__(self) -> str:
-        """Return a short name, such as rod@0.5 or box(0.1, 0)."""
+        """Return a short name, such as rod@0.5, rod@0.5 before or box(0.1, 0)."""
         if self.fraction is not None:
-            return f"{self.beam}@{self.fraction:g}"
+            return f"{self.beam}@{self.fraction:g}{' before' if self.before else ''}"
         place = (self.x, self.y, self.z) if self.z else (self.x, self.y)
         return f"{self.beam}({', '.join(f'{x:g}' for x in place)})" if any(place) else self.beam
 
@@ -93,6 +105,25 @@ def require_fraction(where: str, fraction: float | None) -> float:
             "0 is the start of the beam and 1 its end.",
         )
     return fraction
+
+
+def locate(nodes: Array, fraction: float, before: bool = False) -> tuple[int, float]:
+    """Return the element and its xi at a fraction of a beam with nodes at these fractions.
+
+    An inner node is the start of an element, or if asked for the end of the one before.
+    """
+    n = len(nodes) - 1
+    element = min(int(np.searchsorted(nodes, fraction, side="right")) - 1, n - 1)
+    span = nodes[element + 1] - nodes[element]
+    xi = float((fraction - nodes[element]) / span)
+    # A fraction such as 1/3 of three elements means the node, not a point 1e-16 beside it: those of
+    # nodes are sums of up to n lengths over their total, each with a round-off of n eps / 2.
+    near = 2 * n * np.finfo(float).eps / span
+    if xi > 1.0 - near:
+        element, xi = (element + 1, 0.0) if element + 1 < n else (element, 1.0)
+    elif xi < near:
+        xi = 0.0
+    return (element - 1, 1.0) if before and xi == 0.0 and element else (element, xi)
 
 
 def require_in_section(where: str, point: Point, half: tuple[float, float]) -> None:

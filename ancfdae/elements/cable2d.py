@@ -13,6 +13,7 @@ All invariants are integrals over xi times moments of the section and powers of 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -46,6 +47,7 @@ _S_POWER, _N_POWER = np.array([0, 1, 0, 1]), np.array([-1, 0, 0])
 
 
 @final
+@dataclass(frozen=True)
 class Cable2D(BeamElement):
     """The planar cable."""
 

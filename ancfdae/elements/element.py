@@ -292,6 +292,11 @@ class BeamElement(abc.ABC):
         """Relative node vectors per element, n_a - 1."""
         return self.n_a - 1
 
+    @property
+    def can_kink(self) -> bool:
+        """Whether r_x may jump at a node: where sections bend, not where r_x does."""
+        return Quantity.SLOPE_Y in self.quantities
+
     def require(self, where: str, quantity: Quantity, y: float, z: float) -> None:
         """Refuse a vector that a point, offset in the section by y and z, does not have.
 

@@ -8,6 +8,7 @@ accurate than what a solver carries along. Integrals follow the steps, not the i
 from __future__ import annotations
 
 import abc
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -15,7 +16,14 @@ from typing import ClassVar, Self, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, Outcome, SingularMatrix, Verdict, require_count
+from ancfdae.errors import (
+    InvalidInput,
+    ManySteps,
+    Outcome,
+    SingularMatrix,
+    Verdict,
+    require_count,
+)
 from ancfdae.integrators.integrand import Integrand
 from ancfdae.integrators.integrator import QuadratureIntegrator, require_rtol
 from ancfdae.integrators.problem import Problem
@@ -31,6 +39,8 @@ from ancfdae.protocol.solution import Solution
 # round-off: at tight tolerances Newton's method meets it, and SUNDIALS tries shorter steps until it
 # gets on (a pendulum of IDA at 3e-13: five in a row, and the end time is reached).
 _STEPS, _SHARE = 100, 1e-12
+# Steps of which a run warns: Explicit takes 20 s for them in a small system (5,000 a second).
+_MANY = 100_000
 
 
 @final
@@ -39,18 +49,37 @@ class Progress:
 
     def __init__(self, t_end: float) -> None:
         self._mark, self._least, self._taken = 0.0, _SHARE * t_end, 0
+        self._t_end, self._half, self._told = t_end, 0.0, False
 
     def stalls(self, t: float) -> bool:
         """Take note of a step to t; return whether the last hundred led nowhere.
 
-        This ends runs that diverge, meet a jump too large to integrate, or integrate noise.
+        This ends runs that diverge, meet a jump too large to integrate, or integrate noise. Of the
+        first hundred the second half tells how many steps the run takes: the first ones grow.
         """
         self._taken += 1
+        if 2 * self._taken == _STEPS:
+            self._half = t
         if self._taken < _STEPS:
             return False
         stalled = t - self._mark < self._least
+        if not (stalled or self._told):
+            self._tell(t, (t - self._half) / (_STEPS / 2))
         self._mark, self._taken = t, 0
         return stalled
+
+    def _tell(self, t: float, h: float) -> None:
+        """Warn, once, of a run that will take many steps of the size h."""
+        self._told, steps = True, _STEPS + (self._t_end - t) / h
+        if steps > _MANY:
+            warnings.warn(
+                f"about {steps:.2g} steps are to come, of {h:.2g} s each as the last ones: an "
+                "integrator of high order follows every wave and every fast decay of the mesh. "
+                "HHT(step) and HHT(rtol=...) step over those that do not matter "
+                "(docs/howto/integrator.md). Ctrl-C ends the run and keeps what is done.",
+                ManySteps,
+                stacklevel=2,
+            )
 
 
 @final

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 from ancfdae.bodies import Point
 from ancfdae.elements import BeamElement, Quantity
+from ancfdae.errors import require_vector
 from ancfdae.joints.frames import fix_turn, flat_angle
 from ancfdae.joints.joint import Equations, Joint, empty_coefficients, place_coincidence, spanning
 from ancfdae.numerics.arrays import Array
@@ -32,12 +34,17 @@ class Clamp(Joint):
     point : Point
     name : str, optional
         By default ``clamp(beam@fraction)``.
+    ground : sequence of float, optional
+        Place on the ground, with design targets ``ground_x`` ...; by default where the point is in
+        the reference configuration.
     """
 
     point: Point
     name: str = ""
+    ground: Sequence[float] | None = None
 
     kind = "clamp"
+    design_fields = (("ground", require_vector),)
     holds_position = True
     no_second_point = "It holds to ground; use Weld to hold two sections together."
 
@@ -50,6 +57,6 @@ class Clamp(Joint):
         d, slopes = reference.shape[1], reference[1:]
         shapes = flat_angle(self.point) if d == 3 else ()
         c = empty_coefficients(3 if d == 2 else 6, p, reference, shapes)
-        place_coincidence(c, 1, reference, None)
+        place_coincidence(c, 1, reference, *self.split(p))
         fix_turn(c, d, slopes, 1)
         return c

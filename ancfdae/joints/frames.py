@@ -13,8 +13,8 @@ from ancfdae.elements import Quantity
 from ancfdae.joints.joint import Equations, RightAngle
 from ancfdae.numerics.arrays import Array
 
-# A direction this much out of a section, as the sine of the angle, is not in it, and one this much
-# off the normal is not along it. Between the two nothing is exact but what `hold_axis` corrects.
+# A direction this much out of a section, as the sine of the angle, is not in it. Up to there, that
+# part of the shear strain counts as a turn: 1 % of the deflection of a beam three times its height.
 # It is no tolerance: directions of design variables may move within their kind.
 OUT_OF_PLANE = 0.1
 
@@ -113,10 +113,6 @@ class Section(Carrier):
         """Tell whether a unit direction lies in the section, or nearly so."""
         return self.share(direction) < OUT_OF_PLANE
 
-    def is_across(self, direction: Array) -> bool:
-        """Tell whether a unit direction runs along the normal, or nearly so."""
-        return self.share(direction) ** 2 > 1 - OUT_OF_PLANE**2
-
     def take_out_shear(self, c: Equations, row: int, e: Array, factor: float) -> None:
         """Add to a turn of all slopes about e what makes it that of the section.
 
@@ -152,7 +148,7 @@ def flat_angle(point: Point) -> tuple[RightAngle, ...]:
 
 
 def _angle(point: Point, first: Quantity, second: Quantity) -> RightAngle:
-    return RightAngle(point.beam, point.fraction, frozenset((first, second)))
+    return RightAngle(point.beam, point.fraction, point.before, frozenset((first, second)))
 
 
 def sections(points: Sequence[Point], reference: Array) -> list[Section]:
@@ -177,9 +173,10 @@ def square(carrier: Carrier, unless_it_holds: Array | None = None) -> tuple[Righ
 
 def place_shapes(c: Equations, at: Sequence[Section]) -> None:
     """Enter the last equations, the right angles of sections."""
-    places = {(section.point.beam, section.point.fraction): section for section in at}
+    points = (section.point for section in at)
+    places = dict(zip(((x.beam, x.fraction, x.before) for x in points), at, strict=True))
     for row, angle in enumerate(c.shapes, len(c.offset) - len(c.shapes)):
-        places[angle.beam, angle.fraction].place_right_angle(c, row, angle)
+        places[angle.beam, angle.fraction, angle.before].place_right_angle(c, row, angle)
 
 
 def is_fixed_in(own: Section, carrier: Carrier, axis: Array) -> bool:
@@ -194,7 +191,7 @@ def axis_torque(section: Section, axis: Array) -> tuple[RightAngle, ...]:
 
 def axis_shapes(own: Section, carrier: Carrier, axis: Array) -> tuple[RightAngle, ...]:
     """Return the right angles that `hold_axis` stands on."""
-    return (() if own.is_across(axis) else own.flat()) + square(carrier, unless_it_holds=axis)
+    return own.flat() + square(carrier, unless_it_holds=axis)
 
 
 def hold_axis(c: Equations, rows: slice, own: Section, carrier: Carrier, axis: Array) -> None:
@@ -210,9 +207,8 @@ def hold_axis(c: Equations, rows: slice, own: Section, carrier: Carrier, axis: A
             carrier.meet(c, row, own.carried(axis), e)
             continue
         carrier.meet(c, row, own.carried(e), axis)
-        if not own.is_across(axis):
-            own.meet(c, row, own.carried(e), axis, -0.5)
-            own.take_out_shear(c, row, np.cross(e, axis), 1.0)
+        own.meet(c, row, own.carried(e), axis, -0.5)
+        own.take_out_shear(c, row, np.cross(e, axis), 1.0)
 
 
 def hold_turn(c: Equations, rows: slice, own: Section, other: Section) -> None:

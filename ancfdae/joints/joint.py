@@ -41,6 +41,7 @@ class RightAngle:
 
     beam: str
     fraction: float | None
+    before: bool
     slopes: frozenset[Quantity]
 
 

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.bodies import Point
-from ancfdae.errors import InvalidInput, require_direction
+from ancfdae.errors import InvalidInput, require_direction, require_vector
 from ancfdae.joints.frames import carrier_of, place_shapes, sections, square, unit
 from ancfdae.joints.joint import (
     SECTION,
@@ -41,6 +41,9 @@ class Universal(Joint):
     cross : sequence of float
         Axis of the cross that `other` or the ground carries, in the reference; not zero.
     other : Point, optional
+    ground : sequence of float, optional
+        Place on the ground, not with `other`, with design targets ``ground_x`` ...; by default
+        where the point is in the reference configuration.
     name : str, optional
         By default ``universal(beam@fraction)``.
     """
@@ -49,11 +52,16 @@ class Universal(Joint):
     axis: Sequence[float]
     cross: Sequence[float]
     other: Point | None = None
+    ground: Sequence[float] | None = None
     name: str = ""
 
     kind = "universal"
     takes_part = SECTION
-    design_fields = (("axis", require_direction), ("cross", require_direction))
+    design_fields = (
+        ("axis", require_direction),
+        ("cross", require_direction),
+        ("ground", require_vector),
+    )
     spatial = True
     holds_position = True
 
@@ -71,12 +79,13 @@ class Universal(Joint):
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and F axis . F' cross as in the reference."""
-        axis, cross = (unit(direction) for direction in self.split(p))
+        *directions, ground = self.split(p)
+        axis, cross = map(unit, directions)
         both = sections(self.points, reference)
         carrier = carrier_of(both[1:])
         shapes = square(both[0], unless_it_holds=axis) + square(carrier, unless_it_holds=cross)
         c = empty_coefficients(4, p, reference, shapes)
-        place_coincidence(c, len(both), reference, None)
+        place_coincidence(c, len(both), reference, ground)
         carrier.meet(c, 3, both[0].carried(axis), cross)
         c.offset[3] = np.sum(axis * cross)
         place_shapes(c, both)

@@ -69,7 +69,8 @@ class Spline(Law):
         """Sum of the control values times their basis functions."""
         s = (np.asarray(t) - self.times[0]) / self._unit
         last = self._basis.t[-_DEGREE - 1]
-        inside = s % last if self.period is not None else np.clip(s, 0.0, last)
+        # The basis of a periodic one repeats by itself.
+        inside = s if self.period is not None else np.clip(s, 0.0, last)
         N = self._basis(inside, nu=order)
         if order and self.period is None:
             N = N * ((s > 0.0) & (s < last))[..., None]

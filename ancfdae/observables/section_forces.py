@@ -7,9 +7,10 @@ they are in balance with loads, reactions and inertia to round-off where these a
 spread along elements, inertia among them, leave an error of second order in the element length, at
 any point (docs/theory.md, section 2). A load or joint between nodes spreads over its element.
 
-A node belongs to the element that begins there, the end of a beam to the last one: forces jump at
-nodes that carry a load. In cables, whose forces are those of their strains, axial forces are best
-in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it.
+At an inner node forces jump by what a joint, load or point mass does there. ``rod.at(0.5)`` is just
+after it, in the element that begins there, ``rod.at(0.5, before=True)`` just before; the end of a
+beam belongs to the last element. In cables, whose forces are those of their strains, axial forces
+are best in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it.
 """
 
 from __future__ import annotations

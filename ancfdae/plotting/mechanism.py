@@ -139,7 +139,7 @@ def _span(limits: Sequence[float] | None, field: Field | None) -> tuple[float, f
 def _naming(scene: Scene) -> Naming:
     """Return where bodies stand in the coordinates; assembling the scene would cost far more."""
     numbering, masses = number(scene), tuple(mass.name for mass in scene.point_masses)
-    layout = Layout(scene.element.name, numbering.bodies, numbering.beams, masses, ())
+    layout = Layout(scene.element, numbering.bodies, numbering.beams, masses, ())
     lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
     return Naming(layout, lengths, np.zeros((len(lengths), 0)))
 
@@ -180,7 +180,7 @@ def _checked(motion: Solution, own: Naming) -> Naming:
         rule, repair = "must be that of an ANCF scene", "Other systems have no bodies to draw."
         raise InvalidInput("picture, solution", rule, "a system of another kind", repair)
     vectors = [
-        {body.name: (body.first_vector, body.count) for body in x.layout.bodies}
+        {body.name: (body.first_vector, body.count, body.kinks) for body in x.layout.bodies}
         for x in (given, own)
     ]
     if vectors[0] != vectors[1] or len(given.lengths) != len(own.lengths):

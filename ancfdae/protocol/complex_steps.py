@@ -9,8 +9,16 @@ from typing import Any, Self
 
 import numpy as np
 
+from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import Pattern
+
+#: What is wrong with a `with_values` that does not hand its argument on.
+FORGOTTEN = (
+    "must return the system at the values b that it is given",
+    "one at others",
+    "Hand b on to the constructor, and keep it as self.b, complex or not.",
+)
 
 
 class ComplexSteps(abc.ABC):
@@ -29,10 +37,17 @@ class ComplexSteps(abc.ABC):
     def with_values(self, b: Array) -> Self:
         """Return the same system at other values of the design variables, real or complex."""
 
+    def at_values(self, b: Array) -> Self:
+        """Return `with_values`; raise InvalidInput if it forgets them."""
+        other = self.with_values(b)
+        if not np.array_equal(other.b, b):
+            raise InvalidInput(f"{type(self).__name__}.with_values", *FORGOTTEN)
+        return other
+
     def moved(self, i: int) -> Self:
         """Return the system with design variable i moved by a small imaginary step."""
         if i not in self._moved:
-            self._moved[i] = self.with_values(self.b + 1j * STEP * np.eye(self.n_b)[i])
+            self._moved[i] = self.at_values(self.b + 1j * STEP * np.eye(self.n_b)[i])
         return self._moved[i]
 
     @cached_property

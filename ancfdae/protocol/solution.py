@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -13,12 +13,14 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ancfdae.bodies import Point, Quantity, require_point
+from ancfdae.elements import BeamElement
 from ancfdae.errors import (
     InvalidInput,
     Outcome,
     UnknownName,
     Verdict,
     require_array,
+    require_each,
     require_flag,
     require_function,
     require_index,
@@ -80,9 +82,14 @@ class Solution:
     def nodes(self, beam: str) -> Array:
         """Node vectors of a beam, shape (n_t, n_nodes, n_s, d): position, then slopes.
 
-        Of a rigid body those of its one frame, (n_t, 1, d + 1, d).
+        At a kink (`Beam`) the slope along the beam is that of the element which begins there, and
+        `ends` has both. Of a rigid body those of its one frame, (n_t, 1, d + 1, d).
         """
         return self._known_naming().nodes(self.q, beam)
+
+    def ends(self, beam: str) -> Array:
+        """Node vectors of both ends of every element of a beam, shape (n_t, n, 2, n_s, d)."""
+        return self._known_naming().ends(self.q, beam)
 
     def position(self, point: Point) -> Array:
         """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
@@ -275,9 +282,14 @@ class Solution:
         return solution_file.write(require_path("path of a solution", path), vars(self))
 
     @staticmethod
-    def load(path: str | os.PathLike[str]) -> Solution:
-        """Read a solution written by `save`; InvalidInput if the file is no such solution."""
-        return Solution(**solution_file.read(require_path("path of a solution", path)))
+    def load(path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()) -> Solution:
+        """Read a solution written by `save`; InvalidInput if the file is no such solution.
+
+        A file knows its element by name; give `elements` of your own.
+        """
+        file, repair = require_path("path of a solution", path), "Give [MY_ELEMENT]."
+        known = require_each("Solution.load, elements", elements, (BeamElement,), repair)
+        return Solution(**solution_file.read(file, known))
 
     def to_dataframe(
         self, columns: Mapping[str, ArrayLike] | None = None, *, derivatives: bool = False

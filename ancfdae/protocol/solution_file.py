@@ -11,21 +11,22 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict
+from ancfdae.elements import ALL_ELEMENTS, BeamElement
+from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict, named
 from ancfdae.files import replacing
 from ancfdae.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, RigidNodes
 from ancfdae.numerics.arrays import Array
 from ancfdae.protocol.solution_parts import EstimatedErrors, Sensitivities, Statistics
 
-# What is written, and the oldest version that is read: it lacks `control`.
-_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 6, 5
+# What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies.
+_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 7, 5
 _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
 # Arrays that are not worth compressing; bytes.
 _SMALL = 10_000
@@ -51,8 +52,11 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
     return path
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Return the fields of a solution; InvalidInput if the file is not one written by `write`."""
+def read(path: Path, elements: Sequence[BeamElement]) -> dict[str, Any]:
+    """Return the fields of a solution; InvalidInput if the file is not one written by `write`.
+
+    Its element is one of the package or of these, by its name.
+    """
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw:
@@ -61,7 +65,7 @@ def read(path: Path) -> dict[str, Any]:
             arrays, text = (_get_hdf5 if is_hdf5 else _get_npz)(raw)
         meta = json.loads(text)
         _require_version(path, meta["format"])
-        return _unpacked(arrays, meta)
+        return _unpacked(arrays, meta, (*elements, *ALL_ELEMENTS))
     except InvalidInput:
         raise
     except FileNotFoundError:
@@ -141,7 +145,7 @@ def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]
         "outcome": {**asdict(outcome), "verdict": outcome.verdict.name},
         "degree": fields["degree"],
         "estimated_errors": errors and asdict(errors),
-        "layout": naming and asdict(naming.layout),
+        "layout": naming and _written(naming.layout),
         "names": own and list(own.names),
     }
     if naming is not None:
@@ -151,7 +155,9 @@ def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]
     return arrays, meta
 
 
-def _unpacked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, Any]:
+def _unpacked(
+    arrays: Mapping[str, Array], meta: Mapping[str, Any], elements: Sequence[BeamElement]
+) -> dict[str, Any]:
     outcome = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
     fields: dict[str, Any] = {name: arrays[name] for name in _STATES} | {
         "statistics": Statistics(**meta["statistics"]),
@@ -161,7 +167,7 @@ def _unpacked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str,
         "control": tuple(map(float, meta.get("control", ()))),
     }
     if meta["layout"] is not None:
-        layout = _layout(meta["layout"])
+        layout = _layout(meta["layout"], elements)
         fields["naming"] = Naming(layout, arrays["lengths"], arrays["lengths_b"])
     if meta["names"] is not None:
         own = (arrays[f"sensitivity_{name}"] for name in _DERIVATIVES)
@@ -173,14 +179,24 @@ def _unpacked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str,
     return fields
 
 
-def _layout(meta: Mapping[str, Any]) -> Layout:
+def _written(layout: Layout) -> dict[str, Any]:
+    """Return what is said of a layout; of its element the name, by which `read` finds it."""
+    rest = {name: value for name, value in asdict(layout).items() if name != "element"}
+    return {"element_name": layout.element.name} | rest
+
+
+def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:
     return Layout(
-        element_name=meta["element_name"],
-        bodies=tuple(BodyLayout(**x) for x in meta["bodies"]),
+        element=named("element of a solution file", meta["element_name"], elements),
+        bodies=tuple(_body(x) for x in meta["bodies"]),
         beams=tuple(_beam(x) for x in meta["beams"]),
         masses=tuple(meta["masses"]),
         joints=tuple(JointLayout(**x) for x in meta["joints"]),
     )
+
+
+def _body(meta: Mapping[str, Any]) -> BodyLayout:
+    return BodyLayout(**{**meta, "kinks": tuple(meta.get("kinks", ()))})
 
 
 def _beam(meta: Mapping[str, Any]) -> BeamLayout:

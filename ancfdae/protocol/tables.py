@@ -21,8 +21,9 @@ def coordinate_names(naming: Naming | None, n_q: int) -> list[str]:
     """Return a name for each coordinate.
 
     ``rod[2].y`` is the position of node 2, counted from 0, ``rod[2].slope_x.y`` its slope along the
-    beam, ``box.y`` the reference point of something rigid and ``box.axis_1.y`` its first direction;
-    ``q[3]`` a coordinate of a system that is no scene.
+    beam, at a kink that after it, and ``rod[2].slope_x before.y`` that before it; ``box.y`` the
+    reference point of something rigid and ``box.axis_1.y`` its first direction; ``q[3]`` a
+    coordinate of a system that is no scene.
     """
     if naming is None:
         return [f"q[{k}]" for k in range(n_q)]
@@ -32,13 +33,14 @@ def coordinate_names(naming: Naming | None, n_q: int) -> list[str]:
     words = [quantity.name.lower() for quantity in layout.element.quantities]
     axes = "xyz"[: layout.d]
     for body in layout.bodies:
-        for k in range(body.count):
+        for k in range(body.nodes.size):
             node, which = divmod(k, body.stride)
             owner = f"{body.name}[{node}]" if body.name in beams else body.name
             word = words[which] if body.name in beams else f"axis_{which}"
             names += [
                 f"{owner}.{axis}" if which == 0 else f"{owner}.{word}.{axis}" for axis in axes
             ]
+        names += [f"{body.name}[{k}].slope_x before.{axis}" for k in body.kinks for axis in axes]
     return names
 
 

@@ -109,10 +109,12 @@ class Section(abc.ABC):
         """
         y, z = self.outline(sizes)
         bottom, top, left, right = y.min(axis=1), y.max(axis=1), z.min(axis=1), z.max(axis=1)
-        return (
-            np.stack([bottom, top, top, bottom], axis=1),
-            np.stack([left, left, right, right], axis=1),
-        )
+        # Places on the sides too: torsion has its largest stress there and none at corners.
+        middle, quarter = (bottom + top) / 2, (right - left) / 4
+        up = np.stack([bottom, bottom, middle, top, top], axis=1)
+        across = np.stack([left + quarter, left, left, left, left + quarter], axis=1)
+        back = (left + right)[:, None] - across[:, ::-1]
+        return np.concatenate([up, up[:, ::-1]], axis=1), np.concatenate([across, back], axis=1)
 
     @abc.abstractmethod
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:

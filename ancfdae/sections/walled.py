@@ -116,11 +116,11 @@ class ISection(_Walled):
     webs = 1
 
     def contour(self, sizes: Array) -> tuple[Array, Array]:
-        """Return the twelve corners."""
+        """Return the twelve corners and places on the sides."""
         h, w, t_w, t_f = sizes.T
         top, inner = h / 2, h / 2 - t_f
-        y = np.stack([-top, -inner, -inner, inner, inner, top], axis=1)
-        z = -np.stack([w, w, t_w, t_w, w, w], axis=1) / 2
+        y = np.stack([-top, -top, -inner, -inner, 0 * h, inner, inner, top, top], axis=1)
+        z = -np.stack([w / 2, w, w, t_w, t_w, t_w, w, w, w / 2], axis=1) / 2
         return np.concatenate([y, y[:, ::-1]], axis=1), np.concatenate([z, -z[:, ::-1]], axis=1)
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ancfdae.errors import (
     AncfdaeError,
+    InvalidInput,
     PassFailed,
     SingularMatrix,
     Verdict,
@@ -124,9 +125,8 @@ class Run:
         if self.after is not None:
             own = {"sensitivities": sensitivities, "progress": self.progress}
             return self.integrator.resume(self.system, self.t_end, self.after, **own)
-        return self.integrator.integrate(
-            self.system, self.t_end, sensitivities=sensitivities, progress=self.progress
-        )
+        own = {"sensitivities": sensitivities, "progress": self.progress}
+        return self._told(self.integrator.integrate(self.system, self.t_end, **own), sensitivities)
 
     def integrals(
         self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
@@ -142,7 +142,18 @@ class Run:
             progress=self.progress,
             integrands=list(totals.values()),
         )
-        return finished(run), totals
+        return finished(self._told(run, sensitivities)), totals
+
+    def _told(self, run: Solution, sensitivities: bool) -> Solution:
+        """Refuse a run of an integrator, of a user's say, that left out what was asked for."""
+        if sensitivities and run.sensitivities is None and run.outcome.success:
+            raise InvalidInput(
+                f"integrator {type(self.integrator).__name__}",
+                "must integrate design derivatives when `sensitivities` asks for them",
+                "a run without",
+                "Refuse there, and take method=ComplexStep() or FiniteDifference().",
+            )
+        return run
 
     def values(self, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
         """Return a finished run and the values of objectives, without derivatives."""
@@ -152,7 +163,7 @@ class Run:
 
     def at(self, b: Array) -> Run:
         """Return the run at other design values."""
-        return replace(self, system=self.system.with_values(b), after=None)
+        return replace(self, system=self.system.at_values(b), after=None)
 
     def repeating(self, solution: Solution) -> Run:
         """Return the run at the steps of a solution, as far as that got."""

@@ -102,10 +102,14 @@ class _Fit:
 @final
 @dataclass(frozen=True)
 class _Body:
-    """A beam or a rigid body as it stands: node vectors X, shape (n, n_s, d), and size."""
+    """A beam or a rigid body as it stands: vectors X, shape (count, d), and size.
+
+    `positions` are the places of positions among them.
+    """
 
     name: str
     X: Array
+    positions: Array
     length: float
     columns: slice
 
@@ -113,25 +117,26 @@ class _Body:
     def of(naming: Naming, beam: BodyLayout, q: Array) -> _Body:
         d = naming.layout.d
         columns = slice(beam.first_vector * d, (beam.first_vector + beam.count) * d)
-        return _Body(beam.name, q[columns].reshape(-1, beam.stride, d), beam.size, columns)
+        positions = beam.positions - beam.first_vector
+        return _Body(beam.name, q[columns].reshape(-1, d), positions, beam.size, columns)
 
     @property
     def r(self) -> Array:
         """Positions of the nodes, shape (n, d)."""
-        return self.X[:, 0]
+        return self.X[self.positions]
 
     def fit(self, motions: Array) -> _Fit:
         """Fit rigid motions to the given ones."""
-        (*_, n_s, d), count = self.X.shape, motions.shape[1]
+        (n, d), count = self.X.shape, motions.shape[1]
         # Positions count over the length.
-        unit = np.ones((n_s, 1))
-        unit[0] = self.length
+        unit = np.ones((n, 1))
+        unit[self.positions] = self.length
         arms = self.X / unit
-        arms[:, 0] -= arms[0, 0]
-        turned = np.einsum("kij,nsj->nsik", generators(d), arms)
-        shifted = np.zeros((*self.X.shape, d))
-        shifted[:, 0] = np.eye(d)
-        A = np.concatenate([shifted, turned], axis=3).reshape(self.X.size, -1)
+        arms[self.positions] -= arms[0]
+        turned = np.einsum("kij,nj->nik", generators(d), arms)
+        shifted = np.zeros((n, d, d))
+        shifted[self.positions] = np.eye(d)
+        A = np.concatenate([shifted, turned], axis=2).reshape(self.X.size, -1)
         right = motions[self.columns].reshape(*self.X.shape, count) / unit[..., None]
         right = right.reshape(-1, count)
         x = np.linalg.lstsq(A, right, rcond=None)[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Self, final
 
@@ -13,6 +14,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.contour import circle_size
+from ancfdae.protocol.complex_steps import FORGOTTEN
 from ancfdae.protocol.motion import Motion
 from ancfdae.protocol.system import MechanicalSystem
 
@@ -103,11 +105,27 @@ class Reach:
         return float(_FACTOR ** np.floor(np.log(least) / np.log(_FACTOR)))
 
 
+# Kinds of systems that are being tried.
+_tried: ContextVar[frozenset[type]] = ContextVar("_tried", default=frozenset())
+
+
 def require_analytic(system: MechanicalSystem) -> None:
     """Evaluate M, Q, Phi and the start with complex numbers, near the start and on both sides.
 
-    InvalidInput if one fails on complex numbers, drops an imaginary part or has another shape.
+    InvalidInput if one fails on complex numbers, drops an imaginary part or has another shape, or
+    if `with_values` forgets the values: it then makes real systems, which would be tried in turn.
     """
+    kind = type(system)
+    if kind in _tried.get():
+        raise InvalidInput(f"{kind.__name__}.with_values", *FORGOTTEN)
+    token = _tried.set(_tried.get() | {kind})
+    try:
+        _require_analytic(system)
+    finally:
+        _tried.reset(token)
+
+
+def _require_analytic(system: MechanicalSystem) -> None:
     for away in (_BESIDE, *_BEYOND):
         for name, along, shape in _probes(system, away):
             where = f"{type(system).__name__}.{name}"
@@ -163,7 +181,7 @@ def _probes(
     q, v = q + away * dq, v + away * dv
 
     def at(s: complex) -> tuple[Any, Array, Array, complex]:
-        return system.with_values(b + s * db), q + s * dq, v + s * dv, 0.01 + s
+        return system.at_values(b + s * db), q + s * dq, v + s * dv, 0.01 + s
 
     def along(value: Callable[..., Array]) -> Callable[[complex], Array]:
         return lambda s: value(*at(s))

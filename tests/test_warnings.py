@@ -1,0 +1,36 @@
+"""Settings that do not suit a scene are told in words, and the run goes on."""
+
+import pytest
+
+from ancfdae import HHT, IDA, Explicit, ManySteps, StabilityWarning, Verdict, simulate
+from ancfdae.integrators.high_order import Progress
+from validation.scenes import pendulum
+
+# Its fastest wave has a period of 1e-6 s: a second takes about a million steps.
+STEEL = pendulum(elements=2, youngs_modulus=2.1e11)
+
+
+@pytest.mark.parametrize("kind", [Explicit, IDA])
+def test_high_order_on_a_stiff_scene_says_how_many_steps_are_to_come(kind):
+    with pytest.warns(ManySteps, match=r"about \S+e\+0[5-9] steps .* HHT") as told:
+        run = simulate(STEEL, 100.0, kind(rtol=1e-6, max_steps=250))
+    assert len(told) == 1  # once, though there were 250 steps
+    assert run.outcome.verdict is Verdict.STEP_LIMIT
+
+
+@pytest.mark.parametrize(("steps", "warned"), [(90_000, False), (110_000, True)])
+def test_the_estimate_is_that_of_steps_as_the_last_ones(steps, warned, recwarn):
+    """After first steps that grow, all have the size 1/steps."""
+    progress, t = Progress(1.0), 0.0
+    for k in range(300):
+        t += min(1.0, 2.0 ** (k - 40)) / steps
+        assert not progress.stalls(t)
+    assert [w.category for w in recwarn] == [ManySteps] * warned
+    if warned:
+        # All steps of the size, less what the first forty lack: 1.1e5 in two digits.
+        assert "about 1.1e+05 steps" in str(recwarn[0].message)
+
+
+def test_steps_too_long_for_the_motion_are_told():
+    with pytest.warns(StabilityWarning, match="steps are too long to follow the motion"):
+        assert simulate(pendulum(), 1.0, HHT(1.0)).outcome.success
