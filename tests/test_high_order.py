@@ -237,6 +237,8 @@ def test_runs_of_the_paper_do_not_meet_the_default_limit_of_steps(integrator, ne
     assert integrator.max_steps > 5 * needed
 
 
+# Steps shrink before the run ends: it warns of their number, rightly.
+@pytest.mark.filterwarnings("ignore::ancfdae.ManySteps")
 @pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
 def test_trouble_prints_nothing_but_what_the_user_prints(kind, capfd):
     rng = np.random.default_rng(0)

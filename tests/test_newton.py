@@ -16,6 +16,7 @@ from ancfdae import (
     PointForce,
     Rectangle,
     Scene,
+    StabilityWarning,
     Terminal,
     differentiate,
     gradient,
@@ -195,7 +196,23 @@ class Wall(ComplexStepSystem):
 @pytest.mark.parametrize("step", [0.05, 0.02])
 def test_a_correction_is_not_small_because_forces_got_huge(step):
     # Within the wall forces grow to 1e200, beside which any correction is round-off.
-    run = simulate(Wall(), 0.4, HHT(step))
+    with pytest.warns(StabilityWarning, match="too long to follow"):
+        run = simulate(Wall(), 0.4, HHT(step))
     assert run.outcome.success, str(run.outcome)
     # exp(K (q - 1)) / K cannot exceed the work of the push, 5e3 q: q = 1.31 at most.
     assert 1.1 < np.max(run.q) < 1.32
+
+
+@pytest.mark.parametrize(("away", "success"), [(0.0, True), (1.0, False)])
+def test_iterating_on_counts_only_near_the_motion(away, success, monkeypatch):
+    # Steps of 0.01 at a speed of 2: a solution a length of 1 away belongs to another motion.
+    solve = newton.StepSolver.advance
+
+    def stalled(self, c, before, t, patience=1):
+        node = solve(self, c, before, t, patience)
+        return None if patience == 1 else node._replace(q=node.q + away)
+
+    monkeypatch.setattr(newton.StepSolver, "advance", stalled)
+    monkeypatch.setattr(step, "continued", lambda *arguments: (None, 0.9))
+    outcome = simulate(CartesianPendulum(-1.0, 2.0), 0.01, HHT(0.01)).outcome
+    assert outcome.success is success

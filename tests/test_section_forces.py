@@ -200,7 +200,8 @@ def test_sections_of_every_law_are_in_balance_with_a_distributed_load(energy, el
         errors.append(np.abs(found - expected) / np.linalg.norm(f))
     # Second order of the moment: f l^2/24 in the middle of an element, 1.6e-4 of f L^2.
     assert np.max(errors[1][:, 2]) <= 2e-4
-    assert np.max(errors[1][:, 2]) <= 0.3 * np.max(errors[0][:, 2])
+    # Or round-off: strains of 3e-3 out of products of order 1, E A h over the force: 1e-8.
+    assert np.max(errors[1][:, 2]) <= max(0.3 * np.max(errors[0][:, 2]), 1e-8)
     # The strains are 3e-3: the shear of a section that bends, and what they leave in the axes.
     assert np.max(errors[1][:, :2]) <= 1e-3
 

@@ -44,11 +44,14 @@ class Fibres:
         y and z over l.
     volume : array, shape (n, n_s)
         Area that a fibre stands for, times l.
-    factors : array, shape (n, 3)
-        Square roots of the shear factors along y and z and of what the torsion constant is to the
-        polar moment about the centroid: strains are multiplied by them.
+    factors : array, shape (n, 5)
+        Strains are multiplied by them: square roots of the shear factors along y and z, of what the
+        torsion constant is to the polar moment about the centroid, and of what counts of the waves
+        of curvature.
     radii : array, shape (n, 3)
         Radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
+    stretch : array, shape (n, 2)
+        Axial strain that squares of curvatures take off.
     centroid, shear_centre : array, shape (n, 1, 2)
         y and z of them over l.
     """
@@ -57,6 +60,7 @@ class Fibres:
     volume: Array
     factors: Array
     radii: Array
+    stretch: Array
     centroid: Array
     shear_centre: Array
 
@@ -69,7 +73,7 @@ class Fibres:
         """All of the section in one fibre at the centroid."""
         volume = self.volume.sum(axis=1, keepdims=True)
         places = self.centroid, self.shear_centre
-        return Fibres(self.centroid, volume, self.factors, self.radii, *places)
+        return Fibres(self.centroid, volume, self.factors, self.radii, self.stretch, *places)
 
 
 @final
@@ -129,7 +133,7 @@ class Frames:
         turns : int
             How many of them the energy has.
         shear_power : int
-            Of the factors in the shears: 1 in those of the energy, 2 in those of the material.
+            Of the factors in shears and waves: 1 in those of the energy, 2 of the material.
         twist : array, shape (n, n_f, 2), optional
             Shears of torsion over the rate of twist and l, where they are known; by default they
             are those of sections that stay flat, with the factor.
@@ -138,7 +142,8 @@ class Frames:
         places, pairs, m = strain_places(d), components(d), d - 1
         y, j = self._ones(at.offsets, m), self.stretch(at.offsets)
         q = -np.einsum("...sk,...kj,...ij->...si", y, self.across, self.inverse) / j[..., None]
-        R = np.zeros((*j.shape, len(pairs) + turns, places.count + turns), dtype=q.dtype)
+        shape = len(pairs) + turns, places.count(turns > 0)
+        R = np.zeros((*j.shape, *shape), dtype=q.dtype)
         R[..., 0, 0] = 0.5 / j**2
         inverse = self.inverse[:, :, None]
         for i in range(m):
@@ -156,11 +161,12 @@ class Frames:
         true = h if shear_power == 2 else self._shears(at, 2, R.shape[-1], twist)
         R[..., 0, :] += np.einsum("...i,...is->...s", q, true)
         radii = at.radii[:, None, None, :turns]
-        # What squares of curvatures and twist give fades in elements shorter than these.
-        radii = radii / np.sqrt(1 + radii**4)
         R[..., len(pairs) + np.arange(turns), places.turns[:turns]] = radii
-        if self.is_straight:
-            R[..., 0, places.turns[: min(m, turns)]] = -1.5 * radii[..., :m] ** 2
+        if turns and self.is_straight:
+            R[..., 0, places.turns[:m]] = -at.stretch[:, None, None, :m]
+        if turns:
+            waves = at.factors[:, None, None, 3 : 3 + m] ** shear_power
+            R[..., 0, places.waves] = waves * R[..., 0, places.bending]
         return R
 
     def _shears(self, at: Fibres, power: int, count: int, given: Array | None) -> Array:

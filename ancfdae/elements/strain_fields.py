@@ -16,12 +16,12 @@ Assumed strains. The section slopes are linear in xi, r cubic: where the beam tu
 between the nodes, and the curvature a.b is constant along an element although the axis can bend
 linearly. So c.c is taken at the nodes and linear between them, and so are the shears S = c.a:
 the section of the axis then turns, for small strains, by r_x - S, not by the linear r_y, and its
-curvature is that of this rotation,
+curvature is that of this rotation. With the chord X, the mean of a, with w = a'(0) - a'_m and with
+a'_m and c_m at mid-element it is
 
-    a.b  ->  S(1) - S(0) - a'.c + a'_m.(c - c_m)
+    a.b  ->  X.b - (1 - 2 xi) w.c_m + ((1 - 2 xi)^2 - 1/3) w.b/2:
 
-with a'_m and c_m those at mid-element. The mean is that of a.b, the chord times b; the last term,
-no part of a curvature, takes the product of kinks out that -a'.c has (docs/theory.md, section 2).
+the mean and a wave, what bending changes along the element. The wave has a factor of its own.
 In the thin limit the bending part is that of the cubic Hermite beam. c_2.b_2 is half the derivative
 of c_2.c_2 and becomes half the difference of its values at the nodes; c_2.b_3 + c_3.b_2 likewise,
 and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
@@ -30,8 +30,8 @@ Two terms in the squares of curvatures and twist, which are linear in g too (`_s
 Turns: what a finite turn of the element takes off curvature and twist is put back as further rows
 of strain, l kappa^2 times the radius of gyration, with a stiffness of their own. Stretch: the axial
 strain of a straight beam is lowered by 3/2 of the squared curvature times the squared radius of
-gyration, so that bending neither shortens the axis nor softens the beam. Both fade where elements
-are shorter than the radius of gyration (`fibre_strains`). Derivations: docs/theory.md, section 2.
+gyration, so that bending neither shortens the axis nor softens the beam. The latter
+fades where elements are shorter than the radius (`volume.fibres`). Derivations: docs/theory.md, 2.
 """
 
 from __future__ import annotations
@@ -52,20 +52,20 @@ from ancfdae.numerics.arrays import Array
 class StrainPlaces:
     """Where each strain of a section stands among all of them; that of the axis, a.a, stands first.
 
-    Indices i and j run over y and z. `turns` are the last ones, of assumed strains only.
+    Indices i and j run over y and z. `turns` and `waves` are of assumed strains only.
     """
 
-    bending: Array  # a.b_i
+    bending: Array  # a.b_i, the mean of assumed ones
     squares: Array  # b_i.b_j
     shears: Array  # c_i.a
     slopes: Array  # c_i.b_j
     thickness: Array  # c_i.c_j
     turns: Array  # squares of curvatures and twist
+    waves: Array  # assumed curvatures less their means
 
-    @property
-    def count(self) -> int:
-        """How many there are without turns."""
-        return int(self.turns[0])
+    def count(self, assumed: bool) -> int:
+        """Return how many there are."""
+        return int(self.waves[-1] + 1 if assumed else self.turns[0])
 
 
 @lru_cache(maxsize=2)
@@ -81,16 +81,21 @@ def strain_places(d: int) -> StrainPlaces:
     slopes = np.max(shears) + 1 + slopes
     thickness = np.max(slopes) + 1 + pairs
     turns = np.max(thickness) + 1 + np.arange(turn_count(d))
-    return StrainPlaces(bending, squares, shears, slopes, thickness, turns)
+    waves = np.max(turns) + bending
+    return StrainPlaces(bending, squares, shears, slopes, thickness, turns, waves)
 
 
 @lru_cache(maxsize=16)
 def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
     """Return what makes strains of sections out of g, shape (n_xi, n_s, n_g); `StrainPlaces`."""
     place, axis, at = np.array(xi), Axis.of(d, np.array(xi)), strain_places(d)
-    count = at.count + (len(at.turns) if assumed else 0)
-    beta = np.zeros((len(place), count, (2 * d + 1) * (d + 1)))
-    fields = _Assumed(d, place, axis) if assumed else _Exact(axis)
+    beta = np.zeros((len(place), at.count(assumed), (2 * d + 1) * (d + 1)))
+    fields: _Exact | _Assumed = _Exact(axis)
+    if assumed:
+        fields = without_locking = _Assumed(d, place, axis)
+        beta[:, at.turns] = _squares(d)
+        for i in range(1, d):
+            beta[:, at.waves[i - 1]] = without_locking.wave(i)
     beta[:, 0] = _gram(axis.a, axis.a)
     for i in range(1, d):
         beta[:, at.bending[i - 1]] = fields.curvature(i)
@@ -99,8 +104,6 @@ def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
             beta[:, at.squares[i - 1, j - 1]] = _gram(axis.b[i], axis.b[j])
             beta[:, at.slopes[i - 1, j - 1]] = fields.slope(i, j)
             beta[:, at.thickness[i - 1, j - 1]] = fields.thickness(i, j)
-    if assumed:
-        beta[:, at.turns] = _squares(d)
     beta.setflags(write=False)
     return beta
 
@@ -185,9 +188,15 @@ class _Assumed:
         self._middle = Axis.of(d, np.array([0.5]))
 
     def curvature(self, i: int) -> Array:
-        axis, middle, turn = self._axis, self._middle, np.diff(self._ends.shear(i), axis=0)
-        change = _gram(axis.a_xi - middle.a_xi, axis.c[i] - middle.c[i])
-        return np.asarray(turn - _gram(axis.a_xi, middle.c[i]) - change)
+        """Return its mean, that of a.b."""
+        return _gram(np.eye(1, self._middle.a.shape[-1]), self._middle.b[i])
+
+    def wave(self, i: int) -> Array:
+        """Return what the curvature has besides."""
+        middle, s = self._middle, 1 - 2 * self._xi
+        bent = self._ends.axis.a_xi[0] - middle.a_xi
+        wave = 0.5 * (s**2 - 1 / 3) * _gram(bent, middle.b[i]) - s * _gram(bent, middle.c[i])
+        return np.asarray(wave)
 
     def shear(self, i: int) -> Array:
         return self._linear(self._ends.shear(i))

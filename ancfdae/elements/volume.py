@@ -24,6 +24,8 @@ from ancfdae.sections.section import central_moments
 # Poisson's effect on the axis couples stretch, quadratic in xi, with thickness strains, linear in
 # xi: two points ask it where both can follow.
 AXIS_POINTS = 2
+# Share of the compliance in shear between the chord of an element and the tangents of its nodes.
+_SHARE = 0.01
 
 
 def fibres(own: Batch) -> Fibres:
@@ -39,10 +41,26 @@ def fibres(own: Batch) -> Fibres:
     twist = factors[:, 2] ** 2 * polar
     squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
     shear_centre = kind.section.twist_centre(sizes, centroid)
+    radii = np.sqrt(squares) / l[:, None]
+    factors = _shared(own, factors, radii)
     places = (x / l[:, None, None] for x in (np.stack([y, z], axis=-1), centroid, shear_centre))
     offsets, centroid, shear_centre = places
-    radii = np.sqrt(squares) / l[:, None]
-    return Fibres(offsets, dA * l[:, None], factors, radii, centroid, shear_centre)
+    # It fades in elements that are shorter than the radii.
+    ratio = radii[:, :2] ** 2
+    stretch = 1.5 * ratio / (1 + ratio**2)
+    return Fibres(offsets, dA * l[:, None], factors, radii, stretch, centroid, shear_centre)
+
+
+def _shared(own: Batch, factors: Array, radii: Array) -> Array:
+    """Return the factors of shears, which leave a share to waves, of twist and of waves."""
+    waves = np.ones((len(factors), 2), dtype=factors.dtype)
+    if own.kind.energy is not None and own.kind.energy.assumed_strains:
+        nu = own.moduli[1]
+        C = own.energy.stiffness(own.d, np.ones_like(nu), nu)[0]
+        ratio = (C[:, 0, 0] / C[:, -1, -1])[:, None] * (radii / factors)[:, :2] ** 2
+        waves = 1 / np.sqrt(1 + 12 * _SHARE * ratio)
+        factors = factors / np.sqrt([1 - _SHARE, 1 - _SHARE, 1.0])
+    return np.concatenate([factors, waves], axis=1)
 
 
 def fibres_partial(own: Batch, which: ElementParameter) -> Fibres:

@@ -23,7 +23,7 @@ def section_slopes(Y, xi, l):
     return (1 - xi) * first + xi * second, (second - first) / l
 
 
-def products(Y, xi, l, assumed):
+def products(Y, xi, l, assumed, waves):
     """Return r_x.r_x, b_i.r_x, b_i.b_j, c_i.r_x, c_i.b_j, c_i.c_j and the squared turns."""
     d = Y.shape[1]
     r_x, r_xx = curve(Y, xi, l)
@@ -35,7 +35,8 @@ def products(Y, xi, l, assumed):
         t = [slopes @ slopes.T for slopes, _ in ends]
         shear, thickness = (1 - xi) * S[0] + xi * S[1], (1 - xi) * t[0] + xi * t[1]
         middle, c_m = curve(Y, 0.5, l)[1], section_slopes(Y, 0.5, l)[0]
-        bending = (S[1] - S[0]) / l - c @ r_xx + (c - c_m) @ middle
+        mean = b @ Y[0] / l
+        bending = mean + waves * ((S[1] - S[0]) / l - c @ r_xx + (c - c_m) @ middle - mean)
         slopes = 0.5 * ((t[1] - t[0]) / l + c @ b.T - b @ c.T)
         bent = middle @ middle
         if d == 2:
@@ -101,8 +102,14 @@ def strain(Y, Y_o, xi, y, z, l, law):
     """Return strains with engineering shears in the axes of the section, turns and det J_o."""
     d = Y.shape[1]
     offset, m = np.array([y, z])[: d - 1], d - 1
+    shears = np.asarray(law["factors"][:m])
+    waves, given = np.ones(m), 1.0
+    if law["assumed"]:
+        # A hundredth of the compliance of shear acts between chord and tangents.
+        given, E_G = 0.99, 2 * (1 + law["nu"])
+        waves /= np.sqrt(1 + 0.12 * E_G * (np.asarray(law["radii"])[:m] / l / shears) ** 2)
     (stretch, bending, squares, shear, slopes, thick, turns), at_rest = (
-        products(X, xi, l, law["assumed"]) for X in (Y, Y_o)
+        products(X, xi, l, law["assumed"], waves) for X in (Y, Y_o)
     )
     stretch_o, bending_o, squares_o, shear_o, slopes_o, thick_o, turns_o = at_rest
     J = gradient(Y_o, xi, y, z, l)
@@ -122,15 +129,16 @@ def strain(Y, Y_o, xi, y, z, l, law):
     change[0, 0] += offset @ (squares - squares_o) @ offset
     change[1:, 1:] = thick - thick_o
     radii = np.asarray(law["radii"])
-    radii = radii / np.sqrt(1 + (radii / l) ** 4)
     if law["straight"] and len(turns):
-        change[0, 0] -= 3 * radii[:m] ** 2 @ (turns - turns_o)[:m]
+        short = 1 + (radii[:m] / l) ** 4
+        change[0, 0] -= 3 * radii[:m] ** 2 / short @ (turns - turns_o)[:m]
     greens = []
     for power in (1, 2):
         k = np.asarray(law["factors"]) ** power
         twist = np.where(np.eye(m) == 1, 1.0, k[2])
         centre, shear_centre = (np.asarray(law[name])[:m] for name in ("centroid", "shear_centre"))
-        h = k[:m] * (g + G @ shear_centre) + (twist * G) @ (offset - centre)
+        shear = k[:m] / given ** (power / 2)
+        h = shear * (g + G @ shear_centre) + (twist * G) @ (offset - centre)
         # The metric of which the fibre has these shears.
         change[0, 1:] = change[1:, 0] = h + change[1:, 1:] @ (r_across + offset @ b_across)
         inverse = np.linalg.inv(J)
