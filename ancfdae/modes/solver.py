@@ -12,9 +12,10 @@ from typing import final
 import numpy as np
 import scipy
 
-from ancfdae.errors import AncfdaeError, InvalidInput, SingularMatrix
+from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.modes import dense, sparse
 from ancfdae.modes.linearised import EPS, ROUND_OFF, Linearised
+from ancfdae.modes.precise import NoModes, lost, precise_modes, refuse_lost
 from ancfdae.numerics.arrays import Array
 
 # Up to this many independent motions dense matrices are faster; damped ones have twice as many
@@ -22,12 +23,9 @@ from ancfdae.numerics.arrays import Array
 _DENSE, _DENSE_DAMPED = 300, 120
 # ARPACK needs room for its basis.
 _ROOM = 40
+# Round-off may be so many times what another rounding changes.
+_MARGIN, _TINY = 4.0, float(np.finfo(float).tiny)
 _SWEEPS = 2
-
-
-@final
-class NoModes(AncfdaeError):
-    """Eigenvalues of a large system that did not converge."""
 
 
 @final
@@ -95,12 +93,22 @@ def solve(small: Linearised, count: int, highest: bool) -> Eigenpairs:
 def _undamped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
     method = dense if _is_small(small, count) else sparse
     z, X = method.undamped(small, count, highest)
+    change = np.zeros(len(z))
     if not small.symmetric:
-        z, X = _each_sharpened(small, z, X)
+        z, X, change = _each_sharpened(small, z, X)
     elif not highest:
-        z, X = _sharpened(small, z, X)
+        z, X, change = _sharpened(small, z, X)
     order = np.argsort(-z.real if highest else z.real, kind="stable")
-    return _finished(small, z[order], X[:, order])
+    pairs = _finished(small, z[order], X[:, order])
+    left = _left(small, pairs, change[order])
+    if not small.symmetric:
+        refuse_lost(pairs.z, left)
+    if highest or not small.symmetric or not len(lost(pairs.z, left)):
+        return pairs
+    z, X, noise = precise_modes(small, pairs.X)
+    pairs = _finished(small, z, X, noise)
+    refuse_lost(pairs.z, pairs.noise)
+    return pairs
 
 
 def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
@@ -116,12 +124,30 @@ def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         moving = np.abs(s) ** 2 > ROUND_OFF * _noise(small, s, X) * np.abs(s)
         s, X = s[moving], X[:, moving]
     order = np.argsort(-np.abs(s) if highest else _rank(small, s, X), kind="stable")[:count]
-    s, X = _each_sharpened(small, s[order], X[:, order])
+    s, X, change = _each_sharpened(small, s[order], X[:, order])
     if not highest:
-        s, X = np.append(np.zeros(rigid.shape[1]), s), np.hstack([rigid, X])
+        none = np.zeros(rigid.shape[1])
+        s, X, change = np.append(none, s), np.hstack([rigid, X]), np.append(none, change)
         order = np.argsort(_rank(small, s, X), kind="stable")
-        s, X = s[order], X[:, order]
-    return _finished(small, s, X)
+        s, X, change = s[order], X[:, order], change[order]
+    pairs = _finished(small, s, X)
+    refuse_lost(pairs.z, _left(small, pairs, change))
+    return pairs
+
+
+def _left(small: Linearised, pairs: Eigenpairs, change: Array) -> Array:
+    """Likely error of z: what the last sweep changed, and what another rounding of K does.
+
+    The round-off of pairs is a bound, hundreds of times as much where many terms are summed.
+    """
+    pattern = small.system.pattern
+    signs = np.random.default_rng(4).choice([-1.0, 1.0], pattern.size)
+    other = EPS * small.times(signs * small.K, pairs.X)
+    moved = np.abs(np.einsum("ij,ij->j", np.conj(pairs.X), other))
+    if small.D is not None:
+        slope = np.einsum("ij,ij->j", np.conj(pairs.X), small.times(small.D, pairs.X))
+        moved = moved / np.maximum(np.abs(2 * pairs.z + slope), np.sqrt(moved) + _TINY)
+    return np.asarray(np.maximum(change, _MARGIN * moved))
 
 
 def _is_small(small: Linearised, count: int) -> bool:
@@ -146,12 +172,15 @@ def _rank(small: Linearised, s: Array, X: Array) -> Array:
         return np.asarray(np.where(growing, -s.real, np.abs(s)))
 
 
-def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array]:
+def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
     """Sweeps of inverse iteration with all shapes of a symmetric pencil, and Ritz's method.
+
+    Returns what the last sweep changed in z, too.
 
     Dense eigenvalues are good to round-off of the largest one, which in a thin beam is far above
     the lowest.
     """
+    change = np.full(len(z), np.inf)
     for _ in range(_SWEEPS):
         noise = float(np.max(small.round_off(small.K, X)))
         # Below all of them, and as far from zero as they are: as far as round-off allows.
@@ -159,21 +188,24 @@ def _sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array]:
         try:
             factors = small.saddle.factor(small.K - shift * small.M, small.Phi_q)
         except SingularMatrix:
-            return z, X
+            return z, X, change
         Z = small.solve(factors, small.times(small.M, X))
         Z = Z / np.sqrt(_squares(small, Z))
         K, M = (Z.T @ small.times(values, Z) for values in (small.K, small.M))
+        last = z
         z, Y = scipy.linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
-        X = Z @ Y
-    return z, X
+        X, change = Z @ Y, np.abs(z - last)
+    return z, X, change
 
 
-def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array]:
+def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array, Array]:
     """Sweeps of inverse iteration, one shape after the other: F(z) y = F'(z) x.
+
+    Returns what the last sweep changed in z, too.
 
     F(z + dz) y = F'(z) (x + dz y) in first order: dz follows where that vanishes along y.
     """
-    z, X = z.astype(complex), X.astype(complex)
+    z, X, change = z.astype(complex), X.astype(complex), np.zeros(len(z))
     for j in range(len(z)):
         for _ in range(_SWEEPS):
             x, factors = X[:, j], small.factor_beside(z[j])
@@ -181,17 +213,18 @@ def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array
             if not np.any(y):  # A double root: F'(z) x vanishes.
                 break
             along = np.conj(small.times(small.M, y))
-            z[j] -= (along @ x) / (along @ y)
+            step = (along @ x) / (along @ y)
+            z[j], change[j] = z[j] - step, np.abs(step)
             X[:, j] = y / np.sqrt(np.real(along @ y))
-    return z, X
+    return z, X, change
 
 
-def _finished(small: Linearised, z: Array, X: Array) -> Eigenpairs:
+def _finished(small: Linearised, z: Array, X: Array, noise: Array | None = None) -> Eigenpairs:
     """Name zero what is zero to round-off; norm and sign of the shapes."""
     X = X / np.sqrt(_squares(small, X))
     pivot = X[largest_entries(small, X), np.arange(X.shape[1])]
     X = X * (np.abs(pivot) / pivot)
-    noise = _noise(small, z, X)
+    noise = _noise(small, z, X) if noise is None else noise
     if small.D is None:
         z = np.where(np.abs(z) <= ROUND_OFF * noise, 0.0, z)
         z = np.where(np.abs(z.imag) <= ROUND_OFF * noise, z.real, z)

@@ -51,7 +51,7 @@ def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -
     """
     system, q, lam = balance.system, q.real, lam.real
     K = balance.tangent(s, q, lam).real + mu * balance.M_0.real
-    D = _diagonal(balance, K)
+    D = stiffness_of_coordinates(balance, K)
     root = np.sqrt(D)[:, None]
     count = min(_MOTIONS, system.n_q - system.n_lam)
     if count <= 0:
@@ -74,7 +74,7 @@ def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -
     return Softness(kappa[::-1], X @ V.T[:, ::-1], stable)
 
 
-def _diagonal(balance: Balance, K: Array) -> Array:
+def stiffness_of_coordinates(balance: Balance, K: Array) -> Array:
     """|diag K|; where it vanishes a trace of the stiffest one, by weight."""
     n, w = np.arange(balance.system.n_q), balance.system.weights
     D = np.abs(K[balance.system.pattern.index(n, n)])

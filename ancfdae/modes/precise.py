@@ -1,0 +1,186 @@
+"""Lowest modes of thin bodies, whose K as a matrix has lost them.
+
+An entry of K is a sum of axial and shear stiffness; of bending (h/L)^2 of it is left, and n
+elements leave 1/n^2 of that: x^T K x rounds to eps |x|^T |K| |x|, of the size of z itself at
+h/L = 1e-6. Element by element, K x is the force of strains, in which what turns rigidly cancels
+before it meets a stiffness: right to eps (l/h)^2, l the length of an element, which 8 elements
+make 4,096 times less. Coordinates, too, are too coarse: nodes that round to eps |q| leave an axial
+force of eps EA. Where forces are in balance to round-off, what Newton's method would add below the
+last digit takes it out (as in `statics.derivatives`).
+
+Inverse iteration on a block finds the modes: such products tell what each leaves, the factorised
+matrix turns it into a correction, and Ritz's method gives the values. Their round-off is told by
+another rounding of coordinates and shapes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias, final
+
+import numpy as np
+import scipy
+
+from ancfdae.errors import AncfdaeError, SingularMatrix
+from ancfdae.modes.linearised import EPS, Linearised
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.linear_solvers import Factorization
+from ancfdae.protocol.saddle_points import solve
+from ancfdae.statics import Balance, stiffness_of_coordinates
+
+# Round-off of z, twice that of a frequency, above which products with the matrix do not do, and
+# above which modes are refused. The bound that decides of the former is 50 times what it bounds.
+_ALLOWED = 2e-6
+# Vectors beside those asked for; with them a sweep gains a digit or more in a beam.
+_GUARDS, _SWEEPS = 8, 60
+# Sweeps end where values change by less of themselves, or of what the matrix would round them by.
+_SETTLED = 1e-7
+# As in `statics.softness`.
+_SHIFT = 1e-14
+# What is stiff: axial forces, 1/n^2 of the diagonal, and neither bending nor rigid motions.
+_STIFF = 1e-10
+# Round-off may be so many times what another rounding changes.
+_MARGIN = 4.0
+# As in `statics.derivatives`.
+_MAGNIFIED = 2.0**17
+
+_TOO_THIN = (
+    "modes that did not converge: the bodies are too thin for their numbers. Use fewer elements, "
+    "or hold free motions by joints or soft springs."
+)
+
+# Values, shapes as columns, and round-off in the values.
+Modes: TypeAlias = tuple[Array, Array, Array]
+
+
+@final
+class NoModes(AncfdaeError):
+    """Modes that did not converge, or that round-off has taken."""
+
+
+@final
+@dataclass(frozen=True)
+class Precise:
+    """K about coordinates q, applied element by element."""
+
+    small: Linearised
+    q: Array
+    stiff: Factorization
+
+    @cached_property
+    def _beyond(self) -> Array:
+        """The correction of q that is below its last digit; zero where forces do not balance."""
+        system, at, none = self.small.system, self.small.at, np.zeros(self.small.system.n_lam)
+        R = system.force(self.q, 0 * self.q, at.t) - system.constraint_force(self.q, at.lam, at.t)
+        balance = Balance(system, at.t, self.q, at.lam)
+        if not balance.is_round_off(R, self.small.K, self.q, at.lam):
+            return 0 * self.q
+        return solve(self.stiff, R, none)[0]
+
+    def times(self, X: Array) -> Array:
+        """Return K X for real columns."""
+        system, at = self.small.system, self.small.at
+        step = _MAGNIFIED * self._beyond
+        product = self._elastic(self.q, X)
+        if np.any(step):
+            slope = self._elastic(self.q + step, X) - self._elastic(self.q - step, X)
+            product = product + slope / (2 * _MAGNIFIED)
+        if system.linear_constraints:
+            return product
+        held = system.constraint_force_q(self.q, at.lam, at.t)
+        return product + system.pattern.dot(held, X)
+
+    def _elastic(self, q: Array, X: Array) -> Array:
+        system, still, t = self.small.system, np.zeros_like(self.q), self.small.at.t
+        rates = [-np.imag(system.force(q + 1j * STEP * x, still, t)) for x in X.T]
+        return np.stack(rates, axis=1) / STEP
+
+    def left(self, X: Array, z: Array) -> Array:
+        """Return M X z - K X."""
+        return self.small.times(self.small.M, X) * z - self.times(X)
+
+
+def precise_modes(small: Linearised, X: Array) -> Modes:
+    """Return as many of the lowest modes of a symmetric pencil as there are columns in X.
+
+    Inverse iteration on a block: x - P^-1 (K x - z M x) is z K^-1 M x where P is K.
+
+    Raises
+    ------
+    NoModes
+        If they do not converge.
+    """
+    count, n = X.shape[1], small.system.n_q
+    factors = _factors(small, _SHIFT)
+    precise = Precise(small, small.at.q, _factors(small, _STIFF))
+    more = min(_GUARDS, small.n_free - count)
+    push = np.random.default_rng(2).standard_normal((n, more))
+    push *= np.sqrt(small.system.weights)[:, None]
+    z, X = _ritz(precise, np.hstack([X, small.solve(factors, push)]))
+    for _ in range(_SWEEPS):
+        last = z[:count]
+        z, X = _ritz(precise, X + small.solve(factors, precise.left(X, z)))
+        change = np.abs(z[:count] - last)
+        sizes = np.abs(last) + small.round_off(small.K, X[:, :count])
+        if np.all(change <= _SETTLED * sizes):
+            z, X = z[:count], X[:, :count]
+            return z, X, np.maximum(_noise(precise, X, z), change)
+    raise NoModes(_TOO_THIN)
+
+
+def _factors(small: Linearised, shift: float) -> Factorization:
+    """Factorise K + shift |diag K|, which rigid motions do not make singular."""
+    system, at = small.system, small.at
+    diagonal = np.arange(system.n_q)
+    P = small.K.copy()
+    stiffness = stiffness_of_coordinates(Balance(system, at.t, at.q, at.lam), small.K)
+    P[system.pattern.index(diagonal, diagonal)] += shift * stiffness
+    try:
+        return small.saddle.factor(P, small.Phi_q)
+    except SingularMatrix as error:
+        raise NoModes(f"modes: {error}.") from error
+
+
+def lost(z: Array, noise: Array) -> Array:
+    """Return the numbers of modes, not rigid, of whose values round-off takes too much."""
+    return np.flatnonzero((z != 0) & (noise > _ALLOWED * np.abs(z)))
+
+
+def refuse_lost(z: Array, noise: Array) -> None:
+    """Refuse modes that are not rigid and whose values round-off moves by too much."""
+    missing = lost(z, noise)
+    if len(missing):
+        j = int(missing[0])
+        raise NoModes(
+            f"mode {j}: round-off moves the square of its frequency by "
+            f"{noise[j] / np.abs(z[j]):.1g} of itself; the body is too thin for its numbers. "
+            "Linearise about an equilibrium (at=equilibrium(...)), where less is lost, or use "
+            "fewer elements."
+        )
+
+
+def _ritz(precise: Precise, Z: Array) -> tuple[Array, Array]:
+    Z = Z / np.sqrt(_squares(precise.small, Z))
+    K, M = Z.T @ precise.times(Z), Z.T @ precise.small.times(precise.small.M, Z)
+    try:
+        z, Y = scipy.linalg.eigh((K + K.T) / 2, (M + M.T) / 2)
+    except scipy.linalg.LinAlgError as error:  # Vectors became one and the same rigid motion.
+        raise NoModes(_TOO_THIN) from error
+    return z, Z @ Y
+
+
+def _noise(precise: Precise, X: Array, z: Array) -> Array:
+    """Round-off in z: what another rounding of the coordinates changes in x^T K x."""
+    q, generator = precise.q, np.random.default_rng(3)
+    other = replace(precise, q=q * (1 + EPS * generator.choice([-1.0, 1.0], q.shape)))
+    # A third of a shape rounds otherwise, too.
+    Y = X * (1 + EPS * generator.choice([-1.0, 1.0], X.shape))
+    moved = 3.0 * np.einsum("ij,ij->j", Y, other.times(Y / 3.0))
+    change = np.abs(moved - np.einsum("ij,ij->j", X, precise.times(X)))
+    return np.asarray(_MARGIN * change + EPS * np.abs(z))
+
+
+def _squares(small: Linearised, X: Array) -> Array:
+    squares: Array = np.maximum(np.einsum("ij,ij->j", X, small.times(small.M, X)), 0.0)
+    return squares
