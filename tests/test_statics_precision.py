@@ -161,8 +161,8 @@ def test_a_column_is_unstable_just_above_the_load_of_euler():
     h = 0.002
     rod = Beam("rod", (0, 0), (1, 0), 16, Rectangle(h, h), Material(1000.0, E, 0.0))
     critical = np.pi**2 / 4 * E * h**4 / 12
-    # Shear and shortening change the load of Euler by (pi h)^2, the mesh by 1e-6. The softest motion
-    # meets -2e-3 (h/L)^2 of the diagonal and less: clear of round-off, 5e-16.
+    # Shear and shortening change the load of Euler by (pi h)^2, the mesh by 1e-6. The softest
+    # motion meets -2e-3 (h/L)^2 of the diagonal and less: clear of round-off, 5e-16.
     for share, stable in ((0.998, True), (1.002, False)):
         push = PointForce(rod.at_end, (-share * critical, 0))
         found = equilibrium(Scene([rod], [Clamp(rod.at_start)], loads=[push]))
