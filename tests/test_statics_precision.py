@@ -145,3 +145,25 @@ def test_a_turning_blade_has_no_modes_at_rest():
     run = simulate(scene, 0.05, HHT(0.01))
     with pytest.raises(InvalidInput, match=r"state at rest.*centrifugal"):
         modes(scene, at=Configuration.of(run))
+
+
+def test_a_force_without_balance_is_told_down_to_round_off():
+    scene, _ = thin(1e-2, 0.1)
+    found = equilibrium(scene)
+    for part in (0.0, 1e-3):
+        at = Configuration(found.q, (1 + part) * found.lam)
+        # Reactions exceed what they balance by a thousandth, of both together half of that.
+        told = modes(scene, 1, at=at).unbalanced
+        assert told == (0.0 if part == 0.0 else pytest.approx(part / 2, rel=0.5))
+
+
+def test_a_column_is_unstable_just_above_the_load_of_euler():
+    h = 0.002
+    rod = Beam("rod", (0, 0), (1, 0), 16, Rectangle(h, h), Material(1000.0, E, 0.0))
+    critical = np.pi**2 / 4 * E * h**4 / 12
+    # Shear and shortening change the load of Euler by (pi h)^2, the mesh by 1e-6. The softest
+    # motion meets -2e-3 (h/L)^2 of the diagonal and less: clear of round-off, 5e-16.
+    for share, stable in ((0.998, True), (1.002, False)):
+        push = PointForce(rod.at_end, (-share * critical, 0))
+        found = equilibrium(Scene([rod], [Clamp(rod.at_start)], loads=[push]))
+        assert (found.outcome.stable_to is None) is stable

@@ -299,6 +299,7 @@ def test_torsion_constants(name, expected):
         (lambda: MomentSection(1.0, 1.0, 1.0, 0.0), "positive"),
         (lambda: PointSection(places=[(0, 0)], areas=[1.0, 1.0]), "shape"),
         (lambda: PointSection(places=[(0, 0)], areas=[-1.0]), "positive sum"),
+        (lambda: PointSection(places=[(0, 0)], areas=[1.0], shear_centre=(0.1,)), "2 components"),
         (lambda: Beam("b", (0, 0, 0), (1, 0, 0), 1, Circle(0.1), STEEL, energy=PlaneStress()), "3"),
         (lambda: Beam("b", (0, 0), (1, 0), 1, Circle(0.1), STEEL, energy="beam"), "StrainEnergy"),
         (lambda: Beam("b", (0, 0), (1, 0), 2, (Circle(0.1), Tube(0.1, 0.01)), STEEL), "sizes only"),

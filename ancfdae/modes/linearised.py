@@ -25,6 +25,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 from ancfdae.protocol import MechanicalSystem, reaction
 from ancfdae.protocol.saddle_points import saddle_point
+from ancfdae.statics import Balance
 
 EPS = float(np.finfo(float).eps)
 # Operations that an entry of K and a product with it go through, with a margin: what is below
@@ -181,8 +182,7 @@ class Linearised:
         held = reaction(system, at.t, at.q, at.lam)
         inverse = 1 / system.weights
         left = norm(Q - held, inverse)
-        # Newton's method leaves some multiples of the round-off of the forces.
-        if left <= 1e3 * system.traits.force_round_off:
+        if Balance(system, at.t, at.q, at.lam).is_round_off(Q - held, self.K, at.q, at.lam):
             return 0.0
         return left / (norm(Q, inverse) + norm(held, inverse))
 

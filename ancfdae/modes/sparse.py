@@ -54,7 +54,9 @@ def _completed(
     count = len(z)
     while small.symmetric:
         more, Y = left(X)
-        missed = sign * more < np.max(z)
+        # One that is found again, by round-off, is no other.
+        again = np.sum((X.T @ small.times(small.M, Y)) ** 2, axis=0)
+        missed = (sign * more < np.max(z)) & (again < 0.5)
         if not np.any(missed):
             break
         z, X = np.append(z, sign * more[missed]), np.hstack([X, Y[:, missed]])

@@ -216,7 +216,7 @@ class Balance:
         """Whether forces left are the round-off of this scene.
 
         Coordinates carry eps |q|, which forces multiply by K, and their sums round; all terms by
-        their magnitude. What stays of R is a tenth of this (docs/measurements.md, section 17).
+        their magnitude. What stays of R is a tenth of this (docs/measurements.md, section 12).
         """
         system, pattern = self.system, self.system.pattern
         blur = pattern.dot(np.abs(K.real), np.abs(q.real))
