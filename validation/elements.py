@@ -25,7 +25,7 @@ from ancfdae import (
     shear_force,
 )
 from ancfdae.plotting import Panel, Series
-from validation import shapes, short_elements
+from validation import shapes, short_elements, thin_beams
 from validation.elements_sections import sections
 from validation.report import Agreement, Report
 
@@ -59,6 +59,7 @@ def run(report: Report, quick: bool) -> None:
     sections(report, quick)
     shapes.fill(report, quick)
     short_elements.fill(report, quick)
+    thin_beams.fill(report, quick)
     report.heading("Verdict")
     report.text(_VERDICT)
     report.heading("Limits")

@@ -1,0 +1,144 @@
+"""Part of the report on the elements: very thin beams, where matrices hold few digits of bending."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ancfdae import (
+    Adjoint,
+    Beam,
+    Circle,
+    Clamp,
+    ComplexStep,
+    Direct,
+    Material,
+    PointForce,
+    Rectangle,
+    Scene,
+    Weld,
+    equilibrium,
+    modes,
+    position,
+    static_gradient,
+)
+from validation.report import Agreement, Report
+
+__all__ = ["cantilever_frequencies", "fill", "thin_cantilever"]
+
+_E, _RHO = 1e9, 1000.0
+
+
+def fill(report: Report, quick: bool) -> None:
+    """Add the tables and their claims."""
+    report.heading("Very thin beams")
+    report.text(
+        "A cantilever of 1 m, E = 1e9 Pa, with 4 or 8 elements. Frequencies in the plane against "
+        "cubic Hermite elements of Euler's beam on the same mesh, pairs of a round bar against each "
+        "other; d ln v/d ln L of the tip under a small force, 3 in theory; and two halves of very "
+        "short elements welded together against Timoshenko's deflection."
+    )
+    slendernesses = (1e-4, 1e-5) if quick else (1e-3, 1e-4, 1e-5, 1e-6)
+    columns = ["frequencies", "pairs", "length: direct", "adjoint", "complex step"]
+    rows, worst = [], np.zeros(5)
+    for slenderness in slendernesses:
+        errors = np.array(
+            [_frequencies(slenderness), _pairs(slenderness), *_length_gradients(slenderness)]
+        )
+        worst = np.maximum(worst, errors)
+        rows.append([f"{slenderness:.0e}", *(f"{x:.1e}" for x in errors)])
+        for name, error in zip(columns, errors, strict=True):
+            report.figure(f"thin.{name.replace(' ', '_')}.{slenderness:.0e}", float(error))
+    report.table(["h/L", *columns], rows)
+    halves = max(_welded_halves(n) for n in ((50,) if quick else (50, 500)))
+    report.figure("thin.halves", halves)
+    # Rotary inertia and shear are (h/L)^2 times ten and less: they count from 1e-3 on.
+    for name, error, limit in (
+        ("Frequencies of thin beams", worst[0], 1e-6 + 10 * max(slendernesses) ** 2),
+        ("Coinciding frequencies of thin round bars", worst[1], 1e-8),
+        ("Gradients in the length of thin beams", float(np.max(worst[2:])), 1e-6 + 1e-6),
+        ("Deflection of welded halves of short elements", halves, 1e-9),
+    ):
+        verdict = Agreement.AGREES if error <= limit else Agreement.DISAGREES
+        report.claim(f"{name} are right to", f"{limit:.0e}", f"{error:.1e}", verdict)
+
+
+def cantilever_frequencies(elements: int) -> npt.NDArray[np.float64]:
+    """Frequencies of a cantilever of cubic elements, in units of sqrt(E I / (rho A L^4))."""
+    l = 1 / elements
+    k = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]) / l**3
+    m = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
+    size = 2 * elements + 2
+    K, M = np.zeros((size, size)), np.zeros((size, size))
+    for element in range(elements):
+        rows = slice(2 * element, 2 * element + 4)
+        K[rows, rows] += k
+        M[rows, rows] += m * l / 420
+    squares: npt.NDArray[np.float64] = scipy.linalg.eigh(K[2:, 2:], M[2:, 2:], eigvals_only=True)
+    return np.sqrt(squares)
+
+
+def thin_cantilever(
+    slenderness: float,
+    elements: int = 8,
+    d: int = 2,
+    nu: float = 0.3,
+    *,
+    free: bool = False,
+    round_bar: bool = False,
+    damping_time: float = 0.0,
+) -> Scene:
+    """A beam of 1 m whose height is `slenderness`, clamped at its start or free."""
+    section = Circle(slenderness / 2) if round_bar else Rectangle(slenderness, slenderness)
+    end = (1.0,) + (0.0,) * (d - 1)
+    material = Material(_RHO, _E, nu, damping_time=damping_time)
+    rod = Beam("rod", (0.0,) * d, end, elements, section, material)
+    return Scene([rod], [] if free else [Clamp(rod.at_start)])
+
+
+def _frequencies(slenderness: float) -> float:
+    """Return the largest error of three frequencies."""
+    found = modes(thin_cantilever(slenderness), 3).frequencies
+    exact = cantilever_frequencies(8)[:3] * np.sqrt(_E * slenderness**2 / 12 / _RHO)
+    return float(np.max(np.abs(found / exact - 1)))
+
+
+def _pairs(slenderness: float) -> float:
+    """Return how far two pairs are apart."""
+    found = modes(thin_cantilever(slenderness, d=3, round_bar=True), 4).frequencies
+    return float(np.max(np.abs(found[1::2] / found[::2] - 1)))
+
+
+def _length_gradients(slenderness: float) -> list[float]:
+    """Return errors of d ln v/d ln L under a force that bends by a millionth, by each method."""
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 4, Rectangle(slenderness, slenderness), _material())
+    force = 1e-6 * 3 * _E * slenderness**4 / 12
+    scene = Scene([rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at_end, (0.0, force))])
+    errors = []
+    for method in (Direct(), Adjoint(), ComplexStep()):
+        found = static_gradient(
+            scene, position(rod.at_end, 1), design=["rod.length"], method=method
+        )
+        errors.append(abs(float(found.gradient[0] / found.value) - 3) / 3)
+    return errors
+
+
+def _welded_halves(elements: int, h: float = 0.05) -> float:
+    """Return the error of the deflection of two halves under a small force."""
+    section, force = Rectangle(h, h), 1e-3
+    first = Beam("first", (0.0, 0.0), (0.5, 0.0), elements, section, _material())
+    second = Beam("second", (0.5, 0.0), (1.0, 0.0), elements, section, _material())
+    joints = [Clamp(first.at_start), Weld(first.at_end, second.at_start)]
+    scene = Scene([first, second], joints, loads=[PointForce(second.at_end, (0.0, force))])
+    found = equilibrium(scene)
+    if not found.outcome.success:
+        return np.inf
+    shear = 10 * (1 + 0.3) / (12 + 11 * 0.3)
+    G = _E / (2 * (1 + 0.3))
+    exact = force / (3 * _E * h**4 / 12) + force / (shear * G * h * h)
+    return abs(float(found.solution.position(second.at_end)[0][1]) / exact - 1)
+
+
+def _material() -> Material:
+    return Material(_RHO, _E, 0.3)
