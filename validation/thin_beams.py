@@ -1,4 +1,4 @@
-"""Part of the report on the elements: very thin beams, where matrices hold few digits of bending."""
+"""Part of the report on the elements: very thin beams, of which matrices hold few digits."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ def fill(report: Report, quick: bool) -> None:
     report.heading("Very thin beams")
     report.text(
         "A cantilever of 1 m, E = 1e9 Pa, with 4 or 8 elements. Frequencies in the plane against "
-        "cubic Hermite elements of Euler's beam on the same mesh, pairs of a round bar against each "
-        "other; d ln v/d ln L of the tip under a small force, 3 in theory; and two halves of very "
+        "cubic Hermite elements of Euler's beam on the same mesh, pairs of a round bar against each"
+        " other; d ln v/d ln L of the tip under a small force, 3 in theory; and two halves of very "
         "short elements welded together against Timoshenko's deflection."
     )
     slendernesses = (1e-4, 1e-5) if quick else (1e-3, 1e-4, 1e-5, 1e-6)
     columns = ["frequencies", "pairs", "length: direct", "adjoint", "complex step"]
     rows, worst = [], np.zeros(5)
     for slenderness in slendernesses:
-        errors = np.array(
-            [_frequencies(slenderness), _pairs(slenderness), *_length_gradients(slenderness)]
-        )
-        worst = np.maximum(worst, errors)
-        rows.append([f"{slenderness:.0e}", *(f"{x:.1e}" for x in errors)])
-        for name, error in zip(columns, errors, strict=True):
+        # Statics ends at h/L = 1e-5: beyond it a cantilever counts as a mechanism, in words.
+        gradients = _length_gradients(slenderness) if slenderness > 5e-6 else []
+        errors = [_frequencies(slenderness), _pairs(slenderness), *gradients]
+        worst[: len(errors)] = np.maximum(worst[: len(errors)], errors)
+        rows.append([f"{slenderness:.0e}", *(f"{x:.1e}" for x in errors), *3 * ["refused"]][:6])
+        for name, error in zip(columns, errors, strict=False):
             report.figure(f"thin.{name.replace(' ', '_')}.{slenderness:.0e}", float(error))
     report.table(["h/L", *columns], rows)
     halves = max(_welded_halves(n) for n in ((50,) if quick else (50, 500)))
@@ -89,7 +89,7 @@ def thin_cantilever(
     round_bar: bool = False,
     damping_time: float = 0.0,
 ) -> Scene:
-    """A beam of 1 m whose height is `slenderness`, clamped at its start or free."""
+    """Return a beam of 1 m whose height is `slenderness`, clamped at its start or free."""
     section = Circle(slenderness / 2) if round_bar else Rectangle(slenderness, slenderness)
     end = (1.0,) + (0.0,) * (d - 1)
     material = Material(_RHO, _E, nu, damping_time=damping_time)
@@ -116,10 +116,9 @@ def _length_gradients(slenderness: float) -> list[float]:
     force = 1e-6 * 3 * _E * slenderness**4 / 12
     scene = Scene([rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at_end, (0.0, force))])
     errors = []
+    tip, length = position(rod.at_end, 1), ["rod.length"]
     for method in (Direct(), Adjoint(), ComplexStep()):
-        found = static_gradient(
-            scene, position(rod.at_end, 1), design=["rod.length"], method=method
-        )
+        found = static_gradient(scene, tip, design=length, method=method)
         errors.append(abs(float(found.gradient[0] / found.value) - 3) / 3)
     return errors
 
