@@ -14,6 +14,7 @@ from ancfdae import (
     Clamp,
     ComplexStep,
     Direct,
+    Direction,
     DistributedForce,
     Drive,
     Guide,
@@ -123,7 +124,7 @@ def test_three_beams_in_a_node_hold_its_section_once():
     assert system.n_lam == 7 + 6 + 6 + 3
     q, _ = system.start()
     values = np.linalg.svd(
-        system.constraint_pattern.dense(system.constraint_q(q, 0.0)), compute_uv=False
+        system.constraint_pattern.dense(system.constraint_q(0.0, q)), compute_uv=False
     )
     assert values[-1] > 0.05
 
@@ -388,7 +389,7 @@ def test_no_joint_of_rigid_bodies_or_of_a_beam_and_one_is_redundant(d):
             system = assemble(Scene(beams, [joint], bodies=bodies))
             rng = np.random.default_rng(1)
             q = system.start()[0] + 0.2 * rng.uniform(-1, 1, system.n_q)
-            rows = system.constraint_pattern.dense(system.constraint_q(q, 0.3))
+            rows = system.constraint_pattern.dense(system.constraint_q(0.3, q))
             assert np.linalg.svd(rows, compute_uv=False)[-1] > 1e-2, name
             checked += 1
     assert checked > 15
@@ -464,12 +465,12 @@ def test_rates_of_forces_see_the_products_of_a_motor_turn():
     rng = np.random.default_rng(0)
     q, v, a, lam = (rng.uniform(-1, 1, n) for n in (*(system.n_q,) * 3, system.n_lam))
     states = system.start()[0] + 0.01 * q, v, a, 1e6 * lam  # reactions as large as stiffnesses
-    ours = system.force_rate_partials(0.3, states, a)
-    for value, expected in zip(
-        ours, MechanicalSystem.force_rate_partials(system, 0.3, states, a), strict=True
-    ):
-        # Sums of a dozen products of numbers of one size.
-        assert np.max(np.abs(value - expected)) <= 1e-13 * max(1.0, np.max(np.abs(expected)))
+    along, mu = Direction(1.0, v, a), rng.uniform(-1, 1, system.n_q)
+    ours = system.along_pull_back(0.3, states, along, mu)
+    derived = MechanicalSystem.along_pull_back(system, 0.3, states, along, mu)
+    for value, expected in zip(ours, derived, strict=True):
+        # Sums of some hundred products of numbers of one size.
+        assert np.max(np.abs(value - expected)) <= 1e-12 * max(1.0, np.max(np.abs(expected)))
 
 
 # ---------------------------------------------------------------- what joints cost

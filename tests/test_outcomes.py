@@ -105,6 +105,7 @@ def test_too_few_iterations_are_told_with_time_and_size():
     assert "did not converge at t = " in str(run.outcome)
 
 
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 def test_where_no_solution_is_near_the_outcome_names_a_step_that_would_do():
     rod = Beam("rod", (0, 0), (1, 0), 8, Rectangle(0.02, 0.02), Material(2700.0, 1e8, 0.3))
     scene = Scene([rod], [Clamp(rod.at_start)], loads=[PointForce(rod.at_end, (0, 1000.0))])
@@ -165,6 +166,7 @@ def worst_defect(scene, run, integrator):
     return worst
 
 
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.StabilityWarning")
 def test_no_accepted_step_is_wrong_however_wild_the_motion():
     # Found by review: measured against an iterate that ran away, corrections looked converged.
     rng, finished = np.random.default_rng(3), 0

@@ -347,7 +347,8 @@ def test_a_search_starts_from_the_states_of_nodes_given():
     there = equilibrium(Scene([beam], joints, (0.0, -G)))
     state = NodeState("rod", there.solution.nodes("rod")[0])
     found = equilibrium(Scene([beam], joints, (0.0, -G), start=[state]))
-    assert found.statistics.iterations <= 3
+    # Those of the path, and two that see corrections stop to shrink.
+    assert found.statistics.iterations <= 4
     np.testing.assert_allclose(found.q, there.q, atol=1e-11)
     assert scene.start == ()
 
@@ -446,11 +447,11 @@ def test_a_free_motion_of_a_system_without_names_is_told_by_coordinates():
         def with_values(self, b):
             return Sliding(self.angle, self.spin, b)
 
-        def constraint(self, t, q):
-            return q[1:]
+        def constraint(self, t, *motion):
+            return motion[-1][1:]
 
-        def constraint_q(self, t, q):
-            return np.array([0.0, 1.0])
+        def constraint_q(self, t, *motion):
+            return np.array([0.0, 1.0]) * (len(motion) == 1)
 
     with pytest.raises(FreeMechanism, match="motion of coordinate 1"):
         equilibrium(Sliding())

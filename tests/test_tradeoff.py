@@ -306,6 +306,7 @@ def test_adjoint_where_it_exists_else_a_row():
     assert "InvalidInput" in table.rows[1].outcome
 
 
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.ManySteps")
 @pytest.mark.parametrize(
     ("damping_time", "t_end", "why"),
     [(0.0, 2.0**-6, ""), (1.0, 2.0**-6, "to be stable"), (1.0, 2.0**-3, "more than 50000 steps")],
