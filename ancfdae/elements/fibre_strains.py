@@ -52,6 +52,9 @@ class Fibres:
         Radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
     stretch : array, shape (n, 2)
         Axial strain that squares of curvatures take off.
+    fade : array, shape (n, 2)
+        What counts, about z and y, of terms that kinks of the axis would make stiff: one in slender
+        elements, nothing in those that are shorter than the radii.
     centroid, shear_centre : array, shape (n, 1, 2)
         y and z of them over l.
     """
@@ -61,6 +64,7 @@ class Fibres:
     factors: Array
     radii: Array
     stretch: Array
+    fade: Array
     centroid: Array
     shear_centre: Array
 
@@ -73,7 +77,8 @@ class Fibres:
         """All of the section in one fibre at the centroid."""
         volume = self.volume.sum(axis=1, keepdims=True)
         places = self.centroid, self.shear_centre
-        return Fibres(self.centroid, volume, self.factors, self.radii, self.stretch, *places)
+        terms = self.factors, self.radii, self.stretch, self.fade
+        return Fibres(self.centroid, volume, *terms, *places)
 
 
 @final
@@ -165,6 +170,7 @@ class Frames:
         if turns and self.is_straight:
             R[..., 0, places.turns[:m]] = -at.stretch[:, None, None, :m]
         if turns:
+            R[..., 0, places.turned] = at.fade[:, None, None, :m] * R[..., 0, places.bending]
             waves = at.factors[:, None, None, 3 : 3 + m] ** shear_power
             R[..., 0, places.waves] = waves * R[..., 0, places.bending]
         return R

@@ -21,7 +21,12 @@ a'_m and c_m at mid-element it is
 
     a.b  ->  X.b - (1 - 2 xi) w.c_m + ((1 - 2 xi)^2 - 1/3) w.b/2:
 
-the mean and a wave, what bending changes along the element. The wave has a factor of its own.
+the mean and a wave, what bending changes along the element. The wave has a factor of its own. What
+a twist changes, for it turns the curvature against the section,
+
+    (1 - 2 xi) a'_m.b/2,
+
+is a product of kinks as well, and fades where elements are shorter than the radius of gyration.
 In the thin limit the bending part is that of the cubic Hermite beam. c_2.b_2 is half the derivative
 of c_2.c_2 and becomes half the difference of its values at the nodes; c_2.b_3 + c_3.b_2 likewise,
 and c_2.b_3 - c_3.b_2, the twist, is constant anyway.
@@ -30,8 +35,8 @@ Two terms in the squares of curvatures and twist, which are linear in g too (`_s
 Turns: what a finite turn of the element takes off curvature and twist is put back as further rows
 of strain, l kappa^2 times the radius of gyration, with a stiffness of their own. Stretch: the axial
 strain of a straight beam is lowered by 3/2 of the squared curvature times the squared radius of
-gyration, so that bending neither shortens the axis nor softens the beam. The latter
-fades where elements are shorter than the radius (`volume.fibres`). Derivations: docs/theory.md, 2.
+gyration, so that bending neither shortens the axis nor softens the beam. It fades likewise
+(`volume.fibres`). Derivations: docs/theory.md, section 2.
 """
 
 from __future__ import annotations
@@ -52,7 +57,7 @@ from ancfdae.numerics.arrays import Array
 class StrainPlaces:
     """Where each strain of a section stands among all of them; that of the axis, a.a, stands first.
 
-    Indices i and j run over y and z. `turns` and `waves` are of assumed strains only.
+    Indices i and j run over y and z. What stands behind `thickness` is of assumed strains only.
     """
 
     bending: Array  # a.b_i, the mean of assumed ones
@@ -61,11 +66,12 @@ class StrainPlaces:
     slopes: Array  # c_i.b_j
     thickness: Array  # c_i.c_j
     turns: Array  # squares of curvatures and twist
-    waves: Array  # assumed curvatures less their means
+    waves: Array  # assumed curvatures less their means, as bending changes them
+    turned: Array  # and as a twist does
 
     def count(self, assumed: bool) -> int:
         """Return how many there are."""
-        return int(self.waves[-1] + 1 if assumed else self.turns[0])
+        return int(self.turned[-1] + 1 if assumed else self.turns[0])
 
 
 @lru_cache(maxsize=2)
@@ -82,7 +88,8 @@ def strain_places(d: int) -> StrainPlaces:
     thickness = np.max(slopes) + 1 + pairs
     turns = np.max(thickness) + 1 + np.arange(turn_count(d))
     waves = np.max(turns) + bending
-    return StrainPlaces(bending, squares, shears, slopes, thickness, turns, waves)
+    turned = np.max(waves) + bending
+    return StrainPlaces(bending, squares, shears, slopes, thickness, turns, waves, turned)
 
 
 @lru_cache(maxsize=16)
@@ -96,6 +103,7 @@ def section_strains(d: int, xi: tuple[float, ...], assumed: bool) -> Array:
         beta[:, at.turns] = _squares(d)
         for i in range(1, d):
             beta[:, at.waves[i - 1]] = without_locking.wave(i)
+            beta[:, at.turned[i - 1]] = without_locking.turned(i)
     beta[:, 0] = _gram(axis.a, axis.a)
     for i in range(1, d):
         beta[:, at.bending[i - 1]] = fields.curvature(i)
@@ -197,6 +205,11 @@ class _Assumed:
         bent = self._ends.axis.a_xi[0] - middle.a_xi
         wave = 0.5 * (s**2 - 1 / 3) * _gram(bent, middle.b[i]) - s * _gram(bent, middle.c[i])
         return np.asarray(wave)
+
+    def turned(self, i: int) -> Array:
+        """Return what a twist changes of it along the element."""
+        change = _gram(self._middle.a_xi, self._middle.b[i])
+        return np.asarray((0.5 - self._xi) * change)
 
     def shear(self, i: int) -> Array:
         return self._linear(self._ends.shear(i))

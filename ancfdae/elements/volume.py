@@ -45,10 +45,10 @@ def fibres(own: Batch) -> Fibres:
     factors = _shared(own, factors, radii)
     places = (x / l[:, None, None] for x in (np.stack([y, z], axis=-1), centroid, shear_centre))
     offsets, centroid, shear_centre = places
-    # It fades in elements that are shorter than the radii.
     ratio = radii[:, :2] ** 2
-    stretch = 1.5 * ratio / (1 + ratio**2)
-    return Fibres(offsets, dA * l[:, None], factors, radii, stretch, centroid, shear_centre)
+    fade = 1 / (1 + ratio**2)
+    sizes_of_terms = radii, 1.5 * ratio * fade, fade
+    return Fibres(offsets, dA * l[:, None], factors, *sizes_of_terms, centroid, shear_centre)
 
 
 def _shared(own: Batch, factors: Array, radii: Array) -> Array:

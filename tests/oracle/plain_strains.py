@@ -23,7 +23,7 @@ def section_slopes(Y, xi, l):
     return (1 - xi) * first + xi * second, (second - first) / l
 
 
-def products(Y, xi, l, assumed, waves):
+def products(Y, xi, l, assumed, waves, fade):
     """Return r_x.r_x, b_i.r_x, b_i.b_j, c_i.r_x, c_i.b_j, c_i.c_j and the squared turns."""
     d = Y.shape[1]
     r_x, r_xx = curve(Y, xi, l)
@@ -36,7 +36,8 @@ def products(Y, xi, l, assumed, waves):
         shear, thickness = (1 - xi) * S[0] + xi * S[1], (1 - xi) * t[0] + xi * t[1]
         middle, c_m = curve(Y, 0.5, l)[1], section_slopes(Y, 0.5, l)[0]
         mean = b @ Y[0] / l
-        bending = mean + waves * ((S[1] - S[0]) / l - c @ r_xx + (c - c_m) @ middle - mean)
+        turned = (c - c_m) @ middle
+        bending = mean + waves * ((S[1] - S[0]) / l - c @ r_xx + turned - mean) - fade * turned
         slopes = 0.5 * ((t[1] - t[0]) / l + c @ b.T - b @ c.T)
         bent = middle @ middle
         if d == 2:
@@ -104,12 +105,13 @@ def strain(Y, Y_o, xi, y, z, l, law):
     offset, m = np.array([y, z])[: d - 1], d - 1
     shears = np.asarray(law["factors"][:m])
     waves, given = np.ones(m), 1.0
+    fade = 1 / (1 + (np.asarray(law["radii"])[:m] / l) ** 4)
     if law["assumed"]:
         # A hundredth of the compliance of shear acts between chord and tangents.
         given, E_G = 0.99, 2 * (1 + law["nu"])
         waves /= np.sqrt(1 + 0.12 * E_G * (np.asarray(law["radii"])[:m] / l / shears) ** 2)
     (stretch, bending, squares, shear, slopes, thick, turns), at_rest = (
-        products(X, xi, l, law["assumed"], waves) for X in (Y, Y_o)
+        products(X, xi, l, law["assumed"], waves, fade) for X in (Y, Y_o)
     )
     stretch_o, bending_o, squares_o, shear_o, slopes_o, thick_o, turns_o = at_rest
     J = gradient(Y_o, xi, y, z, l)
