@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any, ClassVar, Self, TypeAlias, final
 
@@ -141,6 +141,17 @@ class Part(Designable, abc.ABC):
     def points(self) -> tuple[Point, ...]:
         """The points that the part touches, the one that it acts on first."""
         return tuple(self.point_fields().values())
+
+    @property
+    def stands_at(self) -> Point | None:
+        """The point whose place in the reference is the ground, as none was written."""
+        given = self._given()
+        joined = "ground" not in given or given["ground"] is not None or given.get("other")
+        return None if joined else given["point"]
+
+    def on_ground(self, place: Sequence[float]) -> Self:
+        """Return the same part with its ground written."""
+        return replace(self, ground=tuple(place))  # type: ignore[type-var]
 
     @property
     def whole_beam(self) -> str | None:

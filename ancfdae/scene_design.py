@@ -9,7 +9,7 @@ from typing import Self, TypeAlias, TypeVar
 
 import numpy as np
 
-from ancfdae.bodies import BeamBody, Quantity, RigidBody
+from ancfdae.bodies import BeamBody, Point, Quantity, RigidBody
 from ancfdae.design import Designable, DesignVariable, Target, parse_target
 from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.errors import (
@@ -19,8 +19,8 @@ from ancfdae.errors import (
     require_finite,
     require_kind,
     require_text,
-    require_vector,
 )
+from ancfdae.grounds import TARGETS, on_ground, reference_place
 from ancfdae.joints import Joint
 from ancfdae.loads import Load
 from ancfdae.numerics.arrays import Array
@@ -116,8 +116,8 @@ class SceneDesign(Designable):
         """Return the numbers beside those of elements that can be design targets, by parameter.
 
         Of a beam its placement and its initial velocity, of a rigid body its parameters and the
-        same, of joints, loads and point masses their parameters and the places of their points, of
-        the owner ``"scene"`` gravity.
+        same, of joints, loads and point masses their parameters and the places of their points,
+        then the ground where it was left out; of the owner ``"scene"`` gravity.
 
         Raises
         ------
@@ -128,7 +128,8 @@ class SceneDesign(Designable):
             return self.parameters()
         part = self.parts().get(owner)
         if isinstance(part, Part):
-            return part.parameters() | part.point_numbers()
+            own = part.parameters() | part.point_numbers()
+            return own | on_ground(part, self.member).parameters()
         if part is None and owner not in (beam.name for beam in self.beams):
             raise UnknownName("beam, body, joint or load", owner, self.owners())
         start = self.start_of(owner)
@@ -149,7 +150,6 @@ class SceneDesign(Designable):
             return target
         numbers = self.numbers(target.owner)
         if target.indexed not in numbers:
-            self._refuse_default_ground(target)
             beams = (beam for beam in self.beams if beam.name == target.owner)
             names = [name for beam in beams for name in beam.parameter_names()]
             known = [f"{target.owner}.{name}" for name in (*names, *numbers)]
@@ -159,19 +159,25 @@ class SceneDesign(Designable):
             self._check_point_target(part, target)
         return target
 
-    def _refuse_default_ground(self, target: Target) -> None:
-        """Tell how the place of a joint becomes a target where it was not written."""
-        part, (word, _, axis) = self.parts().get(target.owner), target.parameter.partition("_")
-        if not isinstance(part, Joint) or axis not in ("x", "y", "z"):
-            return
-        known = (word, require_vector) in part.design_fields and not part.numbers_of(word)
-        if known and len(part.points) == 1:
-            raise InvalidInput(
-                f"design target {target}",
-                f"the {word} of joint {part.name!r} must be written to be a target",
-                "none: it stands where the point does, and goes with it",
-                f"Give {word}=(...), the place of {part.points[0]} in the reference.",
-            )
+    def place_of(self, point: Point) -> Array:
+        """Return where a point stands in the reference configuration as declared, shape (d,)."""
+        return reference_place(point, self.member)
+
+    def with_grounds(self, targets: Iterable[str]) -> Self:
+        """Return the same scene with every ground written that is a target but was left out.
+
+        It is the place of the point in the reference configuration as declared; so the scene is the
+        same until the target moves. From then on all components of the ground stay.
+        """
+        found = [self.resolve(text) for text in targets]
+        owners = {target.owner for target in found if target.parameter in TARGETS}
+        if not owners:
+            return self
+
+        def written(parts: Iterable[_AnyPart]) -> tuple[_AnyPart, ...]:
+            return tuple(on_ground(x, self.member) if x.name in owners else x for x in parts)
+
+        return replace(self, joints=written(self.joints), loads=written(self.loads))  # type: ignore[type-var]
 
     def is_of_elements(self, target: Target) -> bool:
         """Whether a target names a parameter of elements of a beam."""
@@ -190,7 +196,8 @@ class SceneDesign(Designable):
         ----------
         values : mapping
             ``{"beam.parameter": value}`` or ``{"beam.parameter[element]": value}``; a
-            `DesignVariable` as a key moves all its targets.
+            `DesignVariable` as a key moves all its targets. A ``ground_x`` of a joint whose ground
+            was left out writes the ground: its other components stay where the point stands now.
 
         Returns
         -------
@@ -203,9 +210,8 @@ class SceneDesign(Designable):
             Naming the variable or target whose value a part cannot take, such as a negative height.
         """
         require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
-        return self._changed(
-            change for key, value in values.items() for change in self._changes(key, value)
-        )
+        changes = [change for key, value in values.items() for change in self._changes(key, value)]
+        return self.with_grounds(str(target) for _, target, _ in changes)._changed(changes)
 
     def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
         """Return (what errors name, target, value) of everything that a value changes."""
@@ -383,6 +389,7 @@ def _differ(values: list[float]) -> bool:
     return max(values) - min(values) > _SAME * max(map(abs, values))
 
 
+_AnyPart = TypeVar("_AnyPart", bound=Part)
 _Numbered = TypeVar("_Numbered", bound=Designable)
 
 

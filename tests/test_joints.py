@@ -808,13 +808,3 @@ def test_a_clamp_of_oblique_slopes_feels_turns_and_shear_but_no_stretch_of_the_s
         np.testing.assert_allclose(felt(stretch), 0, atol=1e-14)
     tilt = np.outer(normal, y)
     np.testing.assert_allclose(felt(tilt), [slopes[0] @ y, slopes[1] @ y, 0, 0], atol=1e-14)
-
-
-@pytest.mark.parametrize("joint", [Pin, Clamp])
-def test_a_ground_that_was_not_written_is_told_how_to_become_a_target(joint):
-    rod = beams(2)[0]
-    scene = Scene([rod], [joint(rod.at_start, name="foot")])
-    with pytest.raises(InvalidInput, match=r"foot.ground_x: .*must be written.* Give ground="):
-        assemble(scene, ["foot.ground_x"])
-    written = Scene([rod], [joint(rod.at_start, name="foot", ground=(0.1, 0.2))])
-    assert assemble(written, ["foot.ground_x"]).b == [0.1]

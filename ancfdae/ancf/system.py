@@ -56,6 +56,7 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
     """
     require_kind("scene", scene, (Scene,), "Call Scene(...).")
     variables = as_design(design)
+    scene = scene.with_grounds(text for variable in variables for text in variable.targets)
     mapping = parameter_map(scene, variables)
     return AncfSystem(scene, variables, mapping, mapping.nominal)
 

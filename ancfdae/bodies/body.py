@@ -109,6 +109,18 @@ class BeamBody(Placed):
     def reference(self) -> ReferenceShape:
         """Return the reference configuration."""
 
+    def at_origin(self, point: Point) -> Array:
+        """Return the place of a point from the vectors at both ends of its element."""
+        shape, n_s = self.reference(), self.element.n_s
+        fraction = require_fraction(str(point), point.fraction)
+        k, xi = locate(shape.fractions, fraction, point.before)
+        l, start = shape.lengths[k], shape.lengths[:k] @ shape.chords[:k]
+        ends = np.stack([start, start + l * shape.chords[k]])
+        X = np.concatenate([ends[:, None], shape.slopes[k : k + 2, : n_s - 1]], axis=1)
+        w, p = self.element.vector_weights(Quantity.POSITION, xi, point.y, point.z)
+        place: Array = (w * l**p) @ X.reshape(2 * n_s, self.dimension)
+        return place
+
     @abc.abstractmethod
     def with_length(self, length: float) -> BeamBody:
         """Return the same beam, stretched from its start to another total length."""

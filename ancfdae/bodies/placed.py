@@ -44,6 +44,10 @@ class Placed(abc.ABC):
     def with_place(self, place: Sequence[float]) -> Self:
         """Return the same body, moved to another place."""
 
+    @abc.abstractmethod
+    def at_origin(self, point: Point) -> Array:
+        """Return the place of a point of the body where it stands at the origin, not turned."""
+
     @property
     def attached(self) -> Point | None:
         """The point of another body that it starts at, None if it stands at a place."""

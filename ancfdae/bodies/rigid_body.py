@@ -142,6 +142,11 @@ class RigidBody(Placed, Designable):
             return np.eye(self.dimension)
         return orthonormal(np.asarray(self.frame, dtype=float))
 
+    def at_origin(self, point: Point) -> Array:
+        """Return the place of a point along the axes."""
+        place: Array = np.array([point.x, point.y, point.z])[: self.dimension] @ self.directions()
+        return place
+
     def moments(self, p: Array) -> Array:
         """Return the integral of [1, x] [1, x]^T dm, x in the axes of the body: (d + 1, d + 1).
 

@@ -36,8 +36,7 @@ class AxisJoint(Joint):
     it. What a section holds of it is a matter of the section, not of the centre line, which may
     shear against it; in the section no shear is left. Where the axis lies neither in the section of
     the point nor in that of `other`, the section of `other` keeps at right angles to the centre
-    line, too. Design targets: ``axis_x``, ``axis_y``, ``axis_z``, and ``ground_x`` ... where
-    `ground` is given.
+    line, too. Design targets: ``axis_x``, ``axis_y``, ``axis_z``, and ``ground_x`` ... to ground.
 
     Parameters
     ----------
@@ -49,7 +48,7 @@ class AxisJoint(Joint):
         to ground.
     ground : sequence of float, optional
         Place on the ground, not with `other`; by default where the point is in the reference
-        configuration.
+        configuration, see `Pin`.
     name : str, optional
         By default ``kind(beam@fraction)``.
     """

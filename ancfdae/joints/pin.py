@@ -18,7 +18,7 @@ class Pin(Joint):
     """Hold a point of a beam to ground or to a point of another beam.
 
     The constraint is r(point) - r(other) = 0, or r(point) - ground = 0. Design targets:
-    ``ground_x``, ``ground_y``(, ``ground_z``) where `ground` is given.
+    ``ground_x``, ``ground_y``(, ``ground_z``) to ground.
 
     Parameters
     ----------
@@ -26,7 +26,8 @@ class Pin(Joint):
     other : Point, optional
         Point of another beam; without it the joint holds to ground.
     ground : sequence of float, optional
-        Place on the ground; by default where the point is in the reference configuration.
+        Place on the ground; by default where the point is in the reference configuration, also
+        where other design variables move it, until a target such as ``ground_x`` writes it.
     name : str, optional
         By default ``pin(beam@fraction)``.
     """
