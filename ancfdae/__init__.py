@@ -1,7 +1,164 @@
 """First-order design sensitivities of flexible multibody systems in ANCF."""
 
-from ancfdae.ancf import AncfSystem, assemble
-from ancfdae.api import (
+from ancfdae.assembly import AncfSystem, assemble
+from ancfdae.equations import (
+    ComplexStepSystem,
+    Conformance,
+    Direction,
+    EstimatedErrors,
+    MechanicalSystem,
+    Sensitivities,
+    Solution,
+    Statistics,
+    Traits,
+    check_system,
+)
+from ancfdae.equations.files import NotSaved
+from ancfdae.errors import (
+    AncfdaeError,
+    FailedDesign,
+    InconsistentStart,
+    Interrupted,
+    InvalidInput,
+    ManySteps,
+    MissingPackage,
+    Outcome,
+    RedundantConstraints,
+    StabilityWarning,
+    UnknownName,
+    Verdict,
+)
+from ancfdae.integrators import (
+    HHT,
+    IDA,
+    IDAS,
+    ControlledSteps,
+    Explicit,
+    FixedSteps,
+    GivenSteps,
+    IndexReduction,
+    Integrator,
+)
+from ancfdae.model.bodies import (
+    Beam,
+    BodyShape,
+    CurvedBeam,
+    Point,
+    RigidBody,
+    RigidBox,
+    RigidCylinder,
+    RigidSphere,
+)
+from ancfdae.model.design import DesignVariable, distribution
+from ancfdae.model.elements import (
+    BEAM_2D,
+    BEAM_3D,
+    CABLE_2D,
+    EnhancedContinuum,
+    PlaneStress,
+    SaintVenantKirchhoff,
+    StrainEnergy,
+)
+from ancfdae.model.joints import (
+    Clamp,
+    Cylindrical,
+    Distance,
+    Drive,
+    Guide,
+    Joint,
+    MovingBase,
+    Pin,
+    PlanarJoint,
+    PointOnLine,
+    Prismatic,
+    Revolute,
+    Spherical,
+    Universal,
+    Weld,
+)
+from ancfdae.model.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
+from ancfdae.model.loads import (
+    Bushing,
+    DistributedForce,
+    FollowerForce,
+    JointFriction,
+    Load,
+    Moment,
+    PointForce,
+    SlideFriction,
+    SpringDamper,
+    Torque,
+    TorsionSpring,
+)
+from ancfdae.model.material import Material
+from ancfdae.model.point_mass import PointMass
+from ancfdae.model.scene import Scene
+from ancfdae.model.sections import (
+    Box,
+    Circle,
+    ISection,
+    MomentSection,
+    PointSection,
+    Rectangle,
+    Section,
+    Tube,
+)
+from ancfdae.model.starts import AtRest, NodeState, RigidMotion
+from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
+from ancfdae.numerics.patterns import Pattern
+from ancfdae.sensitivity import (
+    Adjoint,
+    ComplexStep,
+    ContinuousAdjoint,
+    Direct,
+    FiniteDifference,
+    Gradient,
+    UnfinishedRun,
+)
+from ancfdae.sensitivity.objectives import (
+    AtTimes,
+    Integral,
+    NonFiniteObjective,
+    Objective,
+    SmoothMaximum,
+    Terminal,
+    UpperMaximum,
+)
+from ancfdae.sensitivity.observables import (
+    Observable,
+    angular_momentum,
+    apply,
+    axial_force,
+    axial_strain,
+    bending_moment,
+    centre_of_mass,
+    custom,
+    deflection,
+    design_value,
+    drive_torque,
+    elapsed_time,
+    guide_force,
+    inertia,
+    joint_power,
+    kinetic_energy,
+    linear_momentum,
+    load_power,
+    mass,
+    maximum_stress,
+    multiplier,
+    observe,
+    position,
+    reaction,
+    shear_force,
+    slope,
+    slope_angle,
+    strain_energy,
+    torque,
+    velocity,
+    von_mises,
+)
+from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
+from ancfdae.studies import (
     AdjointError,
     ErrorBars,
     Evaluate,
@@ -35,161 +192,6 @@ from ancfdae.api import (
     taylor_test,
     tradeoff,
 )
-from ancfdae.bodies import (
-    Beam,
-    BodyShape,
-    CurvedBeam,
-    Point,
-    RigidBody,
-    RigidBox,
-    RigidCylinder,
-    RigidSphere,
-)
-from ancfdae.design import DesignVariable, distribution
-from ancfdae.elements import (
-    BEAM_2D,
-    BEAM_3D,
-    CABLE_2D,
-    EnhancedContinuum,
-    PlaneStress,
-    SaintVenantKirchhoff,
-    StrainEnergy,
-)
-from ancfdae.errors import (
-    AncfdaeError,
-    FailedDesign,
-    InconsistentStart,
-    Interrupted,
-    InvalidInput,
-    ManySteps,
-    MissingPackage,
-    Outcome,
-    RedundantConstraints,
-    StabilityWarning,
-    UnknownName,
-    Verdict,
-)
-from ancfdae.files import NotSaved
-from ancfdae.integrators import (
-    HHT,
-    IDA,
-    IDAS,
-    ControlledSteps,
-    Explicit,
-    FixedSteps,
-    GivenSteps,
-    IndexReduction,
-    Integrator,
-)
-from ancfdae.joints import (
-    Clamp,
-    Cylindrical,
-    Distance,
-    Drive,
-    Guide,
-    Joint,
-    MovingBase,
-    Pin,
-    PlanarJoint,
-    PointOnLine,
-    Prismatic,
-    Revolute,
-    Spherical,
-    Universal,
-    Weld,
-)
-from ancfdae.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
-from ancfdae.loads import (
-    Bushing,
-    DistributedForce,
-    FollowerForce,
-    JointFriction,
-    Load,
-    Moment,
-    PointForce,
-    SlideFriction,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-)
-from ancfdae.material import Material
-from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
-from ancfdae.numerics.patterns import Pattern
-from ancfdae.objectives import (
-    AtTimes,
-    Integral,
-    NonFiniteObjective,
-    Objective,
-    SmoothMaximum,
-    Terminal,
-    UpperMaximum,
-)
-from ancfdae.observables import (
-    Observable,
-    angular_momentum,
-    apply,
-    axial_force,
-    axial_strain,
-    bending_moment,
-    centre_of_mass,
-    custom,
-    deflection,
-    design_value,
-    drive_torque,
-    elapsed_time,
-    guide_force,
-    inertia,
-    joint_power,
-    kinetic_energy,
-    linear_momentum,
-    load_power,
-    mass,
-    maximum_stress,
-    multiplier,
-    observe,
-    position,
-    reaction,
-    shear_force,
-    slope,
-    slope_angle,
-    strain_energy,
-    torque,
-    velocity,
-    von_mises,
-)
-from ancfdae.point_mass import PointMass
-from ancfdae.protocol import (
-    Direction,
-    EstimatedErrors,
-    MechanicalSystem,
-    Sensitivities,
-    Solution,
-    Statistics,
-    Traits,
-)
-from ancfdae.scene import Scene
-from ancfdae.sections import (
-    Box,
-    Circle,
-    ISection,
-    MomentSection,
-    PointSection,
-    Rectangle,
-    Section,
-    Tube,
-)
-from ancfdae.sensitivity import (
-    Adjoint,
-    ComplexStep,
-    ContinuousAdjoint,
-    Direct,
-    FiniteDifference,
-    Gradient,
-    UnfinishedRun,
-)
-from ancfdae.starts import AtRest, NodeState, RigidMotion
-from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
-from ancfdae.user_systems import ComplexStepSystem, Conformance, check_system
 
 __version__ = "0.1.0"
 

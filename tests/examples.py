@@ -15,7 +15,7 @@ from typing import Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from ancfdae import Harmonic, InvalidInput, Law, Point, RigidBody, Scene, assemble, laws
-from ancfdae.joints import DrivenJoint, Equations
+from ancfdae.model.joints import DrivenJoint, Equations
 
 #: Oblique and of no special length.
 ARROW = (0.6, -0.8, 0.3)

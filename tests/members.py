@@ -5,8 +5,8 @@ A term with its arguments, time first; a `_total` takes the derivatives of the s
 
 import numpy as np
 
-from ancfdae.ancf.system import AncfSystem
-from ancfdae.protocol.held import (
+from ancfdae.assembly.system import AncfSystem
+from ancfdae.equations.held import (
     acceleration_side,
     force_total,
     held_pull_back,
@@ -14,7 +14,7 @@ from ancfdae.protocol.held import (
     jerk_side,
     velocity_side,
 )
-from ancfdae.protocol.system import Direction, reaction, reaction_along
+from ancfdae.equations.system import Direction, reaction, reaction_along
 
 __all__ = [
     "acceleration_side",

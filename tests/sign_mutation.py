@@ -23,7 +23,7 @@ from ancfdae import (
     assemble,
     check_system,
 )
-from ancfdae.user_systems.derived import members
+from ancfdae.equations.derived import members
 
 from mechanisms import GuidedDoublePendulum
 

@@ -56,9 +56,9 @@ from ancfdae import (
     taylor_test,
     velocity,
 )
-from ancfdae.api import cheapest
 from ancfdae.errors import PassFailed, SingularMatrix, Verdict
 from ancfdae.integrators import Seeds
+from ancfdae.studies import cheapest
 from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum

@@ -28,8 +28,8 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.observables import states_of
 from ancfdae.sensitivity.continuous_adjoint import _BackwardRun, _with_smooth_multipliers
+from ancfdae.sensitivity.observables import states_of
 
 from mechanisms import GuidedDoublePendulum
 

@@ -68,17 +68,17 @@ from ancfdae import (
     assemble,
     distribution,
 )
-from ancfdae.elements import ALL_ELEMENTS, BeamElement, ElementParameter
+from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.integrators.hht.equations import Coefficients
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.start import consistent_start, start_sensitivity
+from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
 from ancfdae.numerics import linear_solvers
 from ancfdae.numerics.extrapolation import real_derivative
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.numerics.patterns import Pattern
-from ancfdae.protocol.saddle_points import saddle_point
 
 from oracle import plain_ancf as ancf
 from oracle import plain_cable

@@ -5,9 +5,9 @@ import pytest
 from test_strain_energies import arc, kind_of, straight
 
 from ancfdae import BEAM_2D, BEAM_3D, EnhancedContinuum, PointSection
-from ancfdae.elements import Batch, ElementParameter
-from ancfdae.elements.elastic import energy
-from ancfdae.elements.invariants import prepare
+from ancfdae.model.elements import Batch, ElementParameter
+from ancfdae.model.elements.elastic import energy
+from ancfdae.model.elements.invariants import prepare
 
 from oracle import plain_strains
 

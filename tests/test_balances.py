@@ -40,9 +40,9 @@ from ancfdae import (
     equilibrium,
     simulate,
 )
-from ancfdae.elements import Batch, ElementParameter
-from ancfdae.elements.element import SectionPlace
-from ancfdae.observables import States, observe, reaction
+from ancfdae.model.elements import Batch, ElementParameter
+from ancfdae.model.elements.element import SectionPlace
+from ancfdae.sensitivity.observables import States, observe, reaction
 
 from oracle import plain_rod, plain_strains
 

@@ -37,7 +37,7 @@ from ancfdae import (
     simulate,
     slope,
 )
-from ancfdae.elements import ALL_ELEMENTS
+from ancfdae.model.elements import ALL_ELEMENTS
 
 STRIP = Rectangle(height=0.02, width=0.05)
 SOFT = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.3)

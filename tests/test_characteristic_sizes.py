@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ancfdae import ComplexStepSystem, Traits
+from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import consistent_start
-from ancfdae.protocol.saddle_points import saddle_point
 
 from mechanisms import CartesianPendulum, chain
 

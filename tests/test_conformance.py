@@ -23,7 +23,7 @@ from ancfdae import (
     assemble,
     check_system,
 )
-from ancfdae.user_systems.derived import Related, is_value, members
+from ancfdae.equations.derived import Related, is_value, members
 from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum, GuidedDoublePendulum, WhirlingPendulum, WrittenPendulum

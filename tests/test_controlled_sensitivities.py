@@ -26,11 +26,11 @@ from ancfdae import (
     position,
     simulate,
 )
+from ancfdae.equations import DesignPartials
 from ancfdae.errors import Verdict
 from ancfdae.integrators.step_control import controlled
 from ancfdae.integrators.step_control import derivative_sizes as sizing
 from ancfdae.integrators.step_control.tolerance import Tolerance
-from ancfdae.protocol import DesignPartials
 from validation.external.slider_crank import SliderCrank
 from validation.scenes import crank_slider, pendulum
 

@@ -18,7 +18,7 @@ from ancfdae import (
     equilibrium,
     modes,
 )
-from ancfdae.observables import observe, shear_force, torque
+from ancfdae.sensitivity.observables import observe, shear_force, torque
 
 from oracle import plain_rod
 

@@ -28,7 +28,7 @@ from ancfdae import (
     position,
     simulate,
 )
-from ancfdae.elements import Quantity
+from ancfdae.model.elements import Quantity
 
 FLAT = Rectangle(0.05, 0.04)
 SOFT = Material(1000.0, 1e6, 0.3)

@@ -33,7 +33,7 @@ from ancfdae import (
     gradients,
     simulate,
 )
-from ancfdae.observables import (
+from ancfdae.sensitivity.observables import (
     States,
     drive_torque,
     guide_force,

@@ -21,7 +21,7 @@ from ancfdae import (
     gradient,
     position,
 )
-from ancfdae.api.error_bars import _resolved
+from ancfdae.studies.error_bars import _resolved
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.scenes import pendulum
 

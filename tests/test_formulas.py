@@ -83,9 +83,9 @@ from ancfdae import (
     strain_energy,
     suggest_step,
 )
-from ancfdae.observables import States
 from ancfdae.plotting.fields import StrainEnergyDensity
 from ancfdae.plotting.mechanism import mechanism
+from ancfdae.sensitivity.observables import States
 
 from oracle.newton_euler import (
     Action,
@@ -842,7 +842,7 @@ class TestAngles:
         assert np.allclose(squares.gradient, slopes, rtol=1e-4)
 
     def test_observations_follow_every_step(self, monkeypatch):
-        monkeypatch.setattr("ancfdae.api.long_runs._NUMBERS", 500)
+        monkeypatch.setattr("ancfdae.studies.long_runs._NUMBERS", 500)
         system, angle = self.system()
         at = [0.1, 0.12, 0.5, 0.8]
         seen = observations(system, [angle, 2.0 * angle], self.t_end, HHT(0.01), at=at)

@@ -38,7 +38,7 @@ from ancfdae import (
     distribution,
     position,
 )
-from ancfdae.joints import Joint
+from ancfdae.model.joints import Joint
 
 ROD = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.05, 0.04), Material(1e3, 1e7, 0.3))
 TIP = position(ROD.at_end, 0)

@@ -38,7 +38,7 @@ from ancfdae import (
     taylor_test,
     tradeoff,
 )
-from ancfdae.elements import BEAM_2D, CABLE_2D
+from ancfdae.model.elements import BEAM_2D, CABLE_2D
 
 STRIP, SOFT = Rectangle(0.04, 0.03), Material(2000.0, 1e8, 0.3)
 DESIGN = ["crank.length", "bearing.ground_y", "slot.through_y", "elbow.other_fraction"]

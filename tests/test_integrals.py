@@ -39,8 +39,8 @@ from ancfdae import (
 from ancfdae.integrators.integrand import Points
 from ancfdae.integrators.quadrature import KRONROD, SHARES
 from ancfdae.integrators.sundials.step_points import _between, _panels
-from ancfdae.objectives.totals import Total
-from ancfdae.observables import elapsed_time, states_of
+from ancfdae.sensitivity.objectives.totals import Total
+from ancfdae.sensitivity.observables import elapsed_time, states_of
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.scenes import crank_slider
 

@@ -13,7 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ancfdae.elements import (
+from ancfdae.errors import InvalidInput
+from ancfdae.kernels import gram, strain, stressed
+from ancfdae.model.elements import (
     ALL_ELEMENTS,
     CABLE_2D,
     Batch,
@@ -23,10 +25,8 @@ from ancfdae.elements import (
     elastic,
     invariants,
 )
-from ancfdae.elements.invariants import prepare
-from ancfdae.errors import InvalidInput
-from ancfdae.kernels import gram, strain, stressed
-from ancfdae.sections import Rectangle
+from ancfdae.model.elements.invariants import prepare
+from ancfdae.model.sections import Rectangle
 
 from oracle import plain_ancf as ancf
 from oracle import plain_cable

@@ -182,7 +182,7 @@ class Pose:
 
 
 class SpaceElement:
-    from ancfdae.elements import Quantity
+    from ancfdae.model.elements import Quantity
 
     d, quantities = 3, tuple(Quantity)
 

@@ -45,7 +45,7 @@ from ancfdae import (
     position,
     simulate,
 )
-from ancfdae.joints import Joint
+from ancfdae.model.joints import Joint
 
 # ---------------------------------------------------------------- statics of frames
 

@@ -75,11 +75,11 @@ from ancfdae import (
     joints,
     simulate,
 )
-from ancfdae.ancf.rigidity import Rigidity
+from ancfdae.assembly.rigidity import Rigidity
 from ancfdae.errors import InvalidInput
-from ancfdae.joints import DrivenJoint, Joint
-from ancfdae.joints.frames import Section, across, unit
-from ancfdae.parts import Normal
+from ancfdae.model.joints import DrivenJoint, Joint
+from ancfdae.model.joints.frames import Section, across, unit
+from ancfdae.model.parts import Normal
 
 # Derivatives along a curve: an interpolant of degree DEGREE at Chebyshev points of [t - WINDOW,
 # t + WINDOW]. Truncation: the curve is cubic and laws have frequencies below 4 rad/s, so that

@@ -9,22 +9,22 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = "A layer of ancfdae imports only from those below it"
+LAYERS = "A room of ancfdae imports only from those below it"
 INJECTIONS = [
-    ("scene.py", "from ancfdae.integrators.integrator import Integrator", LAYERS),
-    ("scene.py", "from ancfdae.protocol.system import MechanicalSystem", LAYERS),
-    ("scene.py", "import matplotlib", "Only ancfdae.plotting imports matplotlib"),
-    ("joints/joint.py", "from ancfdae.protocol.system import MechanicalSystem", LAYERS),
-    ("integrators/hht/method.py", "from ancfdae.observables import position", LAYERS),
+    ("model/scene.py", "from ancfdae.integrators.integrator import Integrator", LAYERS),
+    ("model/scene.py", "from ancfdae.equations.system import MechanicalSystem", LAYERS),
+    ("model/scene.py", "import matplotlib", "Only ancfdae.plotting imports matplotlib"),
+    ("model/joints/joint.py", "from ancfdae.equations.system import MechanicalSystem", LAYERS),
+    ("integrators/hht/method.py", "from ancfdae.sensitivity.observables import position", LAYERS),
     (
-        "ancf/parameters.py",
-        "from ancfdae.protocol import MechanicalSystem",
+        "assembly/parameters.py",
+        "from ancfdae.equations import MechanicalSystem",
         "Of the assembler only the assembled system knows the protocol",
     ),
     (
         "sensitivity/direct.py",
-        "from ancfdae.scene import Scene",
-        "Integrators and sensitivity methods know the protocol, no scene and no beam",
+        "from ancfdae.model.scene import Scene",
+        "Integrators and sensitivity methods know the equations, no scene and no beam",
     ),
     (
         "numerics/arrays.py",
@@ -32,14 +32,14 @@ INJECTIONS = [
         "The library does not know its validation reports",
     ),
     (
-        "user_systems/probe.py",
+        "equations/probe.py",
         "import sksundae",
         "Only ancfdae.integrators.sundials.ida imports sksundae",
     ),
     (
-        "api/responses.py",
+        "studies/responses.py",
         "import openmdao",
-        "Only ancfdae.openmdao imports openmdao",
+        "Only ancfdae.studies.openmdao imports openmdao",
     ),
     ("integrators/start.py", "from ancfdae.integrators import hht", "Layers of the integrators"),
     (
@@ -54,12 +54,27 @@ INJECTIONS = [
     ),
     ("statics/balance.py", "from ancfdae.statics import softness", "Layers of statics"),
     ("statics/balance.py", "from ancfdae.integrators import HHT", LAYERS),
-    ("ancf/vectors.py", "from ancfdae.ancf import system", "Layers of the assembler"),
+    ("assembly/vectors.py", "from ancfdae.assembly import system", "Layers of the assembler"),
+    (
+        "model/laws/law.py",
+        "from ancfdae.model.loads import PointForce",
+        "Layers of the model",
+    ),
+    (
+        "equations/system.py",
+        "from ancfdae.equations.proof import prove",
+        "Layers of the equations",
+    ),
+    (
+        "sensitivity/observables/mass.py",
+        "from ancfdae.sensitivity.objectives import Integral",
+        "Layers of the sensitivities",
+    ),
     ("modes/dense.py", "from ancfdae.modes.solver import solve", "Layers of modes"),
     (
         "modes/solver.py",
-        "from ancfdae.scene import Scene",
-        "Integrators and sensitivity methods know the protocol, no scene and no beam",
+        "from ancfdae.model.scene import Scene",
+        "Integrators and sensitivity methods know the equations, no scene and no beam",
     ),
 ]
 

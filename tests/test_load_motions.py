@@ -42,7 +42,7 @@ from ancfdae import (
     simulate,
     taylor_test,
 )
-from ancfdae.loads.sections import turn
+from ancfdae.model.loads.sections import turn
 
 from oracle import plain_ancf as ancf
 

@@ -49,9 +49,9 @@ from ancfdae import (
     loads,
     simulate,
 )
-from ancfdae.bodies import Quantity
-from ancfdae.elements import ElementParameter
-from ancfdae.loads import Load
+from ancfdae.model.bodies import Quantity
+from ancfdae.model.elements import ElementParameter
+from ancfdae.model.loads import Load
 
 from oracle import plain_ancf as ancf
 

@@ -17,9 +17,9 @@ from ancfdae import (
     simulate,
     simulate_thinned,
 )
-from ancfdae.api import long_runs
-from ancfdae.bodies import Point
-from ancfdae.observables import states_of
+from ancfdae.model.bodies import Point
+from ancfdae.sensitivity.observables import states_of
+from ancfdae.studies import long_runs
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum

@@ -20,7 +20,7 @@ from ancfdae import (
     assemble,
     mass_properties,
 )
-from ancfdae.observables import (
+from ancfdae.sensitivity.observables import (
     States,
     angular_momentum,
     centre_of_mass,

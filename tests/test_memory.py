@@ -32,7 +32,7 @@ from ancfdae import (
     reaction,
     simulate,
 )
-from ancfdae.bodies import Point
+from ancfdae.model.bodies import Point
 from ancfdae.sensitivity.checkpointed import division, size_of
 from validation.performance.scale import cantilever
 from validation.scenes import pendulum

@@ -28,7 +28,14 @@ from ancfdae import (
     gradient,
     simulate,
 )
-from ancfdae.observables import elapsed_time, mass, observe, position, reaction, slope_angle
+from ancfdae.sensitivity.observables import (
+    elapsed_time,
+    mass,
+    observe,
+    position,
+    reaction,
+    slope_angle,
+)
 
 RUBBER = Material(density=1100.0, youngs_modulus=2e6, poisson_ratio=0.3, damping_time=2e-3)
 STEP, END = 2**-7, 0.5

@@ -19,7 +19,7 @@ from ancfdae import (
     UnknownName,
     assemble,
 )
-from ancfdae.objectives import (
+from ancfdae.sensitivity.objectives import (
     AtTimes,
     Integral,
     NonFiniteObjective,
@@ -28,7 +28,7 @@ from ancfdae.objectives import (
     Terminal,
     UpperMaximum,
 )
-from ancfdae.observables import (
+from ancfdae.sensitivity.observables import (
     States,
     apply,
     custom,

@@ -30,7 +30,7 @@ from ancfdae import (
     differentiate,
     simulate,
 )
-from ancfdae.observables import (
+from ancfdae.sensitivity.observables import (
     Leaf,
     States,
     angular_momentum,
@@ -63,8 +63,8 @@ from ancfdae.observables import (
     velocity,
     von_mises,
 )
-from ancfdae.observables.functions import _FUNCTIONS
-from ancfdae.observables.mass import MassIntegral
+from ancfdae.sensitivity.observables.functions import _FUNCTIONS
+from ancfdae.sensitivity.observables.mass import MassIntegral
 from validation import scenes
 
 from mechanisms import CartesianPendulum

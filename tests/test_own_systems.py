@@ -23,9 +23,9 @@ from ancfdae import (
     simulate,
     sweep,
 )
+from ancfdae.equations import Direction, reaction
+from ancfdae.equations.held import held_q
 from ancfdae.numerics.extrapolation import real_derivative
-from ancfdae.protocol import Direction, reaction
-from ancfdae.protocol.held import held_q
 
 from mechanisms import CarAxis, CartesianPendulum, GuidedDoublePendulum, WrittenPendulum
 

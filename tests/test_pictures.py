@@ -61,7 +61,6 @@ from ancfdae import (
     strain_energy,
     von_mises,
 )
-from ancfdae.observables import states_of
 from ancfdae.plotting import (
     AxialForce,
     BendingMoment,
@@ -82,6 +81,7 @@ from ancfdae.plotting.glyphs import Glyphs
 from ancfdae.plotting.mechanism import mechanism
 from ancfdae.plotting.page import page_data
 from ancfdae.plotting.shapes import BeamMesh
+from ancfdae.sensitivity.observables import states_of
 
 STEEL = Material(2700, 1e8, 0.3)
 DESIGN = ["rod.height", "rod.length"]

@@ -238,7 +238,7 @@ def test_openmdao_finds_its_partials_right():
     om = pytest.importorskip("openmdao.api", reason="needs openmdao: pip install ancfdae[openmdao]")
     from openmdao.utils.assert_utils import assert_check_partials
 
-    from ancfdae.openmdao import ResponsesComponent
+    from ancfdae.studies.openmdao import ResponsesComponent
 
     problem = om.Problem(reports=False)
     problem.model.add_subsystem("rod", ResponsesComponent(responses=responses()), promotes=["*"])
@@ -264,9 +264,9 @@ def test_openmdao_that_is_missing_is_named(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "openmdao", None)
     monkeypatch.setitem(sys.modules, "openmdao.api", None)
-    monkeypatch.delitem(sys.modules, "ancfdae.openmdao", raising=False)
+    monkeypatch.delitem(sys.modules, "ancfdae.studies.openmdao", raising=False)
     with pytest.raises(MissingPackage, match=r"pip install \"ancfdae\[openmdao\]\""):
-        importlib.import_module("ancfdae.openmdao")
+        importlib.import_module("ancfdae.studies.openmdao")
 
 
 def test_the_wrapper_for_jax_in_the_documents_has_the_gradient_of_the_run():

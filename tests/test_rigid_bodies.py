@@ -60,9 +60,9 @@ from ancfdae import (
     strain_energy,
     velocity,
 )
-from ancfdae.bodies import Quantity
-from ancfdae.joints import Joint
-from ancfdae.loads import Load
+from ancfdae.model.bodies import Quantity
+from ancfdae.model.joints import Joint
+from ancfdae.model.loads import Load
 
 # A few sums and products of numbers of size one.
 EXACT = 1e-13

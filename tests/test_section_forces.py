@@ -45,7 +45,7 @@ from ancfdae import (
     gradients,
     static_gradient,
 )
-from ancfdae.observables import (
+from ancfdae.sensitivity.observables import (
     States,
     axial_force,
     bending_moment,

@@ -21,7 +21,7 @@ def public_names() -> list[str]:
     names = [f"ancfdae.{name}" for name in ancfdae.__all__ if not name.startswith("__")]
     mine = (n for n in plotting.__all__ if plotting.__name__ in getattr(plotting, n).__module__)
     others = [f"{plotting.__name__}.{name}" for name in mine]
-    return [*names, *others, "ancfdae.openmdao.ResponsesComponent"]
+    return [*names, *others, "ancfdae.studies.openmdao.ResponsesComponent"]
 
 
 def entries(text: str) -> dict[str, str]:

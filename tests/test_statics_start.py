@@ -40,7 +40,7 @@ from ancfdae import (
     simulate,
     taylor_test,
 )
-from ancfdae.bodies import Quantity
+from ancfdae.model.bodies import Quantity
 from ancfdae.statics import rest
 
 GRAVITY = (0.0, -9.81)

@@ -5,13 +5,13 @@ import pytest
 from members import constraint_force, constraint_force_q
 
 from ancfdae import ControlledSteps, Explicit, FixedSteps, GivenSteps, simulate
+from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import Verdict
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod
 from ancfdae.integrators.step_control.march import march
-from ancfdae.protocol.saddle_points import saddle_point
 
 from mechanisms import CartesianPendulum
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
@@ -17,7 +18,6 @@ from ancfdae.integrators.step_control.derivative_sizes import (
     sizes_hold,
     smaller_sizes,
 )
-from ancfdae.protocol.saddle_points import saddle_point
 
 from mechanisms import CartesianPendulum
 

@@ -32,8 +32,8 @@ from ancfdae import (
     Tube,
     assemble,
 )
-from ancfdae.elements import Batch, ElementParameter, ElementType
-from ancfdae.elements.invariants import prepare
+from ancfdae.model.elements import Batch, ElementParameter, ElementType
+from ancfdae.model.elements.invariants import prepare
 
 E, NU = 1e9, 0.3
 PLACES = [(0.006, 0.004), (-0.006, 0.004), (0.006, -0.004), (-0.006, -0.004)]

@@ -23,9 +23,9 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.ancf import stress_points
-from ancfdae.observables import States, maximum_stress, observe, von_mises
-from ancfdae.sections.spread import rectangle_torsional_shear
+from ancfdae.assembly import stress_points
+from ancfdae.model.sections.spread import rectangle_torsional_shear
+from ancfdae.sensitivity.observables import States, maximum_stress, observe, von_mises
 
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 G = 2e11 / 2.6

@@ -38,7 +38,7 @@ from ancfdae import (
     simulate,
     sweep,
 )
-from ancfdae.bodies import Point
+from ancfdae.model.bodies import Point
 from ancfdae.statics import Equilibrium
 from validation.scenes import pendulum
 

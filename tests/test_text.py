@@ -23,7 +23,7 @@ from ancfdae import (
     taylor_test,
     tradeoff,
 )
-from ancfdae.text import columns, listed, page
+from ancfdae.errors.text import columns, listed, page
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum

@@ -30,7 +30,7 @@ from ancfdae import (
     strain_energy,
     tradeoff,
 )
-from ancfdae.bodies import Point
+from ancfdae.model.bodies import Point
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum

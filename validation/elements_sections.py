@@ -21,7 +21,7 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.observables import axial_force, observe, shear_force
+from ancfdae.sensitivity.observables import axial_force, observe, shear_force
 from validation.report import Agreement, Report
 
 __all__ = ["sections"]

@@ -22,10 +22,10 @@ from ancfdae import (
     position,
     reaction,
 )
-from ancfdae.api import as_system
-from ancfdae.objectives import Objective
+from ancfdae.equations import MechanicalSystem
 from ancfdae.plotting import Panel, Series
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.studies import as_system
 from validation.error_estimates import estimates
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.report import Agreement, Report

@@ -18,7 +18,7 @@ from ancfdae import (
     Solution,
     differentiate,
 )
-from ancfdae.ancf import AncfSystem
+from ancfdae.assembly import AncfSystem
 from ancfdae.integrators import IndexReduction
 from validation.scenes import pendulum_deflection
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ancfdae import HHT, IDA, IDAS, Explicit, Integrator, assemble
-from ancfdae.ancf import AncfSystem
+from ancfdae.assembly import AncfSystem
 from ancfdae.integrators import IndexReduction
 from ancfdae.plotting import Panel, Series
 from validation import integrators_crank_slider

@@ -20,7 +20,7 @@ from ancfdae import (
     gradient,
     position,
 )
-from ancfdae.ancf import AncfSystem
+from ancfdae.assembly import AncfSystem
 from ancfdae.plotting import Panel, Series
 from validation.external.runs import Requirement
 from validation.integrator_runs import (

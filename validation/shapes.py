@@ -22,7 +22,7 @@ from ancfdae import (
     assemble,
     equilibrium,
 )
-from ancfdae.observables import States, strain_energy
+from ancfdae.sensitivity.observables import States, strain_energy
 from validation.report import Report
 
 __all__ = ["fill"]

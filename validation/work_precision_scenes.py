@@ -22,7 +22,7 @@ from ancfdae import (
     position,
     tradeoff,
 )
-from ancfdae.objectives import Objective
+from ancfdae.sensitivity.objectives import Objective
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
 from validation.integrator_runs import MANY, Array
 from validation.scenes import crank_slider, pendulum

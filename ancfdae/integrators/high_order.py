@@ -16,6 +16,8 @@ from typing import ClassVar, Self, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import (
     InvalidInput,
     ManySteps,
@@ -32,8 +34,6 @@ from ancfdae.integrators.recorder import Recorder
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
 
 # Steps that together advance by less than this share of the end time. Single steps may be lost in
 # round-off: at tight tolerances Newton's method meets it, and SUNDIALS tries shorter steps until it

@@ -22,10 +22,10 @@ from typing import TypeAlias, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.held import acceleration_side, held_totals
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem, reaction
-from ancfdae.protocol.held import acceleration_side, held_totals
 
 # Up to this size a product with the inverse takes a third of the time of a band solve (measured:
 # 106 unknowns, six columns, 6 against 27 us).

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, final
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_positive
 from ancfdae.integrators.integrand import Density, Integrand
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
 
 
 class Integrator(abc.ABC):

@@ -13,6 +13,9 @@ from typing import Self, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_positive
 from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.start import (
@@ -24,9 +27,6 @@ from ancfdae.integrators.start import (
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.protocol import MechanicalSystem, reaction
-from ancfdae.protocol.saddle_points import saddle_point
-from ancfdae.protocol.solution import Solution
 
 # Starts of one system, computed twice, differ by round-off of their projection.
 _SAME = 1e-7

@@ -8,12 +8,12 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import Sensitivities, Statistics
 from ancfdae.errors import InvalidInput, Outcome, Verdict
 from ancfdae.modes import advice
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
-from ancfdae.protocol.solution_parts import Sensitivities, Statistics
 
 _CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT)
 

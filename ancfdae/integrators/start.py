@@ -17,12 +17,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.errors import InconsistentStart, InvalidInput, SingularMatrix
-from ancfdae.kernels import finite, norm
-from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem, reaction
-from ancfdae.protocol.held import (
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.held import (
     acceleration_side,
     held_pull_back,
     held_q,
@@ -30,7 +26,11 @@ from ancfdae.protocol.held import (
     held_totals,
     velocity_side,
 )
-from ancfdae.protocol.saddle_points import refuse_redundant, solve, solve_transposed
+from ancfdae.equations.saddle_points import refuse_redundant, solve, solve_transposed
+from ancfdae.errors import InconsistentStart, InvalidInput, SingularMatrix
+from ancfdae.kernels import finite, norm
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
 
 # Relative violation of a constraint up to which a declared start counts as consistent: far
 # above accumulated round-off of coordinates (1e-14), far below any intended inconsistency.

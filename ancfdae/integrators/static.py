@@ -7,11 +7,11 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators.integrator import AdjointIntegrator, Integrator, Seeds
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
 from ancfdae.statics import MAX_STEPS, Tangent, find_equilibrium
 
 

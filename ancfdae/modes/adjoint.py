@@ -13,11 +13,11 @@ from typing import TypeAlias, final
 
 import numpy as np
 
+from ancfdae.equations import Direction
+from ancfdae.equations.held import held_pull_back, held_q
+from ancfdae.equations.system import constraint_q_along
 from ancfdae.modes.linearised import Linearised, split
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import Direction
-from ancfdae.protocol.held import held_pull_back, held_q
-from ancfdae.protocol.system import constraint_q_along
 
 # Takes covectors on q, lam and b; returns the design derivative, shape (n_b,).
 PullBack: TypeAlias = Callable[[Array, Array, Array], Array]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
 from ancfdae.modes.adjoint import PullBack
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.derivatives import differentiate, differentiate_back
@@ -11,7 +12,6 @@ from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind
 from ancfdae.modes.solver import coincident, solve
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
 from ancfdae.statics import motions_in_words
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
+from ancfdae.equations import MechanicalSystem, Solution
 from ancfdae.errors import InvalidInput, require_array
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem, Solution
 
 
 @final

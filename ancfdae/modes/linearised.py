@@ -18,13 +18,13 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import InvalidInput, SingularMatrix
 from ancfdae.kernels import norm
 from ancfdae.modes.configuration import Configuration
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem, reaction
-from ancfdae.protocol.saddle_points import saddle_point
 from ancfdae.statics import Balance
 
 EPS = float(np.finfo(float).eps)

@@ -8,12 +8,12 @@ from typing import final
 import numpy as np
 import scipy
 
+from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import AncfdaeError, InvalidInput
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.solver import solve
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
 
 
 @final

@@ -22,13 +22,13 @@ from typing import TypeAlias, final
 import numpy as np
 import scipy
 
+from ancfdae.equations import reaction
+from ancfdae.equations.held import held_q
+from ancfdae.equations.saddle_points import solve
 from ancfdae.errors import AncfdaeError, SingularMatrix
 from ancfdae.modes.linearised import EPS, Linearised
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
-from ancfdae.protocol import reaction
-from ancfdae.protocol.held import held_q
-from ancfdae.protocol.saddle_points import solve
 from ancfdae.statics import Balance, stiffness_of_coordinates
 
 # Round-off of z, twice that of a frequency, above which products with the matrix do not do, and

@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput, require_index
+from ancfdae.errors.text import columns, listed
 from ancfdae.modes.configuration import Configuration
 from ancfdae.numerics.arrays import Array
-from ancfdae.text import columns, listed
 
 
 class MotionKind(Enum):

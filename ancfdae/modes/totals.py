@@ -11,10 +11,10 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import Direction
+from ancfdae.equations.held import held_total
 from ancfdae.modes.linearised import Linearised, split
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import Direction
-from ancfdae.protocol.held import held_total
 
 
 @final

@@ -11,12 +11,12 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_text
+from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import settings
 from ancfdae.plotting.mechanism import Mechanism, mechanism
 from ancfdae.plotting.painters import canvas
 from ancfdae.plotting.shapes import BeamMesh
-from ancfdae.scene import Scene
 from ancfdae.sensitivity import Gradient
 
 # Of the extent of the picture: the longest bar.

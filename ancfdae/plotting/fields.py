@@ -8,13 +8,13 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf.stress_points import StressPoints
-from ancfdae.elements import ElementParameter, elastic
-from ancfdae.elements.invariants import prepare
+from ancfdae.assembly.stress_points import StressPoints
+from ancfdae.equations import Solution
 from ancfdae.errors import InvalidInput, require_text
+from ancfdae.model.elements import ElementParameter, elastic
+from ancfdae.model.elements.invariants import prepare
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.shapes import BeamMesh, Mesh
-from ancfdae.protocol import Solution
 
 # Of the forces and moments in a section, as `SectionLaw.forces` has them.
 _AXIAL, _TORQUE = 0, 3

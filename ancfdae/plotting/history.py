@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from ancfdae.equations import MechanicalSystem, Sensitivities, Solution
 from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_positive
-from ancfdae.observables import Observable
-from ancfdae.observables.states import states_of
 from ancfdae.plotting.charts import require_unit, settings
 from ancfdae.plotting.looks import COLOURS
-from ancfdae.protocol import MechanicalSystem, Sensitivities, Solution
+from ancfdae.sensitivity.observables import Observable
+from ancfdae.sensitivity.observables.states import states_of
 
 _SIZE = (7.5, 2.7)  # inches, of each observable
 

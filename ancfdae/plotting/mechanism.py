@@ -8,22 +8,22 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf.beam_elements import BeamElements
-from ancfdae.ancf.beam_sections import BeamSections
-from ancfdae.ancf.numbering import number
-from ancfdae.ancf.parameters import ParameterMap, parameter_map
-from ancfdae.ancf.reference import Reference
-from ancfdae.bodies import RigidBody
-from ancfdae.elements import ElementParameter
+from ancfdae.assembly.beam_elements import BeamElements
+from ancfdae.assembly.beam_sections import BeamSections
+from ancfdae.assembly.numbering import number
+from ancfdae.assembly.parameters import ParameterMap, parameter_map
+from ancfdae.assembly.reference import Reference
+from ancfdae.equations import Solution, Statistics
 from ancfdae.errors import InvalidInput, Outcome, Verdict, require_kind, require_vector
-from ancfdae.naming import Layout, Naming
+from ancfdae.errors.text import listed
+from ancfdae.model.bodies import RigidBody
+from ancfdae.model.elements import ElementParameter
+from ancfdae.model.naming import Layout, Naming
+from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.fields import Field
 from ancfdae.plotting.shapes import BeamMesh, Mesh, RigidMesh
 from ancfdae.plotting.symbols import Arrows, Line, Mark, Symbols
-from ancfdae.protocol import Solution, Statistics
-from ancfdae.scene import Scene
-from ancfdae.text import listed
 
 # Lengths of elements that are the same number, summed in another order.
 _SAME = 1e-9

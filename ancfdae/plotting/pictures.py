@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib import animation
 from matplotlib.figure import Figure
 
+from ancfdae.equations import Solution
 from ancfdae.errors import (
     InvalidInput,
     MissingPackage,
@@ -21,14 +22,13 @@ from ancfdae.errors import (
     require_text,
     require_vector,
 )
+from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import settings
 from ancfdae.plotting.fields import Field
 from ancfdae.plotting.mechanism import Mechanism, frames_of, mechanism
 from ancfdae.plotting.page import write_page
 from ancfdae.plotting.painters import CAMERA, Painter, canvas
-from ancfdae.protocol import Solution
-from ancfdae.scene import Scene
 
 # Instants of a picture where none are asked for, and the faintest of them.
 _INSTANTS, _FAINT = 5, 0.22

@@ -11,10 +11,10 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.ancf.beam_elements import BeamElements
-from ancfdae.ancf.beam_sections import BeamSections
-from ancfdae.ancf.vectors import Vectors
-from ancfdae.bodies import (
+from ancfdae.assembly.beam_elements import BeamElements
+from ancfdae.assembly.beam_sections import BeamSections
+from ancfdae.assembly.vectors import Vectors
+from ancfdae.model.bodies import (
     BeamBody,
     BodyShape,
     Point,
@@ -23,7 +23,7 @@ from ancfdae.bodies import (
     RigidBox,
     RigidCylinder,
 )
-from ancfdae.naming import Naming
+from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.rotations import generators
 

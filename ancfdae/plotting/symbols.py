@@ -7,9 +7,10 @@ from typing import Final, final
 
 import numpy as np
 
-from ancfdae.ancf.vectors import Vectors, point_vectors
-from ancfdae.bodies import Point, Quantity, RigidBody
-from ancfdae.joints import (
+from ancfdae.assembly.vectors import Vectors, point_vectors
+from ancfdae.equations import Solution
+from ancfdae.model.bodies import Point, Quantity, RigidBody
+from ancfdae.model.joints import (
     Cylindrical,
     Distance,
     Drive,
@@ -22,13 +23,12 @@ from ancfdae.joints import (
     Revolute,
     Universal,
 )
-from ancfdae.loads import Load, SpringDamper
-from ancfdae.naming import Naming
+from ancfdae.model.loads import Load, SpringDamper
+from ancfdae.model.naming import Naming
+from ancfdae.model.parts import CentreLine
+from ancfdae.model.parts import Vectors as Names
+from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.parts import CentreLine
-from ancfdae.parts import Vectors as Names
-from ancfdae.protocol import Solution
-from ancfdae.scene import Scene
 
 # Arrows along a beam under a distributed force.
 _ALONG: Final = 9

@@ -9,11 +9,11 @@ from typing import final
 
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT, AdjointIntegrator, Seeds
-from ancfdae.objectives import Objective
-from ancfdae.observables import states_of
 from ancfdae.sensitivity import checkpointed
 from ancfdae.sensitivity.checkpointed import size_of
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, keeping
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.observables import states_of
 
 
 @final

@@ -16,19 +16,19 @@ from typing import Any, cast, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_package, require_positive
 from ancfdae.integrators import HHT, Seeds
 from ancfdae.integrators.hht.replay import Replay
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.objectives import Objective
-from ancfdae.objectives.objective import require_finite_number
-from ancfdae.objectives.reductions import Reduction
-from ancfdae.observables import States, remembered, states_of
-from ancfdae.observables.expression import evaluated, leaf_weights, leaves
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.objectives.objective import require_finite_number
+from ancfdae.sensitivity.objectives.reductions import Reduction
+from ancfdae.sensitivity.observables import States, remembered, states_of
+from ancfdae.sensitivity.observables.expression import evaluated, leaf_weights, leaves
 
 _UNITS = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9}
 # A part is held with its partials and, while these are made, what they are made of.

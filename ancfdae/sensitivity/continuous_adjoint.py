@@ -33,6 +33,9 @@ from typing import final
 import numpy as np
 import scipy
 
+from ancfdae.equations import Linearisation, MechanicalSystem
+from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput
 from ancfdae.integrators import HHT
 from ancfdae.integrators.hht.equations import acceleration, correct, predict
@@ -40,14 +43,11 @@ from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.objectives import Objective, ObjectivePartials
-from ancfdae.objectives.reductions import OverTime
-from ancfdae.observables import states_of
-from ancfdae.observables.expression import leaves
-from ancfdae.protocol import Linearisation, MechanicalSystem
-from ancfdae.protocol.saddle_points import saddle_point, solve, solve_transposed
-from ancfdae.protocol.solution import Solution
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
+from ancfdae.sensitivity.objectives import Objective, ObjectivePartials
+from ancfdae.sensitivity.objectives.reductions import OverTime
+from ancfdae.sensitivity.observables import states_of
+from ancfdae.sensitivity.observables.expression import leaves
 
 # Steps needed for the one-sided differences at the end.
 _LEAST_STEPS = 4

@@ -8,10 +8,10 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.objectives import Objective
-from ancfdae.observables import states_of
-from ancfdae.protocol.solution import Solution
+from ancfdae.equations.solution import Solution
 from ancfdae.sensitivity.method import Gradient, Method, Run
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.observables import states_of
 
 
 @final

@@ -10,6 +10,10 @@ from typing import Any, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.complex_steps import at_values
+from ancfdae.equations.solution import Solution
+from ancfdae.equations.tables import pandas
 from ancfdae.errors import (
     AncfdaeError,
     InvalidInput,
@@ -20,17 +24,13 @@ from ancfdae.errors import (
     require_kind,
     uninterrupted,
 )
+from ancfdae.errors.text import columns, page
 from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.numerics.arrays import Array
-from ancfdae.objectives import Objective
-from ancfdae.objectives.objective import NO_TOTALS, Totals
-from ancfdae.objectives.totals import totals_of
-from ancfdae.observables import states_of
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.complex_steps import at_values
-from ancfdae.protocol.solution import Solution
-from ancfdae.protocol.tables import pandas
-from ancfdae.text import columns, page
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
+from ancfdae.sensitivity.objectives.totals import totals_of
+from ancfdae.sensitivity.observables import states_of
 
 
 @final

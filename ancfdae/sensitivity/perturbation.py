@@ -13,12 +13,12 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors import InvalidInput, require_flag, require_positive
 from ancfdae.numerics.arrays import Array
-from ancfdae.objectives import Objective
-from ancfdae.protocol.solution import Solution
-from ancfdae.protocol.solution_parts import Sensitivities
 from ancfdae.sensitivity.method import Gradient, Method, Run
+from ancfdae.sensitivity.objectives import Objective
 
 # Relative imaginary perturbation: its square vanishes against one, and it stays far above
 # the smallest normal number after division by beta h^2 or multiplication with small lengths.

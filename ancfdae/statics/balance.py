@@ -17,13 +17,13 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.held import velocity_side
+from ancfdae.equations.saddle_points import saddle_point, solve
 from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem, reaction
-from ancfdae.protocol.held import velocity_side
-from ancfdae.protocol.saddle_points import saddle_point, solve
 
 # Estimated error after the last iteration, relative to positions and to forces: near round-off.
 _TOLERANCE = 1e-13

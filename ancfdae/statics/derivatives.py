@@ -17,11 +17,11 @@ from typing import TypeAlias, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.held import force_total, held_q, held_total
+from ancfdae.equations.saddle_points import solve, solve_transposed
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_solvers import Factorization
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.held import force_total, held_q, held_total
-from ancfdae.protocol.saddle_points import solve, solve_transposed
 from ancfdae.statics.balance import Balance
 
 # The two parts of a saddle-point system's unknowns or equations.

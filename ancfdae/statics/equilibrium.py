@@ -8,16 +8,16 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import Sensitivities, Statistics
 from ancfdae.errors import AncfdaeError
+from ancfdae.errors.text import listed
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
-from ancfdae.protocol.solution_parts import Sensitivities, Statistics
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.outcome import LoadOutcome
 from ancfdae.statics.search import Found, search
-from ancfdae.text import listed
 
 # Attempted steps of the load.
 MAX_STEPS = 1000

@@ -13,10 +13,10 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.naming import BodyLayout, Naming
+from ancfdae.errors.text import listed
+from ancfdae.model.naming import BodyLayout, Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.rotations import generators
-from ancfdae.text import listed
 
 # Parts of a motion below this are round-off of its null vector.
 _SMALL = 1e-6

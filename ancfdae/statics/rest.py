@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cached_property
 from typing import final
 
+from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import uninterrupted
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.equilibrium import Equilibrium, NoEquilibrium, find_equilibrium
 

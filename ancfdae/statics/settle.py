@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import final
 
+from ancfdae.equations.saddle_points import solve
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol.saddle_points import solve
 from ancfdae.statics.balance import Balance, Failure
 from ancfdae.statics.softness import softest
 

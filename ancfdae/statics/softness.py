@@ -13,9 +13,9 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations.saddle_points import solve
 from ancfdae.errors import SingularMatrix
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol.saddle_points import solve
 from ancfdae.statics.balance import Balance
 
 # Motions looked for at once, and sweeps of the inverse iteration.

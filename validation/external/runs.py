@@ -27,9 +27,9 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.integrators import Integrator
-from ancfdae.objectives import Objective
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.objectives import Objective
 from validation.external.scleronomic import Array
 from validation.integrator_runs import MANY, step_of
 from validation.report import Report

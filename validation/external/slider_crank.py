@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ancfdae import Direction, Integral, custom
-from ancfdae.objectives import Objective
+from ancfdae.sensitivity.objectives import Objective
 from validation.external.scleronomic import Array, Scleronomic
 
 __all__ = ["SliderCrank", "kinetic_energy_integral"]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from ancfdae import HHT, Explicit, Point, Solution, differentiate, simulate
+from ancfdae.equations import reaction
 from ancfdae.plotting import Panel, Series
-from ancfdae.protocol import reaction
 from validation.external.rods import cartesian_pendulum
 from validation.extremes.scenes import SI, Crank, Rod
 from validation.report import Report

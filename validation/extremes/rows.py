@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ancfdae import HHT, Point, Scene, Solution, StabilityWarning, assemble, simulate
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import AncfdaeError
 from ancfdae.integrators.hht.equations import Coefficients, iteration_terms
-from ancfdae.protocol import MechanicalSystem, reaction
-from ancfdae.protocol.saddle_points import saddle_point
 from validation.report import Report
 
 __all__ = ["HEADER", "Case", "Row", "add_table", "against_sixteenth", "measure"]

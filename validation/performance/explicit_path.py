@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 
 from ancfdae import Explicit, assemble, differentiate, simulate
+from ancfdae.equations import MechanicalSystem
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.problem import Problem
-from ancfdae.protocol import MechanicalSystem
 from validation.performance.row import Row
 from validation.performance.steps import crank_variables, medians, pendulum_variables
 from validation.scenes import crank_slider, pendulum

@@ -6,8 +6,8 @@ import time
 import numpy as np
 
 from ancfdae import HHT, Adjoint, Integral, assemble, gradient, position, simulate
+from ancfdae.equations import MechanicalSystem
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
 from validation.performance.row import Row, in_a_process, largest_memory
 from validation.performance.scale import cantilever, variables
 

@@ -4,7 +4,7 @@ import statistics
 import time
 
 from ancfdae import HHT, Beam, Clamp, Material, Rectangle, Scene, assemble, simulate
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.equations import MechanicalSystem
 from validation.performance.row import Row, in_a_process, largest_memory, seconds
 
 __all__ = ["cantilever", "measure", "variables"]

@@ -16,7 +16,7 @@ from ancfdae import (
     position,
     simulate,
 )
-from ancfdae.protocol import MechanicalSystem
+from ancfdae.equations import MechanicalSystem
 from validation.performance.row import Row
 from validation.scenes import crank_slider, pendulum
 

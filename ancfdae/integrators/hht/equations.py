@@ -32,10 +32,10 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.kernels import add_scaled, balance
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint, Terms
-from ancfdae.protocol import Linearisation, MechanicalSystem
 
 
 @final

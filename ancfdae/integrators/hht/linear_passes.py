@@ -27,6 +27,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
+from ancfdae.equations import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import (
@@ -44,7 +45,6 @@ from ancfdae.integrators.integrator import Seeds
 from ancfdae.kernels import recombine
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import DesignPartials, Linearisation, MechanicalSystem
 
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).

@@ -9,6 +9,9 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors import (
     InvalidInput,
     StabilityWarning,
@@ -32,9 +35,6 @@ from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
 from ancfdae.integrators.step_control.march import Reached, march
 from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
-from ancfdae.protocol.solution_parts import Sensitivities
 
 # Newton's method stops well below the error of a step.
 _SHARE = 1e-3

@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem, reaction
 from ancfdae.errors import Verdict
 from ancfdae.integrators.hht.equations import (
     Coefficients,
@@ -22,7 +23,6 @@ from ancfdae.integrators.recorder import Recorder
 from ancfdae.kernels import add_scaled, finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.protocol import MechanicalSystem, reaction
 
 # A matrix is replaced when an iteration shrinks the correction by less than this factor, or the
 # first correction is larger than this part of the motion; and from corrections of the second size

@@ -10,6 +10,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.equations import Node, NodeSensitivity, Steps, rescaled
@@ -21,7 +22,6 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol.solution import Solution
 
 
 @final

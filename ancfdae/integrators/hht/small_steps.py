@@ -24,12 +24,12 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.solution import Solution
 from ancfdae.integrators.hht.equations import Coefficients, Node, Steps, predict_increment, rescaled
 from ancfdae.integrators.problem import Problem
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem, reaction
-from ancfdae.protocol.solution import Solution
 
 # Gauss points on (0, 1), exact for polynomials of degree 5 in s.
 _PLACES = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))

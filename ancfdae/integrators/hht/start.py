@@ -34,15 +34,15 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import Direction, MechanicalSystem, reaction
+from ancfdae.equations.held import held_pull_back, held_q, held_total, jerk_side
+from ancfdae.equations.saddle_points import solve, solve_transposed
+from ancfdae.equations.system import residual_along
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity, constraint_error
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.start import Covectors, InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization
-from ancfdae.protocol import Direction, MechanicalSystem, reaction
-from ancfdae.protocol.held import held_pull_back, held_q, held_total, jerk_side
-from ancfdae.protocol.saddle_points import solve, solve_transposed
-from ancfdae.protocol.system import residual_along
 
 
 @final

@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import Verdict
 from ancfdae.integrators.problem import Scales
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol.solution import Solution
 
 _TWICE = 2.0
 # A change of the design by its own size that moves the coordinates by less than this part of

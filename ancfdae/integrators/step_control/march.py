@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Controller, OneStepMethod
-from ancfdae.protocol.solution import Solution
 
 
 class Reached(NamedTuple):

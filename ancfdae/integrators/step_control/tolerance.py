@@ -25,10 +25,10 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.equations import EstimatedErrors, Sensitivities
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes, mean_squares
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import EstimatedErrors, Sensitivities
 
 # Errors of the motion add as much to the derivatives' errors as their own (docs/theory.md, 5).
 _FED = 2.0

@@ -12,6 +12,8 @@ from typing import Any, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import Verdict, require_kind
 from ancfdae.integrators.high_order import HighOrder, March, NotFinite
 from ancfdae.integrators.index_1 import stacked
@@ -25,8 +27,6 @@ from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
-from ancfdae.protocol import MechanicalSystem
-from ancfdae.protocol.solution import Solution
 
 _LEAST_RTOL = 1e-13
 

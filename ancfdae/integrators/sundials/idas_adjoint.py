@@ -20,6 +20,7 @@ from typing import Any, final
 
 import numpy as np
 
+from ancfdae.equations.solution import Solution
 from ancfdae.errors import PassFailed, Verdict
 from ancfdae.integrators.high_order import HighOrder, NotFinite, Progress
 from ancfdae.integrators.integrator import Seeds
@@ -31,7 +32,6 @@ from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
-from ancfdae.protocol.solution import Solution
 
 # Steps between two checkpoints; the states between them are kept in memory.
 _CHECKPOINT = 250

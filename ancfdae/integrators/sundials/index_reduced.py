@@ -30,12 +30,12 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations.held import force_total, held_q, held_total
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.start import InitialSensitivity, InitialState
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
-from ancfdae.protocol import MechanicalSystem, reaction
-from ancfdae.protocol.held import force_total, held_q, held_total
 
 # Absolute tolerance of multipliers, in their own scale: so loose that they stay out of the error
 # test (any of 1 to 1e6 will do). They must where they are of index 2. In the index-1 form the test

@@ -1,0 +1,5 @@
+"""The ANCF assembler: where a scene becomes a mechanical system."""
+
+from ancfdae.assembly.beam_elements import StatePartials
+from ancfdae.assembly.stress_points import StressPoints
+from ancfdae.assembly.system import AncfSystem, assemble

@@ -1,0 +1,104 @@
+"""The start of a scene: what is declared, bodies following the joints, and its derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.assembly import Assembly, Declared
+from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.numbering import Numbering
+from ancfdae.assembly.parameters import ParameterMap
+from ancfdae.assembly.reference import Reference
+from ancfdae.errors import InconsistentStart
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.patterns import Pattern
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class AssembledStart:
+    """Start of a scene at design values b, of its mechanism as declared or as it closes."""
+
+    scene: Scene
+    numbering: Numbering
+    mapping: ParameterMap
+    reference: Reference
+    joints: JointConstraints
+    pattern: Pattern
+    b: Array
+
+    def state(self) -> tuple[Array, Array]:
+        """Return q and v; raise InconsistentStart where joints stay open that nothing projects."""
+        if not self.scene.project_start:
+            self._assembly.require_closed()
+        self.joints.refuse_opposite(self._assembly.q, 0.0)
+        return self._assembly.q, self._assembly.v
+
+    @cached_property
+    def along(self) -> dict[int, tuple[Array, Array]]:
+        """Derivatives of q and v, of the variables that move them."""
+        active = sorted({*self.reference.active, *self.joints.active})
+        return {i: self._follow(i) for i in active}
+
+    def state_b(self) -> tuple[Array, Array]:
+        """Return the partials of q and v, shape (n_q, n_b) each."""
+        q_b, v_b = np.zeros((2, self.numbering.n_q, len(self.b)))
+        for i, (along_q, along_v) in self.along.items():
+            q_b[:, i], v_b[:, i] = along_q, along_v
+        return q_b, v_b
+
+    def pull_back(self, on_q: Array, on_v: Array) -> Array:
+        """Return q_b^T on_q + v_b^T on_v, shape (n_b,)."""
+        total = np.zeros(len(self.b))
+        for i, (along_q, along_v) in self.along.items():
+            total[i] = on_q @ along_q + on_v @ along_v
+        return total
+
+    @cached_property
+    def _assembly(self) -> Assembly:
+        """The start: bodies follow the joints where asked to, and where the design has moved."""
+        motions, scene = self.numbering.rigid_motions(), self.scene
+        free = np.ones(motions.none.shape, dtype=bool)
+        names = [member.name for member in scene.members]
+        for name in scene.lead:
+            free[names.index(name), self.numbering.element.d :] = False
+        bodies = self.numbering.bodies
+        places = self.reference.Z.real[np.concatenate([body.positions for body in bodies])]
+        extent = np.linalg.norm(np.ptp(places, axis=0)) + max(body.size for body in bodies)
+        # A power of two, so that a small change of the design leaves it as it is.
+        size = 2.0 ** np.round(np.log2(extent))
+        follows = scene.assemble or scene.project_start
+        moves = follows or np.any(self.b.real != self.mapping.nominal)
+        declared = self._declared(None)
+        strains = scene.project_start
+        # Equations of rigid bodies come after those of the joints.
+        rows = sum(joint.rows for joint in self.joints.joints[: len(scene.joints)])
+        return Assembly(motions, self.pattern, rows, free, declared, size, bool(moves), strains)
+
+    def _declared(self, i: int | None) -> Declared:
+        """Return what is declared, moved in design variable i by an imaginary step."""
+        joints, reference = self.joints, self.reference
+        if i is not None:
+            joints, reference = joints.moved(i), reference.moved(i)
+        return Declared(joints, reference.Z, reference.velocities)
+
+    def _follow(self, i: int) -> tuple[Array, Array]:
+        """Differentiate the assembly in design variable i; refuse what no rigid motion follows."""
+        declared = self._declared(i)
+        along = self._assembly.along(declared)
+        joint = self._assembly.follows(declared, along[0], float(self.b[i].real))
+        if joint is None:
+            return along
+        if self.scene.project_start:
+            return self._assembly.strained_along(declared)
+        raise InconsistentStart(
+            f"design variable {self.mapping.names[i]!r}",
+            "rigid motions of the bodies must follow it",
+            f"joint {joint!r}, which they leave open",
+            "Set project_start=True to strain the bodies, or choose another variable.",
+        )

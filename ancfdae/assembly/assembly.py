@@ -1,0 +1,480 @@
+"""Assembly: bodies follow joints by rigid motions.
+
+Where design variables move joints, lengths or angles, the bodies as declared no longer meet them.
+Each then moves rigidly, x = (u, g), so that
+
+    Phi(q(x)) = 0,   the turns sum |g|^2 are least, and among those the displacements sum |u|^2.
+
+With J = Phi_q q_x, its parts J_u and J_g, and multipliers sigma and rho, that is F = 0 with
+
+    F_1 = (0, g) + J^T sigma,   F_2 = J^T Phi,   F_3 = u + J_u^T rho.
+
+Where no rigid motion closes the joints, and the consistent start may strain the bodies, they come
+as near as they can: |Phi|^2 + delta |x|^2 is least with a small delta, F = J^T Phi + delta x.
+Either F is smooth, so that the design derivatives of the start are those of the assembly: one more
+step of Newton's method along each variable (docs/theory.md, section 4).
+
+Velocities follow likewise: to those declared a rigid motion of every body is added, with the least
+angular velocities, so that Phi_q v = nu.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+import scipy
+
+from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.rigid_motions import RigidMotions
+from ancfdae.errors import InconsistentStart
+from ancfdae.numerics.arrays import STEP, Array, only
+from ancfdae.numerics.least_norm import LeastNorm
+from ancfdae.numerics.patterns import Pattern
+
+_ITERATIONS = 60
+# A step that turns a body by more than this is shortened: Newton's method shall find the assembly
+# near the declared one, not that of another branch.
+_LONGEST_TURN = 0.3
+# Other starts where the declared one does not lead to closed joints, and the Gibbs vectors of their
+# turns: up to 90 degrees about each axis; and damped steps before Newton's method.
+_RESTARTS, _FARTHEST, _DAMPED_STEPS = 12, 2.0, 15
+# Of a motion that is fixed but for round-off nothing is left in the null space.
+_FREE = 1e-6
+# Joints count as closed at this distance over the size of the mechanism: far above round-off of
+# Newton's method, far below what a declared start may violate.
+_CLOSED = 1e-11
+# Round-off of a derivative times the value of the variable, dimensionless.
+_NOISE = 1e-12
+# delta: what moving by the size of the mechanism counts beside joints that stay open by as much.
+_SOFT = 1e-3
+
+#: Unknowns of a problem: a motion of all free bodies, and multipliers sigma and rho.
+_Unknowns = tuple[Array, Array, Array]
+
+
+@final
+@dataclass(frozen=True)
+class Declared:
+    """What a scene declares at a value of its design: joints, coordinates, and velocities.
+
+    `velocities` gives v for the coordinates q and the turns x that brought the bodies there.
+    """
+
+    constraints: JointConstraints
+    Z: Array
+    velocities: Callable[[Array, Array], Array]
+
+
+@final
+class Assembly:
+    """The assembled start of a scene.
+
+    Parameters
+    ----------
+    motions : RigidMotions
+    pattern : Pattern
+        Of the system's tangents, which `constraints` place their curvature on.
+    rows : int
+        How many equations rigid motions change; the others, last, say that bodies are rigid.
+    free : array of bool, shape (n_bodies, n_x)
+        Which numbers of the motions may change; the turns of a body that leads may not.
+    declared : Declared
+        At the real values of the design variables, or at complex ones.
+    size : float
+        Size of the mechanism, for the units: a power of two, so that it does not move with the
+        design.
+    moves : bool
+        Whether bodies are to follow; otherwise the start is as declared, and a violated joint is
+        for others to refuse.
+    strains : bool
+        Whether joints may stay open, because the consistent start strains the bodies.
+    """
+
+    def __init__(
+        self,
+        motions: RigidMotions,
+        pattern: Pattern,
+        rows: int,
+        free: Array,
+        declared: Declared,
+        size: float,
+        moves: bool,
+        strains: bool,
+    ) -> None:
+        self._motions, self._pattern, self._declared = motions, pattern, declared
+        self._rows = rows
+        self._moves, self._strains, self._size = moves, strains, size
+        self._release(free)
+
+    def _release(self, free: Array) -> None:
+        self._free, d = np.flatnonzero(free), self._declared.Z.shape[1]
+        is_shift = np.broadcast_to(np.arange(self._motions.n_x) < d, free.shape).ravel()
+        self._shift = is_shift[self._free]
+        self._units = np.where(self._shift, self._size, 1.0)
+
+    @cached_property
+    def _rates(self) -> Assembly:
+        """The same for velocities: a body that leads keeps its orientation, but may turn."""
+        other = copy.copy(self)
+        other._release(np.ones(self._motions.none.shape, dtype=bool))
+        return other
+
+    # -- the start -----------------------------------------------------------------------------
+
+    @cached_property
+    def q(self) -> Array:
+        """Coordinates, shape (n_q,)."""
+        if self._stands:
+            return self._declared.Z.ravel()
+        return self._placed(self._declared, self._positions[0])
+
+    @cached_property
+    def v(self) -> Array:
+        """Velocities, shape (n_q,)."""
+        if self._stands:
+            return self._declared.velocities(self.q, self._motions.none)
+        motion = self._motion(self._positions[0])
+        return self._moving(self._declared, motion, self.q, self._velocities[0])
+
+    def along(self, moved: Declared) -> tuple[Array, Array]:
+        """Return the derivatives of q and v along a declaration moved by an imaginary step."""
+        inverses = self._position_inverse, self._velocity_inverse
+        return self._followed(moved, self._positions, self._velocities, inverses)
+
+    def strained_along(self, moved: Declared) -> tuple[Array, Array]:
+        """Return the same as `along` for a declaration that no rigid motion follows.
+
+        At values nearby bodies come as near to the joints as they can, and are strained.
+        """
+        none = np.zeros(0)
+        y, rates = ((found[0].real, none, none) for found in (self._positions, self._velocities))
+        inverses = LeastNorm(self._position_matrix(y)), LeastNorm(self._velocity_matrix(1))
+        return self._followed(moved, y, rates, inverses)
+
+    def _followed(
+        self,
+        moved: Declared,
+        y: _Unknowns,
+        rates: _Unknowns,
+        inverses: tuple[LeastNorm, LeastNorm],
+    ) -> tuple[Array, Array]:
+        """Differentiate q and v by one more step of Newton's method each."""
+        x = y[0] - 1j * inverses[0].solve(self._position_equations(moved, y).imag)[: len(y[0])]
+        q, motion = self._placed(moved, x), self._motion(x)
+        F = self._velocity_equations(moved, q, self._moving(moved, motion, q, rates[0]), rates)
+        s = rates[0] - 1j * inverses[1].solve(F.imag)[: len(rates[0])]
+        return q.imag / STEP, self._moving(moved, motion, q, s).imag / STEP
+
+    def left(self, q: Array, moved: Declared | None = None) -> Array:
+        """Return Phi in units of the size of the mechanism."""
+        declared = self._declared if moved is None else moved
+        return self._weights * declared.constraints.constraint(0.0, q)
+
+    # -- positions -----------------------------------------------------------------------------
+
+    @cached_property
+    def _positions(self) -> _Unknowns:
+        """Newton's method from the declared places; a complex part needs two more steps."""
+        y = self._start(self._soft)
+        if self._stands:
+            return y
+        if not self._moves:
+            # What is declared stands; a perturbation follows it.
+            F = self._position_equations(self._declared, y)
+            return _plus(y, -1j * LeastNorm(self._position_matrix(y)).solve(F.imag))
+        found = self._search(self._soft)
+        if found is not None and (self._soft or self._fits(found)):
+            return found
+        closed = [] if self._soft else self._from_elsewhere()
+        if closed:
+            return min(closed, key=self._turned)
+        if found is not None:
+            return found
+        raise InconsistentStart(
+            "assembly",
+            "rigid motions of the bodies must close all joints",
+            f"no convergence in {_ITERATIONS} iterations, nor from {_RESTARTS} other starts",
+            "Change the design less, or declare the bodies nearer to where they fit together: "
+            "turn them with turn=..., so that joints nearly meet.",
+        )
+
+    def _from_elsewhere(self) -> list[_Unknowns]:
+        """Newton's method from bodies turned at random, the same each time; what fits."""
+        generator, found = np.random.default_rng(0), []
+        for _ in range(_RESTARTS):
+            x, sigma, rho = self._start(False)
+            x[~self._shift] = generator.uniform(-_FARTHEST, _FARTHEST, np.sum(~self._shift))
+            found.append(self._search(False, (self._nearer(x), sigma, rho)))
+        return [y for y in found if y is not None and self._fits(y)]
+
+    def _nearer(self, x: Array) -> Array:
+        """Damped steps of Gauss and Newton towards closed joints, where Newton's goes anywhere."""
+        none, Z = np.zeros(0), self._declared.Z.real
+        for _ in range(_DAMPED_STEPS):
+            motion = self._motion(x)
+            q, T = self._motions.place(Z, motion).ravel(), self._motions.tangent(Z, motion)
+            flat = scipy.sparse.csr_array((len(x), len(x)))
+            matrix = self._matrix(self._jacobian(q, T), [flat])
+            F = self._position_equations(self._declared, (x, none, none)).real
+            dx = -LeastNorm(matrix).solve(F - _SOFT * x)
+            turn = np.max(np.abs(dx[~self._shift]), initial=0.0)
+            x = x + dx * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
+        return x
+
+    def _fits(self, y: _Unknowns) -> bool:
+        """Whether joints are closed, and drives on the side of their angle."""
+        q = self._placed(self._declared, y[0])
+        return self._open(y[0]) <= _CLOSED and self._declared.constraints.opposite(q, 0.0) is None
+
+    def _turned(self, y: _Unknowns) -> float:
+        return float(np.sum(y[0].real[~self._shift] ** 2))
+
+    @property
+    def _stands(self) -> bool:
+        """Whether the start is as declared, to the last digit."""
+        declared = self._declared
+        moved = np.iscomplexobj(declared.Z) or declared.constraints.is_complex
+        return not (moved or self._moves)
+
+    @cached_property
+    def _soft(self) -> bool:
+        """Whether bodies only come as near to their joints as rigid motions can."""
+        if not (self._moves and self._strains):
+            return False
+        found = self._search(False)
+        return found is None or self._open(found[0]) > _CLOSED
+
+    def _start(self, soft: bool) -> _Unknowns:
+        rows = np.zeros(0 if soft else self._rows)
+        return np.zeros(len(self._free)), rows, rows
+
+    def _search(self, soft: bool, start: _Unknowns | None = None) -> _Unknowns | None:
+        """Newton's method, None if it does not settle."""
+        y, settled = self._start(soft) if start is None else start, 0
+        for _ in range(_ITERATIONS):
+            F = self._position_equations(self._declared, y)
+            dy = -LeastNorm(self._position_matrix(y)).solve(F)
+            dx = np.abs(dy[: len(y[0])].real)
+            size, turn = np.max(dx, initial=0.0), np.max(dx[~self._shift], initial=0.0)
+            dy = dy * min(1.0, _LONGEST_TURN / max(turn, _LONGEST_TURN))
+            y = _plus(y, dy)
+            # The error left is the square of the last step.
+            settled += size <= 1e-8
+            if settled == 3 or (settled and F.dtype.kind != "c"):
+                return y
+        return None
+
+    def _position_equations(self, declared: Declared, y: _Unknowns) -> Array:
+        """F of the module description, with the bodies of `declared` moved by x."""
+        x, sigma, rho = y
+        motion, q = self._motion(x), self._placed(declared, x)
+        T = self._motions.tangent(declared.Z, motion)
+        Phi = self.left(q, declared)[: self._rows]
+        return self._equations(declared, q, T, (x, sigma, rho), Phi)
+
+    def _position_matrix(self, y: _Unknowns) -> scipy.sparse.csr_array:
+        """F_(x, sigma, rho)."""
+        x, sigma, rho = (part.real for part in y)
+        Z, motion = self._declared.Z.real, self._motion(x)
+        q = self._motions.place(Z, motion).ravel()
+        T = self._motions.tangent(Z, motion)
+        Phi = self.left(q).real[: self._rows]
+        loads = (sigma, Phi, rho) if len(sigma) == len(Phi) else (Phi,)
+        bends = [self._bend(Z, motion, q, T, s) for s in loads]
+        return self._matrix(self._jacobian(q, T), bends)
+
+    def _bend(
+        self, Z: Array, motion: Array, q: Array, T: Array, multipliers: Array
+    ) -> scipy.sparse.csr_array:
+        """(J^T s)_x with s held: curvature of the joints, and of the turns."""
+        lam = self._spread(multipliers)
+        constraints, matrix = self._declared.constraints, self._motions.matrix(T)
+        values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
+        force = constraints.reaction(0.0, q, lam).real
+        own = self._motions.curvature(Z, motion, force)
+        bend = matrix.T @ (self._pattern.csr(values) @ matrix) + self._motions.blocks(own)
+        return self._scaled(bend.tocsr()[self._free], self._units)
+
+    @cached_property
+    def _position_inverse(self) -> LeastNorm:
+        inverse = LeastNorm(self._position_matrix(self._positions))
+        if np.any(inverse.leaves_open(len(self._free)) > _FREE):
+            raise InconsistentStart(
+                "assembly",
+                "must be the only one nearby",
+                "a mechanism at a point where it branches",
+                "Start from another position, or let a body lead: Scene(lead=...).",
+            )
+        return inverse
+
+    # -- velocities ----------------------------------------------------------------------------
+
+    @cached_property
+    def _velocities(self) -> _Unknowns:
+        y = self._rates._start(self._soft)
+        declared, motion, q = self._declared, self._motion(self._positions[0]), self.q
+        if self._stands:
+            return y
+        for _ in range(3 if q.dtype.kind == "c" else 1):
+            F = self._velocity_equations(declared, q, self._moving(declared, motion, q, y[0]), y)
+            y = _plus(y, -self._velocity_inverse.solve(F if self._moves else 1j * F.imag))
+        return y
+
+    def _velocity_equations(self, declared: Declared, q: Array, v: Array, y: _Unknowns) -> Array:
+        rate = (self._weights * declared.constraints.constraint(0.0, q, v))[: self._rows]
+        return self._rates._equations(declared, q, self._rigid(q), y, rate)
+
+    @cached_property
+    def _velocity_inverse(self) -> LeastNorm:
+        return LeastNorm(self._velocity_matrix(1 if self._soft else 3))
+
+    def _velocity_matrix(self, count: int) -> scipy.sparse.csr_array:
+        """Return the matrix of all three equations, or where joints stay open of one."""
+        q = self.q.real
+        J = self._rates._jacobian(q, self._rigid(q))
+        return self._rates._matrix(J, [scipy.sparse.csr_array((J.shape[1], J.shape[1]))] * count)
+
+    def _moving(self, declared: Declared, motion: Array, q: Array, s: Array) -> Array:
+        """Velocities as declared, with rigid motions at rates s added."""
+        v = declared.velocities(q, motion)
+        added: Array = self._motions.matrix(self._rigid(q)) @ self._rates._motion(s).ravel()
+        return v + added
+
+    def _rigid(self, q: Array) -> Array:
+        """Rigid velocities of all bodies at q."""
+        return self._motions.tangent(q.reshape(self._declared.Z.shape), self._motions.none)
+
+    # -- both ----------------------------------------------------------------------------------
+
+    def _motion(self, x: Array) -> Array:
+        """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
+        none = self._motions.none
+        motion = none.astype(x.dtype).ravel()
+        motion[self._free] = self._units * x
+        return motion.reshape(none.shape)
+
+    def _placed(self, declared: Declared, x: Array) -> Array:
+        return self._motions.place(declared.Z, self._motion(x)).ravel()
+
+    def _equations(
+        self, declared: Declared, q: Array, T: Array, y: _Unknowns, left: Array
+    ) -> Array:
+        """(F_1, F_2, F_3), with `left` for what is left of the joints' equations."""
+
+        def work(multipliers: Array) -> Array:
+            force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
+            collected: Array = self._motions.collect(T, force).ravel()[self._free]
+            return self._units * collected
+
+        x, sigma, rho = y
+        shift = self._shift
+        if len(sigma) < len(left):
+            return work(left) + _SOFT * x
+        F_1, F_2 = np.where(shift, 0.0, x) + work(sigma), work(left)
+        return np.concatenate([F_1, F_2, x[shift] + work(rho)[shift]])
+
+    def _spread(self, multipliers: Array) -> Array:
+        """Return the multipliers of all equations, in their units, from those that may act."""
+        lam = np.zeros(len(self._weights), dtype=multipliers.dtype)
+        lam[: self._rows] = self._weights[: self._rows] * multipliers
+        return lam
+
+    def _jacobian(self, q: Array, T: Array) -> scipy.sparse.csr_array:
+        """J, dimensionless, shape (n_rows, n_free)."""
+        constraints = self._declared.constraints
+        B = constraints.pattern.csr(constraints.constraint_q(0.0, q).real)[: self._rows]
+        return self._scaled(B @ self._motions.matrix(T), self._weights[: self._rows])
+
+    def _scaled(self, matrix: scipy.sparse.csr_array, rows: Array) -> scipy.sparse.csr_array:
+        """Return columns of free motions in their units, and rows in those given."""
+        own = matrix[:, self._free].tocoo()
+        values = own.data * rows[own.row] * self._units[own.col]
+        return scipy.sparse.csr_array((values, (own.row, own.col)), shape=own.shape)
+
+    def _matrix(
+        self, J: scipy.sparse.csr_array, bends: Sequence[scipy.sparse.csr_array]
+    ) -> scipy.sparse.csr_array:
+        (m, n), shift = J.shape, self._shift
+        if len(bends) == 1:
+            return (J.T @ J + bends[0] + _SOFT * scipy.sparse.eye_array(n)).tocsr()
+        one, none = np.where(shift, 0.0, 1.0), scipy.sparse.csr_array((n, m))
+        on_1, on_2, on_3 = bends
+        rows = np.flatnonzero(shift)
+        blocks = [
+            [scipy.sparse.diags_array(one) + on_1, J.T, none],
+            [J.T @ J + on_2, none, none],
+            [(scipy.sparse.eye_array(n) + on_3).tocsr()[rows], none[rows], J.T.tocsr()[rows]],
+        ]
+        return scipy.sparse.block_array(blocks).tocsr()
+
+    @cached_property
+    def _weights(self) -> Array:
+        """One over the size for equations of lengths, which displacements change; else one."""
+        Z = self._declared.Z.real
+        constraints = self._declared.constraints
+        B = constraints.pattern.csr(constraints.constraint_q(0.0, Z.ravel()).real)
+        T = self._motions.matrix(self._motions.tangent(Z, self._motions.none))
+        J = abs(B @ T).tocsr()
+        shifts = np.arange(J.shape[1]) % self._motions.n_x < Z.shape[1]
+        # Of a slope that is long in its own units nothing but round-off moves with the body.
+        is_length = J[:, shifts].max(axis=1).toarray() > 1e-9 * J.max(axis=1).toarray()
+        return np.where(is_length, 1.0 / self._size, 1.0)
+
+    def _gaps(self, x: Array) -> Array:
+        """Return what a motion leaves of every equation."""
+        return np.asarray(np.abs(self.left(self._placed(self._declared, x)).real))
+
+    def _open(self, x: Array) -> float:
+        return float(np.max(self._gaps(x), initial=0.0))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint of every equation."""
+        joints = self._declared.constraints.joints
+        return tuple(joint.name for joint in joints for _ in range(joint.rows))
+
+    def require_closed(self) -> None:
+        """Refuse joints that rigid motions leave open."""
+        left = self._gaps(self._positions[0])
+        if self._moves and np.max(left, initial=0.0) > _CLOSED:
+            joint, gap = self.names[int(np.argmax(left))], float(np.max(left))
+            raise InconsistentStart(
+                "assembly",
+                "rigid motions of the bodies must close all joints",
+                f"joint {joint!r} stays open by {gap:.3g} of the mechanism's size",
+                f"Neither did {_RESTARTS} other starts. Declare the bodies nearer to where they "
+                "fit (turn=... turns one), correct the design, or set project_start=True to "
+                "strain them.",
+            )
+
+    def follows(self, moved: Declared, q_b: Array, value: float) -> str | None:
+        """Return None, or a joint that a variable opens because no rigid motion follows it.
+
+        `q_b` is the derivative of the start along the declaration `moved`, `value` that of the
+        variable.
+        """
+        declared = self._placed(moved, self._positions[0])
+        held = np.max(np.abs(self.left(declared, moved).imag), initial=0.0) / STEP
+        left = np.abs(self.left(self.q.real + 1j * STEP * q_b, moved).imag) / STEP
+        # Round-off is that of terms that cancel, and of moving coordinates. Coefficients that
+        # change are seen along a direction of no special kind.
+        q = self.q.real
+        along = np.cos(np.arange(len(q))) * np.max(np.abs(q))
+        terms = self._weights * moved.constraints.constraint(0.0, q, along).imag / STEP
+        size = held + np.max(np.abs(terms), initial=0.0)
+        size += np.max(np.abs(declared.imag), initial=0.0) / STEP / self._size
+        # A variable that moves nothing leaves round-off of its own share of the mechanism.
+        noise = _NOISE / abs(value) if value else 0.0
+        if np.max(left, initial=0.0) <= _FREE * size + noise:
+            return None
+        return self.names[int(np.argmax(left))]
+
+
+def _plus(y: _Unknowns, dy: Array) -> _Unknowns:
+    n, m = len(y[0]), len(y[1])
+    return y[0] + dy[:n], y[1] + dy[n : n + m], y[2] + dy[n + m :]

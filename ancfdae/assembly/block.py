@@ -1,0 +1,157 @@
+"""Elements as one block: their invariants, prepared once per distinct element."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.parameters import ParameterMap
+from ancfdae.model.bodies import BeamBody
+from ancfdae.model.elements import Batch, BeamElement, ElementParameter, ElementType
+from ancfdae.model.elements.invariants import joined, prepare
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class ElementBlock:
+    """Invariants of some elements, and their design derivatives pair by pair.
+
+    Attributes
+    ----------
+    A, g_o : array, shape (n, ...) or (1, ...) when all elements are alike
+    p_o : array, shape as g_o, or None
+        Linear term of the energy, if the element has one.
+    m : array, shape (n, n_a, n_a)
+    tau : array, shape (n,), or None
+        Damping times; None when no element is damped and no design variable could change that.
+    stiffness_pairs, damping_pairs, mass_pairs : array of int
+        Pairs of the `ParameterMap` of these elements whose parameter enters A, tau and m.
+    A_b, c_b : array, shape (n_stiffness_pairs, ...)
+    rest_b : array, shape (n_stiffness_pairs, 2, n_g)
+        Of g_o and of p_o, zero where there is none.
+    m_b : array, shape (n_mass_pairs, n_a, n_a)
+        Derivatives in the design variable of the pair (weight included).
+    """
+
+    A: Array
+    g_o: Array
+    p_o: Array | None
+    m: Array
+    tau: Array | None
+    stiffness_pairs: Array
+    damping_pairs: Array
+    mass_pairs: Array
+    A_b: Array
+    rest_b: Array
+    c_b: Array
+    m_b: Array
+
+
+# Parameters that the mass does not depend on, and those that stiffness does not depend on.
+_WEIGHTLESS = (
+    ElementParameter.YOUNGS_MODULUS,
+    ElementParameter.POISSON_RATIO,
+    ElementParameter.DAMPING_TIME,
+)
+_LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
+
+
+def element_block(
+    element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap, parameters: Array
+) -> ElementBlock:
+    """Prepare the invariants of the elements of beams at their parameters, shape (n, 9)."""
+    if not beams:
+        return _no_elements(element, parameters)
+    kinds, kind = _kinds(beams)
+    Y_unit = np.concatenate([unit_vectors(beam) for beam in beams])
+    owners = np.concatenate([np.repeat(f"beam {x.name!r}", x.element_count) for x in beams])
+    numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
+    key = np.concatenate(numbers, axis=1)
+    _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    index = index.ravel()
+    damped = ElementParameter.DAMPING_TIME
+    wanted = tuple(which for which in mapping.driven() if which is not damped)
+    order, parts = [], []
+    for number, each in enumerate(kinds):
+        own = kept[kind[kept] == number]
+        order.append(np.flatnonzero(kind[kept] == number))
+        batch = Batch(each, parameters[own], Y_unit[own])
+        parts.append(prepare(element, batch, wanted, owners[own]))
+    distinct = joined(parts, np.argsort(np.concatenate(order)))
+    chosen = np.zeros(1, dtype=np.int64) if len(kept) == 1 else index
+    stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
+    mass = np.flatnonzero(~np.isin(mapping.parameters, _WEIGHTLESS))
+    A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
+    c_b = np.zeros((len(stiffness), distinct.A.shape[1]), dtype=distinct.A.dtype)
+    rest_b = np.zeros((len(c_b), 2, c_b.shape[1]), dtype=c_b.dtype)
+    m_b = np.zeros((len(mass), *distinct.m.shape[1:]), dtype=distinct.m.dtype)
+    for which, partial in distinct.partials.items():
+        at = mapping.parameters[stiffness] == which
+        source = index[mapping.elements[stiffness][at]]
+        weight = mapping.weights[stiffness][at]
+        A_b[at] = partial.A[source] * weight[:, None, None]
+        c_b[at] = partial.c[source] * weight[:, None]
+        rest_b[at, 0] = partial.g_o[source] * weight[:, None]
+        rest_b[at, 1] = partial.p_o[source] * weight[:, None]
+        at = mapping.parameters[mass] == which
+        source = index[mapping.elements[mass][at]]
+        m_b[at] = partial.m[source] * mapping.weights[mass][at][:, None, None]
+    tau = parameters[:, damped]
+    is_damped = bool(np.any(tau != 0)) or damped in mapping.driven()
+    return ElementBlock(
+        A=distinct.A[chosen],
+        g_o=distinct.g_o[chosen],
+        p_o=None if distinct.p_o is None else distinct.p_o[chosen],
+        m=distinct.m[index],
+        tau=tau if is_damped else None,
+        stiffness_pairs=stiffness,
+        damping_pairs=mapping.pairs(damped),
+        mass_pairs=mass,
+        A_b=A_b,
+        rest_b=rest_b,
+        c_b=c_b,
+        m_b=m_b,
+    )
+
+
+def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:
+    """Return the block of a scene where nothing deforms."""
+    n_g, none = element.n_y * (element.n_y + 1) // 2, np.zeros(0, dtype=np.int64)
+    A, g = np.zeros((0, n_g, n_g), parameters.dtype), np.zeros((0, n_g), parameters.dtype)
+    m = np.zeros((0, element.n_a, element.n_a), parameters.dtype)
+    return ElementBlock(
+        A, g, None, m, None, none, none, none, A, np.zeros((0, 2, n_g), A.dtype), g, m
+    )
+
+
+def _kinds(beams: Sequence[BeamBody]) -> tuple[list[ElementType], Array]:
+    """Return the distinct types of elements, and the place of each element's among them."""
+    kinds: dict[tuple[object, ...], ElementType] = {}
+    places = []
+    for beam in beams:
+        own = beam.element_type()
+        key = (own.section.form(), own.energy, own.straight)
+        kinds.setdefault(key, own)
+        places.append(np.full(beam.element_count, list(kinds).index(key)))
+    return list(kinds.values()), np.concatenate(places)
+
+
+def unit_vectors(beam: BeamBody) -> Array:
+    """Return reference relative node vectors of a beam's elements, the chord per unit length.
+
+    The material is isotropic, so a straight element of any orientation has the invariants of
+    one along the x axis; using those makes equal elements equal bit by bit.
+    """
+    element, shape, n = beam.element, beam.reference(), beam.element_count
+    slopes = slice(0, element.n_s - 1)
+    if not shape.straight:
+        frames = shape.slopes[:, slopes]
+        return np.concatenate([shape.chords[:, None], frames[:-1], frames[1:]], axis=1)
+    canonical = np.zeros((element.n_y, element.d))
+    canonical[0, 0] = 1.0
+    canonical[1 : element.n_s] = canonical[element.n_s :] = np.eye(element.d)[slopes]
+    return np.repeat(canonical[None], n, axis=0)

@@ -1,0 +1,235 @@
+"""Elastic and internal damping forces of all elements that deform, with design derivatives."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.block import ElementBlock
+from ancfdae.assembly.numbering import Numbering
+from ancfdae.assembly.parameters import ParameterMap
+from ancfdae.kernels import (
+    Block,
+    force_totals,
+    forces,
+    forces_along,
+    gram,
+    lifted,
+    relative,
+    strain,
+    stressed,
+    tangents,
+)
+from ancfdae.model.elements import elastic
+from ancfdae.numerics.arrays import STEP, Array, only
+from ancfdae.numerics.patterns import Pattern
+
+
+@final
+class ElasticForces:
+    """Generalised elastic forces Q_s and their partials.
+
+    States are given as rows of an array (k, n_q), one per instant.
+
+    Parameters
+    ----------
+    block : ElementBlock
+    numbering : Numbering
+    mapping : ParameterMap
+    n_b : int
+        Number of design variables.
+    pattern : Pattern
+        Pattern of the system's matrices; must hold the entries of every element.
+    """
+
+    def __init__(
+        self,
+        block: ElementBlock,
+        numbering: Numbering,
+        mapping: ParameterMap,
+        n_b: int,
+        pattern: Pattern,
+    ) -> None:
+        self._block, self._n_b, self._size = block, n_b, pattern.size
+        vectors, d = numbering.vectors, numbering.element.d
+        own = block.A, block.g_o, block.p_o, block.tau
+        self._elements = Block(*own, vectors, d, numbering.n_q)
+        n, size = len(vectors), vectors.shape[1] * d
+        self._coordinates = numbering.coordinates(vectors).reshape(n, size)
+        at = self._coordinates
+        index = pattern.index(at[:, :, None], at[:, None]).reshape(n, size**2)
+        self._index = index.astype(np.int32)
+        pairs = np.concatenate([block.stiffness_pairs, block.damping_pairs])
+        self._stiff = len(block.stiffness_pairs)
+        self._pair_element = mapping.elements[pairs]
+        self._pair_variable = mapping.variables[pairs]
+        self._pair_weight = mapping.weights[pairs]
+        # What variables change in the law, pairs in the order that `force_totals` asks for.
+        order = np.lexsort((self._pair_variable, self._pair_element))
+        first = np.searchsorted(self._pair_element[order], np.arange(n + 1))
+        tau_b = self._pair_weight[self._stiff :]
+        self._law_b = block.A_b, block.rest_b, tau_b, first, order, self._pair_variable[order]
+
+    @property
+    def damped(self) -> bool:
+        """Whether forces depend on velocities."""
+        return self._block.tau is not None
+
+    def round_off(self, q: Array, weights: Array) -> float:
+        """Size of the round-off in Q_s near a configuration, one instant.
+
+        Relative node vectors carry eps |q| each, and forces the tangent times that; all terms
+        by their magnitude, in the norm sqrt(sum Q^2 / weights).
+        """
+        own, (n, size) = self._coordinates, self._coordinates.shape
+        apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
+        block = self._elements
+        p_o = None if block.p_o is None else block.p_o.real
+        real = block._replace(A=block.A.real, g_o=block.g_o.real, p_o=p_o, tau=None)
+        K = np.abs(tangents(real, q.real, None, False, apart, apart.size)).reshape(n, size, size)
+        F = np.matmul(K, np.abs(q)[own][..., None])
+        Q = np.finfo(float).eps * np.bincount(own.ravel(), F.ravel(), minlength=len(q))
+        return float(np.sqrt(np.sum(Q * Q / weights)))
+
+    def relative(self, q: Array) -> Array:
+        """Relative node vectors of all elements, shape (k, n, n_y, d)."""
+        return relative(self._elements, q)
+
+    def internal(self, q: Array, v: Array) -> Array:
+        """-Q_s for one instant, shape (n_q,), or for rows."""
+        return forces(self._elements, q, v if self.damped else None)
+
+    def internal_q(self, q: Array, v: Array) -> Array:
+        """Values of -(Q_s)_q on the pattern, shape (k, nnz)."""
+        v_or_none = v if self.damped else None
+        return tangents(self._elements, q, v_or_none, False, self._index, self._size)
+
+    def internal_v(self, q: Array) -> Array:
+        """Values of -(Q_s)_v on the pattern, shape (k, nnz); only if `damped`."""
+        return tangents(self._elements, q, None, True, self._index, self._size)
+
+    def totals(self, q: Array, v: Array) -> Array:
+        """-Q_s at the first of the rows of q and v, and total design derivatives along the others.
+
+        Shape (1 + n_b, n_q), as q and v.
+        """
+        return force_totals(self._elements, q, v if self.damped else None, *self._law_b)
+
+    def _along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
+        """Return derivatives of -Q_s along rows of rates of q and v, shape (k, n_q)."""
+        (q, v), (u, z) = states, rates
+        if not self.damped:
+            return forces_along(self._elements, q, None, u, None)
+        return forces_along(self._elements, q, v, u, z)
+
+    def force_b(self, q: Array, v: Array) -> Array:
+        """(Q_s)_b, shape (k, n_q, n_b)."""
+        return -self._by_variable(self._pair_forces(q, v))
+
+    def tangent_rates(
+        self, q: Array, v: Array, rates: tuple[Array, Array]
+    ) -> tuple[Array, Array | None]:
+        """Time derivatives of (Q_s)_q and (Q_s)_v of one instant along rates of q and v."""
+        moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
+        rate_q = -self.internal_q(moved[0], moved[1]).imag / STEP
+        return rate_q, -self.internal_v(moved[0]).imag / STEP if self.damped else None
+
+    def pull_back_rate(self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array) -> Array:
+        """Time derivative of `pull_back` of one instant along rates of q and v, mu held."""
+        work = self._pair_rates(q, v, rates) * self.relative(mu[None])[:, self._pair_element]
+        per_pair = -np.sum(work, axis=(0, 2, 3))
+        return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+
+    def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
+        """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q).
+
+        mu . W(p_b) Y is p_b . g'(Y, R mu).
+        """
+        if not len(self._pair_element):
+            return np.zeros(self._n_b)
+        block, Y = self._block, self.relative(q)
+        V = self.relative(v) if self.damped else None
+        r, own = gram(Y, self.relative(mu)), self._pair_element[: self._stiff]
+        x = strain(block.g_o, Y, V, block.tau)[:, own]
+        change = elastic.apply_invariant(block.A_b, x) - block.c_b
+        per_pair = np.einsum("kpg,kpg->p", change, r[:, own])
+        if V is not None and len(block.damping_pairs):
+            rate = np.sum(elastic.apply_invariant(block.A, gram(Y, V)) * r, axis=(0, 2))
+            damped = slice(self._stiff, None)
+            weighted = rate[self._pair_element[damped]] * self._pair_weight[damped]
+            per_pair = np.concatenate([per_pair, weighted])
+        return -np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+
+    def force_along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
+        """Differentiate Q_s of one instant along rates of q and v, shape (n_q,)."""
+        u, z = rates
+        return -only(self._along(states, (u[None], z[None])))
+
+    def force_along_total(
+        self, states: tuple[Array, ...], rates: tuple[Array, ...], moved_by: tuple[Array, ...]
+    ) -> Array:
+        """Total design derivative of `force_along`, shape (n_q, n_b).
+
+        `moved_by` are the derivatives of the states and of the rates.
+        """
+        q, v = states
+        total = only(self._by_variable(self._pair_rates(q, v, (rates[0], rates[1]))))
+        pairs = zip((*states, *rates), moved_by, strict=True)
+        q, v, u, z = (x + 1j * STEP * x_b.T for x, x_b in pairs)
+        along: Array = self._along((q, v), (u, z)).imag.T / STEP
+        return -(total + along)
+
+    def _pair_rates(self, q: Array, v: Array, rates: tuple[Array, Array]) -> Array:
+        """Return derivatives of `_pair_forces` of one instant along rates of q and v."""
+        moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
+        return np.asarray(self._pair_forces(moved[0], moved[1]).imag / STEP)
+
+    # -- energies ------------------------------------------------------------------------------
+
+    def energies(self, q: Array) -> Array:
+        """Strain energy of every element, shape (k, n)."""
+        block = self._block
+        return elastic.energy(block.A, block.g_o, self.relative(q), block.p_o)
+
+    def energy_q(self, q: Array, chosen: Array) -> Array:
+        """Gradient of the energy of the chosen elements, shape (k, n_q)."""
+        block, Y = self._block, self.relative(q)
+        p = elastic.apply_invariant(block.A, strain(block.g_o, Y, None, None))
+        p = p if block.p_o is None else p + block.p_o
+        return lifted(self._elements, stressed(p * chosen[:, None], Y))
+
+    def energy_b(self, q: Array, chosen: Array) -> Array:
+        """Design partial of the energy of the chosen elements, shape (k, n_b)."""
+        block, pairs = self._block, self._pair_element[: self._stiff]
+        dg = strain(block.g_o, self.relative(q), None, None)[:, pairs]
+        # d(1/2 dg^T A dg + p_o^T dg) = 1/2 dg^T A_b dg - dg^T c_b; the reference, which has no
+        # energy whatever its length, has p_o^T g_ob = 0.
+        per_pair = np.sum(dg * (0.5 * elastic.apply_invariant(block.A_b, dg) - block.c_b), axis=2)
+        result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
+        np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)
+        return result
+
+    def _pair_forces(self, q: Array, v: Array) -> Array:
+        """Partial of the element force for every pair, shape (k, n_pairs, n_y, d)."""
+        block, Y = self._block, self.relative(q)
+        V = None if block.tau is None else self.relative(v)
+        stiff = self._pair_element[: self._stiff]
+        x = strain(block.g_o, Y, V, block.tau)
+        F = elastic.force_partial(block.A_b, block.c_b, x[:, stiff], Y[:, stiff])
+        if V is None or len(block.damping_pairs) == 0:
+            return F
+        damped, weight = self._pair_element[self._stiff :], self._pair_weight[self._stiff :]
+        rate = gram(Y[:, damped], V[:, damped]) * weight[:, None]
+        A = block.A if len(block.A) == 1 else block.A[damped]
+        D = stressed(elastic.apply_invariant(A, rate), Y[:, damped])
+        return np.concatenate([F, D], axis=1)
+
+    def _by_variable(self, F: Array) -> Array:
+        """Return R^T of the forces of all pairs by variable, shape (k, n_q, n_b)."""
+        n_q, n_b, d = self._elements.n_q, self._n_b, self._elements.d
+        # As if each variable had coordinates of its own.
+        vectors = self._elements.vectors[self._pair_element]
+        vectors = vectors + (n_q // d) * self._pair_variable[:, None]
+        apart = self._elements._replace(vectors=vectors, n_q=n_q * n_b)
+        return lifted(apart, F).reshape(len(F), n_b, n_q).swapaxes(1, 2)

@@ -1,0 +1,71 @@
+"""Energies and momenta of a scene and of its parts; instants are rows."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.elastic_forces import ElasticForces
+from ancfdae.assembly.inertia import Inertia
+from ancfdae.assembly.numbering import Numbering
+from ancfdae.model.naming import Layout
+from ancfdae.numerics.arrays import Array
+
+
+@final
+class Energies:
+    """Strain and kinetic energy of everything, or of one owner: a beam, a body, a point mass.
+
+    The layout knows the owners by name. `places`, shape (n_q / d,), is one for vectors that are
+    positions, zero for slopes.
+    """
+
+    def __init__(
+        self, elastic: ElasticForces, inertia: Inertia, numbering: Numbering, layout: Layout
+    ) -> None:
+        self._elastic, self._inertia = elastic, inertia
+        self._owners, self._layout, self.places = numbering.owners, layout, inertia.places
+
+    def strain(self, q: Array, owner: str | None = None) -> Array:
+        """Return the strain energy, shape (k,)."""
+        energies: Array = self._elastic.energies(q) @ self._chosen(owner)
+        return energies
+
+    def strain_q(self, q: Array, owner: str | None = None) -> Array:
+        """Return the gradient of `strain`, shape (k, n_q)."""
+        return self._elastic.energy_q(q, self._chosen(owner))
+
+    def strain_b(self, q: Array, owner: str | None = None) -> Array:
+        """Return the design partial of `strain`, shape (k, n_b)."""
+        return self._elastic.energy_b(q, self._chosen(owner))
+
+    def kinetic(self, v: Array, owner: str | None = None) -> Array:
+        """Return the kinetic energy (eq. 9), shape (k,)."""
+        energies: Array = 0.5 * np.sum(v * self.momenta(v, owner), axis=1)
+        return energies
+
+    def momenta(self, v: Array, owner: str | None = None) -> Array:
+        """Return M v, the gradient of `kinetic`, shape (k, n_q)."""
+        if owner is None:
+            return self._inertia.times(v.T).T
+        return self._inertia.owner_times(v, self._layout.owner(owner))
+
+    def kinetic_b(self, v: Array, owner: str | None = None) -> Array:
+        """Return the design partial of `kinetic`, shape (k, n_b)."""
+        number = None if owner is None else self._layout.owner(owner)
+        return 0.5 * self._inertia.quadratic_b(v, number)
+
+    def gravity(self, q: Array) -> Array:
+        """Return the potential of gravity, zero at q = 0, shape (k,)."""
+        return -np.asarray(q @ self._inertia.gravity)
+
+    def total(self, q: Array, v: Array) -> Array:
+        """Return kinetic and strain energy and the potential of gravity together, shape (k,)."""
+        return self.kinetic(v) + self.strain(q) + self.gravity(q)
+
+    def _chosen(self, owner: str | None) -> Array:
+        """One for the elements of an owner, or for all, that deform, shape (n,)."""
+        if owner is None:
+            return np.ones(len(self._owners))
+        return np.asarray(self._owners == self._layout.owner(owner), dtype=float)

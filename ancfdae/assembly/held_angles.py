@@ -1,0 +1,52 @@
+"""Which right angles of sections joints hold already, or need not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from typing import final
+
+import numpy as np
+
+from ancfdae.model.elements import Quantity
+from ancfdae.model.joints import RightAngle
+from ancfdae.model.naming import Layout
+from ancfdae.numerics.arrays import Array
+
+_FLAT = frozenset((Quantity.SLOPE_Y, Quantity.SLOPE_Z))
+# Places along an element that are nearer than this share of its length hold the same.
+_NEAR = 1e-6
+
+
+@final
+class HeldAngles:
+    """The right angles of all sections that joints have named so far.
+
+    Slopes of a section vary linearly along an element, and so does the change of its right angle:
+    two sections of an element hold that of every third. Bodies that are `rigid` keep their shape by
+    themselves; of an element without a section nothing is asked.
+    """
+
+    def __init__(self, layout: Layout, rigid: Container[str] = ()) -> None:
+        self._layout, self._rigid = layout, rigid
+        self._named: set[RightAngle] = set()
+        self._flat: dict[str, Array] = {}
+
+    def add(self, angle: RightAngle) -> bool:
+        """Name one more, and tell whether it needs an equation."""
+        if Quantity.SLOPE_Y not in self._layout.element.quantities:
+            return False
+        if angle.fraction is None or angle.beam in self._rigid or angle in self._named:
+            return False
+        self._named.add(angle)
+        if angle.slopes != _FLAT:
+            return True
+        beam = self._layout.beam(angle.beam)
+        element, xi = beam.locate(angle.fraction, angle.before)
+        weights = np.zeros((1, beam.element_count + 1))
+        weights[0, element], weights[0, element + 1] = 1 - xi, xi
+        held = self._flat.get(angle.beam, weights[:0])
+        found = np.vstack([held, weights])
+        if np.linalg.matrix_rank(found, tol=_NEAR) == len(held):
+            return False
+        self._flat[angle.beam] = found
+        return True

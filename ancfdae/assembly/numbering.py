@@ -1,0 +1,136 @@
+"""Numbering of coordinates: vectors of d numbers, of all beams and rigid bodies in a row.
+
+A beam has n_s vectors per node and one more per kink, what is rigid one frame of d + 1 vectors: its
+reference point and its directions (docs/theory.md, section 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.rigid_motions import RigidMotions
+from ancfdae.model.bodies import BeamBody, RigidBody
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.naming import BeamLayout, BodyLayout, RigidNodes
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class Numbering:
+    """Coordinates of every body and every element that deforms.
+
+    Attributes
+    ----------
+    element : BeamElement
+    bodies : tuple of BodyLayout
+        Of all beams and rigid bodies in the order of their vectors.
+    beams : tuple of BeamLayout
+    rigid : array of bool, shape (n_bodies,)
+    elements : array of int, shape (n,)
+        Scene-wide numbers of the elements that deform.
+    vectors : array of int, shape (n, n_a)
+        Scene-wide numbers of their node vectors; vector k has the coordinates d k to d k + d - 1.
+    n_q : int
+        Number of coordinates.
+    """
+
+    element: BeamElement
+    bodies: tuple[BodyLayout, ...]
+    beams: tuple[BeamLayout, ...]
+    rigid: Array
+    elements: Array
+    vectors: Array
+    n_q: int
+
+    def rigid_motions(self) -> RigidMotions:
+        """Return the rigid motions of all bodies."""
+        owner = np.repeat(np.arange(len(self.bodies)), [body.count for body in self.bodies])
+        is_position = np.zeros(len(owner), dtype=bool)
+        for body in self.bodies:
+            is_position[body.positions] = True
+        return RigidMotions(owner, is_position, self.element.d)
+
+    @property
+    def owners(self) -> Array:
+        """Place among the bodies of the beam of each element that deforms, shape (n,)."""
+        counts = [0 if beam.rigid else beam.element_count for beam in self.beams]
+        return np.repeat(np.arange(len(self.beams)), counts)
+
+    @property
+    def frames(self) -> Array:
+        """Numbers of the vectors of everything rigid, shape (n_rigid, d + 1)."""
+        rigid = [body.vectors for body, own in zip(self.bodies, self.rigid, strict=True) if own]
+        return np.array(rigid, dtype=np.int64).reshape(len(rigid), self.element.d + 1)
+
+    def coordinates(self, vectors: Array) -> Array:
+        """Return coordinate numbers of node vectors; a trailing axis d is added."""
+        return vectors[..., None] * self.element.d + np.arange(self.element.d)
+
+    def couplings(self) -> tuple[Array, Array]:
+        """Return rows and columns that couple coordinates of an element, or of a rigid body."""
+        size = self.element.n_a * self.element.d
+        own = self.coordinates(self.vectors).reshape(-1, size)
+        frames = self.coordinates(self.frames)
+        elements = np.broadcast_arrays(own[:, :, None], own[:, None, :])
+        bodies = np.broadcast_arrays(frames[:, :, None], frames[:, None])
+        rows, columns = (
+            np.concatenate([a.ravel(), b.ravel()]) for a, b in zip(elements, bodies, strict=True)
+        )
+        return rows, columns
+
+
+def number(scene: Scene) -> Numbering:
+    """Assign numbers to the coordinates of a scene, body by body and node by node."""
+    element, bodies, beams, vectors, elements = scene.element, [], [], [], []
+    vector = first = 0
+    for member in scene.members:
+        own = _body_layout(member, vector, element, scene.kinks.get(member.name, ()))
+        bodies.append(own)
+        vector += own.count
+        if isinstance(member, RigidBody):
+            continue
+        numbers = np.arange(member.element_count)
+        if not member.rigid:
+            vectors.append(own.ends)
+            elements.append(first + numbers)
+        beams.append(_beam_layout(member, first))
+        first += member.element_count
+    empty = np.zeros(0, dtype=np.int64)
+    return Numbering(
+        element=element,
+        bodies=tuple(bodies),
+        beams=tuple(beams),
+        rigid=np.array([isinstance(x, RigidBody) or x.rigid for x in scene.members]),
+        elements=np.concatenate([empty, *elements]),
+        vectors=np.concatenate([empty.reshape(0, element.n_a), *vectors]),
+        n_q=vector * element.d,
+    )
+
+
+def _body_layout(
+    member: BeamBody | RigidBody, first: int, element: BeamElement, kinks: tuple[int, ...]
+) -> BodyLayout:
+    if isinstance(member, RigidBody):
+        moments = member.moments(np.array(list(member.parameters().values())))
+        size = float(np.sqrt(np.trace(moments[1:, 1:]) / moments[0, 0]))
+    else:
+        size = float(np.sum(member.reference().lengths))
+        if not member.rigid:
+            count = (member.element_count + 1) * element.n_s + len(kinks)
+            return BodyLayout(member.name, first, count, element.n_s, size, kinks)
+    return BodyLayout(member.name, first, element.d + 1, element.d + 1, size)
+
+
+def _beam_layout(beam: BeamBody, first: int) -> BeamLayout:
+    shape, rigid = beam.reference(), None
+    if beam.rigid:
+        axes = beam.directions().T
+        chords = tuple(map(tuple, (shape.chords @ axes).tolist()))
+        slopes = tuple(tuple(map(tuple, node)) for node in (shape.slopes @ axes).tolist())
+        rigid = RigidNodes(chords, slopes)
+    return BeamLayout(beam.name, first, tuple(shape.fractions.tolist()), rigid)

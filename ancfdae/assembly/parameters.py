@@ -1,0 +1,151 @@
+"""From design variables to element parameters, and back for derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.elements import ElementParameter
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class ParameterMap:
+    """Which element parameters each design variable writes to.
+
+    One entry per pair (element, parameter) that a variable drives; the element's parameter
+    is `weight` times the variable, plus `offset`.
+
+    Attributes
+    ----------
+    base : array, shape (n, 9)
+        Parameters of the scene as declared.
+    elements, parameters, variables : array of int, shape (n_pairs,)
+    weights, offsets : array, shape (n_pairs,)
+        Factor of the target, and what it holds beside the variable's share; for a length times the
+        share of the element in the length of its beam.
+    declared : dict
+        The `Scene.numbers` of everything that is not an element, by the name of its owner.
+    nominal : array, shape (n_b,)
+        Values of the design variables as declared.
+    names : tuple of str
+        Of the design variables.
+    slots : dict
+        By owner, the tuples (place among its numbers, design variable, weight, offset).
+    """
+
+    base: Array
+    elements: Array
+    parameters: Array
+    variables: Array
+    weights: Array
+    offsets: Array
+    declared: dict[str, tuple[float, ...]]
+    slots: dict[str, list[tuple[int, int, float, float]]]
+    nominal: Array
+    names: tuple[str, ...]
+
+    def numbers(self, owner: str, b: Array) -> tuple[Array, Array]:
+        """Return the numbers p of an owner at design values b, and p_b."""
+        p = np.array(self.declared.get(owner, ())).astype(np.result_type(float, b))
+        p_b = np.zeros((len(p), len(b)))
+        for place, variable, weight, offset in self.slots.get(owner, ()):
+            p[place] = weight * b[variable] + offset
+            p_b[place, variable] = weight
+        return p, p_b
+
+    def holding(self, owner: str, numbers: Sequence[float]) -> ParameterMap:
+        """Return the same map with the numbers of an owner held at others."""
+        slots = {name: own for name, own in self.slots.items() if name != owner}
+        return replace(self, declared=self.declared | {owner: tuple(numbers)}, slots=slots)
+
+    def values(self, b: Array) -> Array:
+        """Return element parameters at design values b, shape (n, 9), in the dtype of b."""
+        P = self.base.astype(np.result_type(self.base, b))
+        P[self.elements, self.parameters] = self.weights * b[self.variables] + self.offsets
+        return P
+
+    def only(self, rows: Array) -> ParameterMap:
+        """Return what is written to some elements, numbered in the order given."""
+        places = np.full(len(self.base), -1)
+        places[rows] = np.arange(len(rows))
+        own = places[self.elements]
+        kept = own >= 0
+        return replace(
+            self,
+            base=self.base[rows],
+            elements=own[kept],
+            parameters=self.parameters[kept],
+            variables=self.variables[kept],
+            weights=self.weights[kept],
+            offsets=self.offsets[kept],
+        )
+
+    def lengths_b(self, n_b: int) -> Array:
+        """Return d(element lengths)/db, shape (n, n_b)."""
+        partial = np.zeros((len(self.base), n_b))
+        chosen = self.pairs(ElementParameter.LENGTH)
+        partial[self.elements[chosen], self.variables[chosen]] = self.weights[chosen]
+        return partial
+
+    def pairs(self, which: ElementParameter) -> Array:
+        """Return the indices of the pairs of one parameter."""
+        return np.flatnonzero(self.parameters == which)
+
+    def driven(self) -> tuple[ElementParameter, ...]:
+        """Return the parameters that some design variable drives."""
+        return tuple(ElementParameter(int(k)) for k in np.unique(self.parameters))
+
+
+def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMap:
+    """Resolve the targets of all design variables; refuse unknown ones, and two for one number."""
+    base, none = scene.element_parameters(), np.zeros(0, dtype=np.int64)
+    pairs = [(none, none, none, np.zeros(0), np.zeros(0))]
+    owner: dict[tuple[int, int], str] = {}
+    slots: dict[str, list[tuple[int, int, float, float]]] = {}
+    for index, variable in enumerate(design):
+        for text in variable.targets:
+            target = scene.resolve(text)
+            factor, offset = variable.factor(text), scene.offset(variable, text)
+            if not scene.is_of_elements(target):
+                place = list(scene.numbers(target.owner)).index(target.indexed)
+                slots.setdefault(target.owner, []).append((place, index, factor, offset))
+                continue
+            rows = scene.target_elements(target)
+            which = scene.beam(target.owner).parameter_names()[target.parameter]
+            share = np.ones(len(rows))
+            if which is ElementParameter.LENGTH:
+                share = base[rows, which] / np.sum(base[rows, which])
+            for row in rows.tolist():
+                other = owner.setdefault((row, which), text)
+                if other != text:
+                    raise InvalidInput(
+                        "design",
+                        "two targets may not write to the same parameter of an element",
+                        f"{other} and {text}",
+                        "Remove one of them.",
+                    )
+            numbers = np.full(len(rows), int(which)), np.full(len(rows), index)
+            pairs.append((rows, *numbers, factor * share, offset * share))
+    elements, parameters, variables, weights, offsets = map(
+        np.concatenate, zip(*pairs, strict=True)
+    )
+    return ParameterMap(
+        base,
+        elements,
+        parameters,
+        variables,
+        weights,
+        offsets,
+        declared={owner: tuple(scene.numbers(owner).values()) for owner in scene.owners()},
+        slots=slots,
+        nominal=np.array([scene.value(variable) for variable in design], dtype=float),
+        names=tuple(variable.name for variable in design),
+    )

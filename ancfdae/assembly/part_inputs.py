@@ -1,0 +1,107 @@
+"""Joints and loads of a scene as numbers: their vectors, design fields and reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.constraints import JointConstraints
+from ancfdae.assembly.held_angles import HeldAngles
+from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.load_forces import LoadForces, LoadInput
+from ancfdae.assembly.numbering import Numbering
+from ancfdae.assembly.parameters import ParameterMap
+from ancfdae.assembly.reference import Reference
+from ancfdae.assembly.rigidity import Rigidity
+from ancfdae.assembly.vectors import Vectors, point_vectors
+from ancfdae.model.bodies import Point, Quantity
+from ancfdae.model.joints import Joint
+from ancfdae.model.loads import Load
+from ancfdae.model.naming import Naming, PointVector
+from ancfdae.model.parts import Part
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import STEP, Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PartInputs:
+    """What joints and loads are made of, at design values b."""
+
+    scene: Scene
+    numbering: Numbering
+    naming: Naming
+    mapping: ParameterMap
+    reference: Reference
+    b: Array
+
+    def constraints(self) -> JointConstraints:
+        """Return the constraints of all joints, and of bodies that are rigid."""
+        inputs, points = [], []
+        bodies = zip(self.numbering.bodies, self.numbering.rigid, strict=True)
+        rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
+        held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
+        for joint in (*self.scene.joints, *rigidities):
+            item, own = self._joint(joint)
+            inputs.append(item.shaped(held))
+            points += own
+        n_b, d = len(self.b), self.numbering.element.d
+        return JointConstraints(inputs, self._vectors(points), n_b, d)
+
+    def forces(self) -> LoadForces:
+        """Return the forces of all loads."""
+        inputs = [self.load(load) for load in self.scene.loads]
+        return LoadForces(inputs, self.numbering.n_q, len(self.b), self.numbering.element.d)
+
+    def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
+        """Return one joint as it stands alone, with its vectors."""
+        item, own = self._joint(joint)
+        return item, self._vectors(own)
+
+    def load(self, load: Load) -> LoadInput:
+        """Return one load."""
+        own, p, p_b = self._part(load)
+        vectors = self._vectors(own)
+        reference, reference_b = self._in_reference(vectors)
+        used = reference_b if load.refers else {}
+        return LoadInput(load, vectors, p, p_b, reference, used)
+
+    def in_reference(self, point: Point, quantity: Quantity) -> tuple[Array, Array]:
+        """Return a vector of a point in the reference, (d,), and its design partials, (d, n_b)."""
+        vectors = self._vectors([self.naming.vector(point, quantity)])
+        (U_o,), moving = self._in_reference(vectors)
+        U_ob = np.zeros((len(U_o), len(self.b)))
+        for i, change in moving.items():
+            U_ob[:, i] = change[0].real
+        return U_o, U_ob
+
+    def _joint(self, joint: Joint) -> tuple[JointInput, list[PointVector]]:
+        own, p, p_b = self._part(joint)
+        return JointInput(joint, p, p_b, *self._in_reference(self._vectors(own))), own
+
+    def _vectors(self, points: list[PointVector]) -> Vectors:
+        return Vectors(points, self.numbering.element.d, self.numbering.n_q, len(self.b))
+
+    def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
+        """Return vectors in the reference configuration, and their partials that are not zero."""
+        q_o, active = self.reference.q, self.reference.active
+        reference, along = vectors.of(q_o[None])[0], vectors.of_b(q_o[None])[0]
+        if active:
+            q_ob = np.array([self.reference.moved(i).q.imag / STEP for i in active])
+            along[..., active] += np.moveaxis(vectors.of(q_ob), 0, -1).real
+        moving = np.flatnonzero(np.any(along, axis=(0, 1)))
+        return reference, {int(i): along[..., i] for i in moving}
+
+    def _part(self, part: Part) -> tuple[list[PointVector], Array, Array]:
+        """Return vectors of a joint or load, and values and partials of its design fields."""
+        p, p_b = self.mapping.numbers(part.name, self.b)
+        count = len(part.parameters())
+        places, first = {}, count
+        for point in part.points:
+            last = first + len(point.numbers())
+            places[point] = (p[first:last], p_b[first:last])
+            first = last
+        names = part.vectors(self.numbering.element)
+        return point_vectors(self.naming, names, places), p[:count], p_b[:count]

@@ -1,0 +1,147 @@
+"""Reference configuration and declared start of a scene as functions of the design."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.parameters import ParameterMap
+from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
+from ancfdae.model.naming import Naming
+from ancfdae.model.scene import Scene
+from ancfdae.model.starts import NodeState, RigidMotion
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.rotations import cayley, generators, rotation
+
+
+@final
+class Reference:
+    """Reference configuration of all bodies, and the start that is declared on it.
+
+    Node k of a beam stands at start + R (sum_{e<k} l_e chord_e), and its slopes at R times those of
+    the shape, with R the rotation by the beam's turn. Its start is a place, or a point of another
+    body. What is rigid has one node: its place and R times its directions.
+
+    The values b of the design variables, with the element lengths of the naming at them, are real
+    or complex. Both configurations depend on the `active` ones.
+    """
+
+    def __init__(self, scene: Scene, mapping: ParameterMap, b: Array, naming: Naming) -> None:
+        self._scene, self._mapping, self._b = scene, mapping, b
+        self._lengths, self._naming = naming.lengths, naming
+        self._firsts = scene.first_elements()
+        moving = np.any(naming.lengths_b != 0, axis=0)
+        for body in scene.members:
+            _, numbers_b = mapping.numbers(body.name, b)
+            moving |= np.any(numbers_b[self._skipped(body) :] != 0, axis=0)
+        self.active: list[int] = np.flatnonzero(moving).tolist()
+
+    @cached_property
+    def q(self) -> Array:
+        """Reference configuration, shape (n_q,)."""
+        return np.concatenate([self._vectors(body).ravel() for body in self._scene.members])
+
+    @cached_property
+    def Z(self) -> Array:
+        """Vectors of the start as declared, before any assembly, shape (n_vectors, d)."""
+        parts = []
+        for body in self._scene.members:
+            X, start = self._vectors(body), self._scene.start_of(body.name)
+            parts.append(self._of(start.coordinates, body) if isinstance(start, NodeState) else X)
+        return np.concatenate(parts)
+
+    def velocities(self, q: Array, motion: Array) -> Array:
+        """Return the declared velocities at coordinates that a rigid motion brought there.
+
+        Velocities of nodes turn with their body, by `motion` of shape (n_bodies, n_x).
+        """
+        d, first, parts = self._scene.dimension, 0, []
+        for body, x in zip(self._scene.members, motion, strict=True):
+            X = self._vectors(body)
+            own, first = q[first : first + X.size].reshape(X.shape), first + X.size
+            start = self._scene.start_of(body.name)
+            V = np.zeros_like(own)
+            if isinstance(start, RigidMotion):
+                V = self._rigid_velocity(body, start, own)
+            elif isinstance(start, NodeState) and start.velocities is not None:
+                V = self._of(start.velocities, body) @ cayley(x[None, d:], d)[0].T
+            parts.append(V.ravel())
+        return np.concatenate(parts)
+
+    def moved(self, i: int) -> Reference:
+        """Return them moved in design variable i by an imaginary step."""
+        if i not in self.active:
+            return self
+        other = copy.copy(self)
+        for name in ("q", "Z"):
+            other.__dict__.pop(name, None)
+        other._b = self._b + 1j * STEP * np.eye(len(self._b))[i]
+        other._lengths = self._lengths + 1j * STEP * self._naming.lengths_b[:, i]
+        other._naming = replace(self._naming, lengths=other._lengths)
+        return other
+
+    def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
+        """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""
+        return self._naming.layout.body(body.name).of_ends(NodeState.ends(nodes))
+
+    def _positions(self, body: BeamBody | RigidBody) -> Array:
+        """Return the places of positions among the vectors of a body."""
+        layout = self._naming.layout.body(body.name)
+        return layout.positions - layout.first_vector
+
+    def _vectors(self, body: BeamBody | RigidBody) -> Array:
+        """Vectors of a body in the reference configuration, shape (count, d)."""
+        numbers = self._placed(body)
+        place, turn = body.split_placement(numbers)
+        X = self._unturned(body)
+        X = X.astype(np.result_type(X, numbers, self._lengths)) @ rotation(turn, body.dimension).T
+        X[self._positions(body)] += self._attached(body) if place is None else place
+        return X
+
+    def _unturned(self, body: BeamBody | RigidBody) -> Array:
+        """Return the vectors of a body that stands at the origin."""
+        if isinstance(body, RigidBody) or body.rigid:
+            return np.concatenate([np.zeros((1, body.dimension)), body.directions()])
+        shape, first, n_s = body.reference(), self._firsts[body.name], body.element.n_s
+        lengths = self._lengths[first : first + body.element_count]
+        X = np.zeros((len(lengths) + 1, n_s, body.dimension), dtype=lengths.dtype)
+        X[1:, 0] = np.cumsum(lengths[:, None] * shape.chords, axis=0)
+        X[:, 1:] = shape.slopes[:, : n_s - 1]
+        return self._of(X, body)
+
+    def _attached(self, body: BeamBody | RigidBody) -> Array:
+        """Return the place of the point of another body where a beam starts."""
+        point = body.attached
+        assert point is not None
+        vector = self._naming.vector(point, Quantity.POSITION)
+        other = self._vectors(self._scene.member(point.beam))
+        first = self._naming.layout.body(point.beam).first_vector
+        place: Array = vector.weights @ other[vector.vectors - first]
+        return place
+
+    @staticmethod
+    def _skipped(body: BeamBody | RigidBody) -> int:
+        """Numbers of a body that come before those of its placement."""
+        return len(body.parameters()) if isinstance(body, RigidBody) else 0
+
+    def _placed(self, body: BeamBody | RigidBody) -> Array:
+        """Return the numbers of a body from those of its placement on."""
+        numbers, _ = self._mapping.numbers(body.name, self._b)
+        return numbers[self._skipped(body) :]
+
+    def _rigid_velocity(self, body: BeamBody | RigidBody, start: RigidMotion, X: Array) -> Array:
+        """Velocity v + omega x (r - about) of positions and omega x slope of slopes."""
+        d = X.shape[-1]
+        numbers = self._placed(body)[len(body.placement()) :]
+        spin, about, velocity = start.split(numbers)
+        omega = np.tensordot(np.atleast_1d(spin), generators(d), 1)
+        arms, positions = X.astype(np.result_type(X, numbers)), self._positions(body)
+        arms[positions] -= about
+        V: Array = arms @ omega.T
+        if velocity is not None:
+            V[positions] += velocity
+        return V

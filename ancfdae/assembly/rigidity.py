@@ -1,0 +1,41 @@
+"""What keeps a rigid body rigid: its directions stay orthonormal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.joints import Equations, Joint
+from ancfdae.model.joints.joint import empty_coefficients
+from ancfdae.model.parts import Direction, Vectors
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class Rigidity(Joint):
+    """Keep the directions of a body orthonormal: (d_i . d_j - delta_ij) / (1 + delta_ij) = 0.
+
+    Three equations in the plane and six in space, by the name of ``rigid(body)``.
+    """
+
+    beam: str
+    name: str = ""
+
+    kind = "rigid"
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the directions."""
+        return tuple(Direction(self.beam, k + 1) for k in range(element.d))
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Entries i <= j of d_i . d_j."""
+        i, j = np.triu_indices(reference.shape[1])
+        rows = np.arange(len(i))
+        c = empty_coefficients(len(i), p, reference)
+        c.bilinear[rows, i, j] = c.bilinear[rows, j, i] = 1.0
+        c.offset[:] = 0.5 * (i == j)
+        return c

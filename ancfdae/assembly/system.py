@@ -1,0 +1,365 @@
+"""The ANCF assembler: the only place where a scene becomes M, Q, Phi and their partials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.assembled_start import AssembledStart
+from ancfdae.assembly.beam_sections import BeamSections
+from ancfdae.assembly.block import element_block
+from ancfdae.assembly.elastic_forces import ElasticForces
+from ancfdae.assembly.energies import Energies
+from ancfdae.assembly.inertia import Inertia
+from ancfdae.assembly.mass_blocks import element_masses, other_masses
+from ancfdae.assembly.numbering import number
+from ancfdae.assembly.parameters import ParameterMap, parameter_map
+from ancfdae.assembly.part_inputs import PartInputs
+from ancfdae.assembly.reference import Reference
+from ancfdae.assembly.works import Works
+from ancfdae.equations.system import (
+    DesignPartials,
+    Direction,
+    Linearisation,
+    MechanicalSystem,
+    States,
+    Traits,
+)
+from ancfdae.errors import InvalidInput, require_kind
+from ancfdae.errors.text import listed
+from ancfdae.model.design import DesignVariable, as_design
+from ancfdae.model.elements import ElementParameter
+from ancfdae.model.naming import Layout, Naming
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array, only
+from ancfdae.numerics.patterns import Pattern
+from ancfdae.statics import RestingStart
+
+
+def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
+    """Turn a scene into a mechanical system with the given design variables.
+
+    Parameters
+    ----------
+    scene : Scene
+    design : sequence of str or DesignVariable
+        Design variables, in the order of the last axis of every sensitivity.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If a design variable does not fit the scene.
+    """
+    require_kind("scene", scene, (Scene,), "Call Scene(...).")
+    variables = as_design(design)
+    scene = scene.with_grounds(text for variable in variables for text in variable.targets)
+    mapping = parameter_map(scene, variables)
+    return AncfSystem(scene, variables, mapping, mapping.nominal)
+
+
+@final
+class AncfSystem(MechanicalSystem):
+    """A scene at given values of its design variables; made by `assemble`.
+
+    Parameters
+    ----------
+    scene : Scene
+    design : tuple of DesignVariable
+    mapping : ParameterMap
+    b : array, shape (n_b,)
+        Values of the design variables, real or complex. Everything that depends on them is
+        computed in their dtype.
+
+    Attributes
+    ----------
+    naming : Naming
+        Where beams and joints stand in q and lam, and the element lengths.
+    energies : Energies
+    sections : BeamSections
+        Forces and stresses of beams.
+    works : Works
+        Power of driven joints and of loads.
+    inputs : PartInputs
+        What joints and loads are made of, and vectors of points in the reference.
+    """
+
+    naming: Naming
+
+    def __init__(
+        self,
+        scene: Scene,
+        design: tuple[DesignVariable, ...],
+        mapping: ParameterMap,
+        b: Array,
+    ) -> None:
+        self._scene, self._design, self._mapping, self.b = scene, design, mapping, np.asarray(b)
+        self.n_b = len(design)
+        self.design_names = mapping.names
+        parameters = mapping.values(self.b)
+        self._numbering = number(scene)
+        self.element, self.n_q = self._numbering.element, self._numbering.n_q
+        lengths = parameters[:, ElementParameter.LENGTH]
+        masses = tuple(mass.name for mass in scene.point_masses)
+        numbering = self._numbering
+        layout = Layout(self.element, numbering.bodies, numbering.beams, masses, ())
+        self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
+        self._reference = Reference(scene, mapping, self.b, self.naming)
+        inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
+        self._constraints, self._loads = inputs.constraints(), inputs.forces()
+        self.pattern = self._whole_pattern()
+        self._constraints.place_curvature(self.pattern)
+        self._loads.place(self.pattern)
+        soft = mapping.only(self._numbering.elements)
+        beams = [beam for beam in scene.beams if not beam.rigid]
+        block = element_block(self.element, beams, soft, soft.values(self.b))
+        self._elastic = ElasticForces(block, self._numbering, soft, self.n_b, self.pattern)
+        others = other_masses(scene, self.naming, mapping, self.b)
+        blocks = (element_masses(self._numbering, soft, block), *others)
+        self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, self._gravity())
+        self._describe()
+        layout = self.naming.layout
+        self.energies = Energies(self._elastic, self._inertia, numbering, layout)
+        self.sections = BeamSections(scene, layout, numbering, mapping, self.b)
+        self.inputs, self.works = inputs, Works(scene, inputs, layout, self.n_b)
+        start = mapping, self._reference, self._constraints, self.pattern, self.b
+        self._start = AssembledStart(scene, numbering, *start)
+
+    def __repr__(self) -> str:
+        """Return sizes, scene and values of the design variables."""
+        own = listed(f"{name} = {b:.6g}" for name, b in zip(self.design_names, self.b, strict=True))
+        sizes = f"{self.n_q} coordinates, {self.n_lam} multipliers"
+        return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {own}"
+
+    def _gravity(self) -> tuple[Array, Array]:
+        g, g_b = self._mapping.numbers("scene", self.b)
+        d = self.element.d
+        return (g, g_b) if len(g) else (np.zeros(d), np.zeros((d, self.n_b)))
+
+    def _whole_pattern(self) -> Pattern:
+        """Pattern of everything: elements, rigid bodies, curvature of joints, tangents of loads."""
+        joints, loads = self._constraints.couplings()[:2], self._loads.couplings()
+        parts = zip(self._numbering.couplings(), joints, loads, strict=True)
+        rows, columns = (np.concatenate(part) for part in parts)
+        return Pattern((self.n_q, self.n_q), rows, columns)
+
+    def _describe(self) -> None:
+        self.n_lam = self._constraints.n_lam
+        self.constraint_pattern = self._constraints.pattern
+        joints, moving = self._constraints, self._loads.moving
+        self.weights = self._inertia.weights
+        self.traits = Traits(
+            constant_mass=True,
+            linear_constraints=joints.linear,
+            constant_constraints=joints.constant,
+            velocity_forces=self._elastic.damped or self._loads.uses_velocity,
+            # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that
+            # move.
+            symmetric=not (self._elastic.damped or moving),
+            project_start=self._scene.project_start,
+            force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
+        )
+        rows = joints.joints
+        self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=rows))
+        self.constraint_names = tuple(joint.name for joint in rows for _ in range(joint.rows))
+
+    # -- the protocol --------------------------------------------------------------------------
+
+    def with_values(self, b: Array) -> AncfSystem:
+        """Return the same scene at other design values, real or complex.
+
+        Raises
+        ------
+        InvalidInput
+            If there are not n_b values, or one is not admissible.
+        """
+        b = np.asarray(b)
+        if b.shape != (self.n_b,):
+            raise InvalidInput(
+                "design values", f"must have shape ({self.n_b},)", b.shape, "One per variable."
+            )
+        if np.any(b.real != self.b.real):
+            # Refuses values that a part cannot take.
+            self._scene.with_values(dict(zip(self._design, b.real.tolist(), strict=True)))
+        return AncfSystem(self._scene, self._design, self._mapping, b)
+
+    @cached_property
+    def _rest(self) -> RestingStart | None:
+        """The equilibrium that the motion starts from: of the same scene under other loads."""
+        scene = self._scene.at_rest()
+        if scene is None:
+            return None
+        mapping, rest = self._mapping, self._scene.rest
+        if rest is not None and rest.gravity is not None:
+            mapping = mapping.holding("scene", rest.gravity)
+        return RestingStart(AncfSystem(scene, self._design, mapping, self.b))
+
+    def start(self) -> tuple[Array, Array]:
+        """Return the declared start, or the equilibrium."""
+        return self._started
+
+    @cached_property
+    def _started(self) -> tuple[Array, Array]:
+        if self._rest is not None:
+            return self._rest.q, np.zeros_like(self._rest.q)
+        return self._start.state()
+
+    def start_b(self) -> tuple[Array, Array]:
+        """Return the partials of the start."""
+        if self._rest is not None:
+            return self._rest.q_b, np.zeros_like(self._rest.q_b)
+        return self._start.state_b()
+
+    def start_pull_back(self, on_q: Array, on_v: Array) -> Array:
+        """Contract over the variables that move the start."""
+        if self._rest is not None:
+            return self._rest.pull_back(on_q)
+        return self._start.pull_back(on_q, on_v)
+
+    def mass(self, q: Array) -> Array:
+        """M (eq. 10)."""
+        return self._inertia.values
+
+    def mass_times(self, q: Array, x: Array) -> Array:
+        """M x."""
+        return self._inertia.times(x)
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
+        Q = self._inertia.gravity - self._elastic.internal(q, v)
+        if self._scene.loads:
+            Q = Q + self._loads.force(q[None], v[None], np.array([t]))[0]
+        return Q
+
+    def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
+        """Q_q dq + Q_v dv + Q_t dt."""
+        dt, *rates = direction
+        dQ = self._elastic.force_along((q, v), (rates[0], rates[1]))
+        if self._scene.loads:
+            states, moving = (q[None], v[None]), (rates[0][None], rates[1][None])
+            dQ = dQ + self._loads.force_along(states, moving, np.array([t]), dt)[0]
+        return dQ
+
+    def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
+        """Q and its total design derivatives as rows."""
+        rows = self._inertia.gravity_rows - self._elastic.totals(q_rows, v_rows)
+        if self._scene.loads:
+            time = np.array([t])
+            total = self._loads.force_total(q_rows[0], v_rows[0], time, q_rows[1:].T, v_rows[1:].T)
+            rows = rows + np.concatenate([self._loads.force(q_rows[:1], v_rows[:1], time), total.T])
+        return rows
+
+    def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
+        """Follower forces and moments."""
+        return self._loads.following(q, np.array([t]))
+
+    def constraint(self, t: float, *motion: Array) -> Array:
+        """Phi and its time derivatives."""
+        return self._constraints.constraint(t, *motion)
+
+    def constraint_q(self, t: float, *motion: Array) -> Array:
+        """Phi_q and its time derivatives."""
+        return self._constraints.constraint_q(t, *motion)
+
+    def constraint_total(
+        self, t: float, motion: tuple[Array, ...], motion_b: tuple[Array, ...] | None = None
+    ) -> Array:
+        """Total design derivative of Phi and its time derivatives."""
+        return self._constraints.constraint_total(t, motion, motion_b)
+
+    # -- the residual f = M a + Phi_q^T lam - Q ----------------------------------------------------
+
+    def linearise(self, t: Array, q: Array, v: Array | None, a: Array, lam: Array) -> Linearisation:
+        """M, f_q (eq. 19), f_v and Phi_q."""
+        f_v, f_q = None, np.zeros((len(q), self.pattern.size))
+        if v is not None:
+            f_q, f_v = self._tangents(q, v, t)
+        if not self.traits.linear_constraints:
+            f_q = f_q + self._constraints.constraint_force_q(lam, t)
+        M = self._inertia.values[None]
+        return Linearisation(M, f_q, f_v, self._constraints.constraints_q(q, t))
+
+    def design_partials(
+        self, t: Array, q: Array, v: Array | None, a: Array, lam: Array
+    ) -> DesignPartials:
+        """Design partials of f (eqs. 24, 25) and Phi."""
+        f_b = self._inertia.times_b(a)
+        if v is not None:
+            f_b = f_b - self._forces_b(q, v, t)
+        if self._constraints.active:
+            f_b = f_b + self._constraints.constraint_forces_b(q, lam, t)
+        return DesignPartials(f_b, self._constraints.constraints_b(q, t))
+
+    def pull_back(
+        self,
+        t: Array,
+        states: tuple[Array, Array | None, Array, Array],
+        covectors: tuple[Array, Array],
+    ) -> Array:
+        """Contraction over pairs and active variables, without arrays of the size n_q n_b."""
+        (q, v, a, lam), (mu, zeta) = states, covectors
+        total = self._inertia.pull_back(a, mu, gravity=v is not None)
+        if v is not None:
+            total = total - self._elastic.pull_back(q, v, mu) - self._loads.pull_back(q, v, t, mu)
+        return np.asarray(total + self._constraints.pull_back(q, lam, t, mu, zeta))
+
+    def along_total(
+        self,
+        t: float,
+        states: States,
+        direction: Direction,
+        states_b: States,
+        direction_b: tuple[Array, Array],
+    ) -> Array:
+        """Total design derivative of the derivative of f along a direction; M is constant."""
+        (q, v, _, lam), (q_b, v_b, _, lam_b) = states, states_b
+        dt, *rates = direction
+        moved_by = q_b, v_b, *direction_b
+        total = -self._elastic.force_along_total((q, v), tuple(rates), moved_by)
+        if self._scene.loads:
+            time = np.array([t])
+            total -= self._loads.force_along_total((q, v), tuple(rates), time, dt, moved_by)
+        if self.traits.constant_constraints:
+            return total
+        joints = (q, rates[0], lam), (q_b, direction_b[0], lam_b)
+        return total + self._constraints.force_along_total(t, *joints, dt)
+
+    def along_pull_back(
+        self, t: float, states: States, direction: Direction, mu: Array
+    ) -> tuple[Array, Array, Array]:
+        """Transposes of tangents along the direction; pair by pair for the design."""
+        q, v, _, lam = states
+        dt, *rates = direction
+        moving, time = (rates[0], rates[1]), np.array([t])
+        Q_q, Q_v = self._elastic.tangent_rates(q, v, moving)
+        on_b = -self._elastic.pull_back_rate(q, v, moving, mu)
+        if self._scene.loads:
+            Q_v = np.zeros_like(Q_q) if Q_v is None else Q_v
+            self._loads.add_tangents_along((q, v), moving, time, dt, Q_q, Q_v)
+            on_b = on_b - self._loads.force_along_pull_back((q, v), moving, time, dt, mu)
+        f_q = -only(Q_q)
+        if not self.traits.linear_constraints:
+            f_q = f_q + dt * self._constraints.constraint_force_t_q(lam, t)
+        joints = q, rates[0], lam
+        on_b = on_b + self._constraints.force_along_pull_back(t, joints, dt, mu)
+        dot = self.pattern.dot_transposed
+        on_v = np.zeros_like(mu) if Q_v is None else -dot(only(Q_v), mu)
+        return dot(f_q, mu), on_v, on_b
+
+    def _tangents(self, q: Array, v: Array, t: Array) -> tuple[Array, Array | None]:
+        """Return -Q_q and -Q_v."""
+        K, D = self._elastic.internal_q(q, v), None
+        if self._elastic.damped:
+            D = self._elastic.internal_v(q)
+        elif self.traits.velocity_forces:
+            D = np.zeros_like(K)
+        if self._scene.loads:
+            self._loads.subtract_tangents(q, v, t, K, D)
+        return K, D
+
+    def _forces_b(self, q: Array, v: Array, t: Array) -> Array:
+        Q_b = self._elastic.force_b(q, v) + self._inertia.gravity_b
+        return Q_b + self._loads.force_b(q, v, t) if self._scene.loads else Q_b

@@ -1,0 +1,20 @@
+"""What a mechanical system is to everything that integrates it, and what a run of it returns.
+
+`system` states the contract: eleven values, and all that follows from them. `complex_step_system`
+takes derivatives of a system that a user writes by M, Q and Phi; `conformance` and `proof` compare
+whatever a system overrides with what it overrides. It knows no beam and no joint.
+"""
+
+from ancfdae.equations.complex_step_system import ComplexStepSystem
+from ancfdae.equations.conformance import Conformance, Finding, check_system
+from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Statistics
+from ancfdae.equations.system import (
+    DesignPartials,
+    Direction,
+    Linearisation,
+    MechanicalSystem,
+    Traits,
+    reaction,
+)
+from ancfdae.model.naming import Naming

@@ -1,0 +1,147 @@
+"""Check of an implementation of the protocol: every member against the values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.equations.probe import Probe
+from ancfdae.equations.proof import (
+    declarations,
+    other_values,
+    prove,
+    refusals,
+    shapes,
+    start,
+)
+from ancfdae.equations.system import MechanicalSystem
+from ancfdae.errors import InvalidInput, require_count, require_index, require_kind
+from ancfdae.errors.text import listed
+
+# Design values that vanish are varied by parts of one, the largest of which is half of this.
+_AWAY = 0.1
+
+
+@final
+@dataclass(frozen=True)
+class Finding:
+    """The largest relative error met of a member, and what round-off and differences explain."""
+
+    name: str
+    error: float
+    tolerance: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is explained."""
+        return self.error <= self.tolerance
+
+    def __str__(self) -> str:
+        verdict = "ok" if self.passed else "WRONG"
+        return f"{self.name:<58} {self.error:9.1e} {self.tolerance:9.1e}  {verdict}"
+
+
+@final
+@dataclass(frozen=True)
+class Conformance:
+    """What `check_system` found of a system of the class `name`; print it."""
+
+    name: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every finding is explained by round-off."""
+        return not self.wrong
+
+    @property
+    def wrong(self) -> tuple[Finding, ...]:
+        """The findings that are not."""
+        return tuple(finding for finding in self.findings if not finding.passed)
+
+    def raise_if_wrong(self) -> None:
+        """Raise InvalidInput, naming what is wrong, unless all passed."""
+        if self.wrong:
+            names = "; ".join(f"{x.name} (error {x.error:.1e})" for x in self.wrong)
+            raise InvalidInput(
+                self.name,
+                "must agree with its own values and their differences",
+                f"{len(self.wrong)} of {len(self.findings)} that do not: {names}",
+                "Correct these methods; print the report for all of them.",
+            )
+
+    def __repr__(self) -> str:
+        wrong = f"wrong: {listed(x.name for x in self.wrong)}" if self.wrong else "all ok"
+        return f"{self.name}: {len(self.findings)} checks, {wrong}"
+
+    def __str__(self) -> str:
+        head = f"{self.name:<58} {'error':>9} {'tolerance':>9}"
+        lines = [head, "-" * len(head), *(str(finding) for finding in self.findings)]
+        wrong = f"{len(self.wrong)} wrong" if self.wrong else "all ok"
+        return "\n".join([*lines, f"{len(self.findings)} checks, {wrong}."])
+
+
+def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -> Conformance:
+    """Check every member of a mechanical system against its values.
+
+    Every member that a system may override is compared with what the base class derives from the
+    values, by differences of real numbers, extrapolated to about 1e-10, and the values with each
+    other; shapes, declarations and the start are checked. A wrong sign or factor is an error of
+    order one. A value that refuses complex numbers is named if other members are complex steps of
+    it; where they are accepted, the steps are compared too. States are random, beside the start;
+    they need not lie on the constraints.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    samples : int
+        Number of random states; the largest error of all is reported.
+    seed : int
+        Of the random states.
+
+    Returns
+    -------
+    Conformance
+        ``print`` it, ask whether it ``passed``, or call ``raise_if_wrong()``.
+
+    Raises
+    ------
+    InvalidInput
+        If `system` is no MechanicalSystem or its design values are complex.
+    """
+    require_kind("system", system, (MechanicalSystem,), "Assemble a scene first.")
+    require_count("samples", samples, "2 is plenty.")
+    require_index("seed", seed, 2**32, "For example 0.")
+    if np.asarray(system.b).dtype.kind != "f":
+        raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
+    rng = np.random.default_rng(seed)
+    found, system = dict[str, Finding](), _inside(system)
+
+    def add(name: str, error: float, tolerance: float) -> None:
+        before = found[name].error if name in found else 0.0
+        found[name] = Finding(name, max(before, float(error)), tolerance)
+
+    with np.errstate(all="ignore"):
+        for _ in range(samples):
+            probe = Probe(system, rng)
+            for check in (shapes, refusals, start, other_values, declarations, prove):
+                check(add, probe)
+                # What has the wrong shape or cannot be derived makes nonsense of what follows.
+                if check in (shapes, refusals) and not all(x.passed for x in found.values()):
+                    return Conformance(type(system).__name__, tuple(found.values()))
+    return Conformance(type(system).__name__, tuple(found.values()))
+
+
+def _inside(system: MechanicalSystem) -> MechanicalSystem:
+    """Move design values away from zero where they must not become negative."""
+    b = system.b.copy()
+    for i in np.flatnonzero(b == 0):
+        less = system.b.copy()
+        less[i] = -_AWAY
+        try:
+            system.with_values(less)
+        except InvalidInput:
+            b[i] = _AWAY
+    return system if np.array_equal(b, system.b) else system.with_values(b)

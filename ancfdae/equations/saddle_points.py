@@ -1,0 +1,80 @@
+"""Saddle-point matrices of a system, solved in their two parts; constraints must be independent."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from ancfdae.equations.system import MechanicalSystem
+from ancfdae.errors import RedundantConstraints
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+
+# Singular-value ratio under which scaled constraint rows count as dependent; round-off leaves
+# dependent rows at 1e-16 times their number.
+_DEPENDENT = 1e-11
+
+
+def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> SaddlePoint:
+    """Check the constraints and return the system's saddle-point matrices.
+
+    They are checked and scaled at q, by default the start; RedundantConstraints if dependent.
+    """
+    values = system.constraint_q(t, system.start()[0] if q is None else q)
+    refuse_redundant(system, values)
+    patterns = system.pattern, system.constraint_pattern
+    return SaddlePoint(*patterns, system.weights, values, system.traits.symmetric)
+
+
+def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
+    """Solve a saddle-point system; returns the two parts of the solution."""
+    x = factors.solve(np.concatenate([force, side]))
+    return x[: len(force)], x[len(force) :]
+
+
+def solve_transposed(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
+    """Solve with the transposed saddle-point matrix; returns the two parts of the solution."""
+    x = factors.solve_transposed(np.concatenate([force, side]))
+    return x[: len(force)], x[len(force) :]
+
+
+def refuse_redundant(system: MechanicalSystem, values: Array) -> None:
+    """Find dependent rows of the scaled Phi_q, component by component of its graph."""
+    if system.n_lam == 0:
+        return
+    pattern = system.constraint_pattern
+    matrix = pattern.csr(values.real / np.sqrt(system.weights[pattern.columns])).tocsr()
+    length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
+    empty = np.flatnonzero(length == 0)
+    if len(empty):
+        raise RedundantConstraints(
+            f"joint {system.constraint_names[int(empty[0])]!r}",
+            "every constraint must depend on a coordinate",
+            "a row of zeros in Phi_q",
+            "Remove the joint.",
+        )
+    connected = abs(matrix) @ abs(matrix).T
+    count, labels = scipy.sparse.csgraph.connected_components(connected, directed=False)
+    dependent: list[str] = []
+    redundant = 0
+    for component in range(count):
+        rows = np.flatnonzero(labels == component)
+        if len(rows) == 1:
+            continue
+        part = matrix[rows]
+        part = part[:, np.unique(part.indices)].toarray() / length[rows, None]
+        U, s, _ = np.linalg.svd(part, full_matrices=True)
+        rank = int(np.sum(s > _DEPENDENT * s[0]))
+        if rank == len(rows):
+            continue
+        involved = np.any(np.abs(U[:, rank:]) > 1e-6, axis=1)
+        dependent += [system.constraint_names[int(row)] for row in rows[involved]]
+        redundant += len(rows) - rank
+    if redundant:
+        raise RedundantConstraints(
+            "joints " + ", ".join(repr(name) for name in sorted(set(dependent))),
+            "constraints must be independent",
+            f"{redundant} redundant of {system.n_lam}",
+            "Remove a joint, or replace it by one that holds fewer directions; if this is a dead "
+            "point, where the mechanism could branch, start beside it.",
+        )

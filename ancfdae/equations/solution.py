@@ -1,0 +1,341 @@
+"""Solution of a run: trajectories, sensitivities, statistics and how it ended."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from ancfdae.equations import solution_file, tables
+from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Statistics
+from ancfdae.errors import (
+    InvalidInput,
+    Outcome,
+    UnknownName,
+    Verdict,
+    require_array,
+    require_each,
+    require_flag,
+    require_function,
+    require_index,
+    require_path,
+    require_text,
+)
+from ancfdae.errors.text import listed, page
+from ancfdae.model.bodies import Point, Quantity, require_point
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.naming import Naming
+from ancfdae.numerics.arrays import Array, Numbers
+from ancfdae.numerics.time_grid import TimeGrid
+
+# Imaginary perturbation of the states: any value whose square underflows against one is exact.
+_STEP = 1e-40
+
+
+@final
+@dataclass(frozen=True)
+class Solution:
+    """Trajectory of a mechanical system.
+
+    Attributes
+    ----------
+    t : array, shape (n_t,)
+        Times; a run that failed holds what was reached.
+    q, v, a : array, shape (n_t, n_q)
+    lam : array, shape (n_t, n_lam)
+    statistics : Statistics
+    outcome : Outcome
+    naming : Naming or None
+        Names of points and joints; None for a system that is not an ANCF scene.
+    sensitivities : Sensitivities or None
+    degree : int
+        Degree of the polynomials between the instants: 1 for HHT, whose instants are its steps,
+        8 for Gauss-Lobatto instants (`ancfdae.numerics.time_grid`).
+    estimated_errors : EstimatedErrors or None
+        Of HHT only; the others keep their tolerances to themselves.
+    control : tuple of float
+        State of the step control at the last instant, with which ``simulate(..., after=solution)``
+        goes on; empty where the steps were known beforehand.
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    lam: Array
+    statistics: Statistics
+    outcome: Outcome
+    naming: Naming | None
+    sensitivities: Sensitivities | None = None
+    degree: int = 1
+    estimated_errors: EstimatedErrors | None = None
+    control: tuple[float, ...] = ()
+
+    # -- named access --------------------------------------------------------------------------
+
+    def nodes(self, beam: str) -> Array:
+        """Node vectors of a beam, shape (n_t, n_nodes, n_s, d): position, then slopes.
+
+        At a kink (`Beam`) the slope along the beam is that of the element which begins there, and
+        `ends` has both. Of a rigid body those of its one frame, (n_t, 1, d + 1, d).
+        """
+        return self._known_naming().nodes(self.q, beam)
+
+    def ends(self, beam: str) -> Array:
+        """Node vectors of both ends of every element of a beam, shape (n_t, n, 2, n_s, d)."""
+        return self._known_naming().ends(self.q, beam)
+
+    def position(self, point: Point) -> Array:
+        """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
+
+        UnknownName if there is no such beam, InvalidInput if its z is not zero in the plane.
+        """
+        return self._vector(self.q, point, Quantity.POSITION)
+
+    def velocity(self, point: Point) -> Array:
+        """Velocity of a material point, shape (n_t, d); as `position`."""
+        return self._vector(self.v, point, Quantity.POSITION)
+
+    def acceleration(self, point: Point) -> Array:
+        """Acceleration of a material point, shape (n_t, d); as `position`."""
+        return self._vector(self.a, point, Quantity.POSITION)
+
+    def slope(self, point: Point, along: int = 0) -> Array:
+        """Slope vector along a section axis (0: along the beam), shape (n_t, d)."""
+        d = self._known_naming().layout.d
+        require_index("slope, along", along, d, "0 is along the beam.")
+        return self._vector(self.q, point, Quantity(along + 1))
+
+    def multipliers(self, joint: str) -> Array:
+        """Multipliers of a joint, shape (n_t, rows), in the order of its equations."""
+        place = self._known_naming().layout.joint(joint)
+        return self.lam[:, place.first_row : place.first_row + place.rows]
+
+    def reaction(self, joint: str) -> Array:
+        """Force of a joint on its first point, shape (n_t, d): minus its multipliers (eq. 1).
+
+        InvalidInput if its first equations do not equate positions; see `multipliers`.
+        """
+        layout = self._known_naming().layout
+        if not layout.joint(joint).holds_position:
+            raise InvalidInput(
+                f"reaction of {joint!r}",
+                "is defined for joints that hold a point in all directions",
+                "a joint of another kind",
+                "Use `multipliers` and the equations in the joint's documentation.",
+            )
+        return -self.multipliers(joint)[:, : layout.d]
+
+    def derivative(self, function: Callable[[Solution], Array]) -> Array:
+        """Total design derivative of anything computed from a solution, shape (n_t, ..., n_b).
+
+        The function takes a solution and returns an array, shape (n_t, ...), by operations that
+        accept complex numbers (no abs, norm or comparison): it is evaluated at q + i eps q_b, which
+        is exact to round-off.
+
+        Raises
+        ------
+        InvalidInput
+            If the solution has no sensitivities, or the function drops the imaginary part.
+        """
+        require_function("derivative, function", function)
+        s, naming = self._known_sensitivities(), self.naming
+        if not s.names:
+            return np.zeros((*np.shape(function(self)), 0))
+        columns, states_b = [], {"q": s.q_b, "v": s.v_b, "a": s.a_b, "lam": s.lam_b}
+        for i in range(len(s.names)):
+            if naming is not None and self.naming is not None:
+                lengths = self.naming.lengths + 1j * _STEP * naming.lengths_b[:, i]
+                naming = replace(self.naming, lengths=lengths)
+            shifted = replace(
+                self,
+                **{x: getattr(self, x) + 1j * _STEP * x_b[..., i] for x, x_b in states_b.items()},
+                naming=naming,
+                sensitivities=None,
+            )
+            value = np.asarray(function(shifted))
+            if value.dtype.kind != "c":
+                raise InvalidInput(
+                    "function of a solution",
+                    "must keep the imaginary part of its input",
+                    f"a result of type {value.dtype}",
+                    "Replace abs, norm and comparisons by complex-safe operations.",
+                )
+            columns.append(value.imag / _STEP)
+        return np.stack(columns, axis=-1)
+
+    def at(self, times: Numbers) -> Solution:
+        """Return the solution at asked times, by interpolation of the order of its integrator.
+
+        The times increase and lie within the run; s. Between the steps of HHT: coordinates by the
+        cubic through q and v at both ends, velocities by that through v and a, accelerations and
+        multipliers linearly. Between Gauss-Lobatto instants: the polynomial of a panel. Derivatives
+        alike. Statistics, outcome and estimated errors stay those of the run.
+        """
+        asked = np.atleast_1d(require_array("times", times))
+        good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))
+        if not good or not (self.t[0] <= asked[0] and asked[-1] <= self.t[-1]):
+            early = "" if self.outcome.success else f", where the run ended early: {self.outcome}"
+            raise InvalidInput(
+                "times",
+                f"must increase and lie in [0, {self.t[-1]:.6g}]{early.rstrip('.')}",
+                repr(times),
+                "For example np.linspace(0, solution.t[-1], 101).",
+            )
+        own = self.sensitivities
+        if own is not None:
+            q_b, v_b, a_b, lam_b = self._sampled(asked, own.q_b, own.v_b, own.a_b, own.lam_b)
+            own = replace(own, q_b=q_b, v_b=v_b, a_b=a_b, lam_b=lam_b)
+        q, v, a, lam = self._sampled(asked, self.q, self.v, self.a, self.lam)
+        full = replace(self, sensitivities=own, degree=1, control=())
+        return replace(full, t=asked, q=q, v=v, a=a, lam=lam)
+
+    def _sampled(self, times: Array, q: Array, v: Array, a: Array, lam: Array) -> list[Array]:
+        if self.degree == 1 and len(self.t) > 1:
+            smooth = (
+                scipy.interpolate.CubicHermiteSpline(self.t, x, rate)(times)
+                for x, rate in ((q, v), (v, a))
+            )
+            return [
+                *smooth,
+                *(scipy.interpolate.make_interp_spline(self.t, x, k=1)(times) for x in (a, lam)),
+            ]
+        grid = TimeGrid(self.t, self.degree)
+        shares = [grid.interpolation(time) for time in times]
+        return [
+            np.stack([np.tensordot(share, x[rows], 1) for rows, share in shares])
+            for x in (q, v, a, lam)
+        ]
+
+    def design_index(self, name: str) -> int:
+        """Return the place of a design variable in the last axis of every sensitivity."""
+        names = self._known_sensitivities().names
+        require_text("design variable", name)
+        if name not in names:
+            raise UnknownName("design variable", name, names)
+        return names.index(name)
+
+    def _vector(self, states: Array, point: Point, quantity: Quantity) -> Array:
+        naming = self._known_naming()
+        require_point("point", point, naming.layout.d)
+        return naming.vector(point, quantity).of(states, naming.layout.d)
+
+    def _known_naming(self) -> Naming:
+        if self.naming is None:
+            raise InvalidInput(
+                "named access",
+                "needs the solution of an ANCF scene",
+                "a system of another kind",
+                "Use the arrays q, v, a and lam.",
+            )
+        return self.naming
+
+    def _known_sensitivities(self) -> Sensitivities:
+        if self.sensitivities is None:
+            raise InvalidInput(
+                "sensitivities",
+                "must have been computed",
+                "a solution of `simulate`",
+                "Call `differentiate` instead.",
+            )
+        return self.sensitivities
+
+    def with_sensitivities(
+        self, own: Sensitivities, verdict: Verdict, steps: int, seconds: float
+    ) -> Solution:
+        """Return the solution with derivatives, cut to the `steps` that have them.
+
+        The verdict tells how the pass ended, its seconds are added to the statistics.
+        """
+        outcome = self.outcome
+        if verdict is not Verdict.FINISHED:
+            outcome = Outcome(verdict, float(self.t[steps]), steps, 0.0)
+        kept = {x: getattr(self, x)[: steps + 1] for x in ("t", "q", "v", "a", "lam")}
+        full = self.with_pass(steps, seconds)
+        control = self.control if steps == len(self.t) - 1 else ()
+        return replace(full, **kept, outcome=outcome, sensitivities=own, control=control)
+
+    def with_pass(self, factorisations: int, seconds: float) -> Solution:
+        """Return the solution with the cost of a pass over it added to the statistics."""
+        statistics = replace(
+            self.statistics,
+            factorisations=self.statistics.factorisations + factorisations,
+            wall_seconds=self.statistics.wall_seconds + seconds,
+        )
+        return replace(self, statistics=statistics)
+
+    # -- files and text ------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the solution to one file, complete or not at all; return its path.
+
+        A name that ends in ``.h5`` or ``.hdf5`` makes a compressed HDF5 file, which needs h5py
+        (``pip install "ancfdae[hdf5]"``); any other an archive of NumPy, as ``.npz`` is.
+        docs/results.md has the format.
+        """
+        return solution_file.write(require_path("path of a solution", path), vars(self))
+
+    @staticmethod
+    def load(path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()) -> Solution:
+        """Read a solution written by `save`; InvalidInput if the file is no such solution.
+
+        A file knows its element by name; give `elements` of your own.
+        """
+        file, repair = require_path("path of a solution", path), "Give [MY_ELEMENT]."
+        known = require_each("Solution.load, elements", elements, (BeamElement,), repair)
+        return Solution(**solution_file.read(file, known))
+
+    def to_dataframe(
+        self, columns: Mapping[str, ArrayLike] | None = None, *, derivatives: bool = False
+    ) -> Any:
+        """Return the coordinates over time as a table of pandas, with t as its index.
+
+        Columns are named ``rod[2].y`` (node 2, counted from 0), ``rod[2].slope_x.y``, ``box.y`` or
+        ``box.axis_1.y``.
+
+        Parameters
+        ----------
+        columns : mapping of str to array, shape (n_t,)
+            More columns: ``{"tip [m]": observe(position(rod.at_end, 1), solution)}``.
+        derivatives : bool
+            Whether each coordinate has a column for each design variable beside it,
+            ``d rod[2].y/d rod.height``.
+
+        Raises
+        ------
+        MissingPackage
+            Without pandas, which ``pip install "ancfdae[pandas]"`` brings.
+        InvalidInput
+            If a column is not as long as the solution or has the name of another, or there are no
+            derivatives.
+        """
+        require_flag("to_dataframe, derivatives", derivatives)
+        own = self._known_sensitivities() if derivatives else None
+        q_b, variables = (None, ()) if own is None else (own.q_b, own.names)
+        names = tables.coordinate_names(self.naming, self.q.shape[1])
+        return tables.states_table(self.t, self.q, q_b, names, variables, columns)
+
+    def __repr__(self) -> str:
+        own, errors = self.sensitivities, self.estimated_errors
+        span = f"{len(self.t)} instants from t = {self.t[0]:.6g} to {self.t[-1]:.6g}"
+        sizes = f"{self.q.shape[1]} coordinates, {self.lam.shape[1]} multipliers"
+        lines = [f"Solution: {span}, {sizes}", str(self.outcome)]
+        lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
+        lines += [] if errors is None else [repr(errors)]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Return the size of the run as notebooks show it, and how it ended."""
+        spans = (("instants", self.t), ("coordinates", self.q[0]), ("multipliers", self.lam[0]))
+        rows = [("Solution", ""), *((name, str(len(x))) for name, x in spans)]
+        rows += [("from, to", f"{self.t[0]:.6g} s, {self.t[-1]:.6g} s")]
+        own, errors = self.sensitivities, self.estimated_errors
+        rows += [] if errors is None else [("estimated error", f"{errors.motion:.3g}")]
+        told = page("", rows, str(self.outcome))
+        return told if own is None else told + own._repr_html_()

@@ -1,0 +1,209 @@
+"""File of a solution: arrays by name, and everything else as JSON; docs/results.md, no pickle.
+
+A NumPy archive, or HDF5 where the name says so.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from ancfdae.equations.files import replacing
+from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Statistics
+from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict, named
+from ancfdae.model.elements import ALL_ELEMENTS, BeamElement
+from ancfdae.model.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, RigidNodes
+from ancfdae.numerics.arrays import Array
+
+# What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies.
+_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 7, 5
+_HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
+# Arrays that are not worth compressing; bytes.
+_SMALL = 10_000
+_STATES = ("t", "q", "v", "a", "lam")
+_DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
+# Exceptions raised on reading a file that is damaged or not an archive.
+_DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
+
+
+def write(path: Path, fields: Mapping[str, Any]) -> Path:
+    """Write the fields of a solution to a file, whole or not at all."""
+    arrays, meta = _packed(fields)
+    for name, array in arrays.items():
+        # `np.savez` would pickle them, and knows how to refuse from NumPy 2.1 on only.
+        if array.dtype.hasobject:
+            rule, got = "must hold numbers to be saved", f"objects in {name}"
+            raise InvalidInput("solution", rule, got, "Give arrays of numbers.")
+    # Settings may be numbers of NumPy, which JSON does not know.
+    text = json.dumps(meta, default=np.generic.item)
+    put = _put_hdf5 if path.suffix.lower() in _HDF5 else _put_npz
+    with replacing("solution file", path) as file:
+        put(file, arrays, text)
+    return path
+
+
+def read(path: Path, elements: Sequence[BeamElement]) -> dict[str, Any]:
+    """Return the fields of a solution; InvalidInput if the file is not one written by `write`.
+
+    Its element is one of the package or of these, by its name.
+    """
+    try:
+        # Opened here, because np.load does not close a file that is not a complete archive.
+        with path.open("rb") as raw:
+            is_hdf5 = raw.read(len(_SIGNATURE)) == _SIGNATURE
+            raw.seek(0)
+            arrays, text = (_get_hdf5 if is_hdf5 else _get_npz)(raw)
+        meta = json.loads(text)
+        _require_version(path, meta["format"])
+        return _unpacked(arrays, meta, (*elements, *ALL_ELEMENTS))
+    except InvalidInput:
+        raise
+    except FileNotFoundError:
+        where, repair = "solution file", "Check the path, and that Solution.save was called."
+        raise InvalidInput(where, "must exist", repr(os.fspath(path)), repair) from None
+    except (OSError, KeyError, ValueError, TypeError, *_DAMAGED) as error:
+        raise InvalidInput(
+            f"solution file {os.fspath(path)!r}",
+            "must be a whole file written by Solution.save",
+            f"{type(error).__name__}: {error}",
+            "Choose another file.",
+        ) from error
+
+
+def _put_npz(file: IO[bytes], arrays: Mapping[str, Array], text: str) -> None:
+    np.savez(file, meta=np.array(text), **arrays)  # type: ignore[arg-type]  # of a later NumPy: a flag
+
+
+def _get_npz(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
+    with np.load(raw, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    return arrays, str(arrays.pop("meta"))
+
+
+def _put_hdf5(file: IO[bytes], arrays: Mapping[str, Array], text: str) -> None:
+    # HDF5 (1.14 and 2.0) ends the process where a write fails, be it to a path or to a Python file:
+    # it is given memory, which takes the size of the compressed file.
+    memory = io.BytesIO()
+    with _h5py().File(memory, "w") as hdf5:
+        for name, array in arrays.items():
+            packed = {"compression": "gzip", "shuffle": True} if array.nbytes > _SMALL else {}
+            hdf5.create_dataset(name, data=array, **packed)
+        hdf5.create_dataset("meta", data=text)
+    file.write(memory.getbuffer())
+
+
+def _get_hdf5(raw: IO[bytes]) -> tuple[dict[str, Array], str]:
+    with _h5py().File(raw, "r") as hdf5:
+        text = hdf5["meta"].asstr()[()]
+        return {name: hdf5[name][()] for name in hdf5 if name != "meta"}, text
+
+
+def _h5py() -> Any:
+    try:
+        return importlib.import_module("h5py")
+    except ImportError as error:
+        raise MissingPackage(
+            "HDF5 files: need the package h5py; got none. Install it: "
+            'python3 -m pip install "ancfdae[hdf5]", or save under a name that ends in .npz.'
+        ) from error
+
+
+def _require_version(path: Path, told: str) -> None:
+    """Refuse what this version does not read."""
+    kind, _, version = told.rpartition(" ")
+    if kind != _FORMAT:
+        raise ValueError(f"the format {told!r}")
+    if not _OLDEST <= int(version) <= _VERSION:
+        newer = int(version) > _VERSION
+        raise InvalidInput(
+            f"solution file {os.fspath(path)!r}",
+            f"must be written by Solution.save in a format from {_OLDEST} to {_VERSION}",
+            f"format {version}, of {'a newer' if newer else 'an older'} ancfdae",
+            "Install a newer ancfdae." if newer else "Run again, and save anew.",
+        )
+
+
+def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return the arrays and everything else."""
+    arrays = {name: fields[name] for name in _STATES}
+    naming, own, errors = (fields[x] for x in ("naming", "sensitivities", "estimated_errors"))
+    outcome = fields["outcome"]
+    meta = {
+        "format": f"{_FORMAT} {_VERSION}",
+        "control": list(fields["control"]),
+        "statistics": asdict(fields["statistics"]),
+        "outcome": {**asdict(outcome), "verdict": outcome.verdict.name},
+        "degree": fields["degree"],
+        "estimated_errors": errors and asdict(errors),
+        "layout": naming and _written(naming.layout),
+        "names": own and list(own.names),
+    }
+    if naming is not None:
+        arrays |= {"lengths": naming.lengths, "lengths_b": naming.lengths_b}
+    if own is not None:
+        arrays |= {f"sensitivity_{name}": getattr(own, name) for name in _DERIVATIVES}
+    return arrays, meta
+
+
+def _unpacked(
+    arrays: Mapping[str, Array], meta: Mapping[str, Any], elements: Sequence[BeamElement]
+) -> dict[str, Any]:
+    outcome = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
+    fields: dict[str, Any] = {name: arrays[name] for name in _STATES} | {
+        "statistics": Statistics(**meta["statistics"]),
+        "outcome": Outcome(**outcome),
+        "naming": None,
+        "degree": int(meta["degree"]),
+        "control": tuple(map(float, meta.get("control", ()))),
+    }
+    if meta["layout"] is not None:
+        layout = _layout(meta["layout"], elements)
+        fields["naming"] = Naming(layout, arrays["lengths"], arrays["lengths_b"])
+    if meta["names"] is not None:
+        own = (arrays[f"sensitivity_{name}"] for name in _DERIVATIVES)
+        fields["sensitivities"] = Sensitivities(tuple(meta["names"]), *own)
+    if meta["estimated_errors"] is not None:
+        motion, derivatives = (meta["estimated_errors"][x] for x in ("motion", "derivatives"))
+        derivatives = None if derivatives is None else tuple(derivatives)
+        fields["estimated_errors"] = EstimatedErrors(motion, derivatives)
+    return fields
+
+
+def _written(layout: Layout) -> dict[str, Any]:
+    """Return what is said of a layout; of its element the name, by which `read` finds it."""
+    rest = {name: value for name, value in asdict(layout).items() if name != "element"}
+    return {"element_name": layout.element.name} | rest
+
+
+def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:
+    return Layout(
+        element=named("element of a solution file", meta["element_name"], elements),
+        bodies=tuple(_body(x) for x in meta["bodies"]),
+        beams=tuple(_beam(x) for x in meta["beams"]),
+        masses=tuple(meta["masses"]),
+        joints=tuple(JointLayout(**x) for x in meta["joints"]),
+    )
+
+
+def _body(meta: Mapping[str, Any]) -> BodyLayout:
+    return BodyLayout(**{**meta, "kinks": tuple(meta.get("kinks", ()))})
+
+
+def _beam(meta: Mapping[str, Any]) -> BeamLayout:
+    rigid = meta["rigid"] and RigidNodes(**{x: _tuples(y) for x, y in meta["rigid"].items()})
+    return BeamLayout(**{**meta, "fractions": tuple(meta["fractions"]), "rigid": rigid})
+
+
+def _tuples(nested: Any) -> Any:
+    """Return nested lists of numbers as tuples."""
+    return tuple(map(_tuples, nested)) if isinstance(nested, list) else nested

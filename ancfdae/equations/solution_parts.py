@@ -1,0 +1,121 @@
+"""What comes with a trajectory: what it cost, how wrong it is, and its design derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.equations import tables
+from ancfdae.errors.text import columns, listed, page
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class Statistics:
+    """What a run cost.
+
+    Attributes
+    ----------
+    steps, rejected : int
+        Accepted steps, and steps of `HHT` repeated with a smaller size.
+    iterations, residuals : int
+        Newton iterations, and evaluations of the residual.
+    factorisations : int
+        Those of passes for derivatives too, but for the pass back of IDAS, which does not tell.
+    round_off_steps : int
+        Steps of `HHT` whose Newton corrections stopped shrinking, at round-off, above the
+        tolerance, or that round-off of the elastic forces leaves less than seven digits.
+    continued : int
+        Steps of `HHT` that Newton's method solved by way of shorter ones only, which the counts
+        above contain.
+    wall_seconds : float
+    """
+
+    steps: int
+    iterations: int
+    factorisations: int
+    residuals: int
+    round_off_steps: int
+    wall_seconds: float
+    rejected: int = 0
+    continued: int = 0
+
+
+@final
+@dataclass(frozen=True)
+class EstimatedErrors:
+    """Discretisation errors that a run of HHT-I3 estimates itself (docs/theory.md, section 5).
+
+    The errors of all steps are added up. On undamped scenes the sums are within a factor of
+    three (motion) and ten (derivatives) of the true errors, also where steps do not resolve the
+    waves; strong damping, which removes errors again, makes them too large
+    (docs/reports/error-bars). For an objective and its gradient see `error_bars`.
+
+    Attributes
+    ----------
+    motion : float
+        Of q, relative to the size of the coordinates.
+    derivatives : tuple of float, or None
+        Of q_b, one per design variable, relative to the largest size of that derivative in the
+        run; nan where the variable has no influence above round-off, inf where the motion grew
+        without bound. None unless it was differentiated by `Direct` or
+        `ControlledSteps(sensitivities=True)`.
+    """
+
+    motion: float
+    derivatives: tuple[float, ...] | None = None
+
+    def __repr__(self) -> str:
+        own = (
+            "not computed"
+            if self.derivatives is None
+            else listed(f"{x:.3g}" for x in self.derivatives)
+        )
+        return f"estimated errors: motion {self.motion:.3g}; derivatives {own}"
+
+
+@final
+@dataclass(frozen=True)
+class Sensitivities:
+    """Total derivatives of a trajectory in the design variables of given values.
+
+    q_b, v_b, a_b have the shape (n_t, n_q, n_b), lam_b (n_t, n_lam, n_b).
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    q_b: Array
+    v_b: Array
+    a_b: Array
+    lam_b: Array
+
+    def to_dataframe(self) -> Any:
+        """Return q_b as a table of pandas: rows (instant, coordinate), a column per variable.
+
+        With names and times in `Solution.to_dataframe`.
+        """
+        return tables.sensitivity_table(self.q_b, self.names)
+
+    def __repr__(self) -> str:
+        return f"{self._head}\n{columns(self._rows())}"
+
+    def _repr_html_(self) -> str:
+        """Return the same as notebooks show it."""
+        return page(self._head, self._rows())
+
+    @property
+    def _head(self) -> str:
+        return f"Sensitivities at {len(self.q_b)} instants"
+
+    def _rows(self) -> list[tuple[str, str, str]]:
+        largest = np.max(np.abs(self.q_b), axis=(0, 1), initial=0.0)
+        rows = zip(self.names, _short(self.values), _short(largest), strict=True)
+        return [("design variable", "value", "largest |q_b|"), *rows]
+
+
+def _short(numbers: Iterable[float]) -> list[str]:
+    return [f"{number:.6g}" for number in numbers]

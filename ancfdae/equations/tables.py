@@ -1,0 +1,80 @@
+"""Solutions as tables of pandas, which is imported when one is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_array, require_kind, require_package
+from ancfdae.model.naming import Naming
+from ancfdae.numerics.arrays import Array
+
+
+def pandas() -> Any:
+    """Return the package, or raise MissingPackage, which says how to install it."""
+    return require_package("to_dataframe", "pandas", "pandas")
+
+
+def coordinate_names(naming: Naming | None, n_q: int) -> list[str]:
+    """Return a name for each coordinate.
+
+    ``rod[2].y`` is the position of node 2, counted from 0, ``rod[2].slope_x.y`` its slope along the
+    beam, at a kink that after it, and ``rod[2].slope_x before.y`` that before it; ``box.y`` the
+    reference point of something rigid and ``box.axis_1.y`` its first direction; ``q[3]`` a
+    coordinate of a system that is no scene.
+    """
+    if naming is None:
+        return [f"q[{k}]" for k in range(n_q)]
+    layout, names = naming.layout, []
+    rigid = {beam.name for beam in layout.beams if beam.rigid is not None}
+    beams = {beam.name for beam in layout.beams} - rigid
+    words = [quantity.name.lower() for quantity in layout.element.quantities]
+    axes = "xyz"[: layout.d]
+    for body in layout.bodies:
+        for k in range(body.nodes.size):
+            node, which = divmod(k, body.stride)
+            owner = f"{body.name}[{node}]" if body.name in beams else body.name
+            word = words[which] if body.name in beams else f"axis_{which}"
+            names += [
+                f"{owner}.{axis}" if which == 0 else f"{owner}.{word}.{axis}" for axis in axes
+            ]
+        names += [f"{body.name}[{k}].slope_x before.{axis}" for k in body.kinks for axis in axes]
+    return names
+
+
+def states_table(
+    t: Array,
+    q: Array,
+    q_b: Array | None,
+    names: list[str],
+    variables: tuple[str, ...],
+    more: object,
+) -> Any:
+    """Return coordinates, their derivatives and further columns over time."""
+    table = dict(zip(names, q.T, strict=True))
+    if q_b is not None:
+        for i, variable in enumerate(variables):
+            own = (f"d {name}/d {variable}" for name in names)
+            table |= dict(zip(own, q_b[..., i].T, strict=True))
+    more = {} if more is None else more
+    require_kind("to_dataframe, columns", more, (Mapping,), "For example {'tip [m]': values}.")
+    assert isinstance(more, Mapping)
+    for name, values in more.items():
+        column = require_array(f"to_dataframe, column {name!r}", values, t.shape)
+        if name in table:
+            rule, repair = "must have a name of its own", "Rename it."
+            raise InvalidInput("to_dataframe, columns", rule, repr(name), repair)
+        table[name] = column
+    pd = pandas()
+    return pd.DataFrame(table, index=pd.Index(t, name="t"))
+
+
+def sensitivity_table(q_b: Array, names: tuple[str, ...]) -> Any:
+    """Return derivatives of all coordinates at all instants, a column for each variable."""
+    pd, (n_t, n_q, n_b) = pandas(), q_b.shape
+    rows = pd.MultiIndex.from_product(
+        [np.arange(n_t), np.arange(n_q)], names=["instant", "coordinate"]
+    )
+    return pd.DataFrame(q_b.reshape(n_t * n_q, n_b), index=rows, columns=list(names))

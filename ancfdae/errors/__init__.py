@@ -1,0 +1,46 @@
+"""What is refused, and how runs end, in words.
+
+It knows no mechanics: rules for arguments, the kinds of errors, outcomes, and the wording of lists.
+"""
+
+from ancfdae.errors.checks import (
+    named,
+    require_array,
+    require_axial,
+    require_count,
+    require_direction,
+    require_each,
+    require_finite,
+    require_flag,
+    require_folder,
+    require_function,
+    require_index,
+    require_kind,
+    require_name,
+    require_package,
+    require_path,
+    require_positive,
+    require_sequence,
+    require_text,
+    require_unique,
+    require_vector,
+)
+from ancfdae.errors.kinds import (
+    AncfdaeError,
+    FailedDesign,
+    InconsistentStart,
+    InvalidInput,
+    ManySteps,
+    MissingPackage,
+    RedundantConstraints,
+    SingularMatrix,
+    StabilityWarning,
+    UnknownName,
+)
+from ancfdae.errors.outcomes import (
+    Interrupted,
+    Outcome,
+    PassFailed,
+    Verdict,
+    uninterrupted,
+)

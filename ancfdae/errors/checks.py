@@ -1,0 +1,222 @@
+"""Rules that arguments are held against."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ancfdae.errors.kinds import _LONGEST, InvalidInput, MissingPackage, UnknownName
+
+
+def require_package(where: str, module: str, extra: str) -> Any:
+    """Import a module of an optional package; raise MissingPackage, naming the extra with it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise MissingPackage(
+            f'{where}: needs the package {package}. Install it with pip install "ancfdae[{extra}]".'
+        ) from error
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str:
+        """By which it is found."""
+
+
+_Thing = TypeVar("_Thing", bound=_Named)
+
+
+def named(where: str, name: str, things: Sequence[_Thing]) -> _Thing:
+    """Return the thing of this name; raise UnknownName where none has it."""
+    require_text(where, name)
+    for thing in things:
+        if thing.name == name:
+            return thing
+    raise UnknownName(where, name, (thing.name for thing in things))
+
+
+def require_unique(where: str, rule: str, names: Sequence[str], repair: str) -> None:
+    """Raise InvalidInput for names that are there twice."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InvalidInput(where, rule, twice, repair)
+
+
+def require_kind(where: str, value: object, kinds: tuple[type, ...], repair: str) -> None:
+    """Raise InvalidInput for an object that is of none of the given classes."""
+    if not isinstance(value, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise InvalidInput(where, f"must be of type {names}", _shown(value), repair)
+
+
+def _shown(value: object) -> str:
+    """Return the beginning of what may be as long as a beam or a solution."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+
+
+def require_text(where: str, value: object) -> None:
+    """Raise InvalidInput for what is no text, where a name is expected."""
+    require_kind(where, value, (str,), "Give the name, as in rod.name.")
+
+
+def require_path(where: str, value: object) -> Path:
+    """Return the path of a file; raise InvalidInput for what is none, or is a folder."""
+    require_kind(where, value, (str, os.PathLike), "Give the name of a file.")
+    path = Path(value)  # type: ignore[arg-type]  # as was just seen
+    if path.is_dir():
+        raise InvalidInput(where, "must be a file", f"the folder {value!r}", "Name a file in it.")
+    return path
+
+
+def require_folder(where: str, path: Path) -> Path:
+    """Return a path; raise InvalidInput if there is no folder to write it to."""
+    if not path.parent.is_dir():
+        rule, repair = "must lie in a folder that exists", "Create the folder, or correct the path."
+        raise InvalidInput(where, rule, repr(os.fspath(path)), repair)
+    return path
+
+
+def require_index(where: str, value: object, count: int, repair: str) -> None:
+    """Raise InvalidInput for what is no whole number from 0 to `count` - 1."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not 0 <= value < count:  # type: ignore[operator]
+        raise InvalidInput(where, f"must lie in 0 to {count - 1}", repr(value), repair)
+
+
+def require_flag(where: str, value: object) -> None:
+    """Raise InvalidInput for what is neither True nor False."""
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidInput(where, "must be True or False", repr(value), "Give one of both.")
+
+
+def require_function(where: str, value: object) -> None:
+    """Raise InvalidInput for what cannot be called."""
+    if not callable(value):
+        raise InvalidInput(where, "must be a function", repr(value), "Give its name, uncalled.")
+
+
+def require_name(where: str, value: object) -> None:
+    """Raise InvalidInput for what cannot stand before the parameter of a design target."""
+    if not isinstance(value, str) or not value or "." in value or "[" in value:
+        raise InvalidInput(
+            where,
+            "must be a non-empty string without '.' and '['",
+            repr(value),
+            "Names appear in design targets such as 'rod.height[2]'.",
+        )
+
+
+def require_sequence(
+    where: str, value: object, rule: str = "must be a sequence", repair: str = "Put it in a list."
+) -> tuple[Any, ...]:
+    """Return the entries of a sequence; raise InvalidInput for what has none."""
+    try:
+        # An iterator has no length: it could be read only once.
+        return tuple(value) if len(value) else ()  # type: ignore[arg-type]
+    except TypeError:
+        raise InvalidInput(where, rule, _shown(value), repair) from None
+
+
+def require_each(
+    where: str, values: object, kinds: tuple[type, ...], repair: str
+) -> tuple[Any, ...]:
+    """Return the entries of a sequence, which must be of one of the given classes."""
+    entries = require_sequence(where, values)
+    for entry in entries:
+        require_kind(where, entry, kinds, repair)
+    return entries
+
+
+def require_finite(where: str, value: object, repair: str = "Give a finite number.") -> None:
+    """Raise InvalidInput for what is no finite real number.
+
+    A truth value is none, nor is an integer that does not fit a float.
+    """
+    try:
+        is_number = isinstance(value, int | float | np.integer | np.floating)
+        good = is_number and not isinstance(value, bool) and math.isfinite(value)  # type: ignore[arg-type]
+    except OverflowError:
+        good = False
+    if not good:
+        raise InvalidInput(where, "must be a finite real number", repr(value), repair)
+
+
+def require_count(where: str, value: object, repair: str) -> None:
+    """Raise InvalidInput for a value that is not a positive whole number."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < 1:  # type: ignore[operator]
+        raise InvalidInput(where, "must be a positive integer", repr(value), repair)
+
+
+def require_positive(where: str, value: float) -> None:
+    """Raise InvalidInput for a value that is not a finite positive number."""
+    require_finite(where, value, "Give a positive number.")
+    if value <= 0:
+        raise InvalidInput(where, "must be positive", repr(value), "Give a positive number.")
+
+
+def require_vector(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
+    """Raise InvalidInput for anything but finite numbers, as many as one of `sizes`."""
+    allowed = " or ".join(str(size) for size in sizes)
+    rule, repair = f"must have {allowed} components", f"Give {allowed} numbers."
+    components = require_sequence(where, value, rule, repair)
+    if len(components) not in sizes:
+        raise InvalidInput(where, rule, components, repair)
+    for component in components:
+        require_finite(where, component)
+
+
+def require_direction(where: str, value: object, sizes: tuple[int, ...] = (2, 3)) -> None:
+    """Raise InvalidInput for anything but a vector, as in `require_vector`, that is not zero."""
+    require_vector(where, value, sizes)
+    if not any(value):  # type: ignore[arg-type]  # a sequence, as was just seen
+        raise InvalidInput(where, "must not be zero", value, "Give a direction.")
+
+
+def require_axial(where: str, value: object, dimension: int | None = None) -> None:
+    """Raise InvalidInput for what is neither a number, as in the plane, nor three components.
+
+    Where the dimension of space is given, for the other one of both, too.
+    """
+    is_number = np.ndim(value) == 0  # type: ignore[arg-type]
+    if dimension is not None and is_number != (dimension == 2):
+        rule = "must be a number in the plane and have 3 components in space"
+        raise InvalidInput(where, rule, repr(value), f"Here space has {dimension} dimensions.")
+    if is_number:
+        require_finite(where, value)
+    else:
+        require_vector(where, value, (3,))
+
+
+def require_array(
+    where: str, value: object, shape: tuple[int, ...] | None = None
+) -> npt.NDArray[np.float64]:
+    """Return a copy as an array of floats; raise InvalidInput for what is none.
+
+    So it does if entries are not finite, rows differ in length, or the shape is another.
+    """
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        got = "rows of different lengths"
+    else:
+        if array.dtype.kind not in "iuf":
+            got = f"entries of type {array.dtype}"
+        elif not np.all(np.isfinite(array)):
+            got = "NaN or infinity"
+        elif shape is not None and array.shape != shape:
+            got = f"shape {array.shape}"
+        else:
+            return array.astype(float)
+    rule = "must be an array of finite numbers" + ("" if shape is None else f" of shape {shape}")
+    raise InvalidInput(where, rule, got, "Give nested lists of numbers, or an array.")

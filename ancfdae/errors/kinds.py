@@ -1,0 +1,103 @@
+"""Errors of the project's own kind: raised before anything is integrated.
+
+They read ``where: rule; got value. Repair.``
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterable
+from typing import Any, final
+
+# Characters of a wrong argument that a message repeats.
+_LONGEST = 100
+
+
+class AncfdaeError(Exception):
+    """Base class of every error that this package raises on purpose.
+
+    All of them pickle, so that they arrive from worker processes.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Restore message and attributes without `__init__`, whose arguments differ."""
+        kept = {name: _sendable(value) for name, value in self.__dict__.items()}
+        return _restored, (type(self), self.args), kept
+
+
+def _restored(kind: type[AncfdaeError], args: tuple[Any, ...]) -> AncfdaeError:
+    error: AncfdaeError = kind.__new__(kind, *args)
+    return error
+
+
+def _sendable(value: object) -> object:
+    """Return the value, or its text if it does not pickle, such as a function that was refused."""
+    try:
+        pickle.dumps(value)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return repr(value)
+    return value
+
+
+@final
+class MissingPackage(AncfdaeError, ImportError):
+    """An optional package that is not installed; the message says how to install it."""
+
+
+class InvalidInput(AncfdaeError, ValueError):
+    """Input that breaks a rule.
+
+    Parameters
+    ----------
+    where : str
+        The argument or object at fault, as the user wrote it.
+    rule : str
+        What is required.
+    got : object
+        The value that came instead.
+    repair : str
+        What to change.
+    """
+
+    def __init__(self, where: str, rule: str, got: object, repair: str) -> None:
+        super().__init__(f"{where}: {rule}; got {got}. {repair}")
+        self.where, self.rule, self.got, self.repair = where, rule, got, repair
+
+
+@final
+class UnknownName(InvalidInput):
+    """A name that nothing in the scene has; the message lists the known ones."""
+
+    def __init__(self, where: str, name: object, known: Iterable[str]) -> None:
+        listed = ", ".join(sorted(known)) or "(none)"
+        super().__init__(where, "must be a known name", repr(name), f"Known names: {listed}.")
+
+
+@final
+class RedundantConstraints(InvalidInput):
+    """Constraints that are linearly dependent at the start; the message names the joints."""
+
+
+@final
+class InconsistentStart(InvalidInput):
+    """A start that violates a constraint; the message names the joint and the size."""
+
+
+@final
+class SingularMatrix(AncfdaeError):
+    """A matrix that cannot be factorised; caught by integrators and turned into an outcome."""
+
+
+@final
+class StabilityWarning(UserWarning):
+    """A setting that is admissible but known to lose accuracy or stability."""
+
+
+@final
+class ManySteps(UserWarning):
+    """A run that will take many more steps than a method that suits the scene; it goes on."""
+
+
+@final
+class FailedDesign(UserWarning):
+    """A design that an optimiser tried has no values; the message says why."""

@@ -1,0 +1,119 @@
+"""Outcomes of a run in words: what was computed stays usable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, Protocol, TypeVar, final
+
+from ancfdae.errors.kinds import AncfdaeError
+
+
+class Verdict(Enum):
+    """How a run ended; the value is the sentence that a reader sees."""
+
+    FINISHED = "the end time was reached"
+    NO_CONVERGENCE = "the Newton iteration did not converge"
+    SINGULAR = "the iteration matrix is singular"
+    NOT_FINITE = "the residual is not finite"
+    INTERRUPTED = "the run was interrupted"
+    STEP_LIMIT = "the limit of steps (max_steps) was reached"
+    ERROR_TEST = "no step, however small, passed the error test"
+    TOO_ACCURATE = "the tolerance is below what round-off allows"
+    EQUILIBRIUM = "the equilibrium was reached"
+    LIMIT_POINT = "the load has a limit point, above which there is no equilibrium nearby"
+
+
+@final
+class PassFailed(AncfdaeError):
+    """A pass over a finished run that broke off; caught and turned into an outcome."""
+
+    def __init__(self, verdict: Verdict) -> None:
+        super().__init__(verdict.value)
+        self.verdict = verdict
+
+
+@final
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended, at which time, and after how many accepted steps.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    time : float
+    step : int
+    residual : float
+        Size of the last Newton correction relative to the motion, for integrators other than HHT
+        of the residual of the equations in their scales (dimensionless); zero when the run
+        finished.
+    load : float or None
+        Part of the load that was reached, of a search for an equilibrium; None for a motion.
+    advice : str
+        What may help, in words.
+    """
+
+    verdict: Verdict
+    time: float
+    step: int
+    residual: float
+    load: float | None = None
+    advice: str = ""
+
+    @property
+    def success(self) -> bool:
+        """Whether the end time, or an equilibrium, was reached."""
+        return self.verdict in (Verdict.FINISHED, Verdict.EQUILIBRIUM)
+
+    def __str__(self) -> str:
+        """Return the outcome as a sentence."""
+        moving = self.load is None
+        if self.success:
+            when = f"t = {self.time:.6g}, " if moving else ""
+            return f"{self.verdict.value} ({when}{self.step} steps)."
+        where = f"t = {self.time:.6g}" if moving else f"{100 * (self.load or 0):.6g} % of the load"
+        text = (
+            f"{self.verdict.value} at {where}, after {self.step} accepted steps, with "
+            f"a last relative residual of {self.residual:.3g}; results up to there are kept."
+        )
+        return f"{text} {self.advice}" if self.advice else text
+
+
+@final
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C came; no loop goes on, and nothing is lost.
+
+    Every call raises it, also in worker processes. It is a KeyboardInterrupt, so that
+    ``except Exception`` lets it pass.
+
+    Attributes
+    ----------
+    result : object
+        What was computed up to there, of the kind that the call returns: a `Solution` (of
+        gradients the run), an `Equilibrium`, a `Sweep` or a `Tradeoff`. In an interactive session
+        it is ``sys.last_value.result``.
+    """
+
+    def __init__(self, result: Any, how: str) -> None:
+        super().__init__(how)
+        self.result = result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make it anew from result and text."""
+        return Interrupted, (self.result, str(self))
+
+
+class _Ended(Protocol):
+    @property
+    def outcome(self) -> Any:
+        """`Outcome`, or one of a search."""
+
+
+_Result = TypeVar("_Result", bound=_Ended)
+
+
+def uninterrupted(result: _Result) -> _Result:
+    """Return a result; raise `Interrupted` with one that Ctrl-C cut short."""
+    if result.outcome.verdict is Verdict.INTERRUPTED:
+        raise Interrupted(result, str(result.outcome))
+    return result

@@ -1,0 +1,15 @@
+"""Beams, rigid bodies and points on them."""
+
+from ancfdae.model.bodies.beam import Beam
+from ancfdae.model.bodies.body import BeamBody, ReferenceShape
+from ancfdae.model.bodies.curved_beam import CurvedBeam
+from ancfdae.model.bodies.point import (
+    Point,
+    locate,
+    require_fraction,
+    require_in_section,
+    require_point,
+)
+from ancfdae.model.bodies.rigid_body import RigidBody
+from ancfdae.model.bodies.shapes import BodyShape, RigidBox, RigidCylinder, RigidSphere
+from ancfdae.model.elements import Quantity

@@ -1,0 +1,182 @@
+"""A straight beam of equal elements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import (
+    InvalidInput,
+    require_count,
+    require_positive,
+    require_vector,
+)
+from ancfdae.model.bodies.body import BeamBody, ReferenceShape
+from ancfdae.model.bodies.point import Point
+from ancfdae.model.elements import BeamElement, StrainEnergy
+from ancfdae.model.material import Material
+from ancfdae.model.sections import Section
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class Beam(BeamBody):
+    """A straight beam of equal elements.
+
+    Parameters
+    ----------
+    name : str
+    start, end : sequence of float
+        End points of the centre line, two components for a planar and three for a spatial
+        scene; m. With a point of another beam as the start, such as ``crank.at_end``, the beam
+        stands there whatever the design, and `end` is taken from there.
+    elements : int
+        Number of equal elements.
+    section : Section or sequence of Section
+        One for the beam or one per element, which may differ in their sizes.
+    material : Material or sequence of Material
+    height_axis : sequence of float, optional
+        Spatial beams: direction of the section's height; its part along the beam is removed.
+        By default the direction that makes (beam, height, width) right-handed with the width
+        along global z, or along global y if the beam itself runs along z.
+    element : BeamElement, optional
+        By default the beam of the dimension, BEAM_2D or BEAM_3D; CABLE_2D has no shear and no
+        deformation of the section.
+    energy : StrainEnergy, optional
+        By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
+    turn : float or sequence of float, optional
+        Turn of the whole beam about its start, a number in the plane and in space a vector along
+        the axis; rad. Design targets: ``turn``, in space ``turn_x`` ..., and ``start_x`` ...
+    rigid : bool, optional
+        Whether it does not deform: the scene then pays for a rigid body of the same mass only.
+    kinks : sequence of float, optional
+        Fractions of inner nodes where the slope along the beam may jump: it has one on either side,
+        while place and section are shared. Nodes that a joint, load or point mass acts on have that
+        anyway: shear and axial forces jump there, and the deflection is of second order in the
+        element length or better. Declare more where sections or materials change from one element
+        to the next, or to have the same coordinates with and without such a load. Forces between
+        nodes are smeared over elements, and the deflection under them is of first order. Not of a
+        cable, whose slopes carry bending.
+
+    Raises
+    ------
+    InvalidInput
+        If the ends coincide, the number of elements is not a positive integer, or the height
+        axis is parallel to the beam.
+    """
+
+    name: str
+    start: Sequence[float] | Point
+    end: Sequence[float]
+    elements: int
+    section: Section | Sequence[Section]
+    material: Material | Sequence[Material]
+    height_axis: Sequence[float] | None = None
+    element: BeamElement = None  # type: ignore[assignment]  # the default of the dimension
+    energy: StrainEnergy | None = None
+    turn: float | Sequence[float] = 0.0
+    rigid: bool = False
+    kinks: Sequence[float] = ()
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        where = f"beam {self.name!r}"
+        if isinstance(self.start, Point):
+            require_vector(f"{where}, end", self.end)
+        else:
+            require_vector(f"{where}, start", self.start)
+            require_vector(f"{where}, end", self.end, (len(tuple(self.start)),))
+        require_count(f"{where}, elements", self.elements, "Use at least one element.")
+        if not np.any(self._span):
+            raise InvalidInput(
+                where,
+                "start and end must differ",
+                tuple(self.end),
+                "A beam needs a length.",
+            )
+        self._check_parts()
+        self._frame()
+
+    @property
+    def element_count(self) -> int:
+        """Number of elements."""
+        return int(self.elements)
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of space."""
+        return len(tuple(self.end))
+
+    @property
+    def place(self) -> Sequence[float] | Point:
+        """Start of the centre line."""
+        return self.start
+
+    @property
+    def length(self) -> float:
+        """Length of the centre line."""
+        return float(np.linalg.norm(self._span))
+
+    def reference(self) -> ReferenceShape:
+        """Return the straight reference configuration."""
+        n, frame = self.element_count, self._frame()
+        return ReferenceShape(
+            lengths=np.full(n, self.length / n),
+            slopes=np.repeat(frame[None], n + 1, axis=0),
+            chords=np.repeat(frame[None, 0], n, axis=0),
+            straight=True,
+        )
+
+    def with_length(self, length: float) -> Beam:
+        """Return the same beam with its end moved along its axis."""
+        require_positive(f"{self.name}.length", length)
+        end = self._origin + length * self._frame()[0]
+        return replace(self, end=tuple(end.tolist()))
+
+    def with_place(self, place: Sequence[float]) -> Beam:
+        """Return the same beam, moved to start at another place."""
+        end = np.asarray(place, float) + self._span
+        return replace(self, start=tuple(place), end=tuple(end.tolist()))
+
+    @property
+    def _origin(self) -> Array:
+        """Where `end` is taken from."""
+        return np.zeros(self.dimension) if isinstance(self.start, Point) else np.array(self.start)
+
+    @property
+    def _span(self) -> Array:
+        return np.subtract(self.end, self._origin).astype(float)
+
+    def _frame(self) -> Array:
+        axis = self._span
+        axis = axis / np.linalg.norm(axis)
+        if self.dimension == 2:
+            if self.height_axis is not None:
+                raise InvalidInput(
+                    f"beam {self.name!r}, height_axis",
+                    "is a choice of spatial beams only",
+                    tuple(self.height_axis),
+                    "Leave it out: the height of a planar beam lies in the plane.",
+                )
+            return np.array([axis, [-axis[1], axis[0]]])
+        if self.height_axis is None:
+            along_z = abs(axis[2]) > 1.0 - 1e-8
+            across = np.cross((0.0, 1.0, 0.0) if along_z else (0.0, 0.0, 1.0), axis)
+        else:
+            require_vector(f"beam {self.name!r}, height_axis", self.height_axis, (3,))
+            given = np.asarray(self.height_axis, dtype=float)
+            across = given - (given @ axis) * axis
+            # 1e-8: below the square root of round-off the direction left over is noise.
+            if np.linalg.norm(across) <= 1e-8 * np.linalg.norm(given):
+                raise InvalidInput(
+                    f"beam {self.name!r}, height_axis",
+                    "must not be parallel to the beam",
+                    tuple(self.height_axis),
+                    "Give a direction across the beam.",
+                )
+        across = across / np.linalg.norm(across)
+        return np.array([axis, across, np.cross(axis, across)])

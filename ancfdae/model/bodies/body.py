@@ -1,0 +1,359 @@
+"""What the rest of the package needs to know about a beam: reference shape, sections, materials."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    require_finite,
+    require_kind,
+    require_name,
+    require_sequence,
+)
+from ancfdae.model.bodies.placed import Placed
+from ancfdae.model.bodies.point import Point, locate, require_fraction
+from ancfdae.model.elements import (
+    ALL_ELEMENTS,
+    BeamElement,
+    ElementParameter,
+    ElementType,
+    Quantity,
+    StrainEnergy,
+)
+from ancfdae.model.material import Material
+from ancfdae.model.sections import Section
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.frames import orthonormal
+
+# Parameters of every beam as a user writes them; the sizes of its section follow.
+_PARAMETERS = {
+    "youngs_modulus": ElementParameter.YOUNGS_MODULUS,
+    "poisson_ratio": ElementParameter.POISSON_RATIO,
+    "density": ElementParameter.DENSITY,
+    "length": ElementParameter.LENGTH,
+    "damping_time": ElementParameter.DAMPING_TIME,
+}
+
+
+@final
+@dataclass(frozen=True)
+class ReferenceShape:
+    """Reference configuration of a beam of n elements.
+
+    It stands with its first node at the origin, before the turn of the beam.
+
+    Attributes
+    ----------
+    lengths : array, shape (n,)
+        Element lengths.
+    slopes : array, shape (n + 1, d, d)
+        Node frames; row k is the slope along the section's k-th axis.
+    chords : array, shape (n, d)
+        (r_2 - r_1) / length of each element.
+    straight : bool
+        Whether dr_o/dx is the same at every point of the beam.
+    """
+
+    lengths: Array
+    slopes: Array
+    chords: Array
+    straight: bool
+
+    @property
+    def fractions(self) -> Array:
+        """Arc-length fractions of the nodes, shape (n + 1,)."""
+        fractions = np.concatenate([[0.0], np.cumsum(self.lengths) / np.sum(self.lengths)])
+        fractions[-1] = 1.0
+        return fractions
+
+
+class BeamBody(Placed):
+    """What the rest of the package needs to know about a beam; name and turn as in `Placed`.
+
+    Attributes
+    ----------
+    section : Section or sequence of Section
+        One for the beam or one per element, which may differ in their sizes.
+    material : Material or sequence of Material
+        One for the beam or one per element.
+    element : BeamElement
+        The element that models it.
+    energy : StrainEnergy or None
+        How it resists strain; None for elements with a law of their own.
+    rigid : bool
+        Whether it has the coordinates of a rigid body instead of those of its elements.
+    kinks : sequence of float
+        Fractions of inner nodes with a slope along the beam on either side, see `Beam`.
+    """
+
+    element: BeamElement
+    energy: StrainEnergy | None
+    section: Section | Sequence[Section]
+    material: Material | Sequence[Material]
+    rigid: bool
+    kinks: Sequence[float]
+
+    @property
+    @abc.abstractmethod
+    def element_count(self) -> int:
+        """Number of elements."""
+
+    @abc.abstractmethod
+    def reference(self) -> ReferenceShape:
+        """Return the reference configuration."""
+
+    def at_origin(self, point: Point) -> Array:
+        """Return the place of a point from the vectors at both ends of its element."""
+        shape, n_s = self.reference(), self.element.n_s
+        fraction = require_fraction(str(point), point.fraction)
+        k, xi = locate(shape.fractions, fraction, point.before)
+        l, start = shape.lengths[k], shape.lengths[:k] @ shape.chords[:k]
+        ends = np.stack([start, start + l * shape.chords[k]])
+        X = np.concatenate([ends[:, None], shape.slopes[k : k + 2, : n_s - 1]], axis=1)
+        w, p = self.element.vector_weights(Quantity.POSITION, xi, point.y, point.z)
+        place: Array = (w * l**p) @ X.reshape(2 * n_s, self.dimension)
+        return place
+
+    @abc.abstractmethod
+    def with_length(self, length: float) -> BeamBody:
+        """Return the same beam, stretched from its start to another total length."""
+
+    def directions(self) -> Array:
+        """Return the axes of the beam as a rigid body: those at its start, as rows."""
+        return orthonormal(self.reference().slopes[0])
+
+    @property
+    def at_start(self) -> Point:
+        """The point at the start of the centre line."""
+        return Point(self.name, 0.0)
+
+    @property
+    def at_end(self) -> Point:
+        """The point at the end of the centre line."""
+        return Point(self.name, 1.0)
+
+    def at(self, fraction: float, y: float = 0.0, z: float = 0.0, before: bool = False) -> Point:
+        """Return the point at an arc-length fraction, offset in the section by y and z.
+
+        At an inner node it belongs to the element that begins there, or with `before` to the one
+        that ends there.
+        """
+        require_finite(f"point of {self.name!r}", fraction)
+        return Point(self.name, fraction, y, z, before=before)
+
+    def inner_nodes(self, fractions: Iterable[float]) -> set[int]:
+        """Return the numbers of the inner nodes at some of the fractions."""
+        nodes, n = self.reference().fractions, self.element_count
+        places = [locate(nodes, fraction) for fraction in fractions]
+        return {element for element, xi in places if xi == 0.0 and 0 < element < n}
+
+    def with_kinks(self, nodes: Iterable[int]) -> BeamBody:
+        """Return the same beam with kinks declared at these inner nodes."""
+        kinks = self.reference().fractions[sorted(nodes)].tolist()
+        return replace(self, kinks=tuple(kinks))  # type: ignore[type-var]
+
+    def parameter_names(self) -> dict[str, ElementParameter]:
+        """Return what can be a design target, e.g. ``"rod.height"``, and its column."""
+        sizes = (each for each in ElementParameter if each.is_size)
+        return _PARAMETERS | dict(zip(self._section().size_names(), sizes, strict=False))
+
+    def element_parameters(self) -> Array:
+        """Parameters of every element, shape (n, 9), columns as in `ElementParameter`."""
+        sections, materials = self._per_element()
+        parameters = np.zeros((self.element_count, len(ElementParameter)))
+        parameters[:, ElementParameter.LENGTH] = self.reference().lengths
+        for name, which in _PARAMETERS.items():
+            if which is not ElementParameter.LENGTH:
+                parameters[:, which] = [getattr(material, name) for material in materials]
+        distinct = {id(section): section for section in sections}
+        size = {key: section.sizes() for key, section in distinct.items()}
+        sizes = np.array([size[id(section)] for section in sections])
+        first = ElementParameter.SIZE_1
+        parameters[:, first : first + sizes.shape[1]] = sizes
+        return parameters
+
+    def element_type(self) -> ElementType:
+        """Return what all elements of the beam share."""
+        return ElementType(self._section(), self.energy, self.reference().straight)
+
+    def half_extents(self, elements: Array) -> tuple[float, float]:
+        """Half of the height and of the width that enclose the sections of some elements; m."""
+        sections = [self._per_element()[0][k].half_extents for k in elements]
+        y, z = np.max(sections, axis=0)
+        return float(y), float(z)
+
+    def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
+        """Return the same beam with parameters changed together.
+
+        Parameters
+        ----------
+        changes : iterable of (parameter, element, value)
+            The element is None where the parameter changes everywhere.
+
+        Raises
+        ------
+        InvalidInput
+            If a value is not admissible for its parameter, sizes of a section do not fit together
+            or an element does not exist.
+        UnknownName
+            If there is no such parameter.
+        """
+        names, placement = self.parameter_names(), self.placement()
+        changes = tuple(changes)
+        moved = {name: value for name, _, value in changes if name in placement}
+        beam = self.with_placement(moved) if moved else self
+        sections, materials = self._per_element()
+        sizes: list[dict[str, float]] = [{} for _ in sections]
+        for parameter, element, value in changes:
+            self.check_target(parameter, element)
+            if parameter in placement:
+                continue
+            if names[parameter] is ElementParameter.LENGTH:
+                beam = beam.with_length(value)
+                continue
+            for k in range(self.element_count) if element is None else [element]:
+                if names[parameter].is_size:
+                    sizes[k][parameter] = value
+                else:
+                    materials[k] = replace(materials[k], **{parameter: value})
+        changed = [s.with_sizes(own) for s, own in zip(sections, sizes, strict=True)]
+        return replace(beam, section=tuple(changed), material=tuple(materials))  # type: ignore[type-var]
+
+    def check_target(self, parameter: str, element: int | None) -> None:
+        """Refuse a design target that this beam does not have.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+        """
+        names, placement = self.parameter_names(), self.placement()
+        if parameter not in names and parameter not in placement:
+            known = (f"{self.name}.{name}" for name in (*names, *placement))
+            raise UnknownName("design target", f"{self.name}.{parameter}", known)
+        if element is None:
+            return
+        where = f"design target {self.name}.{parameter}[{element}]"
+        if not 0 <= element < self.element_count:
+            raise InvalidInput(
+                where,
+                f"the beam has elements 0 to {self.element_count - 1}",
+                element,
+                "Name an element that exists.",
+            )
+        if names.get(parameter, ElementParameter.LENGTH) is ElementParameter.LENGTH:
+            raise InvalidInput(
+                where,
+                f"{parameter} is a property of the whole beam",
+                f"[{element}]",
+                f"Use {self.name}.{parameter}.",
+            )
+
+    def _section(self) -> Section:
+        return self.section if isinstance(self.section, Section) else self.section[0]
+
+    def _per_element(self) -> tuple[list[Section], list[Material]]:
+        n = self.element_count
+        sections = [self.section] * n if isinstance(self.section, Section) else list(self.section)
+        materials = (
+            [self.material] * n if isinstance(self.material, Material) else list(self.material)
+        )
+        return sections, materials
+
+    def _check_parts(self) -> None:
+        require_name("Beam.name", self.name)
+        given: object = self.element
+        if given is None:
+            given = next(each for each in ALL_ELEMENTS if each.d == self.dimension)
+            object.__setattr__(self, "element", given)
+        names = ", ".join(each.name for each in ALL_ELEMENTS if each.d == self.dimension)
+        if not isinstance(given, BeamElement) or given.d != self.dimension:
+            raise InvalidInput(
+                f"beam {self.name!r}, element",
+                f"must be one of {self.dimension} dimensions",
+                repr(given),
+                f"Leave it out, or choose among {names}.",
+            )
+        self._check_turn(f"beam {self.name!r}")
+        self._check_part(self.section, Section)
+        self._check_part(self.material, Material)
+        self._check_sections()
+        self._check_energy()
+        self._check_kinks()
+
+    def _check_kinks(self) -> None:
+        where = f"beam {self.name!r}, kinks"
+        kinks = require_sequence(where, self.kinks)
+        for fraction in kinks:
+            require_finite(where, fraction)
+            require_fraction(where, fraction)
+            if not self.inner_nodes([fraction]):
+                rule, repair = "must lie at nodes between elements", "Choose other elements."
+                raise InvalidInput(where, rule, fraction, repair)
+        if kinks and not self.element.can_kink:
+            rule = f"the slope along a beam of {self.element.name} resists bending"
+            raise InvalidInput(where, rule, kinks, "Leave them out.")
+        object.__setattr__(self, "kinks", kinks)
+
+    def _check_part(self, part: object, kind: type) -> None:
+        if isinstance(part, kind):
+            return
+        listed = part if isinstance(part, Sequence) else ()
+        if len(listed) != self.element_count or not all(isinstance(x, kind) for x in listed):
+            raise InvalidInput(
+                f"beam {self.name!r}",
+                f"needs one {kind.__name__} or a sequence of {self.element_count}, one per element",
+                repr(part),
+                f"Give one {kind.__name__}, or as many as there are elements.",
+            )
+
+    def _check_sections(self) -> None:
+        forms = {section.form() for section in self._per_element()[0]}
+        if len(forms) > 1:
+            raise InvalidInput(
+                f"beam {self.name!r}, section",
+                "the sections of a beam must differ in their sizes only",
+                repr(self.section),
+                "Join two beams with a Clamp instead.",
+            )
+        if Quantity.SLOPE_Y in self.element.quantities and not self._is_spread():
+            raise InvalidInput(
+                f"beam {self.name!r}, section",
+                "the area of a section must spread along y, in space not along one line only",
+                repr(self._section()),
+                "Give points that lie apart.",
+            )
+
+    def _is_spread(self) -> bool:
+        """Whether the section resists bending about every axis."""
+        section = self._section()
+        y, z, dA = (x[0] for x in section.points(np.array([section.sizes()]), False))
+        places = np.stack([y, z][: self.dimension - 1])
+        centred = places - (places @ dA / np.sum(dA))[:, None]
+        moments = (centred * dA) @ centred.T
+        own = np.diag(moments)
+        # Of points on a line round-off leaves eps^2 = 5e-32 of the first, and eps of the second.
+        if np.any(own <= 1e-24 * (places**2 @ np.abs(dA))):
+            return False
+        return bool(np.linalg.det(moments / np.sqrt(np.outer(own, own))) > 1e-12)
+
+    def _check_energy(self) -> None:
+        where, default = f"beam {self.name!r}, energy", self.element.default_energy
+        given: object = self.energy
+        if given is None:
+            object.__setattr__(self, "energy", default)
+            return
+        if default is None:
+            rule, repair = f"{self.element.name} has a law of its own", "Leave it out."
+            raise InvalidInput(where, rule, repr(given), repair)
+        require_kind(where, given, (StrainEnergy,), "For example EnhancedContinuum().")
+        assert isinstance(given, StrainEnergy)
+        if self.dimension not in given.dimensions:
+            rule = f"must be an energy for {self.dimension} dimensions"
+            raise InvalidInput(where, rule, repr(given), "Use EnhancedContinuum().")

@@ -1,0 +1,221 @@
+"""A rigid body: a reference point and the directions of its axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import (
+    InvalidInput,
+    require_array,
+    require_finite,
+    require_name,
+    require_positive,
+    require_vector,
+)
+from ancfdae.model.bodies.placed import Placed
+from ancfdae.model.bodies.point import Point
+from ancfdae.model.bodies.shapes import BodyShape, require_shape
+from ancfdae.model.design import Designable
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.frames import orthonormal
+
+# Directions that are perpendicular and of unit length up to this are meant to be.
+_SQUARE = 1e-6
+
+
+def _require_inertia(where: str, value: object) -> None:
+    if np.ndim(value) == 0:  # type: ignore[arg-type]
+        require_finite(where, value)
+    else:
+        require_vector(where, value, (3, 6))
+
+
+@final
+@dataclass(frozen=True)
+class RigidBody(Placed, Designable):
+    """A body that does not deform, with axes of its own through a reference point.
+
+    Its coordinates are the reference point r and its directions d_1, d_2(, d_3); a place x, y, z
+    of it is at r + x d_1 + y d_2 + z d_3. Give either its mass and inertia or a shape with its
+    density. Design targets: ``mass``, ``centre_x`` ..., ``inertia`` in the plane, ``inertia_x``
+    ... or ``inertia_xx`` ... in space; ``density`` and the sizes of the shape.
+
+    Parameters
+    ----------
+    name : str
+    position : sequence of float
+        Where the reference point is in the reference configuration, two components for a planar
+        and three for a spatial scene; m.
+    mass : float, optional
+        kg.
+    inertia : float or sequence of float, optional
+        Moments of inertia about the centre of mass: in the plane one, in space three, (I_x, I_y,
+        I_z), if the axes of the body run along its principal axes, or the six entries (I_xx, I_yy,
+        I_zz, I_xy, I_xz, I_yz) of the tensor, with I_xy = -int x y dm; kg m^2. In space each
+        principal moment must be less than the sum of the other two.
+    centre : sequence of float, optional
+        Centre of mass, or of the shape, in the axes of the body; by default the reference point; m.
+    shape : BodyShape, optional
+        For example `RigidBox`; its axes are those of the body.
+    density : float, optional
+        Of the shape; kg/m^3.
+    frame : sequence of sequence of float, optional
+        Directions of the axes in the reference configuration as rows; by default those of space.
+    turn : float or sequence of float, optional
+        Turn of the body about its reference point, in space a vector along the axis; rad. Design
+        targets: ``turn``, in space ``turn_x`` ..., and ``position_x`` ...
+
+    Raises
+    ------
+    InvalidInput
+        If vectors have the wrong size, mass or shape are missing or both given, the inertia is that
+        of no body of some thickness, or the frame is not right-handed and orthonormal.
+    """
+
+    name: str
+    position: Sequence[float]
+    mass: float | None = None
+    inertia: float | Sequence[float] | None = None
+    centre: Sequence[float] | None = None
+    shape: BodyShape | None = None
+    density: float | None = None
+    frame: Sequence[Sequence[float]] | None = None
+    turn: float | Sequence[float] = 0.0
+
+    place_word = "position"
+    design_fields = (
+        ("mass", require_positive),
+        ("inertia", _require_inertia),
+        ("centre", require_vector),
+        ("shape", require_shape),
+        ("density", require_positive),
+    )
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_name("RigidBody.name", self.name)
+        where = f"body {self.name!r}"
+        require_vector(f"{where}, position", self.position)
+        if self.centre is None:
+            object.__setattr__(self, "centre", (0.0,) * self.dimension)
+        self.check_fields(where)
+        require_vector(f"{where}, centre", self.centre, (self.dimension,))
+        self._check_mass(where)
+        self._check_frame(where)
+        self._check_turn(where)
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of space."""
+        return len(tuple(self.position))
+
+    @property
+    def place(self) -> Sequence[float]:
+        """Place of the reference point."""
+        return self.position
+
+    def with_place(self, place: Sequence[float]) -> RigidBody:
+        """Return the same body, moved to another place."""
+        return replace(self, position=tuple(place))
+
+    @property
+    def origin(self) -> Point:
+        """The reference point."""
+        return Point(self.name)
+
+    @property
+    def centre_of_mass(self) -> Point:
+        """The centre of mass, where it is at these values."""
+        return self.at(*map(float, self.centre))  # type: ignore[arg-type]  # never None here
+
+    def at(self, x: float, y: float = 0.0, z: float = 0.0) -> Point:
+        """Return the point at a place in the axes of the body; m."""
+        return Point(self.name, x=x, y=y, z=z)
+
+    def directions(self) -> Array:
+        """Return the directions of the axes in the reference configuration as rows."""
+        if self.frame is None:
+            return np.eye(self.dimension)
+        return orthonormal(np.asarray(self.frame, dtype=float))
+
+    def at_origin(self, point: Point) -> Array:
+        """Return the place of a point along the axes."""
+        place: Array = np.array([point.x, point.y, point.z])[: self.dimension] @ self.directions()
+        return place
+
+    def moments(self, p: Array) -> Array:
+        """Return the integral of [1, x] [1, x]^T dm, x in the axes of the body: (d + 1, d + 1).
+
+        `p` has the values of `parameters`; complex ones go through. With the tensor of inertia I
+        about the centre of mass c, int x x^T dm = tr(I)/2 E - I + m c c^T.
+        """
+        mass, inertia, centre, sizes, density = self.split(p)
+        d = self.dimension
+        if self.shape is not None:
+            volume, means = self.shape.moments(sizes)
+            mass = density * volume
+            spread = mass * np.diag(means[:d])
+        else:
+            spread = _spread(inertia, d)
+        block = np.zeros((d + 1, d + 1), dtype=np.result_type(p, float))
+        block[0, 0], block[0, 1:], block[1:, 0] = mass, mass * centre, mass * centre
+        block[1:, 1:] = spread + mass * np.outer(centre, centre)
+        return block
+
+    def _check_mass(self, where: str) -> None:
+        names = ("mass", "inertia", "shape", "density")
+        given = [name for name in names if getattr(self, name) is not None]
+        if given not in (["mass", "inertia"], ["shape", "density"]):
+            raise InvalidInput(
+                where,
+                "needs either mass and inertia, or a shape and its density",
+                ", ".join(given) or "none of them",
+                "For example RigidBody('arm', (0, 0), shape=RigidBox(0.4, 0.1, 0.1), density=7800)",
+            )
+        if self.inertia is None:
+            return
+        if (np.ndim(self.inertia) == 0) != (self.dimension == 2):
+            raise InvalidInput(
+                f"{where}, inertia",
+                "must be a number in the plane and have 3 or 6 components in space",
+                self.inertia,
+                f"The body has {self.dimension} dimensions.",
+            )
+        own = np.linalg.eigvalsh(_spread(np.asarray(self.inertia, dtype=float), self.dimension))
+        # Below the square root of round-off the thickness across the body would be noise.
+        if own[0] <= 1e-8 * own[-1] or own[0] <= 0:
+            rule = "must be positive"
+            if self.dimension == 3:
+                rule = "each principal moment must be less than the sum of the other two"
+            repair = "Give the moments of a body of some thickness."
+            raise InvalidInput(f"{where}, inertia", rule, self.inertia, repair)
+
+    def _check_frame(self, where: str) -> None:
+        if self.frame is None:
+            return
+        d = self.dimension
+        rows = require_array(f"{where}, frame", self.frame, (d, d))
+        if np.max(np.abs(rows @ rows.T - np.eye(d))) > _SQUARE or np.linalg.det(rows) < 0:
+            raise InvalidInput(
+                f"{where}, frame",
+                "must have perpendicular rows of unit length that are right-handed",
+                rows.tolist(),
+                "For example ((c, s), (-s, c)) with c = cos(angle), s = sin(angle).",
+            )
+
+
+def _spread(inertia: Array, d: int) -> Array:
+    """Return int x x^T dm about the centre of mass from moments of inertia."""
+    if d == 2:
+        # In the plane only the sum over both axes is felt.
+        return inertia / 2 * np.eye(2)
+    tensor = np.diag(inertia[:3])
+    if len(inertia) == 6:
+        upper = np.triu_indices(3, 1)
+        tensor[upper] = tensor.T[upper] = inertia[3:]
+    spread: Array = np.trace(tensor) / 2 * np.eye(3) - tensor
+    return spread

@@ -1,0 +1,369 @@
+"""What an element has to state so that everything else can be built from it.
+
+An element of node vectors X (n_a x d: position and slopes of both nodes)
+declares the vectors of its points, r = sum_a s_a X_a and the slopes, and its
+invariants in terms of the *relative* node vectors
+
+    Y = [r_2 - r_1, slopes of node 1, slopes of node 2]     (n_y x d)
+
+with their derivatives in every parameter. Forces, tangents and all their
+design derivatives follow from these facts.
+"""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput
+from ancfdae.model.elements.energy import StrainEnergy
+from ancfdae.model.sections import Section
+from ancfdae.numerics.arrays import STEP, Array
+
+
+class Quantity(IntEnum):
+    """A vector of a material point; slopes are derivatives along the section's axes."""
+
+    POSITION = 0
+    SLOPE_X = 1
+    SLOPE_Y = 2
+    SLOPE_Z = 3
+
+
+class ElementParameter(IntEnum):
+    """Column of each design parameter in a block's parameter array, shape (n, 9)."""
+
+    YOUNGS_MODULUS = 0
+    POISSON_RATIO = 1
+    DENSITY = 2
+    LENGTH = 3
+    DAMPING_TIME = 4
+    # Sizes of the section, in its order.
+    SIZE_1 = 5
+    SIZE_2 = 6
+    SIZE_3 = 7
+    SIZE_4 = 8
+
+    @property
+    def is_size(self) -> bool:
+        """Whether it is a size of the section."""
+        return self >= ElementParameter.SIZE_1
+
+
+@final
+@dataclass(frozen=True)
+class ElementType:
+    """What elements share that differ in numbers only.
+
+    Attributes
+    ----------
+    section : Section
+        One of theirs; its sizes do not count.
+    energy : StrainEnergy or None
+        None for elements with a law of their own.
+    straight : bool
+        Whether dr_o/dx is the same at every point of an element, so that a low-order rule is exact.
+    """
+
+    section: Section
+    energy: StrainEnergy | None
+    straight: bool
+
+    def sizes(self, parameters: Array) -> Array:
+        """Return the sizes of the section out of parameters of shape (n, 9)."""
+        first = ElementParameter.SIZE_1
+        return parameters[:, first : first + len(self.section.size_names())]
+
+
+@final
+@dataclass(frozen=True)
+class Batch:
+    """Some elements of one type.
+
+    Attributes
+    ----------
+    kind : ElementType
+    parameters : array, shape (n, 9)
+        Columns as in `ElementParameter`; real or complex.
+    Y_unit : array, shape (n, n_y, d)
+        Relative node vectors of the reference configuration, the first one, r_2 - r_1, divided by
+        the element length.
+    """
+
+    kind: ElementType
+    parameters: Array
+    Y_unit: Array
+
+    def __getitem__(self, rows: slice | Array) -> Batch:
+        """Return some of the elements."""
+        return Batch(self.kind, self.parameters[rows], self.Y_unit[rows])
+
+    @property
+    def d(self) -> int:
+        """Dimension of space."""
+        return int(self.Y_unit.shape[2])
+
+    @property
+    def energy(self) -> StrainEnergy:
+        """The energy of elements that have one."""
+        assert self.kind.energy is not None
+        return self.kind.energy
+
+    def of(self, which: ElementParameter) -> Array:
+        """Return one parameter, shape (n,)."""
+        values: Array = self.parameters[:, which]
+        return values
+
+    @property
+    def lengths(self) -> Array:
+        """Element lengths l, shape (n,)."""
+        return self.of(ElementParameter.LENGTH)
+
+    @property
+    def moduli(self) -> tuple[Array, Array]:
+        """E and nu, shape (n,) each."""
+        return self.of(ElementParameter.YOUNGS_MODULUS), self.of(ElementParameter.POISSON_RATIO)
+
+    @property
+    def stiffness(self) -> tuple[Array, ...]:
+        """What the energy says of E and nu, see `StrainEnergy.stiffness`."""
+        return self.energy.stiffness(self.d, *self.moduli)
+
+    @property
+    def sizes(self) -> Array:
+        """Sizes of the sections, shape (n, n_sizes)."""
+        return self.kind.sizes(self.parameters)
+
+    def step(self, which: ElementParameter) -> Array:
+        """Return STEP times the power of two next to each value: it vanishes in any units."""
+        step: Array = np.ldexp(STEP, np.frexp(self.of(which).real)[1])
+        return step
+
+    def moved(self, which: ElementParameter) -> Batch:
+        """Return the elements with one parameter moved by an imaginary `step`."""
+        parameters = self.parameters.astype(complex)
+        parameters[:, which] += 1j * self.step(which)
+        return replace(self, parameters=parameters)
+
+
+@final
+@dataclass(frozen=True)
+class InvariantPartial:
+    """Derivatives of the invariants in one element parameter.
+
+    Attributes
+    ----------
+    A : array, shape (n, n_g, n_g)
+    g_o : array, shape (n, n_g)
+    p_o : array, shape (n, n_g)
+    c : array, shape (n, n_g)
+        A (dg_o/db) - dp_o/db: minus what the stress gains with g held, beside A_b dg.
+    m : array, shape (n, n_a, n_a)
+    """
+
+    A: Array
+    g_o: Array
+    p_o: Array
+    c: Array
+    m: Array
+
+
+@final
+@dataclass(frozen=True)
+class Invariants:
+    """Invariants of n elements.
+
+    Attributes
+    ----------
+    A : array, shape (n, n_g, n_g)
+        Elastic invariant.
+    g_o : array, shape (n, n_g)
+        Packed Gram matrix of the reference configuration.
+    m : array, shape (n, n_a, n_a)
+        Mass invariant.
+    p_o : array, shape (n, n_g), or None
+        Linear term of the energy; None where there is none.
+    partials : dict
+        Derivatives by element parameter, only those asked for; none for the damping time,
+        which no invariant depends on.
+    """
+
+    A: Array
+    g_o: Array
+    m: Array
+    p_o: Array | None
+    partials: dict[ElementParameter, InvariantPartial]
+
+
+class Integrals(abc.ABC):
+    """Invariants but for the powers of the length l that their entries go with.
+
+    Attributes
+    ----------
+    values : tuple of array, shape (n, ...)
+        A, m, and p_o where the element has one.
+    powers : tuple of array
+        The power of l of each entry of these.
+    """
+
+    values: tuple[Array, ...]
+    powers: tuple[Array, ...]
+
+    @abc.abstractmethod
+    def partial(self, which: ElementParameter) -> tuple[Array, ...]:
+        """Return the derivatives of the values in a parameter."""
+
+
+@final
+@dataclass(frozen=True)
+class SectionPlace:
+    """Where a section lies in a run of neighbouring elements.
+
+    Attributes
+    ----------
+    element : int
+        Its element in the run, which holds those beside it on `smooth` nodes.
+    xi : float
+    smooth : (bool, bool)
+        Whether nothing acts at the first, at the second node of its element.
+    """
+
+    element: int
+    xi: float
+    smooth: tuple[bool, bool] = (False, False)
+
+
+class SectionLaw(abc.ABC):
+    """Forces in a section, prepared for many states."""
+
+    @abc.abstractmethod
+    def forces(self, Y: Array, V: Array) -> Array:
+        """Return N, V_y, V_z, T, M_y and M_z, shape (..., 6).
+
+        What the part beyond the section does to the part before it, in the axes of the section;
+        real or complex. In the plane V_z, T and M_y are zero.
+
+        Parameters
+        ----------
+        Y, V : array, shape (..., n, n_y, d)
+            Relative node vectors of the run of elements and their velocities.
+        """
+
+
+class BeamElement(abc.ABC):
+    """Facts about a two-node ANCF beam element.
+
+    Implementations are stateless; arrays are batched over elements (leading
+    axis n) and over points (axis n_p) and keep the dtype of their input, so
+    that complex perturbations of coordinates and parameters pass through.
+
+    Attributes
+    ----------
+    d : int
+        Dimension of space.
+    name : str
+        What saved solutions call it.
+    """
+
+    name: str
+    d: int
+
+    @property
+    @abc.abstractmethod
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What the vectors of a node are: position and slopes."""
+
+    @property
+    def n_s(self) -> int:
+        """Node vectors per node."""
+        return len(self.quantities)
+
+    @property
+    def n_a(self) -> int:
+        """Node vectors per element, 2 n_s."""
+        return 2 * self.n_s
+
+    @property
+    def n_y(self) -> int:
+        """Relative node vectors per element, n_a - 1."""
+        return self.n_a - 1
+
+    @property
+    def can_kink(self) -> bool:
+        """Whether r_x may jump at a node: where sections bend, not where r_x does."""
+        return Quantity.SLOPE_Y in self.quantities
+
+    def require(self, where: str, quantity: Quantity, y: float, z: float) -> None:
+        """Refuse a vector that a point, offset in the section by y and z, does not have.
+
+        Raises
+        ------
+        InvalidInput
+        """
+        if Quantity.SLOPE_Y not in self.quantities and (y != 0 or z != 0):
+            raise InvalidInput(
+                where, "the element has no section to be off", f"y = {y}, z = {z}", "Leave it out."
+            )
+        if quantity not in self.quantities:
+            raise InvalidInput(
+                where,
+                f"the element must have the vector {quantity.name}",
+                f"an element of {', '.join(own.name for own in self.quantities)}",
+                "Choose another element for the beam, or another part.",
+            )
+
+    @abc.abstractmethod
+    def vector_weights(
+        self, quantity: Quantity, xi: float, y: float, z: float
+    ) -> tuple[Array, Array]:
+        """Return how a vector of a point is made of the node vectors: sum_a w_a l^p_a X_a.
+
+        Parameters
+        ----------
+        quantity : Quantity
+            A position (the weights are the shape functions of eq. 8) or a slope.
+        xi, y, z : float
+            Place in the element; y and z in m.
+
+        Returns
+        -------
+        w, p : array, shape (n_a,)
+            Weights at unit length, and the power of the length l that each goes with.
+        """
+
+    @property
+    @abc.abstractmethod
+    def default_energy(self) -> StrainEnergy | None:
+        """Energy of beams that declare none; None if the element has a law of its own."""
+
+    @abc.abstractmethod
+    def integrals(self, own: Batch, owners: Array) -> Integrals:
+        """Integrate the invariants of some elements; `owners` as in `invariants.prepare`."""
+
+    @abc.abstractmethod
+    def section_law(self, own: Batch, place: SectionPlace) -> SectionLaw:
+        """Return what gives the forces in a section of a run of elements."""
+
+    @abc.abstractmethod
+    def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
+        """Return stresses as maps of the strains of the law, shape (n, n_f, n_xi, n_v, n_g).
+
+        Of strains of relative node vectors with the chord divided by the length; normal stresses
+        first, then shears.
+
+        Parameters
+        ----------
+        own : Batch
+        xi : array, shape (n_xi,)
+        places : (array, array), shape (n, n_f) each
+            y and z in the section; m.
+
+        Raises
+        ------
+        InvalidInput
+            If the element has no stresses that vary over a section.
+        """

@@ -1,0 +1,116 @@
+"""Invariant matrices of a block of elements and their exact design derivatives.
+
+With Y the relative node vectors, g the packed Y Y^T and g_o its value in the
+reference configuration, every element states
+
+    U = 1/2 (g - g_o)^T A (g - g_o) + p_o^T (g - g_o),
+    m_ab = int rho s_a s_b dV_o            (eq. 10; M_e = m (x) I_d).
+
+A (15 x 15 planar, 28 x 28 spatial) and m carry everything that eqs. (15), (18)
+and (10) carry. The linear term p_o exists only for elements with a strain
+measure that is no difference to the reference; the reference must be in
+balance under it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from ancfdae.kernels import gram
+from ancfdae.model.elements.element import (
+    Batch,
+    BeamElement,
+    ElementParameter,
+    InvariantPartial,
+    Invariants,
+)
+from ancfdae.model.elements.packing import packed_gram
+from ancfdae.numerics.arrays import Array
+
+# Elements handled at once, so that the preparation of 10,000 of them stays within memory; curved
+# ones have more points.
+_STRAIGHT_CHUNK, _CURVED_CHUNK = 256, 32
+
+
+def prepare(
+    element: BeamElement,
+    own: Batch,
+    wanted: Iterable[ElementParameter] = (),
+    owners: Array | None = None,
+) -> Invariants:
+    """Integrate the invariants and the derivatives asked for.
+
+    Parameters
+    ----------
+    element : BeamElement
+    own : Batch
+        The elements.
+    wanted : iterable of ElementParameter
+        Parameters whose derivatives are prepared.
+    owners : array of str, shape (n,), optional
+        What each element belongs to, for the error.
+
+    Raises
+    ------
+    InvalidInput
+        If the reference configuration folds (det dr_o/dx <= 0 somewhere).
+    """
+    wanted, n = tuple(wanted), len(own.parameters)
+    if owners is None:
+        owners = np.full(n, "reference configuration")
+    count = _STRAIGHT_CHUNK if own.kind.straight else _CURVED_CHUNK
+    chunks = [slice(k, k + count) for k in range(0, n, count)]
+    return joined([_invariants(element, own[k], wanted, owners[k]) for k in chunks])
+
+
+def _invariants(
+    element: BeamElement, own: Batch, wanted: tuple[ElementParameter, ...], owners: Array
+) -> Invariants:
+    """Multiply the integrals by powers of the length; the product rule."""
+    integrals = element.integrals(own, owners)
+    lengths = [own.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
+    sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
+    whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]
+    A, m, *linear = whole
+    Y_o, Y_l = own.Y_unit.astype(A.dtype), np.zeros_like(own.Y_unit)
+    Y_o[:, 0], Y_l[:, 0] = own.lengths[:, None] * own.Y_unit[:, 0], own.Y_unit[:, 0]
+    partials = {}
+    for which in wanted:
+        changes = [x * size for x, size in zip(integrals.partial(which), sizes, strict=True)]
+        Y_b = np.zeros_like(Y_l)
+        if which is ElementParameter.LENGTH:
+            by_l = zip(whole, integrals.powers, lengths, strict=True)
+            changes = [x_b + x * k / l for x_b, (x, k, l) in zip(changes, by_l, strict=True)]
+            Y_b = Y_l
+        A_b, m_b, *linear_b = changes
+        g_ob = gram(Y_o, Y_b)
+        p_ob = linear_b[0] if linear_b else np.zeros_like(g_ob)
+        c = np.einsum("nij,nj->ni", A, g_ob) - p_ob
+        partials[which] = InvariantPartial(A_b, g_ob, p_ob, c, m_b)
+    return Invariants(A, packed_gram(Y_o), m, linear[0] if linear else None, partials)
+
+
+def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invariants:
+    """Put the invariants of several blocks of one element into one, optionally reordered."""
+
+    def together(arrays: list[Array]) -> Array:
+        whole = np.concatenate(arrays)
+        return whole if order is None else whole[order]
+
+    def fields(parts: Sequence[Invariants | InvariantPartial], *names: str) -> dict[str, Array]:
+        return {name: together([getattr(part, name) for part in parts]) for name in names}
+
+    partials = {
+        which: InvariantPartial(
+            **fields([piece.partials[which] for piece in pieces], "A", "g_o", "p_o", "c", "m")
+        )
+        for which in pieces[0].partials
+    }
+    linear = [piece.p_o for piece in pieces if piece.p_o is not None]
+    return Invariants(
+        **fields(pieces, "A", "g_o", "m"),
+        p_o=together(linear) if linear else None,
+        partials=partials,
+    )

@@ -1,0 +1,88 @@
+"""Stresses of continuum beams.
+
+They are the second Piola-Kirchhoff ones of the law, S = C (E + tau E'), in the axes of the
+reference section, as a linear map of the Gram matrix like the strains (`strain_fields`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ancfdae.model.elements.element import Batch
+from ancfdae.model.elements.fibre_strains import Fibres
+from ancfdae.model.elements.strain_fields import components
+from ancfdae.model.elements.volume import AXIS_POINTS, Region, fibres, gauss_rule
+from ancfdae.numerics.arrays import Array
+
+_AXIS_PLACES, _ = gauss_rule(AXIS_POINTS)
+
+
+def spread_stresses(own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
+    """Return stresses at y and z of sections, (n, n_f) each, as maps of the strains of the law.
+
+    Shears of torsion are in balance with the torque of the law and spread as the section knows
+    them. Where properties of the section count, the mean shears of V_y and V_z and the mean
+    thickness stresses, radial ones in curved beams, spread by its shares.
+    """
+    fibre, section, d = fibres(own), own.kind.section, own.d
+    offsets = np.stack(places, axis=-1) / own.lengths[:, None, None]
+    at = replace(fibre, offsets=offsets, volume=np.ones(offsets.shape[:2]))
+    D = flat = _stresses(own, xi, at, np.zeros_like(offsets))
+    if own.energy.corrected:
+        D = flat.copy()
+        shares = section.shares(own.sizes, *places)
+        for j, share in enumerate(shares[: d - 1], start=1):
+            for pair in ((0, j), (j, j)):
+                D[:, :, :, components(d).index(pair)] *= share[:, :, None, None]
+    if d == 3:
+        shear = np.stack(section.torsional_shear(own.sizes, *places), axis=-1)
+        area = np.sum(fibre.volume, axis=1) / own.lengths
+        J = fibre.radii[:, 2] ** 2 * own.lengths**2 * area
+        share = J / section.torsion(own.sizes) / own.lengths
+        D = D + _stresses(own, xi, at, shear * share[:, None, None]) - flat
+    return D
+
+
+def _stresses(own: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
+    """Return stresses at fibres; `twist` as in `Frames.strains`."""
+    volume, *rest = own.stiffness
+    owners, n_v = np.full(len(own.parameters), "stress"), len(components(own.d))
+
+    def stresses(C: Array, at: Fibres, xi: Array, twist: Array | None) -> Array:
+        region = Region(own, at, (xi, np.ones(len(xi))), owners)
+        eps = region.true_strains(twist)[..., :n_v, :] @ region.beta[:, None]
+        return np.asarray((C[:, None, None] @ eps).swapaxes(1, 2))
+
+    D = stresses(volume, at, xi, twist)
+    for C in rest:
+        # The law asks for it at these points only: linear between and beyond them.
+        first, second = np.split(stresses(C, at.axis(), _AXIS_PLACES, None), AXIS_POINTS, axis=2)
+        share = (xi - _AXIS_PLACES[0]) / (_AXIS_PLACES[1] - _AXIS_PLACES[0])
+        share = share[:, None, None]
+        D = D + first * (1 - share) + second * share
+    return D
+
+
+def von_mises_form(d: int, across: Array) -> Array:
+    """Return Q with von Mises' stress squared = S^T Q S, shape (n, n_v, n_v).
+
+    Stresses stand as `components` has them; `across` is that across the plane over S_xx + S_yy.
+    """
+    full = np.zeros((6, 6))
+    full[:3, :3] = 1.5 * np.eye(3) - 0.5
+    full[[3, 4, 5], [3, 4, 5]] = 3.0
+    if d == 3:
+        return np.broadcast_to(full, (len(across), 6, 6))
+    whole = np.zeros((len(across), 6, 3), dtype=across.dtype)
+    whole[:, [0, 1, 5], [0, 1, 2]] = 1.0
+    whole[:, 2, :2] = across[:, None]
+    return np.asarray(whole.swapaxes(1, 2) @ full @ whole)
+
+
+def scaled(Y: Array, l: Array) -> Array:
+    """Divide the chords of relative node vectors (..., n, n_y, d) by the lengths."""
+    Y_s = Y.astype(np.result_type(Y, l))
+    Y_s[..., 0, :] = Y_s[..., 0, :] / l[:, None]
+    return Y_s

@@ -1,0 +1,155 @@
+"""Prescribed turning of a section, against ground or another section."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import require_direction
+from ancfdae.model.bodies import Point
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.joints.frames import (
+    OUT_OF_PLANE,
+    across,
+    axis_torque,
+    flat_angle,
+    place_shapes,
+    sections,
+    spanned,
+    unit,
+)
+from ancfdae.model.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients, spanning
+from ancfdae.model.laws import Law
+from ancfdae.model.laws.law import require_law
+from ancfdae.model.parts import Vectors
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class Drive(DrivenJoint):
+    """Turn the section of a beam at a point by a law of time: a driven crank, a motor in an elbow.
+
+    The angle is that from the reference configuration, in rad, about an axis that stays, or against
+    the section of `other`, which carries the axis along. Sections turn, not centre lines: a beam
+    that shears transmits a moment through its sections. An element without a section turns its
+    tangent instead. In space another joint must keep the axis (`Revolute`).
+    Design targets: the parameters of the law, and ``axis_x`` ... where the axis is given.
+
+    Parameters
+    ----------
+    point : Point
+    angle : Law
+    axis : sequence of float, optional
+        Axis of the turning in space, not zero; z by default. Not in the plane.
+    other : Point, optional
+        Point of another beam, whose section the angle counts from; without it from ground.
+    name : str, optional
+        By default ``drive(beam@fraction)``.
+    """
+
+    point: Point
+    angle: Law
+    axis: Sequence[float] | None = None
+    other: Point | None = None
+    name: str = ""
+
+    kind = "drive"
+    takes_part = SECTION
+    design_fields = (("angle", require_law), ("axis", require_direction))
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the slopes: those that span the section, all where there is another."""
+        if self.other is not None:
+            return super().vectors(element)[2:]
+        return tuple((self.point, q) for q in spanning(element))
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return what does not turn: along the axis, shear, and right angles."""
+        a, d = self._axis(p), reference.shape[1]
+        if self.other is None:
+            return self._against_ground(p, reference, lambda m: (a @ m) * a, still=True)
+        own, other = sections(self.points, reference)
+        shapes = () if d == 2 else axis_torque(own, a) + axis_torque(other, a)
+        c = empty_coefficients(1, p, reference, shapes)
+        own.take_out_shear(c, 0, a, 1.0)
+        other.take_out_shear(c, 0, a, -1.0)
+        place_shapes(c, (own, other))
+        return c
+
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return what goes with the cosine and the sine of the angle."""
+        a = self._axis(p)
+        if self.other is None:
+            cosine = self._against_ground(p, reference, lambda m: m - (a @ m) * a)
+            return cosine, self._against_ground(p, reference, lambda m: np.cross(a, m))
+        e_1, e_2 = np.eye(2) if reference.shape[1] == 2 else across(a)
+        cosine = self._against_section(p, reference, ((e_1, e_2), (e_2, -e_1)))
+        return cosine, self._against_section(p, reference, ((e_1, -e_1), (e_2, -e_2)))
+
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Whether the derivative in the angle has the sign that it has in the reference."""
+        cosine, sine = self.moving(p, reference)
+        of_cosine, of_sine = self.factors(p, np.array([t]), 0)[:, 0]
+        rate = of_cosine * sine.at(U)[0] - of_sine * cosine.at(U)[0]
+        return bool(rate * sine.at(reference)[0] > 0)
+
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Cosine and sine of the angle."""
+        law = self.split(p)[0]
+        return cosine_and_sine([self.angle.derivative(law, t, k) for k in range(order + 1)])
+
+    def _against_ground(
+        self,
+        p: Array,
+        slopes: Array,
+        part: Callable[[Array], Array],
+        still: bool = False,
+    ) -> Equations:
+        """Part of the sum over the axes w of the section of F w . R m_w, with R the turn.
+
+        m_w = (a - 1/2 (a . n) n) x w: in the reference a turn phi of the section changes F w . m_w
+        by a . phi in all (theory.md).
+        """
+        d, a = slopes.shape[1], self._axis(p)
+        n, axes, weights = spanned(slopes)
+        twisting = d == 3 and abs((a @ n).real) > OUT_OF_PLANE
+        c = empty_coefficients(1, p, slopes, flat_angle(self.point) if twisting else ())
+        for w, own in zip(axes, weights, strict=True):
+            m = np.cross(a - (a @ n) / 2 * n, w)
+            c.linear[0] += np.outer(own, part(m)[:d])
+        if twisting and still:
+            product = np.outer(*weights)
+            c.bilinear[1] = product + product.T
+        return c
+
+    def _against_section(
+        self, p: Array, reference: Array, pairs: Sequence[tuple[Array, Array]]
+    ) -> Equations:
+        """Part of 1/2 (F e_1 . F' R e_2 - F e_2 . F' R e_1), with R the turn."""
+        own, other = sections(self.points, reference)
+        c = empty_coefficients(len(self.coefficients(p, reference).offset), p, reference)
+        for e, e_other in pairs:
+            other.meet(c, 0, own.carried(e), e_other, 0.5)
+        return c
+
+    def _axis(self, p: Array) -> Array:
+        axis = self.split(p)[1]
+        return np.array([0.0, 0.0, 1.0]) if axis is None else unit(axis)
+
+
+def cosine_and_sine(theta: Sequence[Array]) -> Array:
+    """Return the time derivative of cos and sin of an angle, of the order of its last one given."""
+    angle, order = theta[0], len(theta) - 1
+    e, e_n = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    if order == 0:
+        return e
+    # e' = w e_n, e_n' = -w e.
+    w, last = theta[1], theta[order]
+    by_e = (0 * w, -(w**2), -3 * w * theta[min(order, 2)])[order - 1]
+    by_e_n = last - w**3 if order == 3 else last
+    rate: Array = by_e_n * e_n + by_e * e
+    return rate

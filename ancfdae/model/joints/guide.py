@@ -1,0 +1,66 @@
+"""Prescribed place of a point along a direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.model.bodies import Point
+from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.model.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
+from ancfdae.model.joints.joint import SECTION, Equations, Travelling, empty_coefficients
+from ancfdae.model.parts import Vectors
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class Guide(Travelling):
+    """Move a point along a direction by a law of time.
+
+    direction . (r(point) - r(other)) = x(t) more than in the reference configuration, the ground
+    having r = 0. The section of `other` carries the direction along; if the direction does not lie
+    in it, it keeps at right angles to its centre line. Design targets: ``direction_x`` ... and the
+    parameters of the law.
+
+    Parameters
+    ----------
+    point : Point
+    direction : sequence of float
+        Not zero.
+    travel : Law
+    other : Point, optional
+        Point of another beam, whose section carries the direction; without it it is fixed.
+    name : str, optional
+        By default ``guide(beam@fraction)``.
+    """
+
+    other: Point | None = None
+    name: str = ""
+
+    kind = "guide"
+    takes_part = SECTION
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the position to ground; both positions and the slopes of the other point."""
+        if self.other is None:
+            return ((self.point, Quantity.POSITION),)
+        first, second, *slopes = super().vectors(element)
+        return (first, second, *slopes[element.d :])
+
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Direction . (r - r') as in the reference."""
+        e = unit(self.split(p)[0])
+        others = sections(self.points[1:], reference)
+        carrier = carrier_of(others)
+        c = empty_coefficients(1, p, reference, square(carrier, unless_it_holds=e))
+        hold_place(c, 0, carrier, e, e @ (reference[0] - reference[1] if others else reference[0]))
+        place_shapes(c, others)
+        return c
+
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return minus the travel."""
+        c = self.coefficients(p, reference)
+        travel = empty_coefficients(len(c.offset), p, reference)
+        travel.offset[0] = 1.0
+        return (travel,)

@@ -1,0 +1,180 @@
+"""What a joint states: scalar equations between position and slope vectors of points.
+
+A joint never touches coordinates. It names the vectors U_i of material points
+that take part and gives the coefficients of its equations,
+
+    Phi_r = sum_i linear_ri . U_i + 1/2 sum_ij bilinear_rij U_i . U_j - offset_r = 0.
+
+The assembler turns the coefficients of all joints at once into constraints,
+Jacobians, (Phi_q^T lam)_q, the right sides of the velocity, acceleration and
+jerk equations, and all design derivatives.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from ancfdae.errors import require_direction
+from ancfdae.model.bodies import Point
+from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.model.laws import Law
+from ancfdae.model.laws.law import require_law
+from ancfdae.model.parts import Normal, Part, Vectors
+from ancfdae.numerics.arrays import Array
+
+#: Position and all slopes take part, as many as space has dimensions.
+SECTION = tuple(Quantity)
+
+
+@final
+@dataclass(frozen=True)
+class RightAngle:
+    """Two of the directions x, y and z of the section at a point, which a joint keeps square.
+
+    It says nothing of a section that is rigid, and nothing new where another joint has said it.
+    """
+
+    beam: str
+    fraction: float | None
+    before: bool
+    slopes: frozenset[Quantity]
+
+
+@final
+@dataclass(frozen=True)
+class Equations:
+    """Coefficients of a joint's equations, or one of their time derivatives.
+
+    Attributes
+    ----------
+    linear : array, shape (n_rows, n_vectors, d)
+    bilinear : array, shape (n_rows, n_vectors, n_vectors)
+        Symmetric in the vectors.
+    offset : array, shape (n_rows,)
+    shapes : tuple of RightAngle
+        What the last rows hold, one each: the shape of sections only. The assembler leaves out
+        those that are held without them.
+    """
+
+    linear: Array
+    bilinear: Array
+    offset: Array
+    shapes: tuple[RightAngle, ...] = ()
+
+    def at(self, U: Array) -> Array:
+        """Return the value of the equations at vectors, shape (n_vectors, d) to (n_rows,)."""
+        products = np.einsum("rij,ix,jx->r", self.bilinear, U, U)
+        value: Array = np.einsum("rix,ix->r", self.linear, U) + products / 2 - self.offset
+        return value
+
+    def without(self, dropped: Sequence[int]) -> Equations:
+        """Return the equations without some of them."""
+        if not dropped:
+            return self
+        kept = np.delete(np.arange(len(self.offset)), dropped)
+        return Equations(self.linear[kept], self.bilinear[kept], self.offset[kept])
+
+
+class Joint(Part):
+    """A joint between points of beams or to ground; fields and names as in `Part`."""
+
+    role = "joint"
+    #: What takes part of every point; its position, or `SECTION`, say.
+    takes_part: ClassVar[tuple[Quantity, ...]] = (Quantity.POSITION,)
+    #: Whether the first d equations equate positions: their multipliers are then minus the reaction
+    #: force on the first point.
+    holds_position: ClassVar[bool] = False
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the vectors that take part: positions first, then slopes point by point.
+
+        A planar element without a section turns with its tangent.
+        """
+        chosen = [quantity for quantity in self.takes_part if quantity <= element.d]
+        positions = [(point, q) for q in chosen if q is Quantity.POSITION for point in self.points]
+        slopes = [
+            (point, q) if q in element.quantities else Normal(point)
+            for point in self.points
+            for q in chosen
+            if q is not Quantity.POSITION
+        ]
+        return (*positions, *slopes)
+
+    @abc.abstractmethod
+    def coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return the coefficients, of a driven joint those that do not depend on time.
+
+        `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
+        the reference configuration, (n_vectors, d); complex ones must go through.
+        """
+
+
+class DrivenJoint(Joint):
+    """A joint whose coefficients depend on time: `coefficients` + sum_k factor_k(t) moving_k."""
+
+    @abc.abstractmethod
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return what goes with each of the `factors`; arguments as in `coefficients`."""
+
+    @abc.abstractmethod
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Whether vectors that meet the equations stand where the law says, not half a turn off."""
+
+    @abc.abstractmethod
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Return the time derivative of this order, 0 to 3, of the factors.
+
+        The instants t have the shape (k,), the result (n_factors, k).
+        """
+
+
+@dataclass(frozen=True)
+class Travelling(DrivenJoint):
+    """A joint that moves its point along a direction, not zero, by one law, its one factor."""
+
+    point: Point
+    direction: Sequence[float]
+    travel: Law
+
+    design_fields = (("direction", require_direction), ("travel", require_law))
+
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Return true: travel has no other side."""
+        return True
+
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Return the travel."""
+        return self.travel.derivative(self.split(p)[1], t, order)[None]
+
+
+def spanning(element: BeamElement) -> tuple[Quantity, ...]:
+    """Return the slopes that span a section; of an element without one its tangent."""
+    section = tuple(q for q in element.quantities if q > Quantity.SLOPE_X)
+    return section or (Quantity.SLOPE_X,)
+
+
+def empty_coefficients(
+    rows: int, p: Array, reference: Array, shapes: Sequence[RightAngle] = ()
+) -> Equations:
+    """Return coefficients of zeros for some equations and those of shapes, to be filled."""
+    (n, d), dtype, rows = reference.shape, np.result_type(p, reference), rows + len(shapes)
+    linear, bilinear = np.zeros((rows, n, d), dtype), np.zeros((rows, n, n), dtype)
+    return Equations(linear, bilinear, np.zeros(rows, dtype), tuple(shapes))
+
+
+def place_coincidence(c: Equations, count: int, reference: Array, ground: Array | None) -> None:
+    """Enter d first equations, U_0 - U_1 = 0 for two points, U_0 - ground = 0 for one.
+
+    A ground that is not given is where U_0 is in the reference configuration.
+    """
+    rows = np.arange(c.linear.shape[2])
+    c.linear[rows, 0, rows] = 1.0
+    if count == 2:
+        c.linear[rows, 1, rows] = -1.0
+    else:
+        c.offset[rows] = reference[0] if ground is None else ground

@@ -1,0 +1,94 @@
+"""Smooth curve through control values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, final
+
+import numpy as np
+import scipy
+
+from ancfdae.errors import InvalidInput, require_positive
+from ancfdae.model.design import require_numbers
+from ancfdae.model.laws.law import Law
+from ancfdae.numerics.arrays import Array, Numbers
+
+# The least odd degree whose ends can have three given derivatives.
+_DEGREE = 7
+
+
+@final
+@dataclass(frozen=True)
+class Spline(Law):
+    """The interpolating spline of degree seven through control values at given times.
+
+    Before the first and after the last time it is constant, and its first three derivatives vanish
+    there, so that they are continuous everywhere: a drive starts and ends at rest. Through two
+    values it is a `Ramp`. With a `period` it repeats instead. Between two values at even distances
+    it exceeds the largest of them at most 2.5 times; at very uneven ones much more. Design targets:
+    ``value[0]``, ``value[1]`` ...
+
+    Parameters
+    ----------
+    times : sequence of float
+        Ascending, two or more; s.
+    values : sequence of float
+        One per time.
+    period : float, optional
+        Longer than from the first time to the last; s.
+    """
+
+    times: Numbers
+    values: Numbers
+    period: float | None = None
+
+    design_fields = (("values", require_numbers),)
+    indexed_fields: ClassVar[Mapping[str, str]] = {"values": "value"}
+
+    def check(self) -> None:
+        """Refuse times that do not fit."""
+        require_numbers("Spline, times", self.times)
+        if len(self.times) < 2 or np.any(np.diff(self.times) <= 0):
+            repair = "Give two times or more in ascending order."
+            raise InvalidInput("Spline, times", "must ascend", list(self.times), repair)
+        if len(self.values) != len(self.times):
+            got = f"{len(self.values)} values at {len(self.times)} times"
+            raise InvalidInput("Spline, values", "must be one per time", got, "Give as many.")
+        if self.period is None:
+            return
+        require_positive("Spline, period", self.period)
+        span = self.times[-1] - self.times[0]
+        if self.period <= span:
+            repair = "The first value returns one period after the first time: leave it out there."
+            rule = f"must exceed the {span:g} from the first time to the last"
+            raise InvalidInput("Spline, period", rule, self.period, repair)
+
+    def derivative(self, p: Array, t: Any, order: int) -> Array:
+        """Sum of the control values times their basis functions."""
+        s = (np.asarray(t) - self.times[0]) / self._unit
+        last = self._basis.t[-_DEGREE - 1]
+        # The basis of a periodic one repeats by itself.
+        inside = s if self.period is not None else np.clip(s, 0.0, last)
+        N = self._basis(inside, nu=order)
+        if order and self.period is None:
+            N = N * ((s > 0.0) & (s < last))[..., None]
+        x: Array = N @ p / self._unit**order
+        return x
+
+    @property
+    def _unit(self) -> float:
+        """Mean distance of the times, the unit of the basis functions."""
+        return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
+
+    @cached_property
+    def _basis(self) -> scipy.interpolate.BSpline:
+        """One at each time and zero at the others, for each control value, over time/unit."""
+        s = (np.array(self.times, dtype=float) - self.times[0]) / self._unit
+        one = np.eye(len(s))
+        if self.period is not None:
+            s, one = np.append(s, self.period / self._unit), np.vstack([one, one[:1]])
+            return scipy.interpolate.make_interp_spline(s, one, k=_DEGREE, bc_type="periodic")
+        ends = [(order, np.zeros(len(s))) for order in (1, 2, 3)]
+        return scipy.interpolate.make_interp_spline(s, one, k=_DEGREE, bc_type=(ends, ends))

@@ -1,0 +1,111 @@
+"""Elastic bearing: springs and dampers in all directions and about all axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from ancfdae.errors import require_axial, require_vector
+from ancfdae.model.bodies import Point, Quantity
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.laws import Law
+from ancfdae.model.loads.load import LAW, Load
+from ancfdae.model.loads.sections import Carrier, rate_of, section_of, turn
+from ancfdae.model.parts import Vectors
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import concatenate, dot
+
+
+@final
+@dataclass(frozen=True)
+class Bushing(Load):
+    """Linear springs and dampers along and about axes, unloaded in the reference configuration.
+
+    With x_m the component of r(point) - r(other) along axis m, beyond its reference value, and
+    theta_m the angle about it (docs/theory.md, section 3): forces -(k_m x_m + c_m x_m') and torques
+    -(k_m theta_m + c_m theta_m'). The axes are x, y and z of the reference; they turn with the
+    other section. Angles stay well below pi. Design targets: ``stiffness_x`` ..., ``damping_x``
+    ..., and in space ``turn_stiffness_x`` ..., ``turn_damping_x`` ..., in the plane
+    ``turn_stiffness`` and ``turn_damping``.
+
+    Parameters
+    ----------
+    point : Point
+    stiffness : sequence of float
+        N/m.
+    damping : sequence of float, optional
+        N s/m.
+    turn_stiffness, turn_damping : float or sequence of float, optional
+        A number in the plane, three in space; N m/rad and N m s/rad.
+    other : Point, optional
+        What the bearing is fixed to; the ground by default.
+    name : str, optional
+        By default ``bushing(beam@fraction)``.
+    law : Law, optional
+        What multiplies all of it over time; its parameters are design targets, too.
+    """
+
+    point: Point
+    stiffness: Sequence[float]
+    damping: Sequence[float] | None = None
+    turn_stiffness: float | Sequence[float] | None = None
+    turn_damping: float | Sequence[float] | None = None
+    other: Point | None = None
+    name: str = ""
+    law: Law | None = None
+
+    kind = "bushing"
+    elastic = True
+    design_fields = (
+        ("stiffness", require_vector),
+        ("damping", require_vector),
+        ("turn_stiffness", require_axial),
+        ("turn_damping", require_axial),
+        LAW,
+    )
+    vector_words: ClassVar[Mapping[str, str]] = {
+        "turn_stiffness": "turn_stiffness",
+        "turn_damping": "turn_damping",
+    }
+    damping_fields = ("damping", "turn_damping")
+    refers = True
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Positions of the points and slopes of their sections."""
+        places = tuple((point, Quantity.POSITION) for point in self.points)
+        return (*places, *section_of(self.points, element))
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """-(k x + c x') x_U - (k theta + c theta') theta_U."""
+        k, c, k_turn, c_turn, _ = self.split(p)
+        n = len(self.points)
+        F = -_resistance(*self._travel(U[..., None, :, :], U_o), V, k, c)
+        turning = turn(U[..., n:, :], U_o[n:], np.eye(3))
+        M = -_resistance(*turning, V[..., n:, :], k_turn, c_turn)
+        return concatenate([F[..., :n, :], F[..., n:, :] + M])
+
+    def _travel(self, U: Any, U_o: Array) -> tuple[Any, Any]:
+        """Return components of r - r_other beyond the reference, (..., d, 1, 1), and gradients."""
+        d, n = U_o.shape[1], len(self.points)
+        rows, carrier = np.eye(d)[:, None, :], Carrier(U[..., n + d - 1 :, :], U_o[n + d - 1 :])
+        axes = carrier.of(rows) + 0.0 * U[..., :1, :]
+        still = 0.0 * (U[..., n : n + d - 1, :] + axes)
+        if self.other is None:
+            x = dot(U[..., :1, :] - U_o[:1], axes)
+            return x, concatenate([axes, still])
+        e, e_o = U[..., :1, :] - U[..., 1:2, :], U_o[:1] - U_o[1:2]
+        on_axes = carrier.pull_back(rows, e + 0.0 * axes)
+        return dot(e, axes) - dot(e_o, rows), concatenate([axes, -axes, still, on_axes])
+
+
+def _resistance(x: Any, x_U: Any, V: Any, k: Any, c: Any) -> Any:
+    """Return (k x + c x') x_U, summed over the axes."""
+    total = 0.0 * x
+    if k is not None:
+        total = total + np.reshape(k, (-1, 1, 1)) * x
+    if c is not None:
+        total = total + np.reshape(c, (-1, 1, 1)) * rate_of(x_U, V[..., None, :, :])
+    return (total * x_U).sum(axis=-3)

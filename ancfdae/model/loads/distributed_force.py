@@ -1,0 +1,45 @@
+"""Force per length along the centre line of a beam."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.errors import require_vector
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.laws import Law
+from ancfdae.model.loads.load import LAW, ConstantLoad
+from ancfdae.model.parts import CentreLine, Vectors
+
+
+@final
+@dataclass(frozen=True)
+class DistributedForce(ConstantLoad):
+    """A force fixed in direction per unit of reference length.
+
+    Design targets: ``force_x``, ``force_y``(, ``force_z``).
+
+    Parameters
+    ----------
+    beam : str
+        Name of the beam.
+    force_per_length : sequence of float
+        N/m.
+    name : str, optional
+        By default ``line-load(beam)``.
+    law : Law, optional
+        What multiplies the force over time; its parameters are design targets, too.
+    """
+
+    beam: str
+    force_per_length: Sequence[float]
+    name: str = ""
+    law: Law | None = None
+
+    kind = "line-load"
+    design_fields = (("force_per_length", require_vector), LAW)
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the integral of the position over the centre line."""
+        return (CentreLine(self.beam),)

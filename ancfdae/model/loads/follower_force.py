@@ -1,0 +1,54 @@
+"""Force that turns with the section it acts on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+from ancfdae.errors import require_vector
+from ancfdae.model.bodies import Point, Quantity
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.laws import Law
+from ancfdae.model.loads.load import LAW, Load
+from ancfdae.model.parts import Vectors
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import concatenate, direction
+
+
+@final
+@dataclass(frozen=True)
+class FollowerForce(Load):
+    """A force with given components along the section's axes.
+
+    F = sum_k f_k r_k / |r_k| over the slope vectors r_k of the point. Design targets:
+    ``force_x`` (along the beam), ``force_y``(, ``force_z``).
+
+    Parameters
+    ----------
+    point : Point
+    force_components : sequence of float
+        Components along tangent, height axis(, width axis); N.
+    name : str, optional
+        By default ``follower(beam@fraction)``.
+    law : Law, optional
+        What multiplies the force over time; its parameters are design targets, too.
+    """
+
+    point: Point
+    force_components: Sequence[float]
+    name: str = ""
+    law: Law | None = None
+
+    kind = "follower"
+    design_fields = (("force_components", require_vector), LAW)
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Position and slopes of the point."""
+        return tuple((self.point, quantity) for quantity in list(Quantity)[: element.d + 1])
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """F on the position, none on the slopes."""
+        axes = direction(U[..., 1:, :])[1]
+        F = (self.split(p)[0][:, None] * axes).sum(axis=-2, keepdims=True)
+        return concatenate([F, 0.0 * axes])

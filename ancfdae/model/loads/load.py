@@ -1,0 +1,92 @@
+"""What a load states: forces on vectors of points as functions of these vectors.
+
+A load names vectors U_i of material points and gives the generalised force F_i
+that works on each, delta W = sum_i F_i . delta U_i, in operations that carry
+time derivatives along (`numerics.jets`), so that its rate follows. A law of time
+multiplies it. The assembler lifts it to Q = L^T F and forms tangents and design
+derivatives by complex steps.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Collection
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from ancfdae.model.laws import Law
+from ancfdae.model.laws.law import require_law
+from ancfdae.model.parts import Part
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import Jet
+
+#: The last design field of every load.
+LAW = ("law", require_law)
+
+
+class Load(Part):
+    """A load on points of beams; fields and names as in `Part`.
+
+    Attributes
+    ----------
+    law : Law or None
+        What multiplies the force over time; its parameters are targets of the load.
+    constant : bool
+        Whether the force depends neither on positions nor on velocities.
+    elastic : bool
+        Whether it is a stiffness rather than a load: a search for an equilibrium, which brings up
+        the loads, leaves it as it is.
+    damping_fields : tuple of str
+        Design fields without which the force does not depend on velocities.
+    refers : bool
+        Whether the force depends on the reference configuration.
+    """
+
+    role = "load"
+    constant: ClassVar[bool] = False
+    elastic: ClassVar[bool] = False
+    damping_fields: ClassVar[tuple[str, ...]] = ()
+    refers: ClassVar[bool] = False
+
+    law: Law | None
+
+    def uses_velocity(self, driven: Collection[str]) -> bool:
+        """Whether the force depends on velocities, given the parameters that are design targets."""
+        own = [self.numbers_of(name) for name in self.damping_fields]
+        return any(name in driven or x != 0 for numbers in own for name, x in numbers.items())
+
+    @abc.abstractmethod
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """Return the generalised forces on the vectors without the law, (..., n_vectors, d).
+
+        U and V, of the same shape, are the vectors and their time derivatives: complex arrays
+        with any leading axes (instants, perturbations), or jets of them, whose jet is returned. p
+        has the values of `parameters`, as `split` takes them, and U_o, (n_vectors, d), the vectors
+        in the reference configuration.
+        """
+
+    @final
+    def force_along(
+        self, U: Array, V: Array, rates: tuple[Array, Array], p: Array, U_o: Array
+    ) -> Array:
+        """Return the derivative of `force` along rates of U and V; shape as `force`."""
+        F = self.force(Jet(U, rates[0]), Jet(V, rates[1]), p, U_o)
+        return F.derivatives[1] if isinstance(F, Jet) else np.zeros_like(U)
+
+    @final
+    def factor(self, p: Array, t: Array, order: int) -> Array:
+        """Return the law, or its time derivative, at instants; shape as t."""
+        if self.law is None:
+            return np.full(t.shape, float(order == 0))
+        return self.law.derivative(p[len(p) - len(self.law.parameters()) :], t, order)
+
+
+class ConstantLoad(Load):
+    """A load of constant force on one vector, its first design field."""
+
+    constant = True
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """F = p."""
+        return self.split(p)[0] + np.zeros(np.shape(U))

@@ -1,0 +1,134 @@
+"""How a section turns and carries directions, with the gradients that turn a torque into forces.
+
+Arrays and jets have axes (..., n_vectors, d). A section is known by its slopes r_y, r_z (r_y in the
+plane). What it carries is combined of n, r_y and r_z, n its unit normal (in the plane of r_y and
+r_y turned by a right angle), so that directions of the reference turn with the section.
+
+The angle theta of a section about an axis a is that of the best turn about it: with r_k = n, r_y,
+r_z and d_k what they are in the reference, carried by the other section or standing still,
+
+    theta = atan2(S, C),  S = a . sum d_k x r_k,  C = sum d_k . r_k - (a . d_k) (a . r_k).
+
+A rigid turn about a by any angle from -pi to pi is found exactly, and there dtheta = a . dphi of
+every further turn dphi, because the three directions favour none. The gradients are those of this
+function: a torque T does the work T dtheta, its forces are T theta_U.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.model.bodies import Point
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.parts import Vectors
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.jets import angle, concatenate, cross, direction, dot
+
+#: U @ QUARTER_TURN is U turned by 90 degrees, from x to y.
+QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+def section_of(points: tuple[Point, ...], element: BeamElement) -> Vectors:
+    """Return the slopes that span sections; of an element without any the tangents."""
+    slopes = element.quantities[1 - element.d :]
+    return tuple((point, slope) for point in points for slope in slopes)
+
+
+@final
+@dataclass(frozen=True)
+class Carrier:
+    """A section with slopes U, U_o in the reference, that carries directions; none: the ground."""
+
+    U: Any
+    U_o: Array
+
+    @property
+    def ground(self) -> bool:
+        """Whether directions stand still."""
+        return len(self.U_o) == 0
+
+    def of(self, rows: Array) -> Any:
+        """Return directions, given as rows in the reference, as they are now."""
+        return rows if self.ground else self._weights(rows) @ _basis(self.U)
+
+    def pull_back(self, rows: Array, G: Any) -> Any:
+        """Return the gradient in U of something with the gradient G in the directions."""
+        return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
+
+    def _weights(self, rows: Array) -> Array:
+        weights: Array = rows @ np.linalg.inv(_basis(self.U_o))
+        return weights
+
+
+def _basis(U: Any) -> Any:
+    """Return the vectors that directions are combined of."""
+    if U.shape[-1] == 2:
+        return concatenate([U @ QUARTER_TURN, U])
+    return concatenate([direction(cross(U[..., :1, :], U[..., 1:, :]))[1], U])
+
+
+def _on_slopes(U: Any, G: Any) -> Any:
+    """Return the gradient in the slopes of something with the gradient G in their basis."""
+    if U.shape[-1] == 2:
+        return G[..., 1:, :] - G[..., :1, :] @ QUARTER_TURN
+    r_y, r_z = U[..., :1, :], U[..., 1:, :]
+    s, n = direction(cross(r_y, r_z))
+    on_normal = (G[..., :1, :] - dot(G[..., :1, :], n) * n) / s
+    return G[..., 1:, :] + concatenate([cross(r_z, on_normal), cross(on_normal, r_y)])
+
+
+def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
+    """Return angles about axes, (..., m, 1, 1), and gradients, (..., m, n_vectors, d).
+
+    U has the slopes of one section, or of two, the second of which carries the axes, and U_o those
+    of the reference. The axes, (m, 3), are unit vectors of the reference; in the plane, where there
+    is one, they are not read.
+    """
+    d = U_o.shape[1]
+    U = U[..., None, :, :]
+    if d == 2:
+        return _planar_turn(U, U_o)
+    own, carrier = U[..., :2, :], Carrier(U[..., 2:, :], U_o[2:])
+    rows, start = axes[:, None, :], _basis(U_o[:2])
+    size, a = direction(carrier.of(rows))
+    r, d_k = _basis(own), carrier.of(start)
+    ar, ad, dr = dot(a, r), dot(a, d_k), cross(d_k, r).sum(axis=-2, keepdims=True)
+    S, C = dot(a, dr), (dot(d_k, r) - ad * ar).sum(axis=-2, keepdims=True)
+    on_S, on_C = C / (S * S + C * C), -S / (S * S + C * C)
+    on_own = _on_slopes(own, on_S * cross(a, d_k) + on_C * (d_k - ad * a))
+    theta = angle(S, C)
+    if carrier.ground:
+        return theta, on_own
+    on_d = on_S * cross(r, a) + on_C * (r - ar * a)
+    on_a = on_S * dr - on_C * (ar * d_k + ad * r).sum(axis=-2, keepdims=True)
+    on_axis = (on_a - dot(on_a, a) * a) / size
+    other = carrier.pull_back(start, on_d) + carrier.pull_back(rows, on_axis)
+    return theta, concatenate([on_own, other])
+
+
+def _planar_turn(U: Any, U_o: Array) -> tuple[Any, Any]:
+    """Return the angle between two directions, or of one, since the reference."""
+    r, carrier = U[..., :1, :], Carrier(U[..., 1:, :], U_o[1:])
+    start = carrier.of(U_o[:1])
+    theta = angle(dot(start @ QUARTER_TURN, r), dot(start, r))
+    on_r = (r @ QUARTER_TURN) / dot(r, r)
+    if carrier.ground:
+        return theta, on_r
+    other = U[..., 1:, :]
+    return theta, concatenate([on_r, -(other @ QUARTER_TURN) / dot(other, other)])
+
+
+def rate_of(x_U: Any, V: Any) -> Any:
+    """Return x' = x_U . V, the rate of coordinates of which gradients are given, (..., 1, 1)."""
+    return dot(x_U, V).sum(axis=-2, keepdims=True)
+
+
+def unit_axes(axis: Array | None) -> Array:
+    """Return the one axis of a joint as a unit vector, (1, 3); z where it is not given."""
+    if axis is None:
+        return np.array([[0.0, 0.0, 1.0]])
+    found: Array = direction(axis[None])[1]
+    return found

@@ -1,0 +1,62 @@
+"""Torque of a motor between two sections, or on one against the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+from ancfdae.errors import require_direction
+from ancfdae.model.bodies import Point
+from ancfdae.model.design import numbers
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.laws import Law
+from ancfdae.model.loads.load import LAW, Load
+from ancfdae.model.loads.sections import section_of, turn, unit_axes
+from ancfdae.model.parts import Vectors
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class Torque(Load):
+    """A motor: a torque on a section about an axis, and the opposite on another section or ground.
+
+    It does the work T dtheta on the angle between the sections (docs/theory.md, section 3). Where
+    they turn about the axis alone, as a revolute joint makes them, the moment is T times the axis.
+    Design targets: ``torque``, ``axis_x`` ..., and the parameters of the law.
+
+    Parameters
+    ----------
+    point : Point
+    torque : float
+        T; N m.
+    axis : sequence of float, optional
+        In space, in the reference configuration; it turns with the other section. z by default.
+    other : Point, optional
+        What the motor stands on; the ground by default.
+    name : str, optional
+        By default ``torque(beam@fraction)``.
+    law : Law, optional
+        What multiplies the torque over time; its parameters are design targets, too.
+    """
+
+    point: Point
+    torque: float
+    axis: Sequence[float] | None = None
+    other: Point | None = None
+    name: str = ""
+    law: Law | None = None
+
+    kind = "torque"
+    design_fields = (*numbers("torque"), ("axis", require_direction), LAW)
+    refers = True
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Slopes of the sections."""
+        return section_of(self.points, element)
+
+    def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
+        """T theta_U."""
+        torque, axis, _ = self.split(p)
+        return (torque * turn(U, U_o, unit_axes(axis))[1])[..., 0, :, :]

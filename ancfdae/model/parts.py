@@ -1,0 +1,216 @@
+"""What joints and loads share: a name, points of beams or bodies, and design targets."""
+
+from __future__ import annotations
+
+import abc
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Any, ClassVar, Self, TypeAlias, final
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_axial, require_text, require_vector
+from ancfdae.model.bodies import Point, require_point
+from ancfdae.model.design import Designable
+from ancfdae.model.elements import BeamElement, Quantity
+
+
+@final
+@dataclass(frozen=True)
+class CentreLine:
+    """The integral of the position along the centre line of a beam, as a vector for loads."""
+
+    beam: str
+
+
+@final
+@dataclass(frozen=True)
+class Normal:
+    """The tangent at a point, turned by a right angle from x to y.
+
+    It stands for the slope across a planar element that has no section.
+    """
+
+    point: Point
+
+
+# Names by default hold numbers: pin(rod@0.5).
+_NO_NAME = re.compile(r"\.(?!\d)|\[")
+
+
+@final
+@dataclass(frozen=True)
+class Direction:
+    """A direction of the axes of something rigid, for what keeps it rigid; counted from 1 on."""
+
+    body: str
+    number: int
+
+
+#: Vectors of material points (which point, and position or which slope), or of whole beams.
+Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | Direction, ...]
+
+
+class Part(Designable, abc.ABC):
+    """A named joint or load.
+
+    A part is a frozen dataclass. Its fields of these names mean the same in every part: `point`,
+    the point that it acts on, or `beam`, the name of a beam that it acts on as a whole; `other`,
+    a point, or `ground`, a place, that it joins `point` to; and `name`.
+
+    Attributes
+    ----------
+    name : str
+        Unique in a scene; by default ``kind(beam@fraction)``.
+    role, kind : str
+        "joint" or "load", and the word for this one.
+    needs_other_end : bool
+        Whether one of `other` and `ground` must be given.
+    spatial : bool
+        Whether it exists in space only.
+    """
+
+    role: ClassVar[str]
+    kind: ClassVar[str]
+    needs_other_end: ClassVar[bool] = False
+    spatial: ClassVar[bool] = False
+    #: What it says to a second point in the place of its name.
+    no_second_point: ClassVar[str] = "It joins no second point here."
+
+    name: str
+
+    def __post_init__(self) -> None:
+        """Name and validate."""
+        name: object = self.name
+        if not isinstance(name, str):
+            raise InvalidInput(
+                f"{self.role} {self.kind!r}, name",
+                "must be a string",
+                repr(name),
+                self.no_second_point if isinstance(name, Point) else "Give a name.",
+            )
+        if _NO_NAME.search(name):
+            raise InvalidInput(
+                f"{self.role} {self.kind!r}, name",
+                "must hold no '[' and no dot, except in a number: design targets have them",
+                repr(name),
+                "Write '_' or '-' instead.",
+            )
+        given = self._given()
+        where = f"{self.role} {name!r}" if name else self.kind
+        at = given.get("beam")
+        if "point" in given:
+            require_point(where, given["point"])
+            at = str(given["point"])
+        elif "beam" in given:
+            require_text(f"{where}, beam", at)
+        if not name:
+            object.__setattr__(self, "name", f"{self.kind}({at})")
+        where = f"{self.role} {self.name!r}"
+        self._check_ends(where, given)
+        self.check_fields(where)
+
+    def point_numbers(self) -> dict[str, float]:
+        """Return the places of the points on their beams, which can be design targets, too.
+
+        By name ``point_fraction``, ``point_y``, ``point_z``, and likewise of `other`.
+        """
+        return {
+            f"{name}_{coordinate}": number
+            for name, point in self.point_fields().items()
+            for coordinate, number in point.numbers().items()
+        }
+
+    def with_parameters(self, changes: Mapping[str, float]) -> Self:
+        """Return the same part with some of its `parameters` and `point_numbers` changed."""
+        own = {name: number for name, number in changes.items() if name in self.point_numbers()}
+        points = self.point_fields()
+        for name, number in own.items():
+            field, _, coordinate = name.rpartition("_")
+            points[field] = replace(points[field], **{coordinate: number})  # type: ignore[arg-type]
+        part = replace(self, **points)  # type: ignore[type-var]
+        rest = {name: number for name, number in changes.items() if name not in own}
+        return super(Part, part).with_parameters(rest)
+
+    def point_fields(self) -> dict[str, Point]:
+        """Return the fields that hold a point."""
+        return {name: x for name, x in self._given().items() if isinstance(x, Point)}
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """The points that the part touches, the one that it acts on first."""
+        return tuple(self.point_fields().values())
+
+    @property
+    def stands_at(self) -> Point | None:
+        """The point whose place in the reference is the ground, as none was written."""
+        given = self._given()
+        joined = "ground" not in given or given["ground"] is not None or given.get("other")
+        return None if joined else given["point"]
+
+    def on_ground(self, place: Sequence[float]) -> Self:
+        """Return the same part with its ground written."""
+        return replace(self, ground=tuple(place))  # type: ignore[type-var]
+
+    @property
+    def whole_beam(self) -> str | None:
+        """Name of the beam that the part acts on as a whole."""
+        return self._given().get("beam")
+
+    @abc.abstractmethod
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the vectors that the part depends on or works on, of beams of this element."""
+
+    def check_space(self, element: BeamElement) -> None:
+        """Refuse a part that does not fit the space of the scene.
+
+        Raises
+        ------
+        InvalidInput
+            If it is spatial and the scene planar, the element lacks a vector that it needs, a
+            vector of its own has another number of components, or an axis that may be left out is
+            given in the plane.
+        """
+        where, d = f"{self.role} {self.name!r}", element.d
+        if self.spatial and d != 3:
+            raise InvalidInput(
+                where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
+            )
+        for vector in self.vectors(element):
+            if isinstance(vector, tuple) and vector[0].fraction is not None:
+                element.require(where, vector[1], vector[0].y, vector[0].z)
+        axis = self._given().get("axis")
+        if d == 2 and axis is not None and not self._needs("axis"):
+            raise InvalidInput(
+                f"{where}, axis",
+                "is a choice of spatial scenes only",
+                axis,
+                "Leave it out: in the plane it is z.",
+            )
+        for name, rule_of_value in self.design_fields:
+            value = getattr(self, name)
+            if rule_of_value is require_axial and value is not None:
+                require_axial(f"{where}, {name}", value, d)
+            elif np.ndim(value) == 1 and name not in self.indexed_fields:
+                require_vector(f"{where}, {name}", value, (d,))
+
+    def _given(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+    def _needs(self, name: str) -> bool:
+        own = (field for field in fields(self) if field.name == name)  # type: ignore[arg-type]
+        return any(field.default is MISSING for field in own)
+
+    def _check_ends(self, where: str, given: dict[str, Any]) -> None:
+        other, ground = given.get("other"), given.get("ground")
+        if other is not None or self._needs("other"):
+            require_point(f"{where}, other", other)
+        ends = (other is not None) + (ground is not None)
+        if ends == 2 or (ends == 0 and self.needs_other_end):
+            raise InvalidInput(
+                where,
+                "goes from a point either to another one or to the ground",
+                "both" if ends else "neither",
+                "Give one of `other` and `ground`.",
+            )

@@ -1,0 +1,41 @@
+"""Point mass: a mass lumped at a point of a beam or a body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+from ancfdae.errors import require_positive
+from ancfdae.model.bodies import Point
+from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.model.parts import Part, Vectors
+
+
+@final
+@dataclass(frozen=True)
+class PointMass(Part):
+    """A mass without size at a point of a beam or a rigid body, which it has no coordinates of.
+
+    With r = L q its position, it adds m L^T L to the mass matrix; gravity pulls it. Design target:
+    ``mass``.
+
+    Parameters
+    ----------
+    point : Point
+    mass : float
+        kg.
+    name : str, optional
+        By default ``mass(beam@fraction)``.
+    """
+
+    point: Point
+    mass: float
+    name: str = ""
+
+    role = "body"
+    kind = "mass"
+    design_fields = (("mass", require_positive),)
+
+    def vectors(self, element: BeamElement) -> Vectors:
+        """Return the position."""
+        return ((self.point, Quantity.POSITION),)

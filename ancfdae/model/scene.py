@@ -1,0 +1,230 @@
+"""Scene: a frozen declaration of exactly what is to be modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.errors import (
+    InvalidInput,
+    named,
+    require_flag,
+    require_kind,
+    require_sequence,
+    require_unique,
+    require_vector,
+)
+from ancfdae.errors.text import listed
+from ancfdae.model.bodies import BeamBody, Point, RigidBody, require_in_section, require_point
+from ancfdae.model.joints import Joint
+from ancfdae.model.loads import Load
+from ancfdae.model.point_mass import PointMass
+from ancfdae.model.scene_design import SCENE, SceneDesign
+from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start, checked_start
+
+
+@final
+@dataclass(frozen=True)
+class Scene(SceneDesign):
+    """Beams, rigid bodies, joints, loads and gravity, and how they start.
+
+    Only what is declared is prepared and integrated: a planar scene has no spatial
+    coordinate, a scene without damping no velocity Jacobian.
+
+    Parameters
+    ----------
+    beams : sequence of BeamBody
+        With the rigid bodies all planar or all spatial.
+    joints : sequence of Joint
+    loads : sequence of Load
+    gravity : sequence of float, optional
+        Acceleration of gravity; m/s^2.
+    start : sequence of RigidMotion, NodeState or AtRest
+        Initial motion; what is not named starts at rest in the reference configuration. With
+        `AtRest` everything starts from an equilibrium.
+    assemble : bool
+        Whether bodies that do not meet their joints as declared are moved onto them by rigid
+        motions, with the least turns, instead of being refused; velocities likewise. Where the
+        design is not that of the declaration they always are.
+    lead : sequence of str
+        Beams that keep their orientation when bodies are assembled: others turn.
+    project_start : bool
+        Whether what rigid motions cannot close is moved onto the joints (the nearest state in the
+        norm of the mass matrix, which strains the bodies) instead of being refused; includes
+        `assemble`.
+    bodies : sequence of RigidBody or PointMass
+
+    Raises
+    ------
+    InvalidInput
+        If dimensions are mixed, names are duplicated, or a vector has the wrong size.
+    UnknownName
+        If a joint or a start names a beam that does not exist.
+    """
+
+    beams: Sequence[BeamBody] = ()
+    joints: Sequence[Joint] = ()
+    gravity: Sequence[float] | None = None
+    start: Sequence[Start] = ()
+    loads: Sequence[Load] = ()
+    assemble: bool = False
+    lead: Sequence[str] = ()
+    project_start: bool = False
+    bodies: Sequence[RigidBody | PointMass] = ()
+
+    design_fields = (("gravity", require_vector),)
+
+    def __post_init__(self) -> None:
+        """Freeze the sequences and validate."""
+        self._freeze("beams", (BeamBody,), "Add a Beam.")
+        self._freeze("bodies", (RigidBody, PointMass), "Add a RigidBody.")
+        self._freeze("joints", (Joint,), "Add a Pin.")
+        self._freeze("loads", (Load,), "Add a PointForce.")
+        self._freeze("start", (RigidMotion, NodeState, AtRest), "Add a RigidMotion.")
+        for name in ("assemble", "project_start"):
+            require_flag(f"Scene.{name}", getattr(self, name))
+        self._check_members()
+        self._check_names()
+        self._check_parts()
+        self._check_assembly()
+        if self.gravity is not None:
+            require_vector("Scene.gravity", self.gravity, (self.dimension,))
+        object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
+        self._check_rest()
+
+    def __repr__(self) -> str:
+        """Return the names of all parts."""
+        beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
+        kinds = (self.bodies, self.joints, self.loads)
+        bodies, joints, loads = (listed(part.name for part in x) for x in kinds)
+        where = "plane" if self.dimension == 2 else "space"
+        return (
+            f"Scene in the {where}\nbeams: {beams}\nbodies: {bodies}\n"
+            f"joints: {joints}\nloads: {loads}\n"
+            f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
+        )
+
+    def at_rest(self) -> Scene | None:
+        """Return the scene whose equilibrium the motion starts from, None without `AtRest`."""
+        rest = self.rest
+        if rest is None:
+            return None
+        # Of the same coordinates, whatever it carries.
+        beams = [beam.with_kinks(self.kinks.get(beam.name, ())) for beam in self.beams]
+        return replace(
+            self,
+            beams=beams,
+            loads=self.loads if rest.loads is None else rest.loads,
+            gravity=self.gravity if rest.gravity is None else rest.gravity,
+            start=[start for start in self.start if start is not rest],
+        )
+
+    def _freeze(self, name: str, kinds: tuple[type, ...], repair: str) -> None:
+        """Turn a sequence of parts into a tuple and refuse what is none of them."""
+        parts = require_sequence(f"Scene.{name}", getattr(self, name))
+        for part in parts:
+            require_kind(f"Scene.{name}", part, kinds, repair)
+        object.__setattr__(self, name, parts)
+
+    def _check_names(self) -> None:
+        """Refuse names that stand for two parts, and beams that start twice."""
+        rule, repair = "every part needs a name of its own", "Rename one."
+        require_unique("Scene.beams", rule, [beam.name for beam in self.beams], repair)
+        require_unique("Scene.bodies", rule, [body.name for body in self.bodies], repair)
+        require_unique("Scene.joints", rule, [joint.name for joint in self.joints], repair)
+        require_unique("Scene", rule, [part.name for part in self._all_parts()], repair)
+        if SCENE in (part.name for part in self._all_parts()):
+            raise InvalidInput("Scene", "'scene' names the scene itself", SCENE, repair)
+        rule, repair = "every beam and body starts once", "Keep one of them."
+        require_unique("Scene.start", rule, [start.body for start in self.body_starts], repair)
+
+    def _check_members(self) -> None:
+        if not self.members:
+            rule, repair = "needs at least one beam or rigid body", "Add a Beam or a RigidBody."
+            raise InvalidInput("Scene.beams and bodies", rule, "none", repair)
+        dimensions = {body.name: body.dimension for body in self.members}
+        if len(set(dimensions.values())) > 1:
+            raise InvalidInput(
+                "Scene.beams and bodies",
+                "must be all planar or all spatial",
+                dimensions,
+                "Give all of them points with the same number of components.",
+            )
+        elements = {beam.name: beam.element.name for beam in self.beams}
+        if len(set(elements.values())) > 1:
+            raise InvalidInput(
+                "Scene.beams", "must all be of one element", elements, "Choose the same for all."
+            )
+
+    def _check_parts(self) -> None:
+        for part in self.parts().values():
+            if isinstance(part, RigidBody):
+                continue
+            where = f"{part.role} {part.name!r}"
+            part.check_space(self.element)
+            if part.whole_beam is not None:
+                named(f"{where}, beam", part.whole_beam, self.beams)
+            for point in part.points:
+                self._check_point(where, point)
+
+    def _check_point(self, where: str, point: Point) -> None:
+        """Refuse a point outside the sections of the element, or the two elements, it lies in.
+
+        Points of rigid bodies may lie anywhere.
+        """
+        require_point(where, point, self.dimension)
+        beam = named(f"{where}, beam", point.beam, self.members)
+        if (point.fraction is None) != isinstance(beam, RigidBody):
+            raise InvalidInput(
+                where,
+                "a point of a beam has a fraction, one of a rigid body a place x, y, z",
+                point,
+                "Write beam.at(fraction) or body.at(x, y).",
+            )
+        if isinstance(beam, RigidBody) or point.fraction is None:
+            return
+        nodes = beam.reference().fractions
+        starts, ends = nodes[:-1], nodes[1:]
+        # Widened by round-off, so that nodes belong to both elements.
+        touched = (starts <= point.fraction + 1e-12) & (point.fraction - 1e-12 <= ends)
+        require_in_section(where, point, beam.half_extents(np.flatnonzero(touched)))
+
+    def _checked_start(self, start: Start) -> Start:
+        if isinstance(start, AtRest):
+            return start
+        body = self.member(start.body)
+        return checked_start(start, body, self.dimension, self.kinks.get(body.name, ()))
+
+    def _check_rest(self) -> None:
+        """Refuse a start at rest that moves."""
+        rests = [start for start in self.start if isinstance(start, AtRest)]
+        if not rests:
+            return
+        if rests[0].gravity is not None:
+            require_vector("AtRest.gravity", rests[0].gravity, (self.dimension,))
+        own = self.body_starts
+        moving = any(isinstance(s, RigidMotion) or s.velocities is not None for s in own)
+        if len(rests) > 1 or moving:
+            raise InvalidInput(
+                "Scene.start",
+                "AtRest stands alone or with node states without velocities",
+                listed(type(start).__name__ for start in self.start),
+                "Leave out what moves; a NodeState tells where the search starts.",
+            )
+
+    def _check_assembly(self) -> None:
+        """Refuse names that are no bodies, and beams that start at one another in a circle."""
+        object.__setattr__(self, "lead", require_sequence("Scene.lead", self.lead))
+        for name in self.lead:
+            self.member(name)
+        for body in self.members:
+            seen = [body.name]
+            while (point := self.member(seen[-1]).attached) is not None:
+                self._check_point(f"start of {seen[-1]!r}", point)
+                if point.beam in seen:
+                    rule, repair = "bodies may not start at one another", "Give one a place."
+                    raise InvalidInput(f"start of {body.name!r}", rule, seen, repair)
+                seen.append(point.beam)

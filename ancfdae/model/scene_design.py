@@ -1,0 +1,397 @@
+"""What design variables drive in a scene: targets, their values, and scenes at other values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Self, TypeAlias, TypeVar
+
+import numpy as np
+
+from ancfdae.errors import (
+    InvalidInput,
+    UnknownName,
+    named,
+    require_finite,
+    require_kind,
+    require_text,
+)
+from ancfdae.model.bodies import BeamBody, Point, Quantity, RigidBody
+from ancfdae.model.design import Designable, DesignVariable, Target, parse_target
+from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
+from ancfdae.model.grounds import TARGETS, on_ground, reference_place
+from ancfdae.model.joints import Joint
+from ancfdae.model.loads import Load
+from ancfdae.model.parts import Normal, Part
+from ancfdae.model.point_mass import PointMass
+from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start
+from ancfdae.numerics.arrays import Array
+
+# Two targets hold the same value up to this relative difference: a length is summed from its n
+# elements, which moves it by n eps; this admits 4500 elements.
+_SAME = 1e-12
+#: Owner of the design targets of the scene itself, as in "scene.gravity_y".
+SCENE = "scene"
+
+
+class SceneDesign(Designable):
+    """The parts of a scene by name, and what design variables drive in them."""
+
+    beams: Sequence[BeamBody]
+    bodies: Sequence[RigidBody | PointMass]
+    joints: Sequence[Joint]
+    loads: Sequence[Load]
+    start: Sequence[Start]
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of space."""
+        return self.members[0].dimension
+
+    @property
+    def element(self) -> BeamElement:
+        """The element of all beams; without beams the one whose nodes are like rigid bodies."""
+        if self.beams:
+            return self.beams[0].element
+        return next(each for each in ALL_ELEMENTS if each.d == self.dimension)
+
+    @property
+    def members(self) -> tuple[BeamBody | RigidBody, ...]:
+        """All that has coordinates, in their order: beams, then rigid bodies."""
+        rigid = (body for body in self.bodies if isinstance(body, RigidBody))
+        return (*self.beams, *rigid)
+
+    @property
+    def point_masses(self) -> tuple[PointMass, ...]:
+        """The masses at points."""
+        return tuple(body for body in self.bodies if isinstance(body, PointMass))
+
+    @property
+    def rest(self) -> AtRest | None:
+        """How the scene starts from an equilibrium, None if it does not."""
+        return next((start for start in self.start if isinstance(start, AtRest)), None)
+
+    @property
+    def body_starts(self) -> list[RigidMotion | NodeState]:
+        """How single bodies start."""
+        return [start for start in self.start if not isinstance(start, AtRest)]
+
+    def beam(self, name: str) -> BeamBody:
+        """Return the beam of this name, or raise UnknownName."""
+        return named("beam", name, self.beams)
+
+    def member(self, name: str) -> BeamBody | RigidBody:
+        """Return the beam or rigid body of this name, or raise UnknownName."""
+        return named("beam or body", name, self.members)
+
+    @cached_property
+    def kinks(self) -> dict[str, tuple[int, ...]]:
+        """Inner nodes of each beam that deforms with a slope along the beam on either side.
+
+        Those declared, and those that a part acts on: forces of sections jump there.
+        """
+        fractions: dict[str, set[float]] = {beam.name: set(beam.kinks) for beam in self.beams}
+        for part in self.parts().values():
+            for point in () if isinstance(part, RigidBody) else part.points:
+                if point.fraction is not None:
+                    fractions[point.beam].add(point.fraction)
+        soft = (beam for beam in self.beams if not beam.rigid and beam.element.can_kink)
+        return {beam.name: tuple(sorted(beam.inner_nodes(fractions[beam.name]))) for beam in soft}
+
+    def parts(self) -> dict[str, Part | RigidBody]:
+        """Return bodies, joints and loads, of the start too; their numbers can be targets."""
+        parts = (*self.bodies, *self.joints, *self.loads, *self._rest_loads())
+        return {part.name: part for part in parts}
+
+    def start_of(self, body: str) -> RigidMotion | NodeState | None:
+        """Return how a body starts, None if from rest in the reference configuration."""
+        return next((start for start in self.body_starts if start.body == body), None)
+
+    def owners(self) -> tuple[str, ...]:
+        """Return the names of everything that has `numbers`."""
+        return (*(beam.name for beam in self.beams), *self.parts(), SCENE)
+
+    def numbers(self, owner: str) -> dict[str, float]:
+        """Return the numbers beside those of elements that can be design targets, by parameter.
+
+        Of a beam its placement and its initial velocity, of a rigid body its parameters and the
+        same, of joints, loads and point masses their parameters and the places of their points,
+        then the ground where it was left out; of the owner ``"scene"`` gravity.
+
+        Raises
+        ------
+        UnknownName
+        """
+        require_text("owner", owner)
+        if owner == SCENE:
+            return self.parameters()
+        part = self.parts().get(owner)
+        if isinstance(part, Part):
+            own = part.parameters() | part.point_numbers()
+            return own | on_ground(part, self.member).parameters()
+        if part is None and owner not in (beam.name for beam in self.beams):
+            raise UnknownName("beam, body, joint or load", owner, self.owners())
+        start = self.start_of(owner)
+        motion = start.parameters() if isinstance(start, RigidMotion) else {}
+        own = {} if part is None else part.parameters()
+        return own | self.member(owner).placement() | motion
+
+    def resolve(self, text: str) -> Target:
+        """Read a target and refuse one that the scene does not have.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+        """
+        target = parse_target(text)
+        if self.is_of_elements(target):
+            self.beam(target.owner).check_target(target.parameter, target.element)
+            return target
+        numbers = self.numbers(target.owner)
+        if target.indexed not in numbers:
+            beams = (beam for beam in self.beams if beam.name == target.owner)
+            names = [name for beam in beams for name in beam.parameter_names()]
+            known = [f"{target.owner}.{name}" for name in (*names, *numbers)]
+            raise UnknownName("design target", str(target), known)
+        part = self.parts().get(target.owner)
+        if isinstance(part, Part):
+            self._check_point_target(part, target)
+        return target
+
+    def place_of(self, point: Point) -> Array:
+        """Return where a point stands in the reference configuration as declared, shape (d,)."""
+        return reference_place(point, self.member)
+
+    def with_grounds(self, targets: Iterable[str]) -> Self:
+        """Return the same scene with every ground written that is a target but was left out.
+
+        It is the place of the point in the reference configuration as declared; so the scene is the
+        same until the target moves. From then on all components of the ground stay.
+        """
+        found = [self.resolve(text) for text in targets]
+        owners = {target.owner for target in found if target.parameter in TARGETS}
+        if not owners:
+            return self
+
+        def written(parts: Iterable[_AnyPart]) -> tuple[_AnyPart, ...]:
+            return tuple(on_ground(x, self.member) if x.name in owners else x for x in parts)
+
+        return replace(self, joints=written(self.joints), loads=written(self.loads))  # type: ignore[type-var]
+
+    def is_of_elements(self, target: Target) -> bool:
+        """Whether a target names a parameter of elements of a beam."""
+        beams = (beam for beam in self.beams if beam.name == target.owner)
+        return any(target.parameter in beam.parameter_names() for beam in beams)
+
+    def first_elements(self) -> dict[str, int]:
+        """Return the scene-wide number of the first element of each beam."""
+        counts = np.cumsum([0] + [beam.element_count for beam in self.beams])
+        return {beam.name: int(k) for beam, k in zip(self.beams, counts, strict=False)}
+
+    def with_values(self, values: Mapping[str | DesignVariable, float]) -> Self:
+        """Return the same scene with other parameter values.
+
+        Parameters
+        ----------
+        values : mapping
+            ``{"beam.parameter": value}`` or ``{"beam.parameter[element]": value}``; a
+            `DesignVariable` as a key moves all its targets. A ``ground_x`` of a joint whose ground
+            was left out writes the ground: its other components stay where the point stands now.
+
+        Returns
+        -------
+        Scene
+            With `assemble`, so that bodies follow.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+            Naming the variable or target whose value a part cannot take, such as a negative height.
+        """
+        require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
+        changes = [change for key, value in values.items() for change in self._changes(key, value)]
+        return self.with_grounds(str(target) for _, target, _ in changes)._changed(changes)
+
+    def _changes(self, key: str | DesignVariable, value: float) -> list[_Change]:
+        """Return (what errors name, target, value) of everything that a value changes."""
+        if isinstance(key, DesignVariable):
+            where = f"design variable {key.name!r}"
+            require_finite(where, value)
+            return [
+                (where, self.resolve(text), key.factor(text) * value + self.offset(key, text))
+                for text in key.targets
+            ]
+        target = self.resolve(key)
+        require_finite(key, value)
+        return [(key, target, value)]
+
+    def _changed(self, changes: Iterable[_Change]) -> Self:
+        """Return the scene with targets changed, all targets of a part at once."""
+        own: dict[str, list[_Change]] = {}
+        for change in changes:
+            own.setdefault(change[1].owner, []).append(change)
+        parts = {part.name: part for part in self._all_parts()}
+        starts = list(self.start)
+        for k, start in enumerate(starts):
+            if isinstance(start, RigidMotion) and start.body in own:
+                known = start.parameters()
+                moving = [c for c in own[start.body] if c[1].parameter in known]
+                starts[k] = _with_numbers(start, moving)
+                own[start.body] = [c for c in own[start.body] if c not in moving]
+        scene = _with_numbers(self, own.pop(SCENE, []))
+        parts |= {name: _with_values(parts[name], own[name]) for name in own if own[name]}
+        loads = [part for part in parts.values() if isinstance(part, Load)]
+        return replace(  # type: ignore[type-var]
+            scene,
+            beams=tuple(part for part in parts.values() if isinstance(part, BeamBody)),
+            bodies=tuple(p for p in parts.values() if isinstance(p, RigidBody | PointMass)),
+            joints=tuple(part for part in parts.values() if isinstance(part, Joint)),
+            loads=tuple(loads[: len(self.loads)]),
+            start=tuple(s.with_loads(loads) if isinstance(s, AtRest) else s for s in starts),
+            assemble=True,
+        )
+
+    def value(self, variable: DesignVariable) -> float:
+        """Return the current value of a design variable.
+
+        Raises
+        ------
+        InvalidInput
+            If its targets hold different values, so that it has no single one.
+        """
+        require_kind("value, variable", variable, (DesignVariable,), "Give a DesignVariable.")
+        if variable.shares:
+            first = next(iter(variable.targets))
+            return self._single(first) / variable.factor(first)
+        values = [value for text in variable.targets for value in self._held(text)]
+        if _differ(values):
+            raise InvalidInput(
+                f"design variable {variable.name!r}",
+                "all its targets must hold one and the same value",
+                sorted(set(values)),
+                "Set them equal with `with_values`, or use one variable per target.",
+            )
+        return values[0]
+
+    def offset(self, variable: DesignVariable, text: str) -> float:
+        """Return what a target holds beside its factor times the variable."""
+        if not variable.shares or text == next(iter(variable.targets)):
+            return 0.0
+        held, share = self._single(text), variable.factor(text) * self.value(variable)
+        return 0.0 if abs(held - share) <= _SAME * abs(held) else held - share
+
+    def _single(self, text: str) -> float:
+        held = self._held(text)
+        if _differ(held):
+            rule, repair = "must hold one value to move by a factor", "Name its elements."
+            raise InvalidInput(f"design target {text}", rule, sorted(set(held)), repair)
+        return held[0]
+
+    def _held(self, text: str) -> list[float]:
+        """Return what a target holds; of a beam whose elements differ several values."""
+        target = self.resolve(text)
+        if not self.is_of_elements(target):
+            return [float(self.numbers(target.owner)[target.indexed])]
+        beam, rows = self.beam(target.owner), self.target_elements(target)
+        which = beam.parameter_names()[target.parameter]
+        if which is ElementParameter.LENGTH:
+            return [float(np.sum(beam.reference().lengths))]
+        held: list[float] = self._element_parameters[rows, which].tolist()
+        return held
+
+    def target_elements(self, target: Target) -> Array:
+        """Return the scene-wide numbers of the elements that a target writes to.
+
+        Raises
+        ------
+        InvalidInput, UnknownName
+        """
+        beam = self.beam(target.owner)
+        beam.check_target(target.parameter, target.element)
+        elements = self.first_elements()[beam.name] + np.arange(beam.element_count)
+        return elements if target.element is None else elements[[target.element]]
+
+    def element_parameters(self) -> Array:
+        """Return the parameters of all elements, shape (n, 9), columns as `ElementParameter`."""
+        return self._element_parameters.copy()
+
+    @cached_property
+    def _element_parameters(self) -> Array:
+        own = [beam.element_parameters() for beam in self.beams]
+        return np.concatenate([np.zeros((0, len(ElementParameter))), *own])
+
+    def _all_parts(self) -> tuple[_Part, ...]:
+        return (*self.beams, *self.bodies, *self.joints, *self.loads, *self._rest_loads())
+
+    def _rest_loads(self) -> tuple[Load, ...]:
+        """Return the loads of the start at rest that are not those of the motion."""
+        loads = () if self.rest is None else self.rest.loads or ()
+        return tuple(load for load in loads if not any(load is own for own in self.loads))
+
+    def _check_point_target(self, part: Part, target: Target) -> None:
+        """Refuse to move a point that cannot move both ways, or past a node that slopes kink at."""
+        field, _, coordinate = target.parameter.rpartition("_")
+        point = part.point_fields().get(field)
+        if point is None:
+            return
+        where, element = f"design target {target}", self.element
+        if point.fraction is None or coordinate != "fraction":
+            axes = "xyz"[: element.d] if point.fraction is None else "yz"[: element.n_s - 2]
+            if coordinate not in axes:
+                rule = f"{point.beam!r} has no such axis"
+                raise InvalidInput(where, rule, coordinate, "Leave it out.")
+            return
+        nodes = self.beam(point.beam).reference().fractions
+        at_node = bool(np.any(np.abs(nodes - point.fraction) < 1e-9))
+        slopes = any(
+            vector == Normal(point)
+            or (isinstance(vector, tuple) and vector[0] == point and vector[1] > Quantity.POSITION)
+            for vector in part.vectors(element)
+        )
+        if point.fraction in (0.0, 1.0) or (at_node and (slopes or element.can_kink)):
+            raise InvalidInput(
+                where,
+                "the point must lie inside an element, to move both ways"
+                if point.fraction in (0.0, 1.0)
+                else "slopes have a kink at a node, so the point must lie inside an element",
+                point.fraction,
+                "Place it elsewhere, or let the length of the beam be the variable.",
+            )
+
+
+#: What errors name, target and value.
+_Change = tuple[str, Target, float]
+#: What design variables drive.
+_Part: TypeAlias = BeamBody | RigidBody | Part
+
+
+def _with_values(part: _Part, changes: list[_Change]) -> _Part:
+    """Return the part with numbers changed together; errors name what the user wrote."""
+    try:
+        if isinstance(part, BeamBody):
+            return part.with_values([(t.parameter, t.element, value) for _, t, value in changes])
+        if isinstance(part, RigidBody):
+            placement = part.placement()
+            part = part.with_placement(
+                {t.parameter: value for _, t, value in changes if t.parameter in placement}
+            )
+            changes = [change for change in changes if change[1].parameter not in placement]
+        return _with_numbers(part, changes)
+    except InvalidInput as error:
+        # The one that the error speaks of, or all that do not fit together.
+        named = [c for c in changes if error.where.endswith(f".{c[1].parameter}")] or changes
+        where = ", ".join(dict.fromkeys(change[0] for change in named))
+        raise InvalidInput(where, error.rule, error.got, error.repair) from error
+
+
+def _differ(values: list[float]) -> bool:
+    return max(values) - min(values) > _SAME * max(map(abs, values))
+
+
+_AnyPart = TypeVar("_AnyPart", bound=Part)
+_Numbered = TypeVar("_Numbered", bound=Designable)
+
+
+def _with_numbers(owner: _Numbered, changes: list[_Change]) -> _Numbered:
+    return owner.with_parameters({target.indexed: value for _, target, value in changes})

@@ -1,0 +1,323 @@
+"""Objectives of one observable: integral, values at times, smooth maximum.
+
+Each is a function of the observable's values at the instants of the run, combined with
+quadrature weights; all methods of differentiation use the same weights, so that they
+differentiate the same number. Integrals over time are taken from the integrator where it took
+them beside the motion (`totals`).
+"""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import Any, cast, final
+
+import numpy as np
+import scipy
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import InvalidInput, require_finite, require_kind, require_positive
+from ancfdae.numerics.arrays import STEP, Array, Numbers
+from ancfdae.numerics.time_grid import TimeGrid
+from ancfdae.sensitivity.objectives.objective import (
+    NO_TOTALS,
+    NonFiniteObjective,
+    Objective,
+    ObjectivePartials,
+    Totals,
+)
+from ancfdae.sensitivity.observables import Observable, ObservablePartials, States
+
+
+class Reduction(Objective):
+    """A number made of the values of one observable at the instants of a run."""
+
+    observable: Observable
+
+    def __post_init__(self) -> None:
+        require_kind(
+            "objective, observable",
+            self.observable,
+            (Observable,),
+            "Build one from position(...), strain_energy(...) and so on.",
+        )
+
+    @abc.abstractmethod
+    def check_times(self, t_end: float) -> None:
+        """Refuse instants outside the run."""
+
+    @abc.abstractmethod
+    def weights(self, grid: TimeGrid) -> Array:
+        """Return the weight of every instant, shape (k,); zero for those that do not matter."""
+
+    @abc.abstractmethod
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Return the objective from values and weights where the latter are not zero."""
+
+    @abc.abstractmethod
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Return the derivative of `reduce` in x, for real x."""
+
+    def check(self, system: MechanicalSystem, t_end: float) -> None:
+        """Refuse an observable that does not exist, or instants outside the run."""
+        self.observable.check(system)
+        self.check_times(t_end)
+
+    def value(self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS) -> Any:
+        """Reduce the observable."""
+        if self in totals:
+            return totals[self].value()
+        return self.of_values(self.observable.value(system, states), states.grid).item()
+
+    def of_values(self, x: Array, grid: TimeGrid) -> Array:
+        """Reduce values at the instants of a run."""
+        w = self.weights(grid)
+        used = w != 0
+        self._require_finite("the observable", x[used], grid.t[used])
+        return self.reduce(x[used], w[used])
+
+    def slopes_of_values(self, x: Array, grid: TimeGrid) -> Array:
+        """Return the derivative of `of_values` in every value, for real ones."""
+        w = self.weights(grid)
+        used, slopes = w != 0, np.zeros(len(w))
+        slopes[used] = self.slopes(x[used].real, w[used])
+        return slopes
+
+    def pulled_back(
+        self, system: MechanicalSystem, states: States, nodes: dict[object, Array], slopes: Array
+    ) -> ObservablePartials:
+        """Return slopes, one per instant, times the partials of the observable.
+
+        `nodes` are the observable's values at the states, `Observable.node_values`.
+        """
+        p = self.observable.weighted_partials(system, states, nodes, slopes)
+        sums = sum(part.sum(axis=1) for part in (p.q, p.v, p.lam, p.b) if part is not None)
+        self._require_finite("the derivative of the observable", np.asarray(sums), states.t)
+        return p
+
+    def partials(
+        self, system: MechanicalSystem, states: States, totals: Totals = NO_TOTALS
+    ) -> ObjectivePartials:
+        """Pull the derivative of the reduction back to the states."""
+        if self in totals:
+            return totals[self].partials()
+        nodes = self.observable.node_values(system, states)
+        x = list(nodes.values())[-1]
+        value = float(self.of_values(x, states.grid))
+        p = self.pulled_back(system, states, nodes, self.slopes_of_values(x, states.grid))
+        return ObjectivePartials(value, p.q, p.v, p.lam, p.b.sum(axis=0))
+
+    def _require_finite(self, what: str, x: Array, t: Array) -> None:
+        bad = np.flatnonzero(~np.isfinite(x))
+        if len(bad):
+            raise NonFiniteObjective(type(self).__name__, what, float(t[bad[0]].real))
+
+
+class AtInstants(Reduction):
+    """Sum of the values at some times of a run, interpolated with the order of the integrator."""
+
+    @abc.abstractmethod
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the times; refuse a run that ends before."""
+
+    def check_times(self, t_end: float) -> None:
+        """Refuse a run that ends before."""
+        self.instants(t_end)
+
+    def weights(self, grid: TimeGrid) -> Array:
+        """Weights of the interpolation, summed over the times."""
+        w = np.zeros(len(grid.t))
+        for time in self.instants(float(grid.t[-1])):
+            around, share = grid.interpolation(time)
+            w[around] += share
+        return w
+
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Return the sum."""
+        return np.asarray(w @ x)
+
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Return the weights."""
+        return w
+
+
+class OverTime(Reduction):
+    """A mean over time in some sense, times a factor of the duration.
+
+    The reductions of parts of a run, reduced with the durations, are the reduction of the whole.
+    """
+
+    def check_times(self, t_end: float) -> None:
+        """Accept every run."""
+
+    def weights(self, grid: TimeGrid) -> Array:
+        """Quadrature weights times the factor; one for a single instant."""
+        w = grid.weights()
+        return w * self.factor(float(np.sum(w))) if len(w) > 1 else np.ones(1)
+
+    @abc.abstractmethod
+    def factor(self, duration: float) -> float:
+        """Return the factor of the quadrature weights of a run."""
+
+    @abc.abstractmethod
+    def integrand(self, x: Array, near: float) -> Array:
+        """Return what is integrated: the reduction near a value of it, but for a constant."""
+
+    def integrand_slope(self, x: Array, near: float) -> Array:
+        """Return the derivative of `integrand` in x, for real x."""
+        return np.asarray(self.integrand(x + 1j * STEP, near).imag / STEP)
+
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Weights times the derivative of the integrand at the reduction."""
+        return w * self.integrand_slope(x, float(self.reduce(x, w)))
+
+
+@final
+@dataclass(frozen=True)
+class Integral(OverTime):
+    """Integral of an observable over the run.
+
+    `IDA`, `IDAS` and `Explicit` take it beside the motion, to their tolerance, except that of a
+    `slope_angle`, whose turns are counted from instant to instant. On the instants of a solution
+    the quadrature has the order of the integrator: the trapezoidal rule on the steps of HHT,
+    Gauss-Lobatto rules on the instants of the others.
+    """
+
+    observable: Observable
+
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Return the sum."""
+        return np.asarray(w @ x)
+
+    def factor(self, duration: float) -> float:
+        """One."""
+        return 1.0
+
+    def integrand(self, x: Array, near: float) -> Array:
+        """Return x."""
+        return x
+
+
+@final
+@dataclass(frozen=True)
+class Terminal(AtInstants):
+    """Value of an observable at the last instant."""
+
+    observable: Observable
+
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the end."""
+        return (t_end,)
+
+
+@final
+@dataclass(frozen=True)
+class AtTimes(AtInstants):
+    """Sum of the values of an observable at given times.
+
+    Between the instants the observable is interpolated with the order of the integrator, linearly
+    for HHT. `Solution.at` takes a cubic there and differs by h²/8 of the second time derivative at
+    most, less than the error of the run itself (docs/theory.md, section 7).
+
+    Parameters
+    ----------
+    observable : Observable
+    times : float or sequence of float
+        One time or several, none negative; s.
+    """
+
+    observable: Observable
+    times: float | Numbers
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = cast(Any, self.times)
+        times = tuple(given) if np.ndim(given) else (given,)
+        for time in times:
+            require_finite("AtTimes, times", time)
+        if not times or min(times) < 0:
+            raise InvalidInput(
+                "AtTimes, times", "must be one or more times from 0 on", times, "Give such times."
+            )
+        object.__setattr__(self, "times", tuple(float(time) for time in times))
+
+    def instants(self, t_end: float) -> tuple[float, ...]:
+        """Return the times."""
+        times = cast("tuple[float, ...]", self.times)
+        if max(times) > t_end * (1 + 1e-12):
+            rule, repair = f"must not exceed {t_end:.6g}", "The run ends before; let it go on."
+            raise InvalidInput("AtTimes, times", rule, max(times), repair)
+        return times
+
+
+@dataclass(frozen=True)
+class _Maximum(Reduction):
+    """(1/k) log(sum of w exp(k x)) of an observable, with a sharpness k."""
+
+    observable: Observable
+    sharpness: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(f"{type(self).__name__}, sharpness", self.sharpness)
+
+    def reduce(self, x: Array, w: Array) -> Array:
+        """Split the largest x off, so that nothing overflows."""
+        # SciPy's logsumexp takes 15 times as long, and integrators ask at every step.
+        largest, k = np.max(x.real), self.sharpness
+        return np.asarray(largest + np.log(w @ np.exp(k * (x - largest))) / k)
+
+
+@final
+@dataclass(frozen=True)
+class SmoothMaximum(_Maximum, OverTime):
+    """Smooth maximum over time, (1/k) log((1/T) int exp(k x) dt) (Kreisselmeier-Steinhauser).
+
+    It lies below the maximum and tends to it as the sharpness k grows, with an error of the order
+    of log(k)/k. The integral is taken as in `Integral`. The smooth minimum of x is
+    ``-SmoothMaximum(-x, k)``.
+
+    Parameters
+    ----------
+    observable : Observable
+    sharpness : float
+        k, in the inverse unit of the observable; positive.
+    """
+
+    def factor(self, duration: float) -> float:
+        """One over the duration."""
+        return 1.0 / duration
+
+    def integrand(self, x: Array, near: float) -> Array:
+        """exp(k (x - near)) / k: at the smooth maximum the mean of its slope is one."""
+        return np.asarray(np.exp(self.sharpness * (x - near)) / self.sharpness)
+
+
+@final
+@dataclass(frozen=True)
+class UpperMaximum(_Maximum):
+    """Smooth bound of the values at all instants, (1/k) log(sum of exp(k x_n)).
+
+    It lies above the largest by log(n)/k at most, n the number of instants: what it keeps below a
+    limit is below it at every instant of the run. With `maximum_stress` it bounds a stress over
+    place and time. It grows with the number of instants, so runs with other steps have another
+    value, and `error_bars` says nothing of it; `SmoothMaximum`, which lies below the maximum,
+    does not.
+
+    Parameters
+    ----------
+    observable : Observable
+    sharpness : float
+        k, in the inverse unit of the observable; positive.
+    """
+
+    def check_times(self, t_end: float) -> None:
+        """Accept every run."""
+
+    def weights(self, grid: TimeGrid) -> Array:
+        """One for every instant."""
+        return np.ones(len(grid.t))
+
+    def slopes(self, x: Array, w: Array) -> Array:
+        """Shares of the values in the sum."""
+        return np.asarray(scipy.special.softmax(self.sharpness * x))

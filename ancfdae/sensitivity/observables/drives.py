@@ -1,0 +1,98 @@
+"""Observables of what moves a scene: torque of a drive, force of a guide, power of all loads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import require_text
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.sensitivity.observables.states import Named, States, known_scene
+
+
+def drive_torque(joint: str) -> Observable:
+    """Return the torque of a `Drive` on what it turns, in the sense of its angle; N m.
+
+    It is work conjugate to the angle: its product with the rate of the angle is `joint_power`.
+    """
+    return Work(joint, unit_rate=True)
+
+
+def guide_force(joint: str) -> Observable:
+    """Return the force of a `Guide` on what it moves, along its direction; N."""
+    return Work(joint, unit_rate=True)
+
+
+def joint_power(joint: str) -> Observable:
+    """Return the power of a driven joint, what it adds to the energy of the scene; W.
+
+    ``Integral(joint_power("motor"))`` is its work; J.
+    """
+    return Work(joint, unit_rate=False)
+
+
+def load_power(load: str) -> Observable:
+    """Return the power of a load, what it adds to the energy of the scene; W.
+
+    That of a spring is what it gives back, and that of a damper is negative.
+    """
+    return LoadPower(load)
+
+
+@final
+@dataclass(frozen=True)
+class LoadPower(Leaf):
+    """Power of a load."""
+
+    load: str
+
+    def __post_init__(self) -> None:
+        require_text("load_power, load", self.load)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a load that does not exist."""
+        known_scene(system).works.of_load(self.load)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return F . V."""
+        return known_scene(system).works.of_load(self.load).value(states.t, states.q, states.v)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Differentiate in q, v and b."""
+        own = known_scene(system).works.of_load(self.load)
+        q, v, b = own.partials(states.t, states.q, states.v)
+        return LeafGradient(q=Rows(slice(None), q), v=Rows(slice(None), v), b=b)
+
+
+@final
+@dataclass(frozen=True)
+class Work(Leaf):
+    """Power of a driven joint, at the rate of its law or at a rate of one."""
+
+    multipliers: ClassVar[bool] = True
+
+    joint: str
+    unit_rate: bool
+
+    def __post_init__(self) -> None:
+        require_text("joint of an observable", self.joint)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a joint that does not exist or is not driven."""
+        known_scene(system).works.of_joint(self.joint, self.unit_rate)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return lam . Phi_t."""
+        own = known_scene(system).works.of_joint(self.joint, self.unit_rate)
+        return own.value(states.t, states.q, states.lam)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Differentiate in q, the multipliers of the joint and b."""
+        own = known_scene(system).works.of_joint(self.joint, self.unit_rate)
+        q, lam, b = own.partials(states.t, states.q, states.lam)
+        columns = np.arange(own.rows.start, own.rows.stop)
+        return LeafGradient(q=Rows(slice(None), q), lam=Rows(columns, lam), b=b)

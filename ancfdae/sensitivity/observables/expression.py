@@ -1,0 +1,179 @@
+"""Expression trees: arithmetic on anything that has values and partial derivatives.
+
+Observables and objectives share this tree and differ in their leaves. The derivative of an
+expression in its leaves comes from one sweep from the root to the leaves; each operation
+contributes its partials, taken by a complex step.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, NoReturn, TypeVar, cast
+
+import numpy as np
+
+from ancfdae.errors import InvalidInput, require_finite
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.observables.functions import Function, analytic
+
+K = TypeVar("K", bound="Expression[Any]")
+
+
+def _binary(ufunc: np.ufunc) -> Callable[[Expression[K], K | float], K]:
+    """Operator that applies a NumPy function, which `analytic` may refuse, to self and other."""
+
+    def operator(self: Expression[K], other: K | float) -> K:
+        return self.combined(analytic(ufunc), (self, other))
+
+    return operator
+
+
+def _reflected(ufunc: np.ufunc) -> Callable[[Expression[K], float], K]:
+    """Operator that applies a NumPy function to other and self."""
+
+    def operator(self: Expression[K], other: float) -> K:
+        return self.combined(analytic(ufunc), (other, self))
+
+    return operator
+
+
+def _unary(ufunc: np.ufunc) -> Callable[[Expression[K]], K]:
+    """Operator that applies a NumPy function, which `analytic` may refuse."""
+
+    def operator(self: Expression[K]) -> K:
+        return self.combined(analytic(ufunc), (self,))
+
+    return operator
+
+
+class Expression(abc.ABC, Generic[K]):
+    """A leaf or an `Operation`, with the operators of expressions of kind K."""
+
+    @abc.abstractmethod
+    def of(self, function: Function, operands: tuple[object, ...]) -> K:
+        """Return an operation on expressions of this kind."""
+
+    @abc.abstractmethod
+    def accepts(self, other: object) -> bool:
+        """Whether the other expression is of this kind."""
+
+    def combined(self, function: Function, operands: Sequence[object]) -> K:
+        """Return a function of expressions of this kind and finite numbers; refuse others."""
+        return self.of(function, tuple(self._operand(x) for x in operands))
+
+    def _operand(self, operand: object) -> object:
+        if isinstance(operand, Expression) and self.accepts(operand):
+            return operand
+        where = f"operand of {type(self).__name__}"
+        if isinstance(operand, Expression):
+            raise InvalidInput(
+                where,
+                "observables combine with observables and objectives with objectives",
+                type(operand).__name__,
+                "Turn the observable into an objective, such as Integral(observable).",
+            )
+        if np.ndim(cast(Any, operand)) > 0:
+            got = f"an array of shape {np.shape(cast(Any, operand))}"
+            raise InvalidInput(where, "must be a single number", got, "Write one expression each.")
+        number = operand.item() if isinstance(operand, np.ndarray) else operand
+        require_finite(where, cast(float, number), "Combine with numbers and expressions.")
+        return float(cast(float, number))
+
+    def __array_ufunc__(
+        self, ufunc: np.ufunc, method: str, *inputs: object, **options: object
+    ) -> K:
+        """Apply a NumPy function; see `analytic` for those that are refused."""
+        return self.combined(analytic(ufunc, method, not options), inputs)
+
+    __add__, __radd__ = _binary(np.add), _reflected(np.add)
+    __sub__, __rsub__ = _binary(np.subtract), _reflected(np.subtract)
+    __mul__, __rmul__ = _binary(np.multiply), _reflected(np.multiply)
+    __truediv__, __rtruediv__ = _binary(np.divide), _reflected(np.divide)
+    __pow__, __rpow__ = _binary(np.power), _reflected(np.power)
+    __neg__, __pos__ = _unary(np.negative), _unary(np.positive)
+
+    # `analytic` refuses these and says what to use instead.
+    __abs__ = _unary(np.absolute)
+    __floordiv__, __mod__ = _binary(np.floor_divide), _binary(np.remainder)
+    __lt__, __le__ = _binary(np.less), _binary(np.less_equal)
+    __gt__, __ge__ = _binary(np.greater), _binary(np.greater_equal)
+
+    def __bool__(self) -> NoReturn:
+        raise InvalidInput(
+            "truth of an expression",
+            "is not defined, since its value changes over time",
+            type(self).__name__,
+            "Weight with a smooth function such as 0.5 * (1 + tanh(x / eps)).",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Operation:
+    """A function of operands: expressions and numbers.
+
+    Compared by identity, so that trees of any depth can be keys.
+    """
+
+    function: Function
+    operands: tuple[object, ...]
+
+
+def in_order(root: object) -> list[object]:
+    """Nodes of an expression, each once, operands before operations; without recursion."""
+    done: dict[object, None] = {}
+    stack = [root]
+    while stack:
+        node = stack[-1]
+        missing = []
+        if isinstance(node, Operation):
+            missing = [x for x in node.operands if not isinstance(x, float) and x not in done]
+        if missing:
+            stack.extend(missing)
+        else:
+            done[stack.pop()] = None
+    return list(done)
+
+
+def leaves(root: object) -> list[object]:
+    """Distinct leaves of an expression."""
+    return [node for node in in_order(root) if not isinstance(node, Operation)]
+
+
+def evaluated(root: object, leaf_value: Callable[[Any], Array]) -> dict[object, Array]:
+    """Values of all nodes of an expression, the expression last."""
+    values: dict[object, Array] = {}
+    with np.errstate(all="ignore"):
+        for node in in_order(root):
+            if isinstance(node, Operation):
+                values[node] = node.function(operands_of(node, values))
+            else:
+                values[node] = leaf_value(node)
+    return values
+
+
+def operands_of(operation: Operation, values: Mapping[object, Array]) -> list[Array]:
+    """Values of the operands of an operation."""
+    return [np.asarray(x) if isinstance(x, float) else values[x] for x in operation.operands]
+
+
+def leaf_weights(values: Mapping[object, Array], weight: Array) -> dict[object, Array]:
+    """Return the derivatives of sum(weight * root) in the values of the leaves.
+
+    `values` are those of all nodes, real, as `evaluated` returns them. Where the weight is zero
+    nothing contributes, even if a derivative is not finite there.
+    """
+    nodes = list(values)
+    weights: dict[object, Array] = {nodes[-1]: weight}
+    with np.errstate(all="ignore"):
+        for node in reversed(nodes):
+            if not isinstance(node, Operation):
+                continue
+            arguments, outer = operands_of(node, values), weights[node]
+            for k, operand in enumerate(node.operands):
+                if isinstance(operand, float):
+                    continue
+                inner = np.where(outer == 0, 0.0, outer * node.function.slope(arguments, k))
+                weights[operand] = weights[operand] + inner if operand in weights else inner
+    return {node: w for node, w in weights.items() if not isinstance(node, Operation)}

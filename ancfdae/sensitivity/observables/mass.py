@@ -1,0 +1,174 @@
+"""Observables of mass: mass, centre, moments of inertia, momentum, of a body or the whole scene.
+
+All are integrals of rho a b dV with a and b one of 1, a component of the position and one of the
+velocity. With vectors X that positions depend on linearly, the mass matrix m (x) I_d holds them
+all: int rho r_i r_j dV = sum_ab m_ab X_ai X_bj, with X = 1 for positions and 0 for slopes in place
+of r where the factor is one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly import AncfSystem
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import InvalidInput, require_text, require_vector
+from ancfdae.model.bodies import Point
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.sensitivity.observables.states import Named, States, known_scene, require_index
+from ancfdae.sensitivity.observables.vectors import position
+
+
+def mass(beam: str | None = None) -> Observable:
+    """Return the mass of a beam, a body or a point mass, or of the whole scene; kg."""
+    return MassIntegral(beam)
+
+
+def centre_of_mass(axis: int, beam: str | None = None) -> Observable:
+    """Return a component of the centre of mass of a beam or body, or of the whole scene; m."""
+    require_index("centre_of_mass, axis", axis)
+    return MassIntegral(beam, right=axis) / mass(beam)
+
+
+def inertia(
+    axis: int = 2,
+    other: int | None = None,
+    beam: str | None = None,
+    about: Point | Sequence[float] | None = None,
+) -> Observable:
+    """Return a moment or product of inertia of a beam or body, or of the whole scene; kg m^2.
+
+    Parameters
+    ----------
+    axis : int
+        2, the axis across the plane, in planar scenes.
+    other : int, optional
+        The second axis of a product of inertia, -int rho r_i r_j dV; without it the moment about
+        `axis`. In the plane a body that is given by its moment counts as round.
+    beam : str, optional
+        Name of a beam, a body or a point mass.
+    about : Point or sequence of float, optional
+        A point of a body, which may move, or a place; by default the centre of mass.
+    """
+    require_index("inertia, axis", axis)
+    if other is not None:
+        require_index("inertia, other", other)
+    if other is not None and other != axis:
+        return -_second(beam, axis, other, about)
+    first, second = (i for i in range(3) if i != axis)
+    return _second(beam, first, first, about) + _second(beam, second, second, about)
+
+
+def linear_momentum(axis: int, beam: str | None = None) -> Observable:
+    """Return a component of the momentum of a beam or body, or of the whole scene; kg m/s."""
+    require_index("linear_momentum, axis", axis)
+    return MassIntegral(beam, right=axis, rate=True)
+
+
+def angular_momentum(axis: int = 2, beam: str | None = None) -> Observable:
+    """Return a component of the angular momentum about the origin; kg m^2/s.
+
+    Of a beam, a body or a point mass, or of the whole scene; in the plane about z, axis 2.
+    """
+    require_index("angular_momentum, axis", axis)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    turning = MassIntegral(beam, left=first, right=second, rate=True)
+    return turning - MassIntegral(beam, left=second, right=first, rate=True)
+
+
+def _second(beam: str | None, i: int, j: int, about: Point | Sequence[float] | None) -> Observable:
+    """Return int rho (r_i - p_i) (r_j - p_j) dV."""
+    whole, m = MassIntegral(beam, left=i, right=j), mass(beam)
+    F_i, F_j = MassIntegral(beam, right=i), MassIntegral(beam, right=j)
+    if about is None:
+        return whole - F_i * F_j / m
+    p_i, p_j = _place(about, i), _place(about, j)
+    return whole - F_i * p_j - F_j * p_i + m * p_i * p_j
+
+
+def _place(about: Point | Sequence[float], axis: int) -> Observable | float:
+    if isinstance(about, Point):
+        return position(about, axis)
+    require_vector("inertia, about", about)
+    # A plane lacks the third axis, which is refused with the observable.
+    return float(about[axis]) if axis < len(about) else 0.0
+
+
+@final
+@dataclass(frozen=True)
+class MassIntegral(Leaf):
+    """Integral of rho times two factors: components of positions, or one where they are None.
+
+    With `rate` the right factor is a component of the velocity.
+    """
+
+    beam: str | None = None
+    left: int | None = None
+    right: int | None = None
+    rate: bool = False
+
+    def __post_init__(self) -> None:
+        if self.beam is not None:
+            require_text("mass, beam", self.beam)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a beam or an axis that does not exist."""
+        layout = known_scene(system).naming.layout
+        if self.beam is not None:
+            layout.owner(self.beam)
+        for axis in (self.left, self.right):
+            if axis is not None and axis >= layout.d:
+                raise InvalidInput(
+                    "observable of mass",
+                    "in the plane axes are 0 and 1, and moments are about axis 2",
+                    axis,
+                    "Use these.",
+                )
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """a^T M b."""
+        scene = known_scene(system)
+        a, b = self._factors(scene, states)
+        value = np.sum(a * scene.energies.momenta(b, self.beam), axis=1)
+        return np.broadcast_to(value, (len(states.t),))
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """M b and M a where a and b come from, and a^T M_b b by polarisation."""
+        scene = known_scene(system)
+        a, b = self._factors(scene, states)
+        parts, d = dict[str, Array](), scene.naming.layout.d
+        for factor, other, name in (
+            (self.left, b, "q"),
+            (self.right, a, "v" if self.rate else "q"),
+        ):
+            if factor is not None:
+                momenta = scene.energies.momenta(other, self.beam)
+                along = _spread(momenta.reshape(len(momenta), -1, d)[..., 0], factor, d)
+                parts[name] = parts[name] + along if name in parts else along
+        rows = {name: Rows(slice(None), part) for name, part in parts.items()}
+        both, own, others = (scene.energies.kinetic_b(x, self.beam) for x in (a + b, a, b))
+        gradient = np.broadcast_to(both - own - others, (len(states.t), system.n_b))
+        return LeafGradient(q=rows.get("q"), v=rows.get("v"), b=gradient)
+
+    def _factors(self, scene: AncfSystem, states: States) -> tuple[Array, Array]:
+        """Both factors as vectors along the first axis, shape (k or 1, n_q)."""
+        right = states.v if self.rate else states.q
+        return self._factor(scene, states.q, self.left), self._factor(scene, right, self.right)
+
+    def _factor(self, scene: AncfSystem, x: Array, axis: int | None) -> Array:
+        d = scene.naming.layout.d
+        one = axis is None
+        component = scene.energies.places[None] if one else x.reshape(len(x), -1, d)[..., axis]
+        return _spread(component, 0, d)
+
+
+def _spread(component: Array, axis: int, d: int) -> Array:
+    """Vectors with one component, shape (k, n_vectors) to (k, n_vectors d)."""
+    vectors = np.zeros((*component.shape, d), dtype=component.dtype)
+    vectors[..., axis] = component
+    return vectors.reshape(len(component), -1)

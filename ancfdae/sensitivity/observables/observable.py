@@ -1,0 +1,247 @@
+"""What an observable is: a number at every instant, with partials in the states and the design."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, cast, final
+
+import numpy as np
+
+from ancfdae.assembly import StatePartials
+from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.errors import InvalidInput, require_kind
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.differentiable import require_derivative
+from ancfdae.sensitivity.observables.expression import (
+    Expression,
+    Operation,
+    evaluated,
+    leaf_weights,
+    leaves,
+    operands_of,
+)
+from ancfdae.sensitivity.observables.functions import Function
+from ancfdae.sensitivity.observables.states import Named, States, states_of
+
+
+@final
+@dataclass(frozen=True)
+class Rows:
+    """Partials of one number per instant that vanish outside a few columns, none of them twice.
+
+    The values have shape (k, m), or (1, m) if all instants share them.
+    """
+
+    columns: Array | slice
+    values: Array
+
+    def add_to(self, total: Array | None, weight: Array, n: int) -> Array:
+        """Add the rows times a weight per instant to an array (k, n), or to a new one."""
+        total = np.zeros((len(weight), n)) if total is None else total
+        total[:, self.columns] += weight[:, None] * self.values
+        return total
+
+
+@final
+@dataclass(frozen=True)
+class LeafGradient:
+    """Partials of a leaf, in b with the states held, (k, n_b); None where it does not depend."""
+
+    q: Rows | None = None
+    v: Rows | None = None
+    lam: Rows | None = None
+    b: Array | None = None
+
+    @staticmethod
+    def of(p: StatePartials) -> LeafGradient:
+        """Return partials in some columns as those of a leaf."""
+        v = Rows(p.columns, p.v) if np.any(p.v) else None
+        return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)
+
+
+@final
+@dataclass(frozen=True)
+class ObservablePartials:
+    """Value and partials of an observable at every instant.
+
+    Attributes
+    ----------
+    value : array, shape (k,)
+    q, v, lam : array, shape (k, n), or None
+        None where the observable does not depend on the argument.
+    b : array, shape (k, n_b)
+        Partials in the design variables with the states held.
+    """
+
+    value: Array
+    q: Array | None
+    v: Array | None
+    lam: Array | None
+    b: Array
+
+    def total(self, q_b: Array | None, v_b: Array | None, lam_b: Array | None) -> Array:
+        """Return the derivatives along those of the states, shape (k, n_b); None is held."""
+        total = self.b
+        for rows, x_b in ((self.q, q_b), (self.v, v_b), (self.lam, lam_b)):
+            if rows is not None and x_b is not None:
+                used = np.flatnonzero(rows.any(axis=0))
+                total = total + np.einsum("kn,knb->kb", rows[:, used], x_b[:, used])
+        return total
+
+
+class Observable(Expression["Observable"]):
+    """A number at every instant, H(t, q, v, lam, b) of eq. (20).
+
+    Observables combine by + - * / ** and elementary NumPy functions with each other and with
+    numbers into observables.
+    """
+
+    def of(self, function: Function, operands: tuple[object, ...]) -> Observable:
+        """Return a function of observables."""
+        return Composite(function, operands)
+
+    def accepts(self, other: object) -> bool:
+        """Whether the other expression is an observable."""
+        return isinstance(other, Observable)
+
+    def check(self, system: Named) -> None:
+        """Raise UnknownName or InvalidInput for an observable that the system does not have."""
+        for leaf in self.leaves():
+            leaf.check_leaf(system)
+
+    def leaves(self) -> list[Leaf]:
+        """Return the distinct leaves."""
+        return cast("list[Leaf]", leaves(self))
+
+    @property
+    def remembers_any(self) -> bool:
+        """Whether a value depends on the instants before: states of parts then need their past."""
+        return any(leaf.remembers for leaf in self.leaves())
+
+    def value(self, system: Named, states: States) -> Array:
+        """Return the values, shape (k,); complex if a state or a design variable is."""
+        return list(self.node_values(system, states).values())[-1]
+
+    def node_values(self, system: Named, states: States) -> dict[object, Array]:
+        """Return the values of all nodes of the tree, the observable last."""
+        return evaluated(self, lambda leaf: leaf.leaf_value(system, states))
+
+    def partials(self, system: MechanicalSystem, states: States) -> ObservablePartials:
+        """Return values and partials at real states."""
+        values = self.node_values(system, states)
+        return self.weighted_partials(system, states, values, np.ones(len(states.t)))
+
+    def weighted_partials(
+        self, system: MechanicalSystem, states: States, values: dict[object, Array], weight: Array
+    ) -> ObservablePartials:
+        """Return the partials times a weight per instant, shape (k,).
+
+        `values` are those of all nodes at these states, from `node_values`. Refused are complex
+        states, and a user's function that turns out not to be differentiable.
+        """
+        if any(np.iscomplexobj(x) for x in values.values()):
+            raise InvalidInput(
+                "partials", "need real states and design values", "complex", "Use `value`."
+            )
+        _require_derivatives(values)
+        parts: dict[str, Array | None] = dict.fromkeys(("q", "v", "lam"))
+        b = np.zeros((len(weight), system.n_b))
+        with np.errstate(all="ignore"):  # the caller checks for values that are not finite
+            for leaf, factor in leaf_weights(values, weight).items():
+                gradient = cast(Leaf, leaf).leaf_gradient(system, states)
+                for name, states_of in (("q", states.q), ("v", states.v), ("lam", states.lam)):
+                    rows: Rows | None = getattr(gradient, name)
+                    if rows is not None:
+                        parts[name] = rows.add_to(parts[name], factor, states_of.shape[1])
+                if gradient.b is not None:
+                    b += factor[:, None] * gradient.b
+        return ObservablePartials(list(values.values())[-1], **parts, b=b)
+
+
+class Leaf(Observable):
+    """An observable that is not made of others; immutable and compared by value.
+
+    Attributes
+    ----------
+    remembers : bool
+        Whether its value depends on the instants before, as a count of turns does. It is then
+        piecewise constant.
+    """
+
+    remembers: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a leaf that the system does not have; see `Observable.check`."""
+
+    @abc.abstractmethod
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return the values at real or complex states, shape (k,)."""
+
+    @abc.abstractmethod
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Return the partials at real states."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Composite(Operation, Observable):
+    """A function of observables."""
+
+
+def remembered(nodes: Mapping[object, Array]) -> dict[object, float]:
+    """Return the last values of leaves that remember: the past of what follows these instants."""
+    own = ((node, x) for node, x in nodes.items() if isinstance(node, Leaf) and node.remembers)
+    return {node: float(x[-1]) for node, x in own}
+
+
+def observe(
+    observable: Observable, solution: Solution, system: MechanicalSystem | None = None
+) -> Array:
+    """Return the values of an observable along a solution, shape (n_t,).
+
+    Energies, design variables and `custom` functions need the system that was integrated.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If an argument is of another kind, something that the observable names does not exist, the
+        system is missing, or the solution is complex and the system is not: it would hold the
+        design variables fixed.
+    """
+    repair = "Of objectives observe what they are made of, before Integral or Terminal."
+    require_kind("observe, observable", observable, (Observable,), repair)
+    require_kind("observe, solution", solution, (Solution,), "Call simulate or differentiate.")
+    if system is not None:
+        require_kind("observe, system", system, (MechanicalSystem,), "For example assemble(scene).")
+        _require_same_sizes(system, solution)
+    held = system is not None and system.n_b > 0 and not np.iscomplexobj(system.b)
+    if held and np.iscomplexobj(solution.q):
+        raise InvalidInput(
+            "observe",
+            "a complex solution needs a system at complex design values",
+            "real ones",
+            "Use Observable.partials for derivatives.",
+        )
+    names = solution if system is None else system
+    observable.check(names)
+    return observable.value(names, states_of(solution))
+
+
+def _require_same_sizes(system: MechanicalSystem, solution: Solution) -> None:
+    own, got = (system.n_q, system.n_lam), (solution.q.shape[1], solution.lam.shape[1])
+    if own != got:
+        rule, repair = "must be that of the solution", "Pass the system that was integrated."
+        counts = f"{own[0]} coordinates and {own[1]} multipliers where that has {got[0]}, {got[1]}"
+        raise InvalidInput("observe, system", rule, counts, repair)
+
+
+def _require_derivatives(values: dict[object, Array]) -> None:
+    """Try the user's functions at the first, middle and last instant."""
+    for node in values:
+        if isinstance(node, Operation) and node.function.own:
+            x = [a[[0, len(a) // 2, -1]] for a in operands_of(node, values)]
+            dx = [np.where(a == 0, 1.0, a) for a in x]
+            require_derivative(node.function.name, node.function.call, x, dx)

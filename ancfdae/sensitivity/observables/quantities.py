@@ -1,0 +1,182 @@
+"""Observables of joints and energies, time, and the design variables themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_text
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.sensitivity.observables.states import (
+    Named,
+    States,
+    known_naming,
+    known_scene,
+    known_system,
+    require_index,
+)
+
+
+def reaction(joint: str, axis: int) -> Observable:
+    """Return a component of the force of a joint on its first point; N. Axes as in `position`.
+
+    It is minus a multiplier of the joint's first equations, as in `Solution.reaction`; for joints
+    that hold a point in all directions. For others see `multiplier`.
+    """
+    require_index("reaction, axis", axis)
+    return -Multiplier(joint, axis, on_point=True)
+
+
+def multiplier(joint: str, row: int) -> Observable:
+    """Return the multiplier of an equation of a joint; these are counted from 0 on.
+
+    The joint acts with -lam Phi_q: of an equation e . (r(point) - r(other)) = 0 it is minus the
+    force along e on the point; N.
+    """
+    return Multiplier(joint, row)
+
+
+def strain_energy(beam: str | None = None) -> Observable:
+    """Return the strain energy of a beam or body, or of the whole scene; J."""
+    return Energy(beam, kinetic=False)
+
+
+def kinetic_energy(beam: str | None = None) -> Observable:
+    """Return the kinetic energy of a beam, a body or a point mass, or of the whole scene; J."""
+    return Energy(beam, kinetic=True)
+
+
+def elapsed_time() -> Observable:
+    """Return the time since the start; s."""
+    return Time()
+
+
+def design_value(name: str) -> Observable:
+    """Return the value of a design variable such as ``"rod.height"``, the same at every instant."""
+    return Design(name)
+
+
+@final
+@dataclass(frozen=True)
+class Multiplier(Leaf):
+    """Multiplier of an equation of a joint; `on_point` if it must be a force on its first point."""
+
+    joint: str
+    row: int
+    on_point: bool = False
+
+    def __post_init__(self) -> None:
+        require_text("joint of an observable", self.joint)
+        if not self.on_point:
+            require_kind("multiplier, row", self.row, (int, np.integer), "Counted from 0 on.")
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a joint, an equation or an axis that does not exist."""
+        layout = known_naming(system).layout
+        place = layout.joint(self.joint)
+        if not self.on_point:
+            require_index(f"multiplier of {self.joint!r}, row", self.row, place.rows)
+        elif not place.holds_position:
+            raise InvalidInput(
+                f"reaction of {self.joint!r}",
+                "is defined for joints that hold a point in all directions",
+                "a joint of another kind",
+                "Use multiplier(joint, row).",
+            )
+        else:
+            require_index("reaction, axis", self.row, layout.d)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return the multiplier."""
+        return states.lam[:, self._column(system)]
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """One in the column of the multiplier."""
+        return LeafGradient(lam=Rows(np.array([self._column(system)]), np.ones((1, 1))))
+
+    def _column(self, system: Named) -> int:
+        return known_naming(system).layout.joint(self.joint).first_row + self.row
+
+
+@final
+@dataclass(frozen=True)
+class Energy(Leaf):
+    """Strain or kinetic energy of a beam or of the scene."""
+
+    beam: str | None
+    kinetic: bool
+
+    def __post_init__(self) -> None:
+        if self.beam is not None:
+            require_text("energy, beam", self.beam)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a beam that does not exist, or a solution without its system."""
+        layout = known_naming(known_scene(system)).layout
+        if self.beam is not None:
+            layout.owner(self.beam)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """T (eq. 9) or U of every instant."""
+        energies = known_scene(system).energies
+        if self.kinetic:
+            return energies.kinetic(states.v, self.beam)
+        return energies.strain(states.q, self.beam)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """T_v and T_b, or U_q and U_b."""
+        energies, q, v = known_scene(system).energies, states.q, states.v
+        if self.kinetic:
+            rows = Rows(slice(None), energies.momenta(v, self.beam))
+            return LeafGradient(v=rows, b=energies.kinetic_b(v, self.beam))
+        rows = Rows(slice(None), energies.strain_q(q, self.beam))
+        return LeafGradient(q=rows, b=energies.strain_b(q, self.beam))
+
+
+@final
+@dataclass(frozen=True)
+class Time(Leaf):
+    """Time."""
+
+    def check_leaf(self, system: Named) -> None:
+        """Every system has a time."""
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return the instants."""
+        return states.t
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Time depends on nothing."""
+        return LeafGradient()
+
+
+@final
+@dataclass(frozen=True)
+class Design(Leaf):
+    """Value of a design variable."""
+
+    name: str
+
+    def __post_init__(self) -> None:
+        require_text("design_value, name", self.name)
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a design variable that the system does not have."""
+        known = known_system(self.name, system).design_names
+        if self.name not in known:
+            raise UnknownName("design variable", self.name, known)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Return b_i at every instant."""
+        mechanical = known_system(self.name, system)
+        return np.full(len(states.t), mechanical.b[mechanical.design_names.index(self.name)])
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """One for the variable itself."""
+        b = np.zeros((len(states.t), system.n_b))
+        b[:, system.design_names.index(self.name)] = 1.0
+        return LeafGradient(b=b)

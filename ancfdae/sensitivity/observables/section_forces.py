@@ -1,0 +1,120 @@
+"""Observables of the sections of beams: axial and shear forces, bending moments, torque.
+
+They are what the beam beyond the section does to the beam before it, in the axes of the deformed
+section: its normal, its height, and what is across both; moments are about the axis of the beam.
+Internal damping has its part. They follow from what elements transmit from node to node, so that
+they are in balance with loads, reactions and inertia to round-off where these act at nodes; loads
+spread along elements, inertia among them, leave an error of second order in the element length, at
+any point (docs/theory.md, section 2). A load or joint between nodes spreads over its element.
+
+At an inner node forces jump by what a joint, load or point mass does there. ``rod.at(0.5)`` is just
+after it, in the element that begins there, ``rod.at(0.5, before=True)`` just before; the end of a
+beam belongs to the last element. In cables, whose forces are those of their strains, axial forces
+are best in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import final
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import InvalidInput
+from ancfdae.model.bodies import Point, require_point
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable
+from ancfdae.sensitivity.observables.states import Named, States, known_scene, require_index
+
+
+class Component(IntEnum):
+    """Which force or moment of a section; the value is its place among them."""
+
+    AXIAL_FORCE = 0
+    SHEAR_FORCE_Y = 1
+    SHEAR_FORCE_Z = 2
+    TORQUE = 3
+    BENDING_MOMENT_Y = 4
+    BENDING_MOMENT_Z = 5
+
+
+def axial_force(point: Point) -> Observable:
+    """Return the axial force in a beam at a point of its axis, positive in tension; N."""
+    return Section(point, Component.AXIAL_FORCE)
+
+
+def shear_force(point: Point, along: int = 1) -> Observable:
+    """Return a shear force in a beam at a point of its axis; N.
+
+    `along` is 1 for the height of the section and 2 for its width.
+    """
+    components = (Component.SHEAR_FORCE_Y, Component.SHEAR_FORCE_Z)
+    return Section(point, components[_across("shear_force, along", along)])
+
+
+def bending_moment(point: Point, about: int = 2) -> Observable:
+    """Return a bending moment in a beam at a point of its axis; N m.
+
+    `about` is 2 for the width of the section, the z axis of a planar scene, and 1 for its height.
+    A positive moment about z bends the beam towards its height axis.
+    """
+    components = (Component.BENDING_MOMENT_Y, Component.BENDING_MOMENT_Z)
+    return Section(point, components[_across("bending_moment, about", about)])
+
+
+def torque(point: Point) -> Observable:
+    """Return the torque in a spatial beam at a point of its axis; N m."""
+    return Section(point, Component.TORQUE)
+
+
+def _across(where: str, axis: int) -> int:
+    """Place of an axis of the section, 1 or 2, among them."""
+    require_index(where, axis)
+    if axis == 0:
+        raise InvalidInput(
+            where, "must be an axis of the section", axis, "Use 1 (height) or 2 (width)."
+        )
+    return int(axis) - 1
+
+
+@final
+@dataclass(frozen=True)
+class Section(Leaf):
+    """A force or moment in a beam, in the axes of its section."""
+
+    point: Point
+    component: Component
+
+    def __post_init__(self) -> None:
+        require_point("section force, point", self.point)
+        if self.point.y != 0 or self.point.z != 0:
+            raise InvalidInput(
+                "section force, point",
+                "must lie on the axis of the beam: forces belong to the whole section",
+                f"y = {self.point.y}, z = {self.point.z}",
+                "Leave them out.",
+            )
+
+    def check_leaf(self, system: Named) -> None:
+        """Refuse a point that does not exist, and what a plane lacks."""
+        layout = known_scene(system).naming.layout
+        layout.beam(self.point.beam)
+        planar = (Component.AXIAL_FORCE, Component.SHEAR_FORCE_Y, Component.BENDING_MOMENT_Z)
+        if layout.d == 2 and self.component not in planar:
+            raise InvalidInput(
+                "section force",
+                "a planar beam has an axial force, a shear force along 1 and a moment about 2",
+                self.component.name,
+                "Use one of these, or a spatial scene.",
+            )
+        known_scene(system).sections.forces(self.point)
+
+    def leaf_value(self, system: Named, states: States) -> Array:
+        """Integral over the section."""
+        own = known_scene(system).sections.forces(self.point)
+        return own.value(self.component, states.q, states.v)
+
+    def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
+        """Complex steps of the element's coordinates and parameters."""
+        own = known_scene(system).sections.forces(self.point)
+        return LeafGradient.of(own.partials(self.component, states.q, states.v, system.n_b))

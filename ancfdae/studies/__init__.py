@@ -1,0 +1,24 @@
+"""Calls that take a scene or a mechanical system: what a user of the package calls."""
+
+from ancfdae.studies.adjoint_error import AdjointError, adjoint_error
+from ancfdae.studies.calls import (
+    as_system,
+    cheapest,
+    differentiate,
+    evaluate,
+    gradient,
+    gradients,
+    simulate,
+)
+from ancfdae.studies.error_bars import ErrorBars, error_bars
+from ancfdae.studies.long_runs import Observations, observations, simulate_thinned
+from ancfdae.studies.mass_properties import MassProperties, mass_properties
+from ancfdae.studies.misfit import Fit, Misfit
+from ancfdae.studies.modes import modes, suggest_step
+from ancfdae.studies.responses import Response, Responses
+from ancfdae.studies.statics import equilibrium, static_gradient
+from ancfdae.studies.sweep import Evaluate, sweep
+from ancfdae.studies.sweep_result import Sweep, SweepRow
+from ancfdae.studies.taylor import TaylorTest, taylor_test
+from ancfdae.studies.tradeoff import tradeoff
+from ancfdae.studies.tradeoff_result import Setting, TargetNotReached, Tradeoff

@@ -1,0 +1,297 @@
+"""The calls that a user needs: simulate, differentiate, gradient."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+from ancfdae.assembly import assemble
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.errors import (
+    InvalidInput,
+    StabilityWarning,
+    require_kind,
+    require_positive,
+    require_sequence,
+    uninterrupted,
+)
+from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.integrators.problem import Problem
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.adjoint import Adjoint
+from ancfdae.sensitivity.direct import Direct
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.observables import states_of
+
+
+def simulate(
+    model: Scene | MechanicalSystem,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    after: Solution | None = None,
+    progress: bool = False,
+) -> Solution:
+    """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    t_end : float
+        End time; s.
+    integrator : Integrator
+        `HHT`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
+    after : Solution, optional
+        A run of this model by the same `HHT` that ended before, at its end time, early or at
+        Ctrl-C: it goes on there, and the result is the whole run, to round-off that of one in one
+        go. If it has reached `t_end` nothing is integrated. Under error control steps also depend
+        on `t_end`: it is the same run for the same end time, else one within the tolerance.
+    progress : bool
+        Whether to show a progress bar.
+
+    Raises
+    ------
+    InvalidInput
+        If the input makes no sense; before anything is integrated.
+    Interrupted
+        At Ctrl-C; its `result` is the solution up to there.
+
+    Warns
+    -----
+    StabilityWarning
+        If the run estimates that its errors are larger than the motion (`EstimatedErrors`).
+    ManySteps
+        If `IDA`, `IDAS` or `Explicit` will take more than 100,000 steps.
+    """
+    run = Run(as_system(model), t_end, integrator, progress, after)
+    solution = uninterrupted(run.solution())
+    errors = solution.estimated_errors
+    if solution.outcome.success and errors is not None and not errors.motion <= 1:
+        warnings.warn(
+            f"the errors of this run are estimated at {errors.motion:.2g} times the size of the "
+            "coordinates: its steps are too long to follow the motion. Take shorter ones "
+            "(suggest_step tells which), or rtol.",
+            StabilityWarning,
+            stacklevel=2,
+        )
+    return solution
+
+
+def differentiate(
+    model: Scene | MechanicalSystem,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: Method | None = None,
+    after: Solution | None = None,
+    progress: bool = False,
+) -> Solution:
+    """Integrate and differentiate the whole trajectory in the design variables.
+
+    Parameters
+    ----------
+    model, t_end, integrator, after, progress
+        As in `simulate`.
+    design : sequence of str or DesignVariable
+        For a scene: targets such as ``"pendulum.youngs_modulus"``. A mechanical system brings its
+        own design variables, so leave it out there.
+    method : Method
+        `Direct` (default), `FiniteDifference` or `ComplexStep`.
+
+    Returns
+    -------
+    Solution
+        With `sensitivities`.
+
+    Raises
+    ------
+    InvalidInput, Interrupted
+        As `simulate`.
+    """
+    method = Direct() if method is None else method
+    require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
+    run = Run(differentiable(model, design), t_end, integrator, progress, after)
+    return uninterrupted(method.differentiate(run))
+
+
+def gradient(
+    model: Scene | MechanicalSystem,
+    objective: Objective,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
+    memory: str | float | None = None,
+    after: Solution | None = None,
+    progress: bool = False,
+) -> Gradient:
+    """Return value and design gradient of an objective.
+
+    Parameters
+    ----------
+    model, t_end, integrator, design, after, progress
+        As in `differentiate`; with `after` a run that is there gets further gradients.
+    objective : Objective
+        For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
+    method : GradientMethod, optional
+        `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
+        default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
+        without an adjoint (IDA, Explicit).
+    memory : str or float, optional
+        Short for ``method=Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
+
+    Raises
+    ------
+    InvalidInput, Interrupted
+        As `simulate`.
+    UnfinishedRun
+        If the run ends early; the error carries what was computed.
+    NonFiniteObjective
+        If the objective is not finite; the message names the time.
+    """
+    return gradients(
+        model,
+        [objective],
+        t_end,
+        integrator,
+        design=design,
+        method=method,
+        memory=memory,
+        after=after,
+        progress=progress,
+    )[0]
+
+
+def gradients(
+    model: Scene | MechanicalSystem,
+    objectives: Sequence[Objective],
+    t_end: float,
+    integrator: Integrator,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
+    memory: str | float | None = None,
+    after: Solution | None = None,
+    progress: bool = False,
+) -> list[Gradient]:
+    """Return value and gradient of several objectives of one run; see `gradient`."""
+    objectives = require_sequence("objectives", objectives)
+    system = differentiable(model, design)
+    require_objectives(system, objectives, t_end)
+    if memory is not None:
+        if method is not None:
+            rule, repair = "is a limit of the adjoint", "Give one of both, or Adjoint(memory=...)."
+            raise InvalidInput("memory", rule, repr(method), repair)
+        method = Adjoint(memory)
+    if method is None:
+        adjoint = isinstance(integrator, AdjointIntegrator)
+        method = cheapest(system.n_b, len(objectives)) if adjoint else Direct()
+    require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
+    return method.gradients(Run(system, t_end, integrator, progress, after), objectives)
+
+
+def evaluate(
+    objective: Objective,
+    solution: Solution,
+    model: Scene | MechanicalSystem,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+) -> float:
+    """Return the value of an objective on a run that is there; `observe` is for observables.
+
+    Integrals are those over the instants of the solution; IDA, IDAS and Explicit take them
+    beside the motion in `gradient`, which differs within their tolerance.
+
+    Parameters
+    ----------
+    objective : Objective
+    solution : Solution
+        A finished run, from a call or a file; `gradient` with ``after=solution`` differentiates.
+    model, design
+        What ran, as in `gradient`.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If the solution is of another model, or the objective of something it does not have.
+    UnfinishedRun, NonFiniteObjective
+    """
+    require_kind("solution", solution, (Solution,), "Call simulate, or Solution.load.")
+    system = as_system(model, design)
+    t_end = float(solution.t[-1])
+    require_objectives(system, [objective], t_end)
+    Problem.of(system, t_end).require_run(solution, t_end, "solution")
+    if not solution.outcome.success:
+        raise UnfinishedRun(solution)
+    return float(objective.value(system, states_of(solution)))
+
+
+def require_objectives(
+    system: MechanicalSystem, objectives: Sequence[Objective], t_end: float
+) -> None:
+    """Refuse objectives that a run of this system cannot have."""
+    require_positive("t_end", t_end)
+    repair = "Wrap an observable in Integral, Terminal, AtTimes, SmoothMaximum or UpperMaximum."
+    if not objectives:
+        raise InvalidInput("objectives", "must be one or more", "none", repair)
+    for objective in objectives:
+        require_kind("objective", objective, (Objective,), repair)
+    for objective in objectives:
+        objective.check(system, t_end)
+
+
+def cheapest(variables: int, objectives: int) -> GradientMethod:
+    """Return direct differentiation or the discrete adjoint, whichever costs less.
+
+    Both factorise once per step; direct differentiation then solves for every variable, the
+    adjoint repeats its pass for every objective. Measured on the crank-slider, up to two
+    variables cost less directly than a pass back; from there to six the two are within a few
+    per cent of the dynamics (docs/measurements.md, section 8).
+    """
+    return Direct() if variables <= 2 * objectives else Adjoint()
+
+
+def differentiable(
+    model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> MechanicalSystem:
+    """Return `as_system`; refuse a model without design variables."""
+    system = as_system(model, design)
+    if not system.n_b:
+        raise InvalidInput(
+            "design",
+            "must name one or more variables to differentiate in",
+            "none",
+            'For a scene write design=["rod.height"]; a mechanical system needs design_names.',
+        )
+    return system
+
+
+def design_bounds(
+    system: MechanicalSystem, design: Sequence[str | DesignVariable] | None
+) -> tuple[Array, Array]:
+    """Return lower and upper bounds of the design values; infinite where there are none."""
+    known = {x.name: x.bounds for x in design or () if isinstance(x, DesignVariable)}
+    pairs = [known.get(name) or (-np.inf, np.inf) for name in system.design_names]
+    lower, upper = np.array(pairs, dtype=float).T
+    return lower, upper
+
+
+def as_system(
+    model: Scene | MechanicalSystem, design: Sequence[str | DesignVariable] | None = None
+) -> MechanicalSystem:
+    """Assemble a scene; pass a mechanical system through, and refuse design variables for it."""
+    if isinstance(model, Scene):
+        return assemble(model, () if design is None else design)
+    require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
+    if design is not None and require_sequence("design", design):
+        rule, repair = "a mechanical system brings its own design variables", "Leave it out."
+        raise InvalidInput("design", rule, repr(design), repair)
+    return model

@@ -1,0 +1,66 @@
+"""A component of OpenMDAO, the only place that imports it (``pip install "ancfdae[openmdao]"``)."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+from ancfdae.errors import AncfdaeError, MissingPackage, require_kind
+from ancfdae.studies import Responses
+
+try:
+    import openmdao.api as om
+except ImportError as error:
+    raise MissingPackage(
+        "ancfdae.studies.openmdao: needs the package openmdao; got none. Install it: "
+        'python3 -m pip install "ancfdae[openmdao]".'
+    ) from error
+
+
+@final
+class ResponsesComponent(om.ExplicitComponent):  # type: ignore[misc]  # om has no types.
+    """Functions of the design of a mechanism, with their exact derivatives.
+
+    The input ``x`` has the design variables in the order of ``responses.design_names``, over the
+    scale of the responses; outputs have the names of the functions. A design without values raises
+    ``openmdao.api.AnalysisError``, after which drivers that know it step back.
+
+    Parameters
+    ----------
+    responses : Responses
+        Option of the component: ``ResponsesComponent(responses=Responses(...))``. Names of its
+        functions must be names of variables in Python.
+    """
+
+    def initialize(self) -> None:
+        """Declare the option."""
+        self.options.declare("responses", types=Responses, desc="functions of the design")
+
+    def setup(self) -> None:
+        """Add the input and the outputs."""
+        responses = self.options["responses"]
+        require_kind("responses", responses, (Responses,), "Give responses=Responses(...).")
+        self.add_input("x", responses.start)
+        for name in responses.names:
+            self.add_output(name)
+        self.declare_partials("*", "x")
+
+    def compute(self, inputs: Any, outputs: Any) -> None:
+        """Run the design."""
+        found = self._at(inputs, derivatives=False)
+        for name, value in zip(outputs, found.values, strict=True):
+            outputs[name] = value
+
+    def compute_partials(self, inputs: Any, partials: Any) -> None:
+        """Differentiate the run."""
+        found = self._at(inputs, derivatives=True)
+        for name, row in zip(self.options["responses"].names, found.jacobian, strict=True):
+            partials[name, "x"] = row
+
+    def _at(self, inputs: Any, derivatives: bool) -> Any:
+        try:
+            found = self.options["responses"].at(inputs["x"], derivatives=derivatives)
+        except AncfdaeError as error:
+            raise om.AnalysisError(str(error)) from error
+        if found.error is not None:
+            raise om.AnalysisError(str(found.error)) from found.error
+        return found

@@ -1,0 +1,318 @@
+"""Several functions of a design from one run, as optimisers ask for them: one after the other.
+
+**Designs without values.** A line search may try a design whose run ends early. Infinity would make
+it step back only in some methods (in SciPy 1.17 L-BFGS-B stops and reports success, trust-constr
+gives up). So a function goes on from the last design x_0 that has a value, with d = x - x_0, as
+
+    f = f_0 + r,   f_x = 3 r d / |d|^2,   r = |f_x0| |d|,
+
+the slope along d of the parabola through f_0 that falls by r at first: line searches that fit one,
+or a cubic, step back to about a quarter. Constraints go on towards what they forbid. Residuals of
+least squares are infinite, which SciPy's methods for them know.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+import scipy
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.errors import (
+    AncfdaeError,
+    FailedDesign,
+    InvalidInput,
+    UnknownName,
+    require_array,
+    require_finite,
+    require_flag,
+    require_kind,
+    require_text,
+)
+from ancfdae.integrators import HHT, AdjointIntegrator, ControlledSteps, Integrator
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity import Adjoint, Direct, GradientMethod
+from ancfdae.sensitivity.method import Run
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
+from ancfdae.studies.sweep_result import Sweep, SweepRow
+
+# Runs that are kept: optimisers go back to the design before the last one where a step was too
+# long. Values are all kept: COBYQA asks for those of old designs again and again.
+_KEPT = 4
+
+
+@final
+class Responses:
+    """Objective and constraints as functions of the design, with one run for each design.
+
+    ``r["mass"]`` is a function for SciPy's optimisers, ``r["mass"].gradient`` its gradient,
+    ``r.constraint("miss", upper=1.0)`` a `NonlinearConstraint`, and `values` and `jacobian` are
+    those of all functions, for `least_squares`. Whatever is asked for first runs the design; the
+    rest is remembered. Values alone cost the run alone, so that searches without derivatives pay
+    for none: `HHT` differentiates the run when a gradient is asked for; other integrators, and
+    `Adjoint(memory)`, which take both at once, do so in every run after the first such question.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    functions : mapping of str to Objective
+        By names of your own.
+    t_end : float
+        End time; s.
+    integrator : Integrator
+    design : sequence of str or DesignVariable, optional
+        As in `gradient`.
+    method : GradientMethod, optional
+        As in `gradients`.
+    scale : float or array, shape (n_b,)
+        Functions take x = b / scale, the design values over it. Optimisers want variables of one
+        size: the values at the start are a good scale.
+    strict : bool
+        Whether a design without values, whose run ends early or which cannot be put together,
+        raises its error. By default a later one than the first is warned about (`FailedDesign`)
+        and made unattractive, so that the optimiser steps back: functions rise towards it,
+        constraints turn to what they forbid, `values` are infinite. Ask for `solution` at the
+        optimum, which raises the error if there is none.
+
+    Raises
+    ------
+    InvalidInput, UnknownName
+        If the input makes no sense.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the functions.
+    design_names : tuple of str
+    """
+
+    def __init__(
+        self,
+        model: Scene | MechanicalSystem,
+        functions: Mapping[str, Objective],
+        t_end: float,
+        integrator: Integrator,
+        *,
+        design: Sequence[str | DesignVariable] | None = None,
+        method: GradientMethod | None = None,
+        scale: float | Sequence[float] | Array = 1.0,
+        strict: bool = False,
+    ) -> None:
+        repair = 'For example {"mass": Terminal(mass("rod"))}.'
+        require_kind("functions", functions, (Mapping,), repair)
+        if not functions:
+            raise InvalidInput("functions", "must not be empty", "none", repair)
+        for name in functions:
+            require_text("functions", name)
+        require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
+        require_flag("strict", strict)
+        system = differentiable(model, design)
+        require_objectives(system, list(functions.values()), t_end)
+        if method is None:
+            adjoint = isinstance(integrator, AdjointIntegrator)
+            method = cheapest(system.n_b, len(functions)) if adjoint else Direct()
+        require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
+        self._run, self._method, self._strict = Run(system, t_end, integrator), method, strict
+        self._functions, self._scale = dict(functions), _scale(scale, system.n_b)
+        self._limits = design_bounds(system, design)
+        self._known: dict[bytes, Evaluation] = {}
+        self._runs: dict[bytes, tuple[Run, Solution]] = {}
+        self._good: list[Array] = []
+        self._asked, self._resumes = False, _resumes(integrator, method)
+        self._rows: list[SweepRow] = []
+        self.names, self.design_names = tuple(functions), tuple(system.design_names)
+
+    @property
+    def start(self) -> Array:
+        """The model as it stands, in x, shape (n_b,)."""
+        return np.asarray(self._run.system.b / self._scale, dtype=float)
+
+    @property
+    def bounds(self) -> scipy.optimize.Bounds:
+        """Bounds of the design variables, in x; infinite where there are none."""
+        return scipy.optimize.Bounds(*(limit / self._scale for limit in self._limits))
+
+    @property
+    def history(self) -> Sweep:
+        """Every design that was run, in that order, with its values by name or its error."""
+        return Sweep(tuple(self._rows))
+
+    def __getitem__(self, name: str) -> Response:
+        """Return one of the functions."""
+        require_text("function of the design", name)
+        if name not in self.names:
+            raise UnknownName("function of the design", name, self.names)
+        return Response(self, self.names.index(name))
+
+    def constraint(
+        self, name: str, lower: float = -np.inf, upper: float = np.inf
+    ) -> scipy.optimize.NonlinearConstraint:
+        """Return lower <= function <= upper for ``minimize(constraints=...)``."""
+        response = self[name]
+        for bound, free in ((lower, -np.inf), (upper, np.inf)):
+            if str(bound) != str(free):
+                require_finite(f"constraint {name!r}", bound)
+        if not lower <= upper or (lower, upper) == (-np.inf, np.inf):
+            rule, repair = "lower and upper must bound it", 'For example upper=1.0 for "at most 1".'
+            raise InvalidInput(f"constraint {name!r}", rule, f"{lower} and {upper}", repair)
+        fun = Response(self, response.index, 1.0 if upper < np.inf else -1.0)
+        return scipy.optimize.NonlinearConstraint(fun, lower, upper, jac=fun.gradient)
+
+    def values(self, x: Array) -> Array:
+        """Return the values of all functions, shape (m,); infinite where the design has none."""
+        return self.at(x, derivatives=False).values.copy()
+
+    def jacobian(self, x: Array) -> Array:
+        """Return their derivatives in x, shape (m, n_b); NaN where the design has no values."""
+        found = self.at(x).jacobian
+        assert found is not None  # asked for
+        return found.copy()
+
+    def solution(self, x: Array) -> Solution:
+        """Return the run at x; raises the error of a design that has none."""
+        found = self.at(x, derivatives=False)
+        if found.error is not None:
+            raise found.error
+        if found.x.tobytes() not in self._runs:
+            self._evaluated(found.x, derivatives=False)
+        return self._runs[found.x.tobytes()][1]
+
+    def __repr__(self) -> str:
+        """Return the functions and what was run."""
+        lines = f"Responses: {', '.join(self.names)}; {len(self._rows)} designs run"
+        return f"{lines}\n{self.history}" if self._rows else lines
+
+    def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
+        """Return what the design x gave; without `derivatives` perhaps its values only."""
+        x = require_array("x", x, (self._run.system.n_b,))
+        found = self._known.get(x.tobytes())
+        if found is None or (derivatives and found.jacobian is None):
+            found = self._evaluated(x, derivatives)
+        return found
+
+    def _evaluated(self, x: Array, derivatives: bool) -> Evaluation:
+        """Run a design, or differentiate the run that is there; take note of what it gave."""
+        key, b = x.tobytes(), x * self._scale
+        at = dict(zip(self.design_names, b.tolist(), strict=True))
+        self._asked = self._asked or derivatives
+        try:
+            found = self._computed(x, key, b, derivatives or (self._asked and not self._resumes))
+        except AncfdaeError as error:
+            self._rows.append(SweepRow(at, None, f"{type(error).__name__}: {error}"))
+            found = self._failed(x, at, error)
+        else:
+            if key not in self._known:
+                values = dict(zip(self.names, found.values.tolist(), strict=True))
+                self._rows.append(SweepRow(at, values))
+            self._good = [*self._others(x), x][-2:]
+        self._known[key] = found
+        return found
+
+    def _computed(self, x: Array, key: bytes, b: Array, derivatives: bool) -> Evaluation:
+        """Return values, and derivatives if wanted; keep the run as one of the last."""
+        run, solution = self._runs.pop(key, (None, None))
+        run, functions = run or self._run.at(b), list(self._functions.values())
+        jacobian = None
+        if derivatives:
+            after = solution if self._resumes else None
+            found = self._method.gradients(replace(run, after=after), functions)
+            values, solution = np.array([each.value for each in found]), found[0].solution
+            jacobian = np.array([each.gradient for each in found]) * self._scale
+        else:
+            solution, values = run.values(functions)
+        if len(self._runs) == _KEPT:
+            del self._runs[next(iter(self._runs))]
+        self._runs[key] = run, solution
+        return Evaluation(x, values, jacobian)
+
+    def _failed(self, x: Array, at: Mapping[str, float], error: AncfdaeError) -> Evaluation:
+        """Warn of a design that has no values."""
+        others = self._others(x)
+        if self._strict or not others:
+            raise error
+        warnings.warn(f"the design {at} has no values: {error}", FailedDesign, stacklevel=5)
+        shape = len(self.names), len(x)
+        none = np.full(shape[0], np.inf), np.full(shape, np.nan)
+        return Evaluation(x, *none, error, others[-1])
+
+    def _others(self, x: Array) -> list[Array]:
+        """Return the last designs that had values, without that at x."""
+        return [other for other in self._good if not np.array_equal(other, x)]
+
+
+@final
+@dataclass(frozen=True)
+class Response:
+    """One function of the design: a call returns its value, `gradient` its gradient.
+
+    The sign is that of its change towards a design that has no value.
+    """
+
+    responses: Responses
+    index: int
+    sign: float = 1.0
+
+    def __call__(self, x: Array) -> float:
+        """Return the value at x; of derivatives nothing is computed."""
+        found = self.responses.at(x, derivatives=False)
+        if found.error is not None:
+            return self._beyond(found)[0]
+        return float(found.values[self.index])
+
+    def gradient(self, x: Array) -> Array:
+        """Return the gradient in x, shape (n_b,)."""
+        found = self.responses.at(x)
+        if found.error is not None:
+            return self._beyond(found)[1]
+        assert found.jacobian is not None  # asked for
+        return np.array(found.jacobian[self.index])
+
+    def _beyond(self, found: Evaluation) -> tuple[float, Array]:
+        """Value and gradient of a design that has none."""
+        assert found.near is not None  # of every design with an error
+        near, k = self.responses.at(found.near), self.index
+        if near.error is not None:
+            raise near.error
+        assert near.jacobian is not None  # asked for
+        d = found.x - near.x
+        r = self.sign * np.linalg.norm(near.jacobian[k]) * np.linalg.norm(d)
+        return float(near.values[k] + r), 3 * r * d / (d @ d)
+
+
+@final
+@dataclass(frozen=True)
+class Evaluation:
+    """What one design gave: values and, if they were asked for, derivatives in x.
+
+    A design that has none has the error, and the last x before that had values.
+    """
+
+    x: Array
+    values: Array
+    jacobian: Array | None
+    error: AncfdaeError | None = None
+    near: Array | None = None
+
+
+def _resumes(integrator: Integrator, method: GradientMethod) -> bool:
+    """Whether a run that is there can be differentiated: then values go without derivatives."""
+    if not isinstance(integrator, HHT) or (isinstance(method, Adjoint) and method.memory):
+        return False
+    return not (isinstance(integrator.steps, ControlledSteps) and integrator.steps.sensitivities)
+
+
+def _scale(scale: object, n_b: int) -> Array:
+    """Return the scales of all design variables, shape (n_b,)."""
+    given = require_array("scale", scale)
+    if given.shape not in ((), (n_b,)) or not np.all(given > 0):
+        rule = f"must be positive, one number or one for each of {n_b} design variables"
+        raise InvalidInput("scale", rule, repr(scale), "For example system.b.")
+    return np.broadcast_to(given, n_b)

@@ -1,0 +1,116 @@
+"""Calls at rest: an equilibrium, and the gradient of what is observed there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import InvalidInput, require_count, require_kind, uninterrupted
+from ancfdae.integrators import Static
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.scene import Scene
+from ancfdae.sensitivity.continuous_adjoint import ContinuousAdjoint
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Run
+from ancfdae.sensitivity.objectives import Terminal
+from ancfdae.sensitivity.observables import Observable
+from ancfdae.statics import MAX_STEPS, Equilibrium, find_equilibrium
+from ancfdae.studies.calls import as_system, cheapest, differentiable
+
+_STEPS = "For example 100."
+
+
+def equilibrium(
+    model: Scene | MechanicalSystem,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    start: Equilibrium | None = None,
+    max_steps: int = MAX_STEPS,
+) -> Equilibrium:
+    """Find the state of rest under all loads at t = 0, and its design derivatives.
+
+    The search follows the path of equilibria from the start of the model while the load grows; a
+    mechanism that only its weight holds settles under the full load (docs/theory.md, section 11).
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    design : sequence of str or DesignVariable, optional
+        For a scene: what to differentiate in; `q_b` and `lam_b` of the result. A mechanical
+        system brings its own design variables.
+    start : Equilibrium, optional
+        Of the same model under other loads or at another design: the search goes on from there.
+    max_steps : int
+        Attempted steps of the load.
+
+    Returns
+    -------
+    Equilibrium
+        A load that cannot be carried is told by `outcome`, and what was carried is kept.
+
+    Raises
+    ------
+    FreeMechanism
+        If nothing holds a motion; the message names it.
+    InvalidInput
+        If the input makes no sense, or a joint drives a motion at t = 0 (a law with a rate there).
+    Interrupted
+        At Ctrl-C; its `result` is what was found up to there.
+    """
+    require_count("max_steps", max_steps, _STEPS)
+    system = as_system(model, design)
+    if start is not None:
+        require_kind("start", start, (Equilibrium,), "Pass what `equilibrium` returned.")
+        if (len(start.q), len(start.lam)) != (system.n_q, system.n_lam):
+            raise InvalidInput(
+                "start",
+                f"must have {system.n_q} coordinates and {system.n_lam} multipliers",
+                f"{len(start.q)} and {len(start.lam)}",
+                "Start from an equilibrium of the same beams and joints; where other loads act "
+                "within a beam, declare Beam(kinks=...).",
+            )
+    return uninterrupted(
+        find_equilibrium(system, start=start, max_steps=max_steps, sensitivities=bool(system.n_b))
+    )
+
+
+def static_gradient(
+    model: Scene | MechanicalSystem,
+    observable: Observable,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
+    max_steps: int = MAX_STEPS,
+) -> Gradient:
+    """Return an observable at the equilibrium, and its design gradient.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    observable : Observable
+        For example ``position(rod.at_end, 1)`` or ``reaction("pin", 0)``.
+    design : sequence of str or DesignVariable
+        As in `equilibrium`.
+    method : GradientMethod, optional
+        `Direct`, `Adjoint`, `FiniteDifference` or `ComplexStep`; by default whichever of the
+        first two costs less, see `cheapest`.
+    max_steps : int
+        Attempted steps of the load.
+
+    Raises
+    ------
+    FreeMechanism
+        If nothing holds a motion.
+    UnfinishedRun
+        If there is no equilibrium under the full load; the error tells why and keeps the rest.
+    InvalidInput
+        If the input makes no sense.
+    """
+    require_count("max_steps", max_steps, _STEPS)
+    system = differentiable(model, design)
+    objective = Terminal(observable)
+    objective.check(system, 0.0)
+    chosen = cheapest(system.n_b, 1) if method is None else method
+    require_kind("method", chosen, (GradientMethod,), "For example Adjoint() or Direct().")
+    if isinstance(chosen, ContinuousAdjoint):
+        raise InvalidInput("method", "must be one for an equilibrium", repr(chosen), "Use Adjoint.")
+    return chosen.gradients(Run(system, 0.0, Static(max_steps)), [objective])[0]

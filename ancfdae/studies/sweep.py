@@ -1,0 +1,232 @@
+"""The call: one function at many designs, here or in the workers of an executor."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.complex_steps import at_values
+from ancfdae.errors import (
+    Interrupted,
+    InvalidInput,
+    UnknownName,
+    require_flag,
+    require_folder,
+    require_kind,
+    require_path,
+    require_sequence,
+)
+from ancfdae.integrators import Integrator
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.method import Run, finished
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.observables import Observable, observe, states_of
+from ancfdae.studies.calls import as_system, gradient
+from ancfdae.studies.jobs import answers
+from ancfdae.studies.sweep_file import SweepFile
+from ancfdae.studies.sweep_result import Sweep, SweepRow
+
+Design = Mapping[str | DesignVariable, float]
+
+
+@final
+@dataclass(frozen=True)
+class Evaluate:
+    """What `sweep` computes at a design: an objective, its gradient, or an observable.
+
+    Parameters
+    ----------
+    of : Objective or Observable
+    t_end : float
+        End time; s.
+    integrator : Integrator
+    gradient : bool
+        Whether the gradient of an objective is wanted too.
+    design : sequence of str or DesignVariable, optional
+        What the gradient is taken in, as in `gradient`.
+    method : GradientMethod, optional
+        As in `gradient`.
+    """
+
+    of: Objective | Observable
+    t_end: float
+    integrator: Integrator
+    gradient: bool = False
+    design: Sequence[str | DesignVariable] | None = None
+    method: GradientMethod | None = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        kinds = (Objective,) if self.gradient else (Objective, Observable)
+        require_kind("Evaluate.of", self.of, kinds, "For example Terminal(position(...)).")
+        require_kind("Evaluate.integrator", self.integrator, (Integrator,), "Give HHT(step=0.01).")
+
+    def __call__(self, model: Scene | MechanicalSystem) -> dict[str, Any]:
+        """Run the model; return ``value``, and ``gradient`` or the instants ``t`` of an observable.
+
+        Raises
+        ------
+        InvalidInput, UnfinishedRun, NonFiniteObjective
+        """
+        if self.gradient:
+            assert isinstance(self.of, Objective)
+            own = {"design": self.design, "method": self.method}
+            answer = gradient(model, self.of, self.t_end, self.integrator, **own)  # type: ignore[arg-type]
+            return {"value": answer.value, "gradient": answer.gradient}
+        system = as_system(model)
+        run = Run(system, self.t_end, self.integrator)
+        if isinstance(self.of, Observable):
+            solution = finished(run.solution())
+            return {"value": observe(self.of, solution, system), "t": solution.t}
+        self.of.check(system, self.t_end)
+        solution, totals = run.integrals([self.of], differentiated=False)
+        return {"value": self.of.value(system, states_of(solution), totals)}
+
+
+def sweep(
+    model: Scene | MechanicalSystem,
+    designs: Sequence[Design] | Array,
+    what: Callable[[Any], Any],
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    executor: Executor | None = None,
+    file: str | os.PathLike[str] | None = None,
+    progress: bool = False,
+) -> Sweep:
+    """Compute something at many designs.
+
+    Parameters
+    ----------
+    model : Scene or MechanicalSystem
+    designs : sequence of mappings, or array, shape (n, n_b)
+        Values by target or `DesignVariable`, as `Scene.with_values` takes them, of a system by the
+        names of its design variables; or a row of values per design, of the variables `design`.
+    what : callable
+        Called with the model at the values; `Evaluate` or a function of your own.
+    design : sequence of str or DesignVariable, optional
+        What the columns of rows of values are; of a system all its design variables by default.
+    executor : concurrent.futures.Executor, optional
+        Where the calls take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask client,
+        ``client.get_executor()``; by default in this process, one after the other. Model and
+        `what` must pickle.
+    file : path, optional
+        Rows are appended to it as they arrive, one JSON object a line, and those that are already
+        there are not computed again. Results are then numbers, texts, arrays, lists and mappings.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    Sweep
+        Rows in the order of the designs. One that fails is a row with its error.
+
+    Raises
+    ------
+    InvalidInput
+        If the input makes no sense, cannot be sent to a worker, or the file is of another sweep.
+    Interrupted
+        At Ctrl-C; its `result` is the sweep with the rows that are done.
+    """
+    require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
+    require_flag("progress", progress)
+    if not callable(what):
+        raise InvalidInput("what", "must be callable", repr(what), "Pass Evaluate(...).")
+    if executor is not None:
+        require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
+    given = _mappings(model, designs, design)
+    values = [{_name(key): value for key, value in each.items()} for each in given]
+    path = None if file is None else require_folder("file", require_path("file", file))
+    kept = None if path is None else SweepFile(path, model, what, values)
+    rows = {} if kept is None else kept.rows()
+    tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
+    interrupted, parts = False, {"model": model, "what": what}
+    arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows))
+    with closing(arriving):
+        try:
+            for k, answer in arriving:
+                if isinstance(answer, str):
+                    rows[k] = SweepRow(values[k], None, answer)
+                else:
+                    rows[k] = answer if kept is None else kept.append(k, answer)
+        except KeyboardInterrupt:
+            interrupted = True
+    left = "not computed: the sweep was interrupted"
+    found = (rows.get(k) or SweepRow(x, None, left) for k, x in enumerate(values))
+    done = Sweep(tuple(found))
+    if interrupted:
+        raise Interrupted(done, f"{len(rows)} of {len(values)} designs were done")
+    return done
+
+
+@final
+@dataclass(frozen=True)
+class _Task:
+    """One design, its values by name, and what is computed there."""
+
+    model: Scene | MechanicalSystem
+    design: Design
+    values: Mapping[str, float]
+    what: Callable[[Any], Any]
+
+
+def _row(task: _Task) -> SweepRow:
+    """Compute a row; whatever goes wrong is its error."""
+    try:
+        return SweepRow(task.values, task.what(_at(task.model, task.design)))
+    except Exception as error:  # noqa: BLE001  # `what` is the user's and may raise anything.
+        return SweepRow(task.values, None, f"{type(error).__name__}: {error}")
+
+
+def _at(model: Scene | MechanicalSystem, design: Design) -> Scene | MechanicalSystem:
+    """Return the model at the values of a design."""
+    if isinstance(model, Scene):
+        return model.with_values(design)
+    b = dict(zip(model.design_names, model.b.tolist(), strict=True))
+    named = {_name(key): value for key, value in design.items()}
+    for name in named:
+        if name not in b:
+            raise UnknownName("design variable", name, b)
+    return at_values(model, np.array(list((b | named).values())))
+
+
+def _name(key: object) -> str:
+    return key.name if isinstance(key, DesignVariable) else str(key)
+
+
+def _mappings(
+    model: Scene | MechanicalSystem,
+    designs: Sequence[Design] | Array,
+    variables: Sequence[str | DesignVariable] | None,
+) -> list[Design]:
+    """Return every design as a mapping."""
+    rows = require_sequence("designs", designs)
+    if all(isinstance(row, Mapping) for row in rows):
+        if variables is not None:
+            rule, repair = "is for rows of values", "Leave it out: mappings name their variables."
+            raise InvalidInput("design", rule, repr(variables), repair)
+        return list(rows)
+    if variables is None and isinstance(model, MechanicalSystem):
+        variables = model.design_names
+    keys = require_sequence("design", variables, "must name the columns of rows of values")
+    for key in keys:
+        require_kind("design", key, (str, DesignVariable), 'For example ["rod.height"].')
+    return [dict(zip(keys, _values(k, row, len(keys)), strict=True)) for k, row in enumerate(rows)]
+
+
+def _values(k: int, row: object, count: int) -> tuple[float, ...]:
+    """Return one row of values; whether the model can take them shows in the row."""
+    rule, repair = f"must have {count} values", "Give rows throughout, or mappings throughout."
+    values = require_sequence(f"designs[{k}]", row, rule, repair)
+    if isinstance(row, Mapping) or len(values) != count:
+        raise InvalidInput(f"designs[{k}]", rule, repr(row), repair)
+    return values

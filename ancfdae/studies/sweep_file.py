@@ -1,0 +1,121 @@
+"""The file of a sweep: one JSON object a line, appended as rows arrive, read to resume.
+
+The first line tells of which model and function the rows are, every other line is a row. A line
+that was cut off by a crash is dropped.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.equations.files import saving
+from ancfdae.errors import InvalidInput
+from ancfdae.studies.identity import digest
+from ancfdae.studies.sweep_result import SweepRow
+
+_ARRAY = "array"
+_OTHER = "Give another file, or remove this one to compute all rows anew."
+
+
+@final
+class SweepFile:
+    """Rows of one sweep on disk; InvalidInput if the file holds something else.
+
+    They belong to `model` and `what`, at designs with these values by name.
+    """
+
+    def __init__(
+        self, path: Path, model: object, what: object, values: Sequence[Mapping[str, float]]
+    ) -> None:
+        self._path, self._values = path, values
+        self._head = {"sweep of": {"model": digest("model", model), "what": digest("what", what)}}
+        try:
+            text = path.read_text(encoding="utf-8") if path.exists() else ""
+        except UnicodeDecodeError:
+            raise self._refused("must be the file of a sweep", "something else") from None
+        whole = text[: text.rfind("\n") + 1]
+        self._lines = whole.splitlines()
+        if self._lines:
+            self._require_same(self._lines[0])
+        elif text:
+            raise self._refused("must be the file of a sweep", "something else")
+        if whole != text:
+            os.truncate(path, len(whole.encode()))
+        if not whole:
+            self._write(self._head)
+
+    def rows(self) -> dict[int, SweepRow]:
+        """Return the rows that are there, by number."""
+        found = {}
+        for line in self._lines[1:]:
+            record = json.loads(line, object_hook=_decoded)
+            k, values = record["row"], record["values"]
+            if k >= len(self._values) or json.dumps(values) != _text(self._values[k]):
+                raise self._refused("must hold rows of these designs", f"row {k} at {values}")
+            found[k] = SweepRow(self._values[k], record.get("result"), record.get("error", ""))
+        return found
+
+    def append(self, k: int, row: SweepRow) -> SweepRow:
+        """Write a row; return it with its result as it will be read."""
+        part = {"result": row.result} if row.finished else {"error": row.error}
+        line = self._write({"row": k, "values": row.values, **part})
+        result = json.loads(line, object_hook=_decoded).get("result")
+        return dataclasses.replace(row, result=result)
+
+    def _write(self, record: object) -> str:
+        try:
+            line = _text(record)
+        except (TypeError, ValueError) as error:
+            raise InvalidInput(
+                "what, file",
+                "must return numbers, texts, arrays, and lists or mappings of these",
+                str(error),
+                "Return such, or leave the file out.",
+            ) from error
+        with saving("file", self._path):
+            size = self._path.stat().st_size if self._path.exists() else 0
+            try:
+                with self._path.open("a", encoding="utf-8") as file:
+                    file.write(line + "\n")
+            except OSError:
+                with suppress(OSError):
+                    os.truncate(self._path, size)  # no part of a line stays
+                raise
+        return line
+
+    def _require_same(self, line: str) -> None:
+        try:
+            known = json.loads(line)["sweep of"]
+        except (json.JSONDecodeError, TypeError, KeyError):
+            raise self._refused("must be the file of a sweep", "something else") from None
+        for part, mark in self._head["sweep of"].items():
+            if known.get(part) != mark:
+                raise self._refused(f"must be of the same {part}", f"rows of another {part}")
+
+    def _refused(self, rule: str, got: str) -> InvalidInput:
+        return InvalidInput(f"file {self._path}", rule, got, _OTHER)
+
+
+def _text(record: object) -> str:
+    return json.dumps(record, default=_encoded)
+
+
+def _encoded(value: object) -> object:
+    """Return arrays and NumPy's numbers as JSON has them."""
+    if isinstance(value, np.ndarray):
+        return {_ARRAY: value.tolist()}
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} is none of them")
+
+
+def _decoded(record: dict[str, Any]) -> object:
+    return np.array(record[_ARRAY]) if record.keys() == {_ARRAY} else record

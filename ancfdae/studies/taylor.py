@@ -1,0 +1,115 @@
+"""Taylor test: the remainder of a first-order expansion must shrink with the square."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import InvalidInput, require_array
+from ancfdae.errors.text import columns
+from ancfdae.integrators import Integrator
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array, Numbers
+from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.observables import states_of
+from ancfdae.studies.calls import differentiable, gradient
+
+
+@final
+@dataclass(frozen=True)
+class TaylorTest:
+    """Remainders of zeroth and first order along one direction db of the design space.
+
+    Attributes
+    ----------
+    gradient : Gradient
+        Value Psi(b) and gradient Psi_b under test.
+    sizes : array, shape (n,)
+        Relative perturbations s.
+    zeroth : array, shape (n,)
+        abs(Psi(b + s db) - Psi(b)).
+    first : array, shape (n,)
+        abs(Psi(b + s db) - Psi(b) - s Psi_b db).
+    """
+
+    gradient: Gradient
+    sizes: Array
+    zeroth: Array
+    first: Array
+
+    @property
+    def order(self) -> float:
+        """Smallest observed order of `first` between neighbouring sizes; 2 if Psi_b is right.
+
+        Infinite where a remainder vanishes, as that of a linear objective does but for round-off.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            orders = np.diff(np.log(self.first)) / np.diff(np.log(self.sizes))
+        return float(np.min(np.where(np.isnan(orders), np.inf, orders)))
+
+    def __repr__(self) -> str:
+        """Return value, method, order and the remainders."""
+        numbers = zip(self.sizes, self.zeroth, self.first, strict=True)
+        rows = [("size", "change", "remainder")]
+        rows += [(f"{s:.3g}", f"{change:.3g}", f"{rest:.3g}") for s, change, rest in numbers]
+        return (
+            f"Taylor test of {self.gradient.value:.9g} by {self.gradient.method}: order "
+            f"{self.order:.3g}, a right gradient has 2\n{columns(rows)}"
+        )
+
+
+def taylor_test(
+    model: Scene | MechanicalSystem,
+    objective: Objective,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    method: GradientMethod | None = None,
+    direction: Numbers | None = None,
+    sizes: Numbers = (1e-3, 5e-4, 2.5e-4),
+) -> TaylorTest:
+    """Check the gradient of an objective by runs at perturbed designs.
+
+    The perturbed runs keep the steps of the first one.
+
+    Parameters
+    ----------
+    model, objective, t_end, integrator, design, method
+        As in `gradient`; the method is the one under test.
+    direction : sequence of float, optional
+        Relative change of each design variable (absolute where it is zero); ones by default.
+    sizes : sequence of float
+        Perturbation sizes, falling. Too large ones meet terms of third order, too small ones
+        round-off; both change the observed order.
+
+    Raises
+    ------
+    InvalidInput, UnfinishedRun, NonFiniteObjective
+        As `gradient`.
+    """
+    system, s = differentiable(model, design), require_array("sizes", sizes)
+    if s.ndim != 1 or len(s) < 2 or np.any(np.diff(s) >= 0) or s[-1] <= 0:
+        raise InvalidInput(
+            "sizes", "must be two or more, positive and falling", sizes, "Use 1e-3, 5e-4."
+        )
+    given = np.ones(system.n_b) if direction is None else direction
+    relative = require_array("direction", given, (system.n_b,))
+    if not relative.any():
+        raise InvalidInput("direction", "must not be zero", given, "Change a variable.")
+    db = relative * np.where(system.b == 0, 1.0, np.abs(system.b))
+    base = gradient(system, objective, t_end, integrator, method=method)
+    frozen = integrator.frozen(base.solution)
+    changes = []
+    for size in s:
+        moved = system.with_values(system.b + size * db)
+        run = finished(frozen.integrate(moved, t_end))
+        changes.append(objective.value(moved, states_of(run)) - base.value)
+    change = np.array(changes)
+    return TaylorTest(base, s, np.abs(change), np.abs(change - s * (base.gradient @ db)))

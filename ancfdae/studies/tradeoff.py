@@ -1,0 +1,173 @@
+"""The call: measure settings here or in the workers of an executor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import closing
+from dataclasses import replace
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import (
+    Interrupted,
+    InvalidInput,
+    Verdict,
+    require_count,
+    require_each,
+    require_flag,
+    require_kind,
+    require_positive,
+    uninterrupted,
+)
+from ancfdae.integrators import IDA, Explicit, Integrator
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.scene import Scene
+from ancfdae.sensitivity import GradientMethod
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.studies.calls import differentiable, require_objectives
+from ancfdae.studies.jobs import answers
+from ancfdae.studies.tradeoff_result import Tradeoff, compared
+from ancfdae.studies.tradeoff_run import Measurement, Results, Task, measure
+
+# Most steps of the reference by default: the crank-slider of the paper takes 29,410 by `Explicit`.
+_STEPS = 50_000
+# What `Explicit` takes for the first of so many parts of the motion tells whether it suits; fewer
+# steps than so many say nothing.
+_PARTS, _FEW = 64, 20
+_LEFT = Measurement(0.0, "not measured: the tradeoff was interrupted")
+
+
+def tradeoff(
+    model: Scene | MechanicalSystem,
+    objective: Objective,
+    t_end: float,
+    settings: Sequence[Integrator],
+    *,
+    design: Sequence[str | DesignVariable] | None = None,
+    reference: Integrator | None = None,
+    method: GradientMethod | None = None,
+    repeats: int = 1,
+    time_limit: float | None = None,
+    executor: Executor | None = None,
+    progress: bool = False,
+) -> Tradeoff:
+    """Measure what accuracy costs: every setting's processor time and errors on one scene.
+
+    Parameters
+    ----------
+    model, objective, t_end, design, method, progress
+        As in `gradient`.
+    settings : sequence of Integrator
+        For example ``[HHT(step=h) for h in (0.01, 0.005)] + [HHT(rtol=1e-3), IDA(1e-6)]``.
+    reference : Integrator, optional
+        What errors are measured against. By default ``Explicit(1e-10)``, or ``IDA(1e-9)`` where
+        the first 64th of the motion shows that the former would take more than 50,000 steps, or
+        short ones only to be stable; the outcome of the reference then says so.
+    repeats : int
+        Runs of each setting, of which the least processor time counts; runs of more than a
+        second are not repeated.
+    time_limit : float, optional
+        Longest time for the runs of one setting, by the clock; s. What takes longer is a row that
+        says so. The reference is limited by its `max_steps` only.
+    executor : concurrent.futures.Executor, optional
+        Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
+        client; by default in this process, one after the other. Model and objective must
+        pickle (no lambda in `custom` or `apply`). Threads would count each other's processor time.
+
+    Returns
+    -------
+    Tradeoff
+        A setting that fails is a row with its message.
+
+    Raises
+    ------
+    InvalidInput
+        If the input makes no sense, or the reference does not finish.
+    Interrupted
+        At Ctrl-C; its `result` is the table, with rows that say that they were not measured.
+    KeyboardInterrupt
+        If Ctrl-C comes before the reference is there.
+    """
+    repair = "For example [HHT(step=0.01)]."
+    settings = require_each("settings", settings, (Integrator,), repair)
+    if not settings:
+        raise InvalidInput("settings", "must not be empty", "none", repair)
+    if reference is not None:
+        require_kind("reference", reference, (Integrator,), "For example Explicit(1e-10).")
+    if method is not None:
+        require_kind("method", method, (GradientMethod,), "For example Direct().")
+    if executor is not None:
+        require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
+    require_flag("progress", progress)
+    require_count("repeats", repeats, "1 is enough for ratios of long runs.")
+    if time_limit is not None:
+        require_positive("time_limit", time_limit)
+    system = differentiable(model, design)
+    require_objectives(system, [objective], t_end)
+    reference, why = (reference, "") if reference is not None else _suitable(system, t_end)
+    # The reference runs once, because its time is not compared.
+    tasks = [Task(system, objective, t_end, reference, method, 1, None)]
+    tasks += [
+        Task(system, objective, t_end, each, method, repeats, time_limit) for each in settings
+    ]
+    measured = _measured(tasks, executor, progress)
+    exact = _required(measured[0])
+    rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, measured, strict=True)]
+    done = Tradeoff(tuple(rows[1:]), replace(rows[0], outcome=rows[0].outcome + why))
+    left = sum(each is _LEFT for each in measured)
+    if left:
+        raise Interrupted(done, f"{len(settings) - left} of {len(settings)} settings were measured")
+    return done
+
+
+def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:
+    """Return a reference that can finish, and why it is not `Explicit`.
+
+    Where stability limits the steps of `Explicit`, a loose tolerance needs about as many as a tight
+    one; where accuracy does, it needs 10^(-5/8) = 0.24 times as many.
+    """
+    tight, loose = (
+        uninterrupted(
+            Explicit(rtol, max_steps=2 * _STEPS // _PARTS).integrate(system, t_end / _PARTS)
+        )
+        for rtol in (1e-10, 1e-5)
+    )
+    steps = tight.statistics.steps
+    if tight.outcome.success and (steps < _FEW or loose.statistics.steps < steps / 2):
+        return Explicit(1e-10, max_steps=_STEPS), ""
+    why = " Chosen because Explicit(1e-10) would need short steps only to be stable."
+    if not tight.outcome.success:
+        why = f" Chosen because Explicit(1e-10) would take more than {_STEPS} steps."
+    return IDA(1e-9, max_steps=_STEPS), why
+
+
+def _measured(
+    tasks: Sequence[Task], executor: Executor | None, progress: bool
+) -> list[Measurement]:
+    """Measure all tasks, the reference first; after an interrupt with rows that say so."""
+    found: dict[int, Measurement] = {}
+    parts = {"model": tasks[0].system, "objective": tasks[0].objective}
+    arriving = answers(measure, dict(enumerate(tasks)), executor, parts, progress=progress)
+    with closing(arriving):
+        try:
+            for k, answer in arriving:
+                found[k] = Measurement(0.0, answer) if isinstance(answer, str) else answer
+                if k == 0:
+                    _required(found[0])
+        except KeyboardInterrupt:
+            # Without the reference nothing could be said of the others.
+            if 0 not in found:
+                raise
+    return [found.get(k, _LEFT) for k in range(len(tasks))]
+
+
+def _required(reference: Measurement) -> Results:
+    if reference.results is None:
+        limited = reference.verdict is Verdict.STEP_LIMIT
+        repair = "Raise its max_steps, loosen" if limited else "Loosen"
+        rule, repair = (
+            "must finish and give a gradient",
+            f"{repair} it, or take another integrator.",
+        )
+        raise InvalidInput("reference", rule, reference.outcome, repair)
+    return reference.results

@@ -1,0 +1,324 @@
+"""Measured settings side by side: errors, Pareto front, recommendation, table and plot.
+
+Every error is the largest over the common times relative to the largest of the reference, in norms
+without units: coordinates in the weighted form sqrt(w_i) q_i, multipliers by the forces
+Phi_q^T lam that they stand for, gradients times the values of the design variables.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, final
+
+import numpy as np
+import scipy
+
+from ancfdae.equations import MechanicalSystem, reaction, tables
+from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
+from ancfdae.errors.text import columns
+from ancfdae.integrators import HHT, ControlledSteps, Integrator, StepControl
+from ancfdae.numerics.arrays import Array
+from ancfdae.studies.tradeoff_run import Measurement, Results, common_times
+
+if TYPE_CHECKING:
+    from ancfdae.plotting import Panel, Series
+
+ErrorKind = Literal["states", "multipliers", "objective", "gradient"]
+_KINDS: Final[tuple[ErrorKind, ...]] = ("states", "multipliers", "objective", "gradient")
+# Settings that vary along one line of a plot.
+_ACCURACY: Final = ("step", "rtol", "atol", "times")
+_TECHNICAL: Final = ("newton_tolerance", "max_iterations", "max_steps", "intervals")
+
+
+@final
+@dataclass(frozen=True)
+class Setting:
+    """One measured setting.
+
+    Attributes
+    ----------
+    integrator : Integrator
+    seconds : float
+        Processor time of value and gradient, the least of the repeats; of what was tried if the
+        setting failed.
+    states, multipliers, objective, gradient : float or None
+        Relative errors against the reference; None if the setting failed.
+    drift : float or None
+        Largest distance from a constraint, relative to the size of the coordinates.
+    energy : float or None
+        Largest difference of the total energy (kinetic, strain and gravity's) from that of the
+        reference, relative to the largest kinetic energy; None for systems that are not scenes.
+    outcome : str
+        How the run ended, or why there is none.
+    """
+
+    integrator: Integrator
+    seconds: float
+    outcome: str
+    states: float | None = None
+    multipliers: float | None = None
+    objective: float | None = None
+    gradient: float | None = None
+    drift: float | None = None
+    energy: float | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the setting gave a gradient."""
+        return self.gradient is not None
+
+    @property
+    def family(self) -> str:
+        """The integrator without what decides about accuracy, such as ``"HHT fixed"``."""
+        kind = type(self.integrator).__name__
+        if isinstance(self.integrator, HHT):
+            controlled = isinstance(self.integrator.steps, ControlledSteps)
+            kind += " controlled" if controlled else " fixed"
+        return ", ".join([kind, *_chosen(self.integrator)])
+
+    @property
+    def label(self) -> str:
+        """What decides about accuracy, such as ``"step 0.01"`` or ``"rtol 1e-05"``."""
+        given = [
+            f"{name} {value:.4g}"
+            for name, value, _ in _settings(self.integrator)
+            if name in _ACCURACY and isinstance(value, float)
+        ]
+        return ", ".join(given) or "given"
+
+    def error(self, of: ErrorKind) -> float:
+        """Return one of the four errors; infinite if the setting failed."""
+        if str(of) not in _KINDS:  # Also of an array, which compares entry by entry.
+            known = ", ".join(_KINDS)
+            raise InvalidInput("of", f"must be one of {known}", repr(of), "Choose one.")
+        value: float | None = getattr(self, of)
+        return np.inf if value is None else value
+
+
+@final
+class TargetNotReached(AncfdaeError):
+    """No measured setting is accurate enough; the message names the best one.
+
+    `best` is the most accurate setting; None if all failed.
+    """
+
+    def __init__(self, target: float, of: str, best: Setting | None) -> None:
+        start = f"no measured setting reaches an error of {target:.3g} in the {of}"
+        if best is None:
+            super().__init__(f"{start}: all of them failed. Look at their outcomes in table().")
+        else:
+            super().__init__(
+                f"{start}; the best is {best.integrator} with {getattr(best, of):.3g} in "
+                f"{best.seconds:.3g} s. Measure smaller steps (`suggest_step`) or tolerances."
+            )
+        self.best = best
+
+
+@final
+@dataclass(frozen=True)
+class Tradeoff:
+    """What accuracy costs on one scene: settings in the order they were asked for.
+
+    The error of the reference, which errors are measured against, is not known; errors below that
+    mean nothing.
+    """
+
+    rows: tuple[Setting, ...]
+    reference: Setting
+
+    def pareto(self, of: ErrorKind = "gradient") -> tuple[Setting, ...]:
+        """Return the settings that no other beats in both processor time and error, cheap first."""
+        front: list[Setting] = []
+        least = np.inf
+        for row in sorted(self.rows, key=lambda row: (row.seconds, row.error(of))):
+            if row.error(of) < least:
+                front.append(row)
+                least = row.error(of)
+        return tuple(front)
+
+    def recommend(self, target_error: float, of: ErrorKind = "gradient") -> Setting:
+        """Return the cheapest measured setting whose relative error is at most the target.
+
+        It holds for this scene, this objective and this end time; nothing is
+        extrapolated.
+
+        Raises
+        ------
+        TargetNotReached
+            If no setting is accurate enough.
+        """
+        require_positive("target_error", target_error)
+        good = [row for row in self.rows if row.error(of) <= target_error]
+        if not good:
+            finished = [row for row in self.rows if np.isfinite(row.error(of))]
+            best = min(finished, key=lambda row: row.error(of), default=None)
+            raise TargetNotReached(target_error, of, best)
+        return min(good, key=lambda row: row.seconds)
+
+    def table(self) -> str:
+        """Return all settings as a table in plain text, the reference last."""
+        return columns(self._lines(), shorten=False)
+
+    def to_dataframe(self) -> Any:
+        """Return a table of pandas with a row for each setting, the reference last."""
+        names = ("family", "label", "seconds", *_KINDS, "drift", "energy", "outcome")
+        rows = [
+            {name: getattr(row, name) for name in names} for row in (*self.rows, self.reference)
+        ]
+        return tables.pandas().DataFrame(rows)
+
+    def __repr__(self) -> str:
+        """Return the reference and the first settings as a table."""
+        header, *lines, reference = self._lines()
+        return columns([header, reference, *lines])
+
+    def _lines(self) -> list[list[str]]:
+        header = ["integrator", "setting", "CPU [s]", *_KINDS, "drift", "energy", "outcome"]
+        lines = [header, *(_cells(row) for row in (*self.rows, self.reference))]
+        lines[-1][0] += " (reference)"
+        return lines
+
+    def plot(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
+        """Draw errors of states and gradient over processor time; return the SVG and the PNG.
+
+        Raises
+        ------
+        InvalidInput
+            If the path has a suffix, or no setting has an error that can be shown.
+        """
+        from ancfdae import plotting
+
+        return plotting.save(plotting.draw(self.panels(), columns=2), path)
+
+    def panels(self) -> list[Panel]:
+        """Return the panels of `plot`, for figures of your own."""
+        from ancfdae.plotting import Panel
+
+        return [
+            Panel(
+                f"Error of the {of}",
+                "processor time [s]",
+                "relative error [-]",
+                self._series(of),
+                x_scale="log",
+                y_scale="log",
+            )
+            for of in ("states", "gradient")
+        ]
+
+    def _series(self, of: str) -> list[Series]:
+        from ancfdae.plotting import Series
+
+        lines: dict[str, list[tuple[float, float]]] = {}
+        for row in self.rows:
+            error = getattr(row, of)
+            if error is not None and np.isfinite(error) and error > 0 and row.seconds > 0:
+                lines.setdefault(row.family, []).append((row.seconds, error))
+        if not lines:
+            raise InvalidInput(
+                "Tradeoff.plot", "needs a setting with an error", "none", "Look at table()."
+            )
+        return [
+            Series(name, [x for x, _ in points], [y for _, y in points], marker=True)
+            for name, points in lines.items()
+        ]
+
+
+def compared(
+    system: MechanicalSystem, integrator: Integrator, run: Measurement, exact: Results
+) -> Setting:
+    """Measure a run against the reference."""
+    given = run.results
+    if given is None:
+        return Setting(integrator, run.seconds, run.outcome)
+    b = np.where(system.b == 0, 1.0, system.b)
+    root = np.sqrt(system.weights)
+    t = common_times(float(exact.t[-1]))
+    forces, forces_0 = (
+        _forces(system, exact.q, lam, t) / root for lam in (given.lam - exact.lam, exact.lam)
+    )
+    away = (given.gradient - exact.gradient) * b
+    return Setting(
+        integrator,
+        run.seconds,
+        run.outcome,
+        states=_largest_ratio((given.q - exact.q) * root, exact.q * root),
+        multipliers=_largest_ratio(forces, forces_0),
+        objective=_ratio(abs(given.value - exact.value), abs(exact.value)),
+        gradient=_largest_ratio(away[None], (exact.gradient * b)[None]),
+        drift=_drift(system, exact.q, t, given),
+        energy=_energy_error(given, exact),
+    )
+
+
+def _forces(system: MechanicalSystem, q: Array, lam: Array, t: Array) -> Array:
+    """Return Phi_q^T lam at every instant."""
+    return np.array(
+        [reaction(system, *state) for state in zip(t.tolist(), q, lam, strict=True)]
+    ).reshape(len(t), -1)
+
+
+def _drift(system: MechanicalSystem, q: Array, t: Array, given: Results) -> float:
+    """Return the largest |Phi_i| over the length of its row of Phi_q and the size of q."""
+    if not system.n_lam:
+        return 0.0
+    inverse = 1 / system.weights[system.constraint_pattern.columns]
+    rows = system.constraint_pattern.rows
+    squares = [
+        np.bincount(rows, system.constraint_q(s, x) ** 2 * inverse, minlength=system.n_lam)
+        for x, s in zip(q, t, strict=True)
+    ]
+    length = np.sqrt(np.max(squares, axis=0))
+    size = float(np.max(np.linalg.norm(q * np.sqrt(system.weights), axis=1)))
+    away = np.max(np.abs(given.drift), axis=0)
+    return max(_ratio(float(x), float(y) * size) for x, y in zip(away, length, strict=True))
+
+
+def _energy_error(given: Results, exact: Results) -> float | None:
+    """Compare energies at the instants of the run; the reference's is interpolated."""
+    if not len(given.energy):
+        return None
+    k = min(3, len(exact.energy) - 1)
+    energy = scipy.interpolate.make_interp_spline(exact.t, exact.energy, k=k)
+    away = given.energy - energy(np.minimum(given.t, exact.t[-1]))
+    return _ratio(float(np.max(np.abs(away))), exact.kinetic)
+
+
+def _largest_ratio(x: Array, reference: Array) -> float:
+    """Return the largest norm of a row over that of the reference."""
+    return _ratio(
+        float(np.max(np.linalg.norm(x, axis=1))), float(np.max(np.linalg.norm(reference, axis=1)))
+    )
+
+
+def _ratio(x: float, size: float) -> float:
+    return x / size if size else (np.inf if x else 0.0)
+
+
+def _cells(row: Setting) -> list[str]:
+    numbers = (row.states, row.multipliers, row.objective, row.gradient, row.drift, row.energy)
+    shown = ["-" if x is None else f"{x:.2g}" for x in numbers]
+    return [row.family, row.label, f"{row.seconds:.3g}", *shown, row.outcome]
+
+
+def _settings(owner: object) -> Iterator[tuple[str, Any, Any]]:
+    """Yield name, value and default of the settings of a dataclass, those of its steps included."""
+    for f in dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ():
+        value = getattr(owner, f.name)
+        if isinstance(value, StepControl):
+            yield from _settings(value)
+        else:
+            yield f.name, value, f.default
+
+
+def _chosen(integrator: Integrator) -> Sequence[str]:
+    """Return the settings that are neither defaults nor a matter of accuracy, in words."""
+    return [
+        f"{name} = {value}"
+        for name, value, default in _settings(integrator)
+        if name not in (*_ACCURACY, *_TECHNICAL) and value != default
+    ]

@@ -1,0 +1,134 @@
+"""One measured run: what a worker process computes and sends back."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly import AncfSystem
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.errors import AncfdaeError, Verdict
+from ancfdae.integrators import Integrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity import Gradient, GradientMethod, UnfinishedRun
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.studies.calls import gradient
+from ancfdae.studies.jobs import TimeLimit
+
+# Times at which trajectories are compared, and instants at which drift and energy are computed.
+_SAMPLES = 201
+_LOOKS = 1000
+# Longer runs are timed once: the clock's resolution and interruptions hardly matter; s.
+_LONG = 1.0
+
+
+@final
+@dataclass(frozen=True)
+class Task:
+    """What is measured; everything in it pickles if system and objective do."""
+
+    system: MechanicalSystem
+    objective: Objective
+    t_end: float
+    integrator: Integrator
+    method: GradientMethod | None
+    repeats: int
+    time_limit: float | None
+
+
+@final
+@dataclass(frozen=True)
+class Results:
+    """What a finished run gave.
+
+    q and lam, (k, n), are those at the common times; `drift`, (j, n_lam), has the constraints at
+    the instants t of the run, `energy`, (j,), is the total one there, empty for a system that is
+    not a scene, and `kinetic` the largest kinetic one.
+    """
+
+    value: float
+    gradient: Array
+    q: Array
+    lam: Array
+    drift: Array
+    t: Array
+    energy: Array
+    kinetic: float
+
+
+@final
+@dataclass(frozen=True)
+class Measurement:
+    """Least processor time of the repeats, the outcome as a sentence, and results if there are.
+
+    `verdict` tells how a run ended that did not reach its end time.
+    """
+
+    seconds: float
+    outcome: str
+    results: Results | None = None
+    verdict: Verdict | None = None
+
+
+def common_times(t_end: float) -> Array:
+    """Return the times at which trajectories are compared."""
+    return np.linspace(0.0, t_end, _SAMPLES)
+
+
+def measure(task: Task) -> Measurement:
+    """Run one setting; a failure is a measurement without results."""
+    clock, limit = time.process_time(), TimeLimit(task.time_limit)
+    try:
+        with limit:
+            return _repeated(task)
+    except KeyboardInterrupt:
+        if not limit.expired:
+            raise
+    outcome = f"the limit of time (time_limit = {limit.seconds:g} s) was reached"
+    return Measurement(time.process_time() - clock, outcome)
+
+
+def _repeated(task: Task) -> Measurement:
+    seconds, answer = np.inf, None
+    for _ in range(task.repeats):
+        clock = time.process_time()
+        try:
+            answer = _gradient(task)
+        except UnfinishedRun as error:
+            outcome, spent = error.solution.outcome, time.process_time() - clock
+            return Measurement(spent, str(outcome), verdict=outcome.verdict)
+        except (AncfdaeError, ArithmeticError, ValueError, RuntimeError, MemoryError) as error:
+            return Measurement(time.process_time() - clock, f"{type(error).__name__}: {error}")
+        seconds = min(seconds, time.process_time() - clock)
+        if seconds > _LONG:
+            break
+    assert answer is not None
+    results = _results(task.system, answer)
+    return Measurement(float(seconds), str(answer.solution.outcome), results)
+
+
+def _gradient(task: Task) -> Gradient:
+    return gradient(task.system, task.objective, task.t_end, task.integrator, method=task.method)
+
+
+def _results(system: MechanicalSystem, answer: Gradient) -> Results:
+    solution = answer.solution
+    # The end of a run with a fixed step may miss the end time by round-off.
+    common = solution.at(common_times(float(solution.t[-1])))
+    rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
+    t, q = solution.t[rows], solution.q[rows]
+    drift = np.array([system.constraint(s, x) for s, x in zip(t.tolist(), q, strict=True)])
+    own = (answer.value, answer.gradient, common.q, common.lam, drift, t)
+    return Results(*own, *_energy(system, solution, rows))
+
+
+def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[Array, float]:
+    """Return the energy of a scene, kinetic, strain and gravity's, and the largest kinetic one."""
+    if not isinstance(system, AncfSystem):
+        return np.zeros(0), 0.0
+    q, v = solution.q[rows], solution.v[rows]
+    return system.energies.total(q, v), float(np.max(system.energies.kinetic(v)))
