@@ -14,7 +14,8 @@ from typing import Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ancfdae import Harmonic, InvalidInput, Law, Point, RigidBody, Scene, assemble, laws
+from ancfdae import Harmonic, InvalidInput, Law, Point, RigidBody, Scene, assemble
+from ancfdae.model import laws
 from ancfdae.model.joints import DrivenJoint, Equations
 
 #: Oblique and of no special length.
