@@ -41,10 +41,10 @@ from ancfdae import (
     assemble,
     equilibrium,
     gradient,
-    joints,
     position,
     simulate,
 )
+from ancfdae.model import joints
 from ancfdae.model.joints import Joint
 
 # ---------------------------------------------------------------- statics of frames

@@ -72,11 +72,11 @@ from ancfdae import (
     Universal,
     Weld,
     assemble,
-    joints,
     simulate,
 )
 from ancfdae.assembly.rigidity import Rigidity
 from ancfdae.errors import InvalidInput
+from ancfdae.model import joints
 from ancfdae.model.joints import DrivenJoint, Joint
 from ancfdae.model.joints.frames import Section, across, unit
 from ancfdae.model.parts import Normal

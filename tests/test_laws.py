@@ -30,8 +30,8 @@ from ancfdae import (
     UserLaw,
     assemble,
     distribution,
-    laws,
 )
+from ancfdae.model import laws
 
 LAWS = law_examples()
 # Round-off of an interpolant's third derivative, 16 * 16^3 eps/0.25^3 = 1e-9 of the values; laws of

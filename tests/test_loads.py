@@ -46,9 +46,9 @@ from ancfdae import (
     TorsionSpring,
     assemble,
     check_system,
-    loads,
     simulate,
 )
+from ancfdae.model import loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.loads import Load

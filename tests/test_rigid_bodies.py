@@ -51,15 +51,14 @@ from ancfdae import (
     equilibrium,
     gradient,
     gradients,
-    joints,
     kinetic_energy,
-    loads,
     modes,
     position,
     simulate,
     strain_energy,
     velocity,
 )
+from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.joints import Joint
 from ancfdae.model.loads import Load
