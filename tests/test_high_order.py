@@ -201,6 +201,7 @@ STUCK = {
 }
 
 
+@pytest.mark.filterwarnings("ignore::ancfdae.errors.ManySteps")
 @pytest.mark.parametrize("name", STUCK)
 @pytest.mark.parametrize("kind", [IDA, pytest.param(IDAS, marks=IDAS_MARK), Explicit])
 def test_steps_lost_in_round_off_end_a_run_long_before_the_limit(name, kind):

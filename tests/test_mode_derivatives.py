@@ -199,7 +199,8 @@ def test_derivatives_are_the_limit_of_differences_of_the_call(case, balanced, da
     )
     for i, name in enumerate(names):
         value = assemble(scene, [name]).b[0]
-        step = 1e-5 * (abs(value) or 1.0)
+        # Unsymmetric modes are iterated to some 1e-11, which a longer step divides.
+        step = (1e-4 if case == "pressed" else 1e-5) * (abs(value) or 1.0)
         around = [call(scene.with_values({name: value + k * step})) for k in (1, -1, 2, -2)]
 
         def slope(of, around=around, step=step):

@@ -49,7 +49,9 @@ def fill(report: Report, quick: bool) -> None:
         worst[: len(errors)] = np.maximum(worst[: len(errors)], errors)
         rows.append([f"{slenderness:.0e}", *(f"{x:.1e}" for x in errors), *3 * ["refused"]][:6])
         for name, error in zip(columns, errors, strict=False):
-            report.figure(f"thin.{name.replace(' ', '_')}.{slenderness:.0e}", float(error))
+            report.figure(
+                f"thin.{name.replace(': ', '_').replace(' ', '_')}.{slenderness:.0e}", float(error)
+            )
     report.table(["h/L", *columns], rows)
     halves = max(_welded_halves(n) for n in ((50,) if quick else (50, 500)))
     report.figure("thin.halves", halves)

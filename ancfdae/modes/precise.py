@@ -33,7 +33,7 @@ from ancfdae.statics import Balance, stiffness_of_coordinates
 
 # Round-off of z, twice that of a frequency, above which products with the matrix do not do, and
 # above which modes are refused. The bound that decides of the former is 50 times what it bounds.
-_ALLOWED = 2e-6
+ALLOWED = 2e-6
 # Vectors beside those asked for; with them a sweep gains a digit or more in a beam.
 _GUARDS, _SWEEPS = 8, 60
 # Sweeps end where values change by less of themselves, or of what the matrix would round them by.
@@ -145,7 +145,7 @@ def _factors(small: Linearised, shift: float) -> Factorization:
 
 def lost(z: Array, noise: Array) -> Array:
     """Return the numbers of modes, not rigid, of whose values round-off takes too much."""
-    return np.flatnonzero((z != 0) & (noise > _ALLOWED * np.abs(z)))
+    return np.flatnonzero((z != 0) & (noise > ALLOWED * np.abs(z)))
 
 
 def refuse_lost(z: Array, noise: Array) -> None:
