@@ -188,12 +188,13 @@ class HHT(AdjointIntegrator):
             tolerance = steps.tolerance(t_end, scales.q, sizes_b)
             stepper = Stepper(problem, self.hht_alpha, newton, tolerance, recorder)
             if after is None:
-                return march(stepper, steps.controller(t_end, stepper), recorder, t_end, progress)
+                begun = steps.controller(t_end, stepper)
+                return march(stepper, begun, recorder, t_end, progress)[0]
             controller, n = steps.controller(t_end, stepper, after.control), len(after.t) - 1
             taken = self.steps_of(after)
             node = node_after(after, n, self.hht_alpha)
             reached = Reached(n, node.t, float(taken.h[-1]), (node, None))
-            return march(stepper, controller, recorder, t_end, progress, reached)
+            return march(stepper, controller, recorder, t_end, progress, reached)[0]
 
         if not along:
             solution = run(np.zeros(0))

@@ -46,12 +46,8 @@ class OneStepMethod(abc.ABC, Generic[State]):
         """Return a state for a step whose size is `ratio` times that of the step before."""
 
     @abc.abstractmethod
-    def advance(self, h: float, before: State, t: float) -> State | None:
-        """Return the state at t, after a step of size h; None if it was not solved."""
-
-    @abc.abstractmethod
-    def failure(self) -> Failure:
-        """Return why the last step was not solved."""
+    def advance(self, h: float, before: State, t: float) -> State | Failure:
+        """Return the state at t, after a step of size h, or why it was not solved."""
 
     @abc.abstractmethod
     def recorded(self, state: State) -> Record:

@@ -48,7 +48,7 @@ class _KnownSteps(StepControl):
     ) -> Controller:
         """Return the plan."""
         t = self.instants(t_end)
-        return _Plan(self.sizes(t), t[1:])
+        return Plan(self.sizes(t), t[1:])
 
     @final
     def continues(self, t: Array, state: tuple[float, ...]) -> bool:
@@ -162,17 +162,20 @@ class GivenSteps(_KnownSteps):
 
 
 @final
-class _Plan(Controller):
-    """Sizes and ends of all steps."""
+class Plan(Controller):
+    """Sizes and ends of all steps, of the one that begins at instant n at place n."""
 
     def __init__(self, sizes: Array, ends: Array) -> None:
         self._sizes, self._ends = sizes.tolist(), ends.tolist()
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
+        """Return the step as it is known."""
         return (self._sizes[n], self._ends[n]) if n < len(self._ends) else Verdict.FINISHED
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
+        """Go on if the step was solved."""
         return Verdict.NO_CONVERGENCE if error is None else n + 1
 
     def state(self) -> tuple[float, ...]:
+        """Return nothing: the instants say it all."""
         return ()
