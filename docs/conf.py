@@ -24,7 +24,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
 ]
 exclude_patterns = ["tutorial", "gallery"]  # The gallery reads them and writes below `made`.
-myst_enable_extensions = ["colon_fence", "attrs_inline"]
+myst_enable_extensions = ["colon_fence", "attrs_inline", "dollarmath"]
 myst_heading_anchors = 3
 highlight_language = "none"  # Indented blocks are formulas.
 nitpicky = True

@@ -2,7 +2,7 @@
 
 The gradient hardly sees them: whatever is wrong with mu' in the directions of the constraints, the
 first step backward puts right with an impulse of zeta, and the order stays two. So the end itself
-is compared with what `docs/theory.md`, section 8, says of it.
+is compared with what `docs/theory/08-adjoint.md` says of it.
 """
 
 import numpy as np

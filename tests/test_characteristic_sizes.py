@@ -1,4 +1,4 @@
-"""Scales of the unknowns, also where the start gives none (docs/theory.md, section 10)."""
+"""Scales of the unknowns, also where the start gives none (docs/theory/10-index-reduction.md)."""
 
 import dataclasses
 

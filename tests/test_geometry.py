@@ -1,6 +1,6 @@
 """Geometry as design: every target is the limit of differences of the very call that a user makes.
 
-Bodies follow the design by rigid motions (docs/theory.md, section 4).
+Bodies follow the design by rigid motions (docs/theory/04-start.md).
 """
 
 import functools

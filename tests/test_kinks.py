@@ -344,7 +344,8 @@ def test_an_equilibrium_with_another_load_is_a_start(tmp_path):
     before, after = (run.slope(rod.at(0.5, before=side)) for side in (True, False))
     np.testing.assert_array_equal(run.ends("rod")[:, 1, 1, 1], before)
     np.testing.assert_array_equal(run.nodes("rod")[:, 2, 1], after)
-    # The tangent at a node shows all but a hundredth of the angle of shear (theory, 2).
+    # The tangent at a node shows all but a hundredth of the angle of shear
+    # (docs/theory/02-strain-energy.md, assumed strains, point 6).
     assert np.abs(after - before)[0, 1] == pytest.approx(0.99 * 1e3 / GA, rel=1e-2)
     names = list(run.to_dataframe())
     assert len(names) == run.q.shape[1]

@@ -36,7 +36,7 @@ TOLERANCES = np.logspace(-4, -10, 25)
 
 
 def size(system, state, a, lam):
-    """Size of accelerations and reactions, in units of force (docs/theory.md, section 5)."""
+    """Size of accelerations and reactions, in units of force (docs/theory/05-hht-i3.md)."""
     t, q = state
     reaction = constraint_force(system, t, q, lam)
     weights = system.weights
@@ -74,7 +74,7 @@ def test_newtons_method_takes_the_tolerance_as_documented():
 
 @pytest.mark.parametrize("scene", [pendulum, crank_slider])
 def test_a_step_takes_two_iterations_and_one_factorisation(scene):
-    # As measured (docs/theory.md, section 5); the policy for the matrix is built on it.
+    # As measured (docs/theory/05-hht-i3.md); the policy for the matrix is built on it.
     done = simulate(scene(), 0.25, HHT(2.0**-10)).statistics
     assert 2.0 <= done.iterations / done.steps < 2.4
     assert done.factorisations == done.steps

@@ -89,7 +89,7 @@ def estimates(report: Report, quick: bool) -> None:
         "What a run of HHT-I3 estimates of its errors is right within a factor of three for the "
         "motion and ten for the derivatives; where damping is strong it may be too large, not too "
         "small",
-        "docs/theory.md, section 5",
+        "docs/theory/13-errors.md",
         f"estimated over true on undamped scenes: motion {motion.min():.2g} to {motion.max():.2g}, "
         f"derivatives {derivatives.min():.2g} to {derivatives.max():.2g}, {100 * near:.0f} % of "
         f"them within a factor of three; {least:.2g} at least on any scene",
@@ -214,7 +214,7 @@ def _plot(report: Report, found: Sequence[_Pairs]) -> None:
 
 _METHOD = """
 Every solution of HHT-I3 has `estimated_errors`: the errors of its steps, known from the increments
-of its accelerations and their derivatives, added up (docs/theory.md, section 5). They cost no
+of its accelerations and their derivatives, added up (docs/theory/13-errors.md). They cost no
 further run. Here they are compared with the largest true error over the run: of q relative to the
 size of the coordinates, of the derivatives q_b (two design variables) relative to their own
 largest size. Runs at fixed steps, under error control of the motion, and of motion and

@@ -205,6 +205,6 @@ ends without success, since the mesh has its critical load before.
 _CURVED: Final = """
 **Curved references that stretch.** The bending stiffness of a quarter circle (h/R = 0.08, 32
 elements) that is stretched along its axis, by its energy in prescribed states: E I (1 + 3 times
-the axial strain), where rods have E I. A straight beam is free of it (`docs/theory.md`, section
-2, point 4).
+the axial strain), where rods have E I. A straight beam is free of it
+(`docs/theory/02-strain-energy.md`, point 4).
 """

@@ -12,7 +12,7 @@ With J = Phi_q q_x, its parts J_u and J_g, and multipliers sigma and rho, that i
 Where no rigid motion closes the joints, and the consistent start may strain the bodies, they come
 as near as they can: |Phi|^2 + delta |x|^2 is least with a small delta, F = J^T Phi + delta x.
 Either F is smooth, so that the design derivatives of the start are those of the assembly: one more
-step of Newton's method along each variable (docs/theory.md, section 4).
+step of Newton's method along each variable (docs/theory/04-start.md).
 
 Velocities follow likewise: to those declared a rigid motion of every body is added, with the least
 angular velocities, so that Phi_q v = nu.

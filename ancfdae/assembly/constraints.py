@@ -1,8 +1,8 @@
 """Constraints of all joints at once, from the coefficients that the joints state.
 
 With the point vectors U = L q of all joints they are polynomials in U. Constant maps turn the raw
-entries of Phi_U into Phi_q on its pattern and into Phi_q^T lam. docs/theory.md, section 3, lists
-every other quantity.
+entries of Phi_U into Phi_q on its pattern and into Phi_q^T lam.
+docs/theory/03-joints-and-loads.md lists every other quantity.
 """
 
 from __future__ import annotations

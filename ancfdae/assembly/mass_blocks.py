@@ -1,7 +1,7 @@
 """What has mass: elements, rigid bodies, rigid beams and point masses, as blocks on vectors.
 
 With vectors X of a body each of them has the kinetic energy 1/2 sum_ij m_ij X_i' . X_j', so that
-the mass matrix is the sum of m (x) I_d over all blocks (docs/theory.md, sections 1 and 2):
+the mass matrix is the sum of m (x) I_d over all blocks (docs/theory/03-joints-and-loads.md):
 
     element       m = int rho s s^T dV_o
     rigid body    m = int [1, x] [1, x]^T dm, x the place in the axes of the body

@@ -1,7 +1,7 @@
 """Numbering of coordinates: vectors of d numbers, of all beams and rigid bodies in a row.
 
 A beam has n_s vectors per node and one more per kink, what is rigid one frame of d + 1 vectors: its
-reference point and its directions (docs/theory.md, section 2).
+reference point and its directions (docs/theory/02-strain-energy.md).
 """
 
 from __future__ import annotations

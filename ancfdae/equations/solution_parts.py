@@ -48,7 +48,7 @@ class Statistics:
 @final
 @dataclass(frozen=True)
 class EstimatedErrors:
-    """Discretisation errors that a run of HHT-I3 estimates itself (docs/theory.md, section 5).
+    """Discretisation errors that a run of HHT-I3 estimates itself (docs/theory/13-errors.md).
 
     The errors of all steps are added up. On undamped scenes the sums are within a factor of
     three (motion) and ten (derivatives) of the true errors, also where steps do not resolve the

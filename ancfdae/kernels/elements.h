@@ -2,7 +2,7 @@
  *
  * Y and U are relative node vectors of one element, n_y rows of d numbers. g is the packed upper
  * triangle of a symmetric n_y x n_y matrix, row by row; A is symmetric, n_g x n_g
- * (docs/theory.md, section 2). n_y and d are constants where these are called, so that the
+ * (docs/theory/02-strain-energy.md). n_y and d are constants where these are called, so that the
  * compiler unrolls the loops.
  */
 

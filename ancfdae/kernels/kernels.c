@@ -1,6 +1,6 @@
 /* Inner loops of the package: element forces and tangents, sparse products, banded solutions.
  *
- * What they compute is said in `__init__.py`, and why in docs/theory.md. Every formula stands once,
+ * What they compute is said in `__init__.py`, and why in docs/theory. Every formula stands once,
  * in a header that is included for real and for complex numbers.
  */
 

@@ -3,7 +3,7 @@
  * Of column k the rows k to k + first[k+1] - first[k] - 1 are stored, one behind the other from
  * a[first[k]] on; no column ends before the one to its left, so that the factors fill the same
  * places. Pivots of coordinates are positive where K is positive definite, those of multipliers
- * negative: then no exchange is needed (docs/theory.md, section 9).
+ * negative: then no exchange is needed (docs/theory/09-linear-algebra.md).
  */
 
 /* Add s times chosen values, or all of them, at their places. */

@@ -29,7 +29,7 @@ class Adjoint(GradientMethod):
     ----------
     memory : str or float, optional
         Limit for the states of the run, such as ``"200 MB"``, or in bytes. Of a longer run parts
-        are integrated again for the pass back, as few as possible (docs/theory.md, section 8). For
+        are integrated again for the pass back, as few as possible (docs/theory/08-adjoint.md). For
         `HHT` at steps that are known before.
     """
 

@@ -19,7 +19,7 @@ class LoadOutcome:
         The kind of ending.
     fraction : float
         Part of the load that what was found is in balance with: one for an equilibrium. The load
-        is what was unbalanced at the start (docs/theory.md, section 11).
+        is what was unbalanced at the start (docs/theory/11-statics.md).
     step : int
         Steps that converged, of the load or downhill.
     residual : float

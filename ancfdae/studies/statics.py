@@ -29,7 +29,7 @@ def equilibrium(
     """Find the state of rest under all loads at t = 0, and its design derivatives.
 
     The search follows the path of equilibria from the start of the model while the load grows; a
-    mechanism that only its weight holds settles under the full load (docs/theory.md, section 11).
+    mechanism that only its weight holds settles under the full load (docs/theory/11-statics.md).
 
     Parameters
     ----------

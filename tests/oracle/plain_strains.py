@@ -1,4 +1,4 @@
-"""Strain energy of one element as docs/theory.md, section 2, defines it in vectors.
+"""Strain energy of one element as docs/theory/02-strain-energy.md, defines it in vectors.
 
 Nothing is packed, scaled or precomputed: the strains are those of the position field at each point
 in metres, for node vectors Y = [r_2 - r_1, slopes of node 1, slopes of node 2].

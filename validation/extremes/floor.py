@@ -174,7 +174,7 @@ changed, the rigid pendulum lost a factor of 100 with every factor of 10 (3e-5 a
 hht_alpha = -0.05) and below, like the crank-slider, did not converge at all. Instead the step
 takes the *increment* of Phi, which is Phi_q dq integrated along dq = h v + O(h²), and so has the
 round-off eps h v alone. What accumulates in Phi(q_n) itself is removed slowly enough to cost no
-more than 1e-9 of the motion (docs/theory.md, section 5). The floor is then flat, at that part times
+more than 1e-9 of the motion (docs/theory/05-hht-i3.md). The floor is then flat, at that part times
 the amplification of the recurrence, and rises again where eps v/(beta h) exceeds it, at 1e-8 s.
 The stiff flexible systems have a floor of their own, which no formulation of constraints can
 lower: their elastic forces have the round-off eps |K| |q|, and where the step resolves the waves

@@ -90,7 +90,7 @@ h = w = L/24, rho = 4000 kg/m³, E = 1e7 Pa, nu = 0.3, four planar elements, hor
 thing changed at a time. Columns:
 
 - *outcome*: survived, with how many steps Newton's method ended at round-off above its tolerance,
-  and how many it solved by way of shorter ones only (docs/theory.md, section 5); or *stopped*,
+  and how many it solved by way of shorter ones only (docs/theory/05-hht-i3.md); or *stopped*,
   with the sentence of the outcome; or *refused*, with the message of the error.
   CRASH, WARNING and WRONG would stand here for anything else.
 - *error*: against the reference that the text above each table names.

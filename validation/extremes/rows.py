@@ -35,7 +35,7 @@ _NUMBERS = HEADER[2:]
 # A motion with a larger relative error must show it: its estimated error may not be much less.
 _WRONG_MOTION, _SHARE = 0.02, 0.2
 # An accepted step whose equations are violated by more is an undetected error; the
-# stopping rule lets round-off pass up to 1e-6 of the motion (docs/theory.md, section 5).
+# stopping rule lets round-off pass up to 1e-6 of the motion (docs/theory/05-hht-i3.md).
 _WRONG_EQUATIONS = 1e-5
 _WRONG_CONSTRAINTS = 1e-8
 # The error counts as detected if this part of the steps were counted as ended by round-off.

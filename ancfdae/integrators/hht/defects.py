@@ -2,7 +2,7 @@
 
 Inserted in eqs. (2)-(4), with a_n standing for q'' at t_n + alpha h, the smooth solution leaves
 
-    q: C h^3 q''',  C = -(1 + 3 alpha^2)/12         from (2), see docs/theory.md, section 5
+    q: C h^3 q''',  C = -(1 + 3 alpha^2)/12         from (2), see docs/theory/13-errors.md
     v: h^3 (alpha^2/2 - 1/12) q''''                 from (3)
     A: -alpha h^2/2 q''''                           from A = (a + alpha A_n)/(1 + alpha)
 

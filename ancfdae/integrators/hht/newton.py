@@ -1,4 +1,7 @@
-"""Newton's method for a step of HHT-I3: matrix policy and stopping rule (docs/theory.md, 5)."""
+"""Newton's method for a step of HHT-I3: matrix policy, stopping rule.
+
+Derivation: docs/theory/05-hht-i3.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Constraints of HHT-I3 at small steps, from their increments (docs/theory.md, section 5).
+"""Constraints of HHT-I3 at small steps, from their increments (docs/theory/05-hht-i3.md).
 
 R_2 = Phi/(beta h^2) of eq. (5) has the round-off eps |q|/(beta h^2). Where that disturbs the motion
 the equations and their derivatives take

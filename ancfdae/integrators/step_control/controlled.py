@@ -3,9 +3,9 @@
 A step is accepted if its error, e of `tolerance`, is at most 1.
 
 **Size of the next step.** Where the step jumps, multipliers and accelerations suffer a transient
-of first order (docs/theory.md); where it changes slowly they keep the order of the method. So sizes
-come from a digital filter (H211b of Soderlind 2003, with b = 4), aiming at e = 1/2. With p the
-order of the method
+of first order (docs/theory/13-errors.md); where it changes slowly they keep the order of the
+method. So sizes come from a digital filter (H211b of Soderlind 2003, with b = 4), aiming at
+e = 1/2. With p the order of the method
 
     h_{n+1}/h_n = (x_n x_{n-1})^(1/8) (h_n/h_{n-1})^(-1/4),     x = (1/(2 e))^(1/p).
 """
@@ -63,7 +63,7 @@ class ControlledSteps(StepControl):
     ----------
     rtol : float
         What the errors of all steps may add up to, relative to every coordinate; the step follows
-        from it. The run errs by up to 10 times as much (docs/theory.md, section 5).
+        from it. The run errs by up to 10 times as much (docs/theory/13-errors.md).
     atol : float, optional
         The same relative to the size of the coordinates at the start (`Scales`), for coordinates
         that pass through zero; by default rtol. With `sensitivities` also relative to the size of

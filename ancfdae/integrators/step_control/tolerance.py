@@ -30,7 +30,8 @@ from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.step_control.derivative_sizes import derivative_sizes, mean_squares
 from ancfdae.numerics.arrays import Array
 
-# Errors of the motion add as much to the derivatives' errors as their own (docs/theory.md, 5).
+# Errors of the motion add as much to the derivatives' errors as their own:
+# docs/theory/13-errors.md.
 _FED = 2.0
 
 

@@ -1,7 +1,7 @@
 """Strains, stresses and energies of elements, batched over elements and instants.
 
 Everything is a product of the invariant A with the packed Gram matrix of the
-relative node vectors Y (docs/theory.md, section 2):
+relative node vectors Y (docs/theory/02-strain-energy.md):
 
     U = 1/2 dg^T A dg + p_o^T dg,   dg = g(Y) - g_o,
     force   = W(p) Y,    p = A (dg + tau g') + p_o,   g' = dg/dt     (eqs. 13, 17)

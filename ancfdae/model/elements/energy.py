@@ -1,7 +1,7 @@
 """Strain energies of continuum beams: how stress follows from strain, and where strains count.
 
 Every energy is 1/2 int eps^T C eps dV, plus for some 1/2 int A eps^T C_axis eps dx with the strains
-of the line of centroids; E and nu enter C only. What an energy is for: docs/theory.md, section 2.
+of the line of centroids; E and nu enter C only. Derivations: docs/theory/02-strain-energy.md.
 """
 
 from __future__ import annotations

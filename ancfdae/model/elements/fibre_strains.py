@@ -19,7 +19,7 @@ that of twist f_t where i is not j and 1 where it is,
 
 has the energy k G A/2 of the shear at the shear centre and G J/2 of the twist, f^2 = k or J/I_p. In
 E_xx, that is where the fibres of a pretwisted beam are oblique to its section, h is the shear of
-the material itself, and has the factors k and J/I_p in full (docs/theory.md, section 2).
+the material itself, and has the factors k and J/I_p in full (docs/theory/02-strain-energy.md).
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def curvature_weights(xi: Array) -> tuple[Array, Array, Array]:
 def shape_weights(d: int, quantity: Quantity, xi: Any, y: Any, z: Any) -> Array:
     """Return the weights of node vectors in a position or slope, shape (..., 2 (d + 1)).
 
-    Eq. (8), in space with the terms of the width (docs/theory.md, section 1), at unit length and
+    Eq. (8), in space with the terms of the width (docs/theory/01-elements.md), at unit length and
     at places xi, y and z that broadcast.
     """
     shape, dtype = np.broadcast(xi, y, z).shape, np.result_type(xi, y, z, float)

@@ -16,7 +16,7 @@ of the other half of the element. The moment follows,
 
 since loads spread along the element have a share l n'/12 in Q_x2 that is no moment of the section.
 For loads at nodes this is exact; for spread ones, inertia among them, the error is of second order
-in the length (docs/theory.md, section 2).
+in the length (docs/theory/02-strain-energy.md).
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ Turns: what a finite turn of the element takes off curvature and twist is put ba
 of strain, l kappa^2 times the radius of gyration, with a stiffness of their own. Stretch: the axial
 strain of a straight beam is lowered by 3/2 of the squared curvature times the squared radius of
 gyration, so that bending neither shortens the axis nor softens the beam. It fades likewise
-(`volume.fibres`). Derivations: docs/theory.md, section 2.
+(`volume.fibres`). Derivations: docs/theory/02-strain-energy.md.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ class Drive(DrivenJoint):
         """Part of the sum over the axes w of the section of F w . R m_w, with R the turn.
 
         m_w = (a - 1/2 (a . n) n) x w: in the reference a turn phi of the section changes F w . m_w
-        by a . phi in all (theory.md).
+        by a . phi in all (docs/theory/03-joints-and-loads.md).
         """
         d, a = slopes.shape[1], self._axis(p)
         n, axes, weights = spanned(slopes)

@@ -22,9 +22,9 @@ from ancfdae.numerics.arrays import Array
 class Torque(Load):
     """A motor: a torque on a section about an axis, and the opposite on another section or ground.
 
-    It does the work T dtheta on the angle between the sections (docs/theory.md, section 3). Where
-    they turn about the axis alone, as a revolute joint makes them, the moment is T times the axis.
-    Design targets: ``torque``, ``axis_x`` ..., and the parameters of the law.
+    It does the work T dtheta on the angle between them (docs/theory/03-joints-and-loads.md).
+    Where they turn about the axis alone, as a revolute joint makes them, the moment is T times the
+    axis. Design targets: ``torque``, ``axis_x`` ..., and the parameters of the law.
 
     Parameters
     ----------

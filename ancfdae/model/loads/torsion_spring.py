@@ -23,8 +23,8 @@ class TorsionSpring(Load):
     """Linear spring and damper about an axis between two sections, or a section and the ground.
 
     The torque on the section is -(k (theta - theta_0) + c theta'), with theta the angle from the
-    reference configuration, between -pi and pi (docs/theory.md, section 3). A turn beyond pi comes
-    out at -pi: there the torque of the spring jumps, and a run does not pass. Design targets:
+    reference, between -pi and pi (docs/theory/03-joints-and-loads.md). A turn beyond pi
+    comes out at -pi: there the torque of the spring jumps, and a run does not pass. Design targets:
     ``stiffness``, ``damping``, ``free_angle`` and ``axis_x`` ...
 
     Parameters

@@ -217,7 +217,7 @@ class AtTimes(AtInstants):
 
     Between the instants the observable is interpolated with the order of the integrator, linearly
     for HHT. `Solution.at` takes a cubic there and differs by h²/8 of the second time derivative at
-    most, less than the error of the run itself (docs/theory.md, section 7).
+    most, less than the error of the run itself (docs/theory/07-objectives.md).
 
     Parameters
     ----------

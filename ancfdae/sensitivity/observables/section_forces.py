@@ -5,7 +5,7 @@ section: its normal, its height, and what is across both; moments are about the 
 Internal damping has its part. They follow from what elements transmit from node to node, so that
 they are in balance with loads, reactions and inertia to round-off where these act at nodes; loads
 spread along elements, inertia among them, leave an error of second order in the element length, at
-any point (docs/theory.md, section 2). A load or joint between nodes spreads over its element.
+any point (docs/theory/02-strain-energy.md). A load or joint between nodes spreads over its element.
 
 At an inner node forces jump by what a joint, load or point mass does there. ``rod.at(0.5)`` is just
 after it, in the element that begins there, ``rod.at(0.5, before=True)`` just before; the end of a
