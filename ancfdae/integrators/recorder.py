@@ -108,6 +108,17 @@ class Recorder:
             array[row] = value
         self._rows, self._control = row + 1, control
 
+    def room(self, count: int) -> tuple[Array, ...]:
+        """Return the next rows of q, v, a and lam, for states that `take` counts."""
+        while self._rows + count > len(self._arrays[0]):
+            self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
+        return tuple(x[self._rows : self._rows + count] for x in self._arrays[1:5])
+
+    def take(self, t: Array) -> None:
+        """Count rows that were written, at these instants."""
+        self._arrays[0][self._rows : self._rows + len(t)] = t
+        self._rows += len(t)
+
     def restart(self) -> None:
         """Forget all instants but the first."""
         self._rows, self._control = 1, ()
