@@ -81,9 +81,7 @@ class JointConstraints:
         values = np.zeros(self.pattern.size)
         maps = self._to_values.csr, self.pattern.rows_of(values), self._curvature.csr
         c = self._coefficients.parts
-        return Joints(
-            self._vectors.csr, *self._poly.entries.arrays, c.a, c.s, c.offset, *maps
-        )
+        return Joints(self._vectors.csr, *self._poly.entries.arrays, c.a, c.s, c.offset, *maps)
 
     def factors(self, t: Array, order: int) -> Array:
         """Return what the parts of the coefficients are multiplied with, shape (k, n_parts)."""

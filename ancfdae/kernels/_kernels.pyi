@@ -154,11 +154,11 @@ def march(
 ) -> tuple[int, int, float, Array, tuple[int, int, int]]:
     """Take steps of sizes h from (q, v, a, lam, A), as many as can be taken in so many seconds.
 
-    Factors of joints are (k, instants, n_parts): at the end of each step, at its beginning, at three
-    Gauss points, and their time derivatives there; two instants do where no step is small. Factors
-    of loads are (k, 2, n_loads). Returns the number of steps taken, why it ends, the motion and a
-    of the last state, and counts of iterations, factorisations and steps that round-off disturbs.
-    The states after the steps, q, v, A and lam, are written to rows.
+    Factors of joints are (k, instants, n_parts): at the end of each step, at its beginning, at the
+    three Gauss points, and their time derivatives there; two instants do where no step is small.
+    Factors of loads are (k, 2, n_loads). Returns the number of steps taken, why it ends, the motion
+    and a of the last state, and counts of iterations, factorisations and steps that round-off
+    disturbs. The states after the steps, q, v, A and lam, are written to rows.
     """
 
 def add_scaled(x: Array, s: Any, y: Array, /) -> Array:

@@ -260,61 +260,92 @@ static PyObject *py_prepare(PyObject *const *args)
     return capsule ? capsule : (prepared_dropped(x), NULL);
 }
 
-/* Rows of a state or of a table: in place, of this shape, and writeable if they are to be. */
-static double *rows_of(PyObject *object, int axes, const npy_intp *shape)
+/* Whether an array has a shape; negative numbers are any. */
+static int shaped(PyArrayObject *x, int axes, const npy_intp *shape)
 {
-    PyArrayObject *x = (PyArrayObject *)object;
-    int good = PyArray_Check(object) && PyArray_TYPE(x) == NPY_DOUBLE && PyArray_ISCARRAY(x) &&
-               PyArray_NDIM(x) == axes;
+    int good = PyArray_NDIM(x) == axes;
     for (int i = 0; good && i < axes; i++)
         good = shape[i] < 0 || PyArray_DIM(x, i) == shape[i];
-    return good ? PyArray_DATA(x) : (wrong("states and tables must have the shapes of a plan"), NULL);
+    return good || wrong("states, tables and rows must have the shapes of a plan");
 }
 
-enum { STATE_ITEMS = 5 };
+/* Arguments of a march: sizes of steps, the state, tables of factors, and rows to write. */
+typedef struct {
+    PyArrayObject *h, *state[5], *of_joints, *of_loads, *a;
+    double *rows[4];
+    npy_intp k, instants;
+} Marching;
+
+static void marching_dropped(Marching *m)
+{
+    Py_XDECREF(m->h);
+    for (int i = 0; i < 5; i++)
+        Py_XDECREF(m->state[i]);
+    Py_XDECREF(m->of_joints);
+    Py_XDECREF(m->of_loads);
+    Py_XDECREF(m->a);
+}
+
+static int marching_taken(const plan_real *p, PyObject *const *args, Marching *m)
+{
+    npy_intp sizes[] = {p->n_q, p->n_q, p->n_q, p->n_lam, p->n_q}, any = -1;
+    npy_intp out_sizes[] = {p->n_q, p->n_q, p->n_q, p->n_lam};
+    memset(m, 0, sizeof *m);
+    if (!taken(args[3], NPY_DOUBLE, 1, &m->h) || !shaped(m->h, 1, &any) ||
+        !taken(args[4], NPY_DOUBLE, 3, &m->of_joints) ||
+        !taken(args[5], NPY_DOUBLE, 3, &m->of_loads))
+        return 0;
+    m->k = PyArray_SIZE(m->h);
+    for (int i = 0; i < 5; i++)
+        if (!item(args[1], 5, i) || !taken(item(args[1], 5, i), NPY_DOUBLE, 1, &m->state[i]) ||
+            !shaped(m->state[i], 1, sizes + i))
+            return 0;
+    for (int i = 0; i < 4; i++) {
+        PyArrayObject *row = (PyArrayObject *)item(args[7], 4, i);
+        npy_intp shape[] = {m->k, out_sizes[i]};
+        if (!row)
+            return 0;
+        if (!PyArray_Check((PyObject *)row) || PyArray_TYPE(row) != NPY_DOUBLE ||
+            !PyArray_ISCARRAY(row))
+            return wrong("rows must be arrays of real numbers in one piece");
+        if (!shaped(row, 2, shape))
+            return 0;
+        m->rows[i] = PyArray_DATA(row);
+    }
+    npy_intp of_joints[] = {p->still ? -1 : m->k, -1, p->joints.n_parts};
+    npy_intp of_loads[] = {m->k, 2, p->n_loads};
+    m->instants = p->still ? ALL_INSTANTS : PyArray_DIM(m->of_joints, 1);
+    m->a = (PyArrayObject *)PyArray_SimpleNew(1, sizes, NPY_DOUBLE);
+    return m->a && shaped(m->of_joints, 3, of_joints) && shaped(m->of_loads, 3, of_loads) &&
+           (m->instants >= 2 || wrong("a table must tell the factors at both ends of a step"));
+}
 
 /* march(prepared, state, motion, h, of_joints, of_loads, seconds, rows): as many steps as can be
  * taken; returns their number, why it ends, the size of the motion, a, and counts. */
 static PyObject *py_march(PyObject *const *args)
 {
     Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
-    if (!x)
-        return NULL;
-    const plan_real *p = &x->plan;
-    npy_intp k, sizes[] = {p->n_q, p->n_q, p->n_q, p->n_lam, p->n_q}, any = -1;
-    double *in[STATE_ITEMS], *out[4], *h = rows_of(args[3], 1, &any);
-    if (!h)
-        return NULL;
-    k = PyArray_DIM((PyArrayObject *)args[3], 0);
-    for (int i = 0; i < STATE_ITEMS; i++)
-        if (!item(args[1], STATE_ITEMS, i) || !(in[i] = rows_of(item(args[1], STATE_ITEMS, i), 1, sizes + i)))
-            return NULL;
-    npy_intp out_sizes[] = {p->n_q, p->n_q, p->n_q, p->n_lam};
-    for (int i = 0; i < 4; i++) {
-        npy_intp shape[] = {k, out_sizes[i]};
-        if (!item(args[7], 4, i) || !(out[i] = rows_of(item(args[7], 4, i), 2, shape)))
-            return NULL;
-    }
-    npy_intp joints_shape[] = {p->still ? -1 : k, -1, p->joints.n_parts}, loads_shape[] = {k, 2, p->n_loads};
-    double *of_joints = rows_of(args[4], 3, joints_shape), *of_loads = rows_of(args[5], 3, loads_shape);
     double motion = PyFloat_AsDouble(args[2]), seconds = PyFloat_AsDouble(args[6]);
-    if (!of_joints || !of_loads || PyErr_Occurred())
+    if (!x || PyErr_Occurred())
         return NULL;
-    npy_intp instants = p->still ? ALL_INSTANTS : PyArray_DIM((PyArrayObject *)args[4], 1);
-    if (instants < 2)
-        return wrong("a table must tell the factors at both ends of a step"), NULL;
-    PyArrayObject *a = (PyArrayObject *)PyArray_SimpleNew(1, sizes, NPY_DOUBLE);
-    if (!a)
-        return NULL;
-    before_real b = {in[0], in[1], in[2], in[3], in[4], motion};
-    int ends = ALL_TAKEN;
-    npy_intp taken_steps;
+    Marching m;
+    PyObject *result = NULL;
     room_real *r = &x->room;
-    memset(r->counts, 0, sizeof r->counts);
-    Py_BEGIN_ALLOW_THREADS
-    taken_steps = marched_real(p, r, &b, k, h, instants, of_joints, of_loads,
-                               seconds_now() + seconds, out, PyArray_DATA(a), &ends);
-    Py_END_ALLOW_THREADS
-    return Py_BuildValue("nidN(nnn)", taken_steps, ends, b.motion, a, r->counts[0], r->counts[1],
-                         r->counts[2]);
+    if (marching_taken(&x->plan, args, &m)) {
+        before_real b = {data_of(m.state[0]), data_of(m.state[1]), data_of(m.state[2]),
+                         data_of(m.state[3]), data_of(m.state[4]), motion};
+        const double *of_joints = data_of(m.of_joints), *of_loads = data_of(m.of_loads);
+        double *a = PyArray_DATA(m.a);
+        int ends = ALL_TAKEN;
+        npy_intp steps;
+        memset(r->counts, 0, sizeof r->counts);
+        Py_BEGIN_ALLOW_THREADS
+        steps = marched_real(&x->plan, r, &b, m.k, data_of(m.h), m.instants, of_joints, of_loads,
+                             seconds_now() + seconds, m.rows, a, &ends);
+        Py_END_ALLOW_THREADS
+        result = Py_BuildValue("nidO(nnn)", steps, ends, b.motion, m.a, r->counts[0], r->counts[1],
+                               r->counts[2]);
+    }
+    marching_dropped(&m);
+    return result;
 }

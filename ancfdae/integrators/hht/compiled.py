@@ -46,9 +46,7 @@ class CompiledSteps:
         plan, layout = system.plan, matrices.layout(band=False)
         return plan and layout and cls(plan, layout, matrices, rules, recorder)
 
-    def march(
-        self, before: Node, h: Array, ends: Array, rows: Rows
-    ) -> tuple[int, Node]:
+    def march(self, before: Node, h: Array, ends: Array, rows: Rows) -> tuple[int, Node]:
         """Take as many steps as go; states are written to rows of q, v, A and lam."""
         t, q, v, a, lam, A, motion = before
         starts = np.concatenate([[t], ends[:-1]])

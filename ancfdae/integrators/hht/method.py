@@ -144,7 +144,7 @@ class HHT(AdjointIntegrator):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate from t = 0 to `t_end`, which must be the end of a step."""
+        """Integrate from t = 0 to `t_end`, where given steps must end."""
         return self._integrate(system, t_end, None, sensitivities, progress)
 
     def resume(
@@ -177,8 +177,9 @@ class HHT(AdjointIntegrator):
         scales = problem.scales
         if after is not None:
             problem.require_run(after, t_end, "after")
-            if not steps.continues(after.t, after.control):
-                rule, repair = "must be a run under the same steps", "Pass its own integrator."
+            if not steps.continues(after.t, after.control, t_end):
+                rule = "must be a run under the same steps"
+                repair = "Pass its own integrator, and an end after whole steps of it."
                 raise InvalidInput("after", rule, repr(self.steps), repair)
             after = after if len(after.t) > 1 else None
 

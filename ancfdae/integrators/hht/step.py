@@ -116,7 +116,8 @@ class Stepper(OneStepMethod[State]):
         if self._compiled is None:
             return None
         system = self._problem.system
-        rows = tuple(np.empty((1, n)) for n in (*3 * [system.n_q], system.n_lam))
+        q, v, A = np.empty((3, 1, system.n_q))
+        rows = q, v, A, np.empty((1, system.n_lam))
         taken, node = self._compiled.march(before, np.array([h]), np.array([t]), rows)
         return node if taken else None
 

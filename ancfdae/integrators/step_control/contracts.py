@@ -116,8 +116,8 @@ class StepControl(abc.ABC):
         """Return what decides the steps of one run; a state is that of a run that goes on."""
 
     @abc.abstractmethod
-    def continues(self, t: Array, state: tuple[float, ...]) -> bool:
-        """Whether a run with the instants t, which left this state, can go on under it."""
+    def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
+        """Whether a run with the instants t, which left this state, can go on to `t_end`."""
 
     @abc.abstractmethod
     def sizes(self, t: Array) -> Array:
