@@ -8,7 +8,8 @@ compiled, and by what: docs/measurements.md, section 11.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from enum import IntEnum
+from typing import Any, NamedTuple, final
 
 import numpy.typing as npt
 
@@ -37,10 +38,24 @@ class Block(NamedTuple):
     n_q: int
 
 
+@final
+class Constraints(IntEnum):
+    """What is asked of constraints: Phi, values of Phi_q, or Phi_q^T lam."""
+
+    RATE = 0
+    VALUES = 1
+    FORCE = 2
+
+
 add_scaled = _kernels.add_scaled
 balance = _kernels.balance
 band_factor = _kernels.band_factor
 band_solve = _kernels.band_solve
+ConstraintPlan = _kernels.ConstraintPlan
+constraint_curvature = _kernels.constraint_curvature
+constraint_gradient = _kernels.constraint_gradient
+constraint_totals = _kernels.constraint_totals
+constraints = _kernels.constraints
 csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
 csr_subtract = _kernels.csr_subtract

@@ -51,6 +51,8 @@
 /* The largest element: 8 relative node vectors of 3 numbers. */
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
+#include "constraint_plan.h"
+
 #define T double
 #define NAME(x) x##_real
 #define CLONES WITH_WIDE_VECTORS
@@ -58,6 +60,7 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
+#include "constraints.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
@@ -71,12 +74,15 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
+#include "constraints.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
 #undef T
 #undef NAME
 #undef CLONES
+
+#include "constraint_totals.h"
 
 /* ---- arguments ---------------------------------------------------------------------------- */
 
@@ -508,6 +514,10 @@ static PyObject *py_stressed(PyObject *const *args)
     Py_XDECREF(Y);
     return (PyObject *)out;
 }
+
+/* ---- constraints ----------------------------------------------------------------------------- */
+
+#include "constraint_calls.h"
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
@@ -1118,6 +1128,8 @@ FUNCTION(forces, 3)
 FUNCTION(forces_along, 5)
 FUNCTION(force_totals, 9)
 FUNCTION(tangents, 6)
+FUNCTION(constraint_curvature, 3)
+FUNCTION(constraint_totals, 8)
 FUNCTION(gram, 2)
 FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
@@ -1131,16 +1143,25 @@ FUNCTION(band_solve, 7)
 FUNCTION(ldl_factor, 6)
 FUNCTION(ldl_solve, 4)
 
-static PyObject *any_norm(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    (void)self;
-    return py_norm(args, count);
-}
+#define FUNCTION_OF_MANY(name)                                                                     \
+    static PyObject *any_##name(PyObject *self, PyObject *const *args, Py_ssize_t count)           \
+    {                                                                                              \
+        (void)self;                                                                                \
+        return py_##name(args, count);                                                             \
+    }
+FUNCTION_OF_MANY(norm)
+FUNCTION_OF_MANY(constraints)
+FUNCTION_OF_MANY(constraint_gradient)
 
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))counted_##name, METH_FASTCALL, NULL}
+#define METHOD_OF_MANY(name) {#name, (PyCFunction)(void (*)(void))any_##name, METH_FASTCALL, NULL}
 static PyMethodDef methods[] = {
     METHOD(add_scaled),
-    {"norm", (PyCFunction)(void (*)(void))any_norm, METH_FASTCALL, NULL},
+    METHOD_OF_MANY(norm),
+    METHOD_OF_MANY(constraints),
+    METHOD_OF_MANY(constraint_gradient),
+    METHOD(constraint_curvature),
+    METHOD(constraint_totals),
     METHOD(finite),
     METHOD(relative),
     METHOD(lifted),
@@ -1169,5 +1190,8 @@ static struct PyModuleDef definition = {
 PyMODINIT_FUNC PyInit__kernels(void)
 {
     import_array();
-    return PyModule_Create(&definition);
+    PyObject *module = PyModule_Create(&definition);
+    if (module && PyModule_AddType(module, &ConstraintPlanType) < 0)
+        Py_CLEAR(module);
+    return module;
 }
