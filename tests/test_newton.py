@@ -25,7 +25,9 @@ from ancfdae import (
     position,
     simulate,
 )
-from ancfdae.integrators.hht import continuation, newton, step
+from ancfdae.errors import Verdict
+from ancfdae.integrators.hht import continuation, newton
+from ancfdae.integrators.step_control.contracts import Failure
 from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum, chain
@@ -97,7 +99,7 @@ def test_nothing_changes_where_full_steps_converge(scene, monkeypatch):
     def refuse(*_):
         raise AssertionError("not needed")
 
-    monkeypatch.setattr(step, "continued", refuse)
+    monkeypatch.setattr(continuation, "continued", refuse)
     assert simulate(scene(), 0.25, HHT(2.0**-7)).statistics.continued == 0
 
 
@@ -210,11 +212,12 @@ def test_iterating_on_counts_only_near_the_motion(away, success, monkeypatch):
     # Steps of 0.01 at a speed of 2: a solution a length of 1 away belongs to another motion.
     solve = newton.StepSolver.advance
 
-    def stalled(self, c, before, t, patience=1):
-        node = solve(self, c, before, t, patience)
-        return None if patience == 1 else node._replace(q=node.q + away)
+    def stalled(self, step, patience=1):
+        node = solve(self, step, patience)
+        why = Failure(Verdict.NO_CONVERGENCE, 1.0)
+        return why if patience == 1 else node._replace(q=node.q + away)
 
     monkeypatch.setattr(newton.StepSolver, "advance", stalled)
-    monkeypatch.setattr(step, "continued", lambda *arguments: (None, 0.9))
+    monkeypatch.setattr(continuation, "continued", lambda solver, step, why: (why, 0.9))
     outcome = simulate(CartesianPendulum(-1.0, 2.0), 0.01, HHT(0.01)).outcome
     assert outcome.success is success

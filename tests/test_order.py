@@ -9,7 +9,19 @@ import itertools
 import numpy as np
 import pytest
 
-from ancfdae import HHT, RigidMotion, differentiate, simulate
+from ancfdae import (
+    HHT,
+    Adjoint,
+    ComplexStep,
+    Direct,
+    InvalidInput,
+    RigidMotion,
+    Terminal,
+    custom,
+    differentiate,
+    gradient,
+    simulate,
+)
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
@@ -61,6 +73,41 @@ def test_sensitivities_of_the_rigid_pendulum_converge_with_order_two():
     for name in ("q_b", "v_b", "a_b", "lam_b"):
         orders = observed_orders(runs, lambda run, name=name: getattr(run.sensitivities, name))
         assert abs(orders[-1] - 2) < WITHIN, (name, orders)
+
+
+# Steps of which the run has no whole number, but a little or much less than one more.
+@pytest.mark.parametrize("part", [0.02, 0.7])
+def test_order_and_derivatives_hold_where_the_end_is_no_whole_number_of_steps(part):
+    """All steps are shorter alike: one short last step had the multipliers of first order."""
+    system, end = CartesianPendulum(-1.0, 2.0), []
+    runs = [simulate(system, 1.0, HHT(1 / (n - 1 + part))) for n in (64, 128, 256, 512)]
+    assert [len(run.t) - 1 for run in runs] == [64, 128, 256, 512]
+    assert_second_order(runs)
+    for step in (1 / (63 + part), 1 / 64):
+        gradients = [
+            gradient(system, Terminal(custom(speed, "v_x")) + 1.0, 1.0, HHT(step), method=method)
+            for method in (Direct(), Adjoint(), ComplexStep())
+        ]
+        end.append(np.array([each.gradient for each in gradients]))
+        # Round-off of 64 steps, 1e-16 each, a hundred times over.
+        np.testing.assert_allclose(end[-1][1:], end[-1][:1].repeat(2, 0), rtol=1e-12)
+    np.testing.assert_allclose(end[0], end[1], rtol=1e-13)
+
+
+def speed(t, q, v, lam, b):
+    return v[:, 0]
+
+
+def test_a_run_goes_on_over_whole_steps_only():
+    system, integrator = CartesianPendulum(-1.0, 2.0), HHT(0.03)
+    run = simulate(system, 0.3, integrator)
+    whole = simulate(system, 0.6, integrator)
+    on = simulate(system, 0.6, integrator, after=run)
+    np.testing.assert_array_equal(on.t, whole.t)
+    np.testing.assert_allclose(on.q, whole.q, rtol=1e-13)  # round-off of 10 steps
+    with pytest.raises(InvalidInput, match="end after whole steps"):
+        simulate(system, 0.5, integrator, after=run)
+    assert len(simulate(system, 1e-9, integrator).t) == 2
 
 
 def test_multipliers_at_hht_alpha_zero_oscillate_and_that_is_warned_about():

@@ -55,9 +55,6 @@ class ImplicitEuler(OneStepMethod):
             if self.correction < 1e-12:
                 self.solved += 1
                 return t, q_n + h * v, v, (v - v_n) / h, lam
-        return None
-
-    def failure(self):
         return Failure(Verdict.NO_CONVERGENCE, self.correction)
 
     def recorded(self, state):
@@ -79,7 +76,7 @@ def run(steps, t_end=1.0):
     system = CartesianPendulum(0.7, 1.0)
     method = ImplicitEuler(system, steps, t_end)
     recorder = Recorder(system, steps.count(t_end) + 1)
-    return method, march(method, steps.controller(t_end, method), recorder, t_end, False)
+    return method, march(method, steps.controller(t_end, method), recorder, t_end, False)[0]
 
 
 def test_the_tolerance_bounds_the_error_of_another_method():
@@ -251,7 +248,8 @@ class NumbersOnly:
 
 
 def test_what_is_never_solved_is_an_outcome(monkeypatch):
-    monkeypatch.setattr(ImplicitEuler, "advance", lambda self, h, before, t: None)
+    never = Failure(Verdict.NO_CONVERGENCE, 1.0)
+    monkeypatch.setattr(ImplicitEuler, "advance", lambda self, h, before, t: never)
     for steps in (FixedSteps(0.1), ControlledSteps(1e-3)):
         _, found = run(steps)
         assert found.outcome.verdict is Verdict.NO_CONVERGENCE

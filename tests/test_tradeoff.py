@@ -144,12 +144,11 @@ def test_a_failed_setting_is_a_row_with_its_message(measured):
     assert failed.gradient is None
     assert failed.error("gradient") == np.inf
     assert failed not in measured.pareto()
-    # Half a step does not fit into the run: the integrator refuses, the table goes on.
-    one, refused = tradeoff(
-        CartesianPendulum(), X2, 1.0, [HHT(0.1), HHT(0.3)], reference=HHT(0.01)
-    ).rows
+    # Given steps end elsewhere: the integrator refuses, the table goes on.
+    settings = [HHT(0.1), HHT(GivenSteps((0.0, 0.3)))]
+    one, refused = tradeoff(CartesianPendulum(), X2, 1.0, settings, reference=HHT(0.01)).rows
     assert one.finished
-    assert "whole number of steps" in refused.outcome
+    assert "where the given instants end" in refused.outcome
 
 
 def test_systems_of_any_kind(measured):

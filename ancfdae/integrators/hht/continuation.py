@@ -19,9 +19,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ancfdae.errors import SingularMatrix
-from ancfdae.integrators.hht.equations import Coefficients, Node, rescaled
-from ancfdae.integrators.hht.newton import Found, StepSolver
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import Verdict
+from ancfdae.integrators.hht.equations import Coefficients, Node, predict_increment, rescaled
+from ancfdae.integrators.hht.newton import Found, Step, StepSolver
+from ancfdae.integrators.step_control.contracts import Failure
+from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
 # What follows only serves as a guess needs few digits.
@@ -37,20 +40,35 @@ _MOST = 15
 _POINTS = 4
 # Rate of contraction that strides aim at, and how much one may differ from the last.
 _AIM, _LEAST, _LONGEST = 0.2, 0.5, 3.0
+# Where the branch of solutions could be followed over more than this part of a step, and then was
+# lost in round-off, as many iterations as this times the usual ones are spent on the full step.
+_MOST_OF_IT, _PATIENCE = 0.5, 4
 
 
-def continued(
-    solver: StepSolver, c: Coefficients, before: Node, t: float
-) -> tuple[Node | None, float]:
-    """Solve the equations of a step at t; None if that fails, with the part that was solved."""
+def solved(
+    solver: StepSolver, system: MechanicalSystem, step: Step, why: Failure
+) -> Node | Failure:
+    """Solve the equations of a step that Newton's method alone does not solve, for a reason."""
+    node, part = continued(solver, step, why)
+    if isinstance(node, Failure) and part > _MOST_OF_IT:
+        node = _patient(solver, system, step)
+    if not isinstance(node, Failure) or node.verdict is Verdict.NOT_FINITE:
+        # No step helps where the forces themselves are not finite.
+        return node
+    return node._replace(remedy=_remedy(step[0].h, part))
+
+
+def continued(solver: StepSolver, step: Step, why: Failure) -> tuple[Node | Failure, float]:
+    """Follow the branch, beside the part of the step that was solved."""
     branch: deque[tuple[float, Found]] = deque(maxlen=_POINTS)
     reached, stride = 0.0, 1.0
     most = solver.iterations + _MOST * solver.max_iterations
     while solver.iterations < most:
         part = min(1.0, reached + stride)
         stride = part - reached
-        found = _solved(solver, (c, before, t), part, branch)
-        if found is None:
+        found = _solved(solver, step, part, branch)
+        if isinstance(found, Failure):
+            why = why if found.verdict is Verdict.SINGULAR else found
             stride /= 2 if reached else 4
             if stride < max(_FINEST * reached, _SHORTEST):
                 break
@@ -61,10 +79,21 @@ def continued(
         reached = part
         wish = (_AIM / max(found.rate, 1e-9)) ** (1 / len(branch))
         stride *= min(_LONGEST, max(_LEAST, wish))
-    return None, reached
+    return why, reached
 
 
-def remedy(h: float, part: float) -> str:
+def _patient(solver: StepSolver, system: MechanicalSystem, step: Step) -> Node | Failure:
+    """Iterate on where round-off hides the branch, unless that leads away from the motion."""
+    c, last, _ = step
+    node = solver.advance(step, patience=_PATIENCE)
+    if isinstance(node, Failure):
+        return node
+    ahead, _ = predict_increment(c, last.v, last.a)
+    near = norm(node.q - last.q - ahead, system.weights) <= norm(ahead, system.weights)
+    return node if near else Failure(Verdict.NO_CONVERGENCE, math.inf)
+
+
+def _remedy(h: float, part: float) -> str:
     """Return in words which step would do where only a part of h was solved; nothing if none."""
     if not 0 < part < 1:
         return ""
@@ -76,20 +105,14 @@ def remedy(h: float, part: float) -> str:
 
 
 def _solved(
-    solver: StepSolver,
-    step: tuple[Coefficients, Node, float],
-    part: float,
-    branch: Sequence[tuple[float, Found]],
-) -> Found | None:
-    """Solve the equations of a part of the step; None if the guess is not close."""
+    solver: StepSolver, step: Step, part: float, branch: Sequence[tuple[float, Found]]
+) -> Found | Failure:
+    """Solve the equations of a part of the step from a guess, which must be close."""
     c, before, t = step
     now = t if part == 1.0 else before.t + part * (t - before.t)
     state, rough = rescaled(before, part), 0.0 if part == 1.0 else _ROUGH
-    try:
-        guess = _guess(part, branch) if branch else (state.a, state.lam)
-        return solver.follow((Coefficients(part * c.h, c.alpha), state, now), guess, rough)
-    except SingularMatrix:
-        return None
+    guess = _guess(part, branch) if branch else (state.a, state.lam)
+    return solver.follow((Coefficients(part * c.h, c.alpha), state, now), guess, rough)
 
 
 def _guess(part: float, branch: Sequence[tuple[float, Found]]) -> tuple[Array, Array]:

@@ -27,6 +27,7 @@ order; this one stays second order.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
@@ -94,7 +95,8 @@ class Steps:
 class Node(NamedTuple):
     """State of the recurrence after a step.
 
-    a is the acceleration of the algorithm, q'' at t + alpha h, and A is q'' at t.
+    a is the acceleration of the algorithm, q'' at t + alpha h, and A is q'' at t. The size of the
+    motion is that of the forces in the step; infinite where no step led here.
     """
 
     t: float
@@ -103,6 +105,7 @@ class Node(NamedTuple):
     a: Array
     lam: Array
     A: Array
+    motion: float = math.inf
 
 
 class NodeSensitivity(NamedTuple):
@@ -181,7 +184,7 @@ def factor_jacobian(
     system: MechanicalSystem, matrices: SaddlePoint, c: Coefficients, node: Node
 ) -> Factorization:
     """Factorise eq. (6) at a state."""
-    _, q, v, _, lam, A = node
+    _, q, v, _, lam, A, _ = node
     local = system.linearise(np.array([node.t]), q[None], v[None], A[None], lam[None])
     return matrices.factor_sum(iteration_terms(c, local, 0), local.Phi_q[0])
 

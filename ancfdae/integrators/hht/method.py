@@ -144,7 +144,7 @@ class HHT(AdjointIntegrator):
         sensitivities: bool = False,
         progress: bool = False,
     ) -> Solution:
-        """Integrate from t = 0 to `t_end`, which must be the end of a step."""
+        """Integrate from t = 0 to `t_end`, where given steps must end."""
         return self._integrate(system, t_end, None, sensitivities, progress)
 
     def resume(
@@ -177,8 +177,9 @@ class HHT(AdjointIntegrator):
         scales = problem.scales
         if after is not None:
             problem.require_run(after, t_end, "after")
-            if not steps.continues(after.t, after.control):
-                rule, repair = "must be a run under the same steps", "Pass its own integrator."
+            if not steps.continues(after.t, after.control, t_end):
+                rule = "must be a run under the same steps"
+                repair = "Pass its own integrator, and an end after whole steps of it."
                 raise InvalidInput("after", rule, repr(self.steps), repair)
             after = after if len(after.t) > 1 else None
 
@@ -188,12 +189,13 @@ class HHT(AdjointIntegrator):
             tolerance = steps.tolerance(t_end, scales.q, sizes_b)
             stepper = Stepper(problem, self.hht_alpha, newton, tolerance, recorder)
             if after is None:
-                return march(stepper, steps.controller(t_end, stepper), recorder, t_end, progress)
+                begun = steps.controller(t_end, stepper)
+                return march(stepper, begun, recorder, t_end, progress)[0]
             controller, n = steps.controller(t_end, stepper, after.control), len(after.t) - 1
             taken = self.steps_of(after)
             node = node_after(after, n, self.hht_alpha)
             reached = Reached(n, node.t, float(taken.h[-1]), (node, None))
-            return march(stepper, controller, recorder, t_end, progress, reached)
+            return march(stepper, controller, recorder, t_end, progress, reached)[0]
 
         if not along:
             solution = run(np.zeros(0))

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem, reaction
-from ancfdae.errors import Verdict
+from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.hht.equations import (
     Coefficients,
     Node,
@@ -23,6 +23,7 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.hht.small_steps import constraint_increment, motion_size, share_of_defect
 from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.kernels import add_scaled, finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
@@ -49,14 +50,14 @@ _CLOSE = 0.5
 _TINY = float(np.finfo(float).tiny)
 
 # Coefficients, the state before the step, and the instant at its end.
-_Step: TypeAlias = tuple[Coefficients, Node, float]
+Step: TypeAlias = tuple[Coefficients, Node, float]
 
 
 @final
 class _Equations:
     """Eqs. (2) to (5) of one step, with what does not change in it formed once."""
 
-    def __init__(self, system: MechanicalSystem, step: _Step, motion: float) -> None:
+    def __init__(self, system: MechanicalSystem, step: Step, motion: float) -> None:
         c, before, self._t = step
         self._system, self._c, self._before = system, c, before
         self._dq_p, self._v_p = predict_increment(c, before.v, before.a)
@@ -72,10 +73,10 @@ class _Equations:
         R = residual(system, self._c, q, A, forces, self._constraint(q, a))
         return state, (R, *forces)
 
-    def node(self, a: Array, lam: Array) -> Node:
+    def node(self, a: Array, lam: Array, motion: float) -> Node:
         """Return the state after the step."""
         q, v, A = self._state(a)
-        return Node(self._t, q, v, a, lam, A)
+        return Node(self._t, q, v, a, lam, A, motion)
 
     def _state(self, a: Array) -> tuple[Array, Array, Array]:
         q, v = correct(self._c, self._q_p, self._v_p, a)
@@ -94,23 +95,16 @@ def _left(size: float, rate: float, fresh: bool) -> float:
 
 
 class Found(NamedTuple):
-    """A solution, and what its next step and its count need.
-
-    The size of the motion, whether round-off disturbs it, and the slowest rate of the corrections.
-    """
+    """A solution, whether round-off disturbs it, and the slowest rate of the corrections."""
 
     node: Node
-    motion: float
     round_off: bool
     rate: float
 
 
 @final
 class StepSolver:
-    """Newton's method for one step after another.
-
-    `verdict` tells why the last step failed, `correction` is the size of the last correction.
-    """
+    """Newton's method for one step after another, which the recorder counts."""
 
     def __init__(
         self,
@@ -126,23 +120,18 @@ class StepSolver:
         # The round-off of elastic forces, times 1e7.
         self._blur = system.traits.force_round_off / (0.1 * _ROUND_OFF)
         self._least = max(self._blur, _TINY)
-        self._last_motion = math.inf
-        self.verdict = Verdict.NO_CONVERGENCE
-        self.correction = math.inf
 
     @property
     def iterations(self) -> int:
         """Iterations so far, of all steps."""
         return self._recorder.iterations
 
-    def advance(self, c: Coefficients, before: Node, t: float, patience: int = 1) -> Node | None:
-        """Solve eqs. (4) and (5) at t; None, with `verdict` set, if that fails.
-
-        It takes `patience` times as many iterations as are usual.
-        """
+    def advance(self, step: Step, patience: int = 1) -> Node | Failure:
+        """Solve eqs. (4) and (5), in `patience` times as many iterations as are usual."""
+        c, before, _ = step
         guess = self._ahead(c, before), before.lam
-        found = self._solve((c, before, t), guess, self._tolerance, math.inf, patience)
-        return found and self.accept(found)
+        found = self._solve(step, guess, self._tolerance, math.inf, patience)
+        return found if isinstance(found, Failure) else self.accept(found)
 
     def _ahead(self, c: Coefficients, before: Node) -> Array:
         """Return a guess of a: a stands for q'' at t + alpha h, A at t."""
@@ -153,8 +142,8 @@ class StepSolver:
             return before.a
         return add_scaled(before.a, times, rise)
 
-    def follow(self, step: _Step, guess: tuple[Array, Array], rough: float) -> Found | None:
-        """Solve them from a guess that is close to the solution; None if it is not.
+    def follow(self, step: Step, guess: tuple[Array, Array], rough: float) -> Found | Failure:
+        """Solve them from a guess that is close to the solution.
 
         Where corrections do not shrink quickly from the first one on, the solution that they lead
         to may be another one. A tolerance that is larger than that of the run may be given.
@@ -162,25 +151,24 @@ class StepSolver:
         return self._solve(step, guess, max(rough, self._tolerance), _CLOSE)
 
     def accept(self, found: Found) -> Node:
-        """Go on from what was found."""
+        """Count what was found as a step."""
         self._recorder.round_off_steps += found.round_off
-        self._last_motion = found.motion
         return found.node
 
     def _solve(
         self,
-        step: _Step,
+        step: Step,
         guess: tuple[Array, Array],
         tolerance: float,
         allowed: float,
         patience: int = 1,
-    ) -> Found | None:
+    ) -> Found | Failure:
         """Iterate from a guess; corrections above round-off shrink at the allowed rate at least."""
         (c, before, t), system, n_q = step, self._system, self._system.n_q
         equations = _Equations(system, step, self._motion_before(before))
         a, lam = guess
         last, settled, motion = math.inf, 0, self._most(before)
-        slowest, round_off = 0.0, False
+        size, slowest, round_off = math.inf, 0.0, False
         jacobian: Factorization | None = None
         # The imaginary part of a complex step lags the real part by one iteration, and one is
         # for its round-off; as a guess it serves as it is. The real part goes its own way.
@@ -191,11 +179,13 @@ class StepSolver:
             self._recorder.residuals += 1
             self._recorder.iterations += 1
             if not finite(R):
-                self.verdict = Verdict.NOT_FINITE
-                return None
+                return Failure(Verdict.NOT_FINITE, size)
             fresh = jacobian is None
             if jacobian is None:
-                jacobian = self._factor(c, Node(t, q, v, a, lam, A))
+                try:
+                    jacobian = self._factor(c, Node(t, q, v, a, lam, A))
+                except SingularMatrix:
+                    return Failure(Verdict.SINGULAR, size)
             x = jacobian.solve(R)
             a, lam = a - x[:n_q], lam - x[n_q:]
             now = self._motion(a, *forces)
@@ -203,7 +193,7 @@ class StepSolver:
             # looks small. So the smallest motion met counts, and no more than a jump from the
             # last accepted step.
             motion = min(motion, now)
-            self.correction = size = self._size(t, q, x) / motion
+            size = self._size(t, q, x) / motion
             rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
             if last < math.inf and size > _ROUND_OFF:
                 slowest = max(slowest, rate)
@@ -215,7 +205,7 @@ class StepSolver:
                 if settled == 1:
                     round_off = stuck or self._blurred(t, q, a, lam)
                 if settled > more:
-                    return Found(equations.node(a, lam), now, round_off, slowest)
+                    return Found(equations.node(a, lam, now), round_off, slowest)
             # The matrix of the guess serves as long as it converges quickly (measured: 2 iterations
             # per step at 1e-14; with that of the step before 5, and 3 where it serves one only).
             if last < math.inf:
@@ -225,8 +215,7 @@ class StepSolver:
             if slow or settled:
                 jacobian = None
             last = size
-        self.verdict = Verdict.NO_CONVERGENCE
-        return None
+        return Failure(Verdict.NO_CONVERGENCE, size)
 
     def _stuck(self, size: float, rate: float, R: Array, motion: float) -> bool:
         """Whether corrections of a fresh matrix are round-off.
@@ -241,7 +230,8 @@ class StepSolver:
         """Factorise eq. (6) at the real part of a state."""
         self._recorder.factorisations += 1
         if state.q.dtype.kind == "c":
-            state = Node(state.t, *(x.real for x in state[1:]))
+            q, v, a, lam, A = (x.real for x in (state.q, state.v, state.a, state.lam, state.A))
+            state = Node(state.t, q, v, a, lam, A)
         return factor_jacobian(self._system, self._matrices, c, state)
 
     def _size(self, t: float, q: Array, x: Array) -> float:
@@ -258,12 +248,12 @@ class StepSolver:
         return norm(force, self._inverse_weights) < self._blur
 
     def _motion_before(self, before: Node) -> float:
-        """Motion at the last accepted step, or at the start."""
-        if self._last_motion == math.inf:
-            system, t = self._system, before.t
-            forces = reaction(system, t, before.q, before.lam), system.force(t, before.q, before.v)
-            self._last_motion = self._motion(before.a, *forces)
-        return self._last_motion
+        """Motion in the step before, or at the start."""
+        if before.motion < math.inf:
+            return before.motion
+        system, t = self._system, before.t
+        forces = reaction(system, t, before.q, before.lam), system.force(t, before.q, before.v)
+        return self._motion(before.a, *forces)
 
     def _most(self, before: Node) -> float:
         """Motion that counts at most in a step; any after a rest that knows no round-off."""

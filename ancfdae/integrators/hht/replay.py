@@ -6,12 +6,10 @@ so that a part is the same whenever it is taken.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import final
 
-import numpy as np
-
 from ancfdae.equations.solution import Solution
-from ancfdae.errors import Outcome, SingularMatrix, Verdict
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.equations import Node, NodeSensitivity, Steps, rescaled
 from ancfdae.integrators.hht.small_steps import Nodes
@@ -21,6 +19,8 @@ from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import Covectors, pull_back_start
+from ancfdae.integrators.step_control.march import Reached, march
+from ancfdae.integrators.step_control.planned import Plan
 from ancfdae.numerics.arrays import Array
 
 
@@ -45,27 +45,15 @@ class Replay:
 
         A part that fails or is interrupted holds the steps so far; its outcome says so.
         """
-        system, verdict = self._problem.system, Verdict.FINISHED
-        recorder = Recorder(system, last - first + 1)
+        recorder, h = Recorder(self._problem.system, last - first + 1), self._steps.h
         stepper = Stepper(self._problem, self._steps.alpha, self._newton, None, recorder)
         recorder.record(*(stepper.recorded((node, None)) if first else stepper.consistent()))
-        try:
-            for n in range(first, last):
-                with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                    before = self._ahead(node, n), None
-                    after = stepper.advance(float(self._steps.h[n]), before, float(self.t[n + 1]))
-                if after is None:
-                    verdict = stepper.failure().verdict
-                    break
-                recorder.record(*stepper.recorded(after))
-                node, self.taken = after[0], self.taken + 1
-        except SingularMatrix:
-            verdict = Verdict.SINGULAR
-        except KeyboardInterrupt:
-            verdict = Verdict.INTERRUPTED
-        size = 0.0 if verdict is Verdict.FINISHED else stepper.failure().correction
-        outcome = Outcome(verdict, recorder.time, first + recorder.steps, size)
-        return recorder.solution(outcome), node
+        begun = Reached(first, float(self.t[first]), float(h[max(first - 1, 0)]), (node, None))
+        plan = Plan(h[:last], self.t[1 : last + 1])
+        run, reached = march(stepper, plan, recorder, float(self.t[last]), False, begun)
+        self.taken += reached.n - first
+        outcome = replace(run.outcome, step=reached.n)
+        return replace(run, outcome=outcome), reached.now[0]
 
     def pull_back(
         self, run: Solution, node: Node, first: int, seeds: Seeds, on: Array

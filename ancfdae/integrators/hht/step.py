@@ -18,13 +18,12 @@ import numpy as np
 
 from ancfdae.errors import Verdict
 from ancfdae.integrators.hht import linear_passes
-from ancfdae.integrators.hht.continuation import continued, remedy
+from ancfdae.integrators.hht.continuation import solved
 from ancfdae.integrators.hht.equations import (
     Coefficients,
     Node,
     NodeSensitivity,
     constraint_error,
-    predict_increment,
     rescaled,
     rescaled_sensitivity,
 )
@@ -35,12 +34,7 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
 from ancfdae.integrators.step_control.tolerance import Tolerance
-from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
-
-# Where the branch of solutions could be followed over more than this part of a step, and then was
-# lost in round-off, as many iterations as this times the usual ones are spent on the full step.
-_MOST_OF_IT, _PATIENCE = 0.5, 4
 
 # State of the recurrence at an instant, and of its derivatives if they are integrated.
 State = tuple[Node, NodeSensitivity | None]
@@ -66,7 +60,7 @@ class Stepper(OneStepMethod[State]):
     ) -> None:
         self._problem, self._alpha = problem, alpha
         self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
-        self._tolerance, self._recorder, self._remedy = tolerance, recorder, ""
+        self._tolerance, self._recorder = tolerance, recorder
         self._coefficients = Coefficients(0.0, alpha)
 
     def consistent(self) -> Record:
@@ -84,44 +78,25 @@ class Stepper(OneStepMethod[State]):
         node, node_b = state
         return rescaled(node, ratio), node_b and rescaled_sensitivity(node_b, ratio)
 
-    def advance(self, h: float, before: State, t: float) -> State | None:
-        """Solve the equations at t; None if Newton's method fails."""
+    def advance(self, h: float, before: State, t: float) -> State | Failure:
+        """Solve the equations at t."""
         (last, node_b), c = before, self._coefficients
         if c.h != h:
             c = self._coefficients = Coefficients(h, self._alpha)
-        self._remedy, node = "", self._solver.advance(c, last, t)
+        system, step = self._problem.system, (c, last, t)
+        node = self._solver.advance(step)
         # Where steps are controlled a smaller one is the better cure.
-        if node is None and self._tolerance is None:
-            node, part = continued(self._solver, c, last, t)
-            if node is None and part > _MOST_OF_IT:
-                node = self._patient(c, last, t)
-            self._remedy = remedy(h, part)
-            self._recorder.continued += node is not None
-        if node is None:
-            return None
+        hard = isinstance(node, Failure) and node.verdict is not Verdict.SINGULAR
+        if isinstance(node, Failure) and hard and self._tolerance is None:
+            node = solved(self._solver, system, step, node)
+            self._recorder.continued += isinstance(node, Node)
+        if isinstance(node, Failure):
+            return node
         if node_b is not None:
             self._recorder.factorisations += 1
-            system, matrices = self._problem.system, self._problem.matrices
             row = ConstraintRow.of(system, c, last, node)
-            node_b = linear_passes.advance(system, matrices, c, node_b, node, row)
+            node_b = linear_passes.advance(system, self._problem.matrices, c, node_b, node, row)
         return node, node_b
-
-    def _patient(self, c: Coefficients, last: Node, t: float) -> Node | None:
-        """Iterate on where round-off hides the branch; None if that leads away from the motion."""
-        node = self._solver.advance(c, last, t, patience=_PATIENCE)
-        if node is None:
-            return None
-        ahead, _ = predict_increment(c, last.v, last.a)
-        weights = self._problem.system.weights
-        near = norm(node.q - last.q - ahead, weights) <= norm(ahead, weights)
-        return node if near else None
-
-    def failure(self) -> Failure:
-        """Return why Newton's method failed, the size of its last correction, and a remedy."""
-        verdict = self._solver.verdict
-        # No step helps where the forces themselves are not finite.
-        told = "" if verdict is Verdict.NOT_FINITE else self._remedy
-        return Failure(verdict, self._solver.correction, told)
 
     def recorded(self, state: State) -> Record:
         """Return what a solution keeps of a state."""

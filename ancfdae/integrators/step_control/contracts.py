@@ -46,12 +46,8 @@ class OneStepMethod(abc.ABC, Generic[State]):
         """Return a state for a step whose size is `ratio` times that of the step before."""
 
     @abc.abstractmethod
-    def advance(self, h: float, before: State, t: float) -> State | None:
-        """Return the state at t, after a step of size h; None if it was not solved."""
-
-    @abc.abstractmethod
-    def failure(self) -> Failure:
-        """Return why the last step was not solved."""
+    def advance(self, h: float, before: State, t: float) -> State | Failure:
+        """Return the state at t, after a step of size h, or why it was not solved."""
 
     @abc.abstractmethod
     def recorded(self, state: State) -> Record:
@@ -104,8 +100,8 @@ class StepControl(abc.ABC):
         """Return what decides the steps of one run; a state is that of a run that goes on."""
 
     @abc.abstractmethod
-    def continues(self, t: Array, state: tuple[float, ...]) -> bool:
-        """Whether a run with the instants t, which left this state, can go on under it."""
+    def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
+        """Whether a run with the instants t, which left this state, can go on to `t_end`."""
 
     @abc.abstractmethod
     def sizes(self, t: Array) -> Array:

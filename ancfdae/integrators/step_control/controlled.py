@@ -113,7 +113,7 @@ class ControlledSteps(StepControl):
         atol = self.rtol if self.atol is None else self.atol
         return Tolerance(self.rtol, atol, t_end, sizes, sizes_b)
 
-    def continues(self, t: Array, state: tuple[float, ...]) -> bool:
+    def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
         """Whether the state is one of the filter."""
         return len(state) == _NUMBERS
 

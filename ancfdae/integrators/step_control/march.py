@@ -9,7 +9,7 @@ import numpy as np
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.step_control.contracts import Controller, OneStepMethod
+from ancfdae.integrators.step_control.contracts import Controller, Failure, OneStepMethod
 
 
 class Reached(NamedTuple):
@@ -31,7 +31,7 @@ def march(
     t_end: float,
     progress: bool,
     reached: Reached = _NOWHERE,
-) -> Solution:
+) -> tuple[Solution, Reached]:
     """Step to the end; after a failure or an interrupt the solution holds the steps so far.
 
     The recorder has what was reached before.
@@ -44,42 +44,40 @@ def march(
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                verdict = _to_end(method, controller, recorder, bar, reached)
+                while isinstance(found := _next(method, controller, recorder, reached), Reached):
+                    bar.update(found.t - reached.t)
+                    reached = found
         except SingularMatrix:
-            verdict = Verdict.SINGULAR
+            found = Failure(Verdict.SINGULAR, 0.0)
         except KeyboardInterrupt:
-            verdict = Verdict.INTERRUPTED
-    ended = recorder.time, recorder.steps
-    if verdict is Verdict.FINISHED:
-        return recorder.solution(Outcome(verdict, *ended, 0.0))
-    why = method.failure()
-    return recorder.solution(Outcome(verdict, *ended, why.correction, advice=why.remedy))
+            found = Failure(Verdict.INTERRUPTED, 0.0)
+    verdict, correction, remedy = found
+    outcome = Outcome(verdict, recorder.time, recorder.steps, correction, advice=remedy)
+    return recorder.solution(outcome), reached
 
 
-def _to_end(
-    method: OneStepMethod[Any],
-    controller: Controller,
-    recorder: Recorder,
-    bar: Any,
-    reached: Reached,
-) -> Verdict:
+def _next(
+    method: OneStepMethod[Any], controller: Controller, recorder: Recorder, reached: Reached
+) -> Reached | Failure:
+    """Try a step; return where the run stands then, or how it ends there."""
     n, t, last, now = reached
-    while not isinstance(planned := controller.plan(n, t), Verdict):
-        h, t_next = planned
-        before = method.start(h) if now is None else method.resized(now, h / last)
-        after = method.advance(h, before, t_next)
-        error = None if after is None else method.error(h, before, after)
-        found = controller.judge(n, t, h, error)
-        if isinstance(found, int) and found > n:
-            n, t, last, now = found, t_next, h, after
-            recorder.record(*method.recorded(after), control=controller.state())
-            bar.update(h)
-            continue
-        recorder.rejected += 1
-        if isinstance(found, Verdict):
-            return method.failure().verdict if after is None else found
-        if found == 0:
-            n, t, last, now = _NOWHERE
-            recorder.restart()
-            bar.reset()
-    return planned
+    planned = controller.plan(n, t)
+    if isinstance(planned, Verdict):
+        return Failure(planned, 0.0)
+    h, end = planned
+    before = method.start(h) if now is None else method.resized(now, h / last)
+    after = method.advance(h, before, end)
+    failed = isinstance(after, Failure)
+    if failed and after.verdict is Verdict.SINGULAR:
+        return after
+    judged = controller.judge(n, t, h, None if failed else method.error(h, before, after))
+    if isinstance(judged, int) and judged > n:
+        recorder.record(*method.recorded(after), control=controller.state())
+        return Reached(judged, end, h, after)
+    recorder.rejected += 1
+    if isinstance(judged, Verdict):
+        return after if failed else Failure(judged, 0.0)
+    if judged > 0:
+        return reached
+    recorder.restart()
+    return _NOWHERE

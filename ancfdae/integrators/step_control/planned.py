@@ -21,6 +21,8 @@ from ancfdae.numerics.arrays import Array
 
 # Steps may miss the end time by this many parts of their number (accumulated round-off).
 _WHOLE = 1e-9
+# A number of steps is exact up to here.
+_COUNTABLE = 2.0**53
 # A longer list of instants is shortened where it is printed.
 _SHOWN = 6
 
@@ -36,11 +38,7 @@ class _KnownSteps(StepControl):
 
     @abc.abstractmethod
     def instants(self, t_end: float) -> Array:
-        """Return the instants of a run to `t_end`, which must be one of them."""
-
-    @abc.abstractmethod
-    def _known(self, count: int) -> Array:
-        """Return the first instants, `count` of them or as many as there are."""
+        """Return the instants of a run to `t_end`; refuse one that they cannot end at."""
 
     @final
     def controller(
@@ -48,18 +46,22 @@ class _KnownSteps(StepControl):
     ) -> Controller:
         """Return the plan."""
         t = self.instants(t_end)
-        return _Plan(self.sizes(t), t[1:])
+        return Plan(self.sizes(t), t[1:])
 
     @final
-    def continues(self, t: Array, state: tuple[float, ...]) -> bool:
-        known = self._known(len(t))
+    def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
+        known = self.instants(t_end)[: len(t)]
         return len(known) == len(t) and np.allclose(t, known, rtol=_WHOLE, atol=0)
 
 
 @final
 @dataclass(frozen=True)
 class FixedSteps(_KnownSteps):
-    """Steps of one size (s); InvalidInput if it is not positive, or its square is no number."""
+    """Steps of one size (s); InvalidInput if it is not positive, or its square is no number.
+
+    Where the end time is no whole number of them, all are shorter by the same factor. (One shorter
+    last step would cost the multipliers of HHT-I3 their order, docs/theory/13-errors.md.)
+    """
 
     step: float
 
@@ -70,33 +72,37 @@ class FixedSteps(_KnownSteps):
         object.__setattr__(self, "step", float(self.step))
 
     def count(self, t_end: float) -> int:
-        """Return the number of steps, which must be whole."""
+        """Return the number of steps of this size at most."""
         require_positive("t_end", t_end)
         steps = t_end / self.step
-        count = round(steps) if math.isfinite(steps) else 0
-        if count < 1 or not math.isclose(steps, count, rel_tol=_WHOLE):
-            raise InvalidInput(
-                "t_end",
-                f"must be a whole number of steps of {self.step:.6g}",
-                f"{t_end:.6g}, that is {steps:.6g} steps",
-                f"Use t_end = {max(count, 1) * self.step:.6g}, or another step.",
-            )
-        return count
+        if not steps < _COUNTABLE:
+            rule, got = f"must be within {_COUNTABLE:.0e} steps", f"{t_end:.6g}"
+            repair = f"Use a step above {self.step:.6g}."
+            raise InvalidInput("t_end", rule, got, repair)
+        return max(1, math.ceil(steps * (1 - _WHOLE)))
 
     def instants(self, t_end: float) -> Array:
         """Return multiples of the step, without accumulated round-off."""
-        return self._known(self.count(t_end) + 1)
-
-    def _known(self, count: int) -> Array:
-        return self.step * np.arange(count)
+        count = self.count(t_end)
+        if self._is_step(t_end / count):
+            return self.step * np.arange(count + 1)
+        return np.linspace(0.0, t_end, count + 1)
 
     def sizes(self, t: Array) -> Array:
         """Return the step, free of the round-off of the instants."""
-        return np.full(len(t) - 1, self.step)
+        return np.full(len(t) - 1, self._size(t))
 
     def refined(self, t: Array) -> StepControl:
         """Halve the step."""
-        return FixedSteps(self.step / 2)
+        return FixedSteps(self._size(t) / 2)
+
+    def _size(self, t: Array) -> float:
+        """Return the step of a run with the instants t."""
+        taken = float(t[1]) if len(t) > 1 else self.step
+        return self.step if self._is_step(taken) else taken
+
+    def _is_step(self, taken: float) -> bool:
+        return math.isclose(taken, self.step, rel_tol=_WHOLE)
 
 
 @final
@@ -144,12 +150,10 @@ class GivenSteps(_KnownSteps):
             )
         return len(self.times) - 1
 
-    def _known(self, count: int) -> Array:
-        return np.array(self.times[:count])
-
     def instants(self, t_end: float) -> Array:
         """Return those given."""
-        return self._known(self.count(t_end) + 1)
+        self.count(t_end)
+        return np.array(self.times)
 
     def sizes(self, t: Array) -> Array:
         """Return the distances of the instants."""
@@ -162,17 +166,20 @@ class GivenSteps(_KnownSteps):
 
 
 @final
-class _Plan(Controller):
-    """Sizes and ends of all steps."""
+class Plan(Controller):
+    """Sizes and ends of all steps, of the one that begins at instant n at place n."""
 
     def __init__(self, sizes: Array, ends: Array) -> None:
         self._sizes, self._ends = sizes.tolist(), ends.tolist()
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
+        """Return the step as it is known."""
         return (self._sizes[n], self._ends[n]) if n < len(self._ends) else Verdict.FINISHED
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
+        """Go on if the step was solved."""
         return Verdict.NO_CONVERGENCE if error is None else n + 1
 
     def state(self) -> tuple[float, ...]:
+        """Return nothing: the instants say it all."""
         return ()
