@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
@@ -32,6 +32,11 @@ class JointFactors:
     def active(self) -> set[int]:
         """Design variables that change a factor."""
         return {int(i) for slot in self._slots for i in np.flatnonzero(np.any(slot.item.p_b, 0))}
+
+    @property
+    def table(self) -> Callable[[Array, int], Array] | None:
+        """What gives the factors at many instants; None where nothing is driven."""
+        return self.over if self.driven else None
 
     def at(self, t: float, orders: int = 1) -> Array:
         """Return the factors at one instant, of so many orders at least."""
