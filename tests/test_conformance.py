@@ -29,8 +29,8 @@ from validation.scenes import crank_slider, pendulum
 from mechanisms import CartesianPendulum, GuidedDoublePendulum, WhirlingPendulum, WrittenPendulum
 from sign_mutation import everything, negative
 
-# A start is judged by Phi and by its partials, which are there with design variables. Which loads of
-# Q turn with the motion only the system knows: its tangent is compared, no value tells the sign.
+# A start is judged by Phi and by its partials, which are there with design variables. Which loads
+# of Q turn with the motion only the system knows: no value tells the sign of these.
 UNTOLD = "start", "following_load"
 VALUES = [name for name in members() if is_value(name) and name not in UNTOLD]
 
