@@ -1,0 +1,48 @@
+"""One scene for both codes."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from ancfdae import Integrator, Point, Scene, simulate
+from ancfdae.numerics.arrays import Array
+
+__all__ = ["GRAVITY", "Pair"]
+
+GRAVITY = 9.81
+
+
+class Pair(ABC):
+    """A scene in this package and in Exudyn, compared where a point of it is.
+
+    `asked` is the largest ratio of this package's time to Exudyn's that is wanted.
+    """
+
+    asked: ClassVar[float] = 1.0
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """Name in tables."""
+
+    @abstractmethod
+    def scene(self) -> Scene:
+        """Return the scene."""
+
+    @property
+    @abstractmethod
+    def point(self) -> Point:
+        """The point that is compared."""
+
+    @abstractmethod
+    def build(self, exu: Any, items: Any, mbs: Any) -> Callable[[], Any]:
+        """Add the items to a main system of Exudyn; return ``read()``, where the point is.
+
+        `exu` is the module ``exudyn``, `items` its ``utilities``.
+        """
+
+    def end(self, t_end: float, integrator: Integrator) -> Array:
+        """Return where this package finds the point at the end."""
+        solution = simulate(self.scene(), t_end, integrator)
+        place: Array = solution.position(self.point)[-1]
+        return place
