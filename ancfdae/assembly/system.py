@@ -12,9 +12,11 @@ import numpy as np
 from ancfdae.assembly.assembled_start import AssembledStart
 from ancfdae.assembly.beam_sections import BeamSections
 from ancfdae.assembly.block import element_block
+from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
 from ancfdae.assembly.inertia import Inertia
+from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.mass_blocks import element_masses, other_masses
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
@@ -31,6 +33,7 @@ from ancfdae.equations.system import (
 )
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.errors.text import listed
+from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.naming import Layout, Naming
@@ -109,9 +112,9 @@ class AncfSystem(MechanicalSystem):
         self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
         inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
-        self._constraints, self._loads = inputs.constraints(), inputs.forces()
-        self.pattern = self._whole_pattern()
-        self._constraints.place_curvature(self.pattern)
+        joints, self._loads = inputs.joints(), inputs.forces()
+        self.pattern = self._whole_pattern(joints)
+        self._constraints = JointConstraints.on(self.pattern, joints, self.n_b)
         self._loads.place(self.pattern)
         soft = mapping.only(self._numbering.elements)
         beams = [beam for beam in scene.beams if not beam.rigid]
@@ -139,9 +142,9 @@ class AncfSystem(MechanicalSystem):
         d = self.element.d
         return (g, g_b) if len(g) else (np.zeros(d), np.zeros((d, self.n_b)))
 
-    def _whole_pattern(self) -> Pattern:
+    def _whole_pattern(self, structure: JointStructure) -> Pattern:
         """Pattern of everything: elements, rigid bodies, curvature of joints, tangents of loads."""
-        joints, loads = self._constraints.couplings()[:2], self._loads.couplings()
+        joints, loads = structure.couplings, self._loads.couplings()
         parts = zip(self._numbering.couplings(), joints, loads, strict=True)
         rows, columns = (np.concatenate(part) for part in parts)
         return Pattern((self.n_q, self.n_q), rows, columns)
@@ -165,6 +168,27 @@ class AncfSystem(MechanicalSystem):
         rows = joints.joints
         self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=rows))
         self.constraint_names = tuple(joint.name for joint in rows for _ in range(joint.rows))
+
+    @property
+    def plan(self) -> Plan | None:
+        """What a kernel marches with: real numbers, and no load that moves."""
+        if np.iscomplexobj(self.b) or self._loads.moving:
+            return None
+        steady, rows = self._loads.timed()
+        inertia, weights = self._inertia, self.weights
+        return Plan(
+            *self._elastic.tangent_places,
+            inertia.csr,
+            inertia.values,
+            inertia.gravity + steady,
+            rows,
+            weights,
+            1 / weights,
+            self._constraints.plan,
+            self._constraints.pattern.rows_of(np.zeros(self._constraints.pattern.size)),
+            self._constraints.factors.table,
+            self._loads.factors,
+        )
 
     # -- the protocol --------------------------------------------------------------------------
 

@@ -8,7 +8,9 @@ compiled, and by what: docs/measurements.md, section 11.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy.typing as npt
 
@@ -37,10 +39,70 @@ class Block(NamedTuple):
     n_q: int
 
 
+@final
+class Constraints(IntEnum):
+    """What is asked of constraints: Phi, values of Phi_q, or Phi_q^T lam."""
+
+    RATE = 0
+    VALUES = 1
+    FORCE = 2
+
+
+#: A matrix in compressed sparse rows: where rows begin, columns, values.
+Csr: TypeAlias = tuple[Array, Array, Array]
+
+
+ConstraintPlan = _kernels.ConstraintPlan
+
+
+class Plan(NamedTuple):
+    """A system of elements, joints and loads that the state does not change, for `march`.
+
+    `places` are those of the elements' tangents on the system's pattern, `mass` the values of M
+    there. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of time are
+    functions of instants, (k,): those of constraints with derivatives, (orders, k, n_parts), None
+    where nothing is driven, and those of loads, (k, n_loads).
+    """
+
+    block: Block
+    places: Array
+    M: Csr
+    mass: Array
+    gravity: Array
+    loads: Array
+    weights: Array
+    inverse_weights: Array
+    constraints: ConstraintPlan
+    B: Csr
+    joint_factors: Callable[[Array, int], Array] | None
+    load_factors: Callable[[Array], Array]
+
+
+class Layout(NamedTuple):
+    """Order and scale of the unknowns, and where values stand in an envelope or in a band.
+
+    The envelope is (first, chosen, places, signs) as for `ldl_factor`, and the band (half, flat,
+    factors) as for `band_factor`.
+    """
+
+    order: Array
+    scale: Array
+    envelope: tuple[Array, Array, Array, Array] | None
+    band: tuple[int, Array, Array] | None
+
+
+#: Why a march ends: with all steps, or before one that it does not solve, that needs factors at
+#: Gauss points, whose matrix needs a band, or that no time is left for.
+ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
+
 add_scaled = _kernels.add_scaled
 balance = _kernels.balance
 band_factor = _kernels.band_factor
 band_solve = _kernels.band_solve
+constraint_curvature = _kernels.constraint_curvature
+constraint_gradient = _kernels.constraint_gradient
+constraint_totals = _kernels.constraint_totals
+constraints = _kernels.constraints
 csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
 csr_subtract = _kernels.csr_subtract
@@ -52,7 +114,9 @@ gram = _kernels.gram
 ldl_factor = _kernels.ldl_factor
 ldl_solve = _kernels.ldl_solve
 lifted = _kernels.lifted
+march = _kernels.march
 norm = _kernels.norm
+prepare = _kernels.prepare
 recombine = _kernels.recombine
 relative = _kernels.relative
 strain = _kernels.strain

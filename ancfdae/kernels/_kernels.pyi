@@ -6,7 +6,7 @@ shape (..., n, n_y, d), packed matrices (..., n, n_g).
 
 from typing import Any
 
-from ancfdae.kernels import Array, Block
+from ancfdae.kernels import Array, Block, Layout, Plan
 
 def relative(block: Block, q: Array, /) -> Array:
     """Return Y = R q."""
@@ -59,6 +59,60 @@ def strain(g_o: Array, Y: Array, V: Array | None, tau: Array | None, /) -> Array
 
 def stressed(p: Array, Y: Array, /) -> Array:
     """Return W(p) Y, the gradient of p . g(Y)."""
+
+class ConstraintPlan:
+    """Constraints of joints; `constraint_plan.h` says what the indices are, in its order.
+
+    Numbers are entries of L, coefficients (linear, products, offsets), and those that factors of
+    time multiply. Factors have the shape (orders, k, n_parts) or (orders, 1, n_parts).
+    """
+
+    def __init__(
+        self,
+        indices: tuple[Array, ...],
+        numbers: tuple[Array, Array, Array],
+        d: int,
+        n_q: int,
+        n_values: int,
+        n_curved: int,
+        /,
+    ) -> None: ...
+
+def constraints(
+    plan: ConstraintPlan, what: int, factors: Array, lam: Array | None, /, *motion: Array
+) -> Array:
+    """Return Phi, values of Phi_q or Phi_q^T lam, or their derivatives along the motion.
+
+    `what` is a `Constraints`; states have a leading axis of k instants, or are those of one.
+    """
+
+def constraint_curvature(plan: ConstraintPlan, factors: Array, lam: Array, /) -> Array:
+    """Return values of (Phi_q^T lam)_q, from factors of one order, (k or 1, n_parts)."""
+
+def constraint_gradient(
+    plan: ConstraintPlan, factors: Array, lam: Array, /, *motion: Array
+) -> tuple[Array, Array]:
+    """Return partials of lam . Phi, or of its time derivative, in the numbers of the plan.
+
+    In entries of L, (k, n_l), and in coefficients and their time derivatives, (k, orders, n_c).
+    """
+
+def constraint_totals(
+    plan: ConstraintPlan,
+    partials: tuple[Array, ...],
+    factors: Array,
+    factors_b: Array | None,
+    lam: Array | None,
+    lam_b: Array | None,
+    motion: tuple[Array, ...],
+    motion_b: tuple[Array, ...] | None,
+    /,
+) -> Array:
+    """Return total design derivatives of Phi, or with lam of Phi_q^T lam, as rows, (k, n_b, n).
+
+    Partials are (variable, number, first, part, entry, value), see `constraint_totals.h`;
+    derivatives are rows, (k, n_b, n). Without those of the motion it is held.
+    """
 
 def csr_rows(first: Array, columns: Array, values: Array, x: Array, /) -> Array:
     """Return M x for rows of x; M in compressed sparse rows."""
@@ -133,6 +187,33 @@ def ldl_factor(
 
 def ldl_solve(factors: Array, first: Array, order: Array, right: Array, /) -> Array:
     """Return P^T (L D L^T)^-1 P x for right sides x along the last axis; P as in `band_solve`."""
+
+def prepare(plan: Plan, layout: Layout, rules: Array, /) -> object:
+    """Return what `march` takes.
+
+    The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of
+    `integrators/hht/newton.py` in the order of `march_rules` in `kernels.c`.
+    """
+
+def march(
+    prepared: object,
+    state: tuple[Array, Array, Array, Array, Array],
+    motion: float,
+    h: Array,
+    of_joints: Array,
+    of_loads: Array,
+    seconds: float,
+    rows: tuple[Array, Array, Array, Array],
+    /,
+) -> tuple[int, int, float, Array, tuple[int, int, int]]:
+    """Take steps of sizes h from (q, v, a, lam, A), as many as can be taken in so many seconds.
+
+    Factors of joints are (k, instants, n_parts): at the end of each step, at its beginning, at the
+    three Gauss points, and their time derivatives there; two instants do where no step is small.
+    Factors of loads are (k, 2, n_loads). Returns the number of steps taken, why it ends, the motion
+    and a of the last state, and counts of iterations, factorisations and steps that round-off
+    disturbs. The states after the steps, q, v, A and lam, are written to rows.
+    """
 
 def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
     """Return x + s y for arrays of one shape, or whatever NumPy makes of it."""

@@ -11,9 +11,11 @@
 #include <numpy/arrayobject.h>
 
 #include <complex.h>
+#include <float.h>
 #include <limits.h>
 #include <math.h>
 #include <string.h>
+#include <time.h>
 
 #if defined(_MSC_VER) && !defined(__clang__)
 #error "MSVC has no complex numbers of C; build with clang-cl or MinGW"
@@ -51,6 +53,33 @@
 /* The largest element: 8 relative node vectors of 3 numbers. */
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
+#include "constraint_plan.h"
+/* Settings of Newton's method in steps of HHT-I3, numbers only (`integrators/hht/newton.py`), with
+ * the places and weights of the Gauss points of small steps. */
+typedef struct {
+    double alpha, tolerance, max_iterations, blur, slow, near, ahead, smooth, round_off, jump, quiet;
+    double places[3], weights[3];
+} march_rules;
+
+/* Step size, and Newmark coefficients with what a adds to q, v and A. */
+typedef struct {
+    double h, alpha, beta, gamma, in_q, in_v, in_A;
+} step_coefficients;
+
+static step_coefficients coefficients_of_step(double h, double alpha)
+{
+    double beta = (1 - alpha) * (1 - alpha) / 4, gamma = (1 - 2 * alpha) / 2;
+    step_coefficients c = {h, alpha, beta, gamma, beta * (h * h), gamma * h, 1 / (1 + alpha)};
+    return c;
+}
+
+static double seconds_now(void)
+{
+    struct timespec now;
+    timespec_get(&now, TIME_UTC);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
 #define T double
 #define NAME(x) x##_real
 #define CLONES WITH_WIDE_VECTORS
@@ -58,9 +87,11 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
+#include "constraints.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
+#include "march.h"
 #undef T
 #undef NAME
 #undef CLONES
@@ -71,12 +102,15 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
+#include "constraints.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
 #undef T
 #undef NAME
 #undef CLONES
+
+#include "constraint_totals.h"
 
 /* ---- arguments ---------------------------------------------------------------------------- */
 
@@ -508,6 +542,10 @@ static PyObject *py_stressed(PyObject *const *args)
     Py_XDECREF(Y);
     return (PyObject *)out;
 }
+
+/* ---- constraints ----------------------------------------------------------------------------- */
+
+#include "constraint_calls.h"
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
@@ -1099,6 +1137,10 @@ static PyObject *py_ldl_solve(PyObject *const *args)
     return (PyObject *)out;
 }
 
+/* ---- marches ------------------------------------------------------------------------------- */
+
+#include "prepared.h"
+
 /* ---- module -------------------------------------------------------------------------------- */
 
 /* Each function takes exactly this many arguments; see `__init__.py`. */
@@ -1118,6 +1160,8 @@ FUNCTION(forces, 3)
 FUNCTION(forces_along, 5)
 FUNCTION(force_totals, 9)
 FUNCTION(tangents, 6)
+FUNCTION(constraint_curvature, 3)
+FUNCTION(constraint_totals, 8)
 FUNCTION(gram, 2)
 FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
@@ -1130,17 +1174,28 @@ FUNCTION(band_factor, 6)
 FUNCTION(band_solve, 7)
 FUNCTION(ldl_factor, 6)
 FUNCTION(ldl_solve, 4)
+FUNCTION(prepare, 3)
+FUNCTION(march, 8)
 
-static PyObject *any_norm(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    (void)self;
-    return py_norm(args, count);
-}
+#define FUNCTION_OF_MANY(name)                                                                     \
+    static PyObject *any_##name(PyObject *self, PyObject *const *args, Py_ssize_t count)           \
+    {                                                                                              \
+        (void)self;                                                                                \
+        return py_##name(args, count);                                                             \
+    }
+FUNCTION_OF_MANY(norm)
+FUNCTION_OF_MANY(constraints)
+FUNCTION_OF_MANY(constraint_gradient)
 
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))counted_##name, METH_FASTCALL, NULL}
+#define METHOD_OF_MANY(name) {#name, (PyCFunction)(void (*)(void))any_##name, METH_FASTCALL, NULL}
 static PyMethodDef methods[] = {
     METHOD(add_scaled),
-    {"norm", (PyCFunction)(void (*)(void))any_norm, METH_FASTCALL, NULL},
+    METHOD_OF_MANY(norm),
+    METHOD_OF_MANY(constraints),
+    METHOD_OF_MANY(constraint_gradient),
+    METHOD(constraint_curvature),
+    METHOD(constraint_totals),
     METHOD(finite),
     METHOD(relative),
     METHOD(lifted),
@@ -1160,6 +1215,8 @@ static PyMethodDef methods[] = {
     METHOD(band_solve),
     METHOD(ldl_factor),
     METHOD(ldl_solve),
+    METHOD(prepare),
+    METHOD(march),
     {NULL, NULL, 0, NULL},
 };
 
@@ -1169,5 +1226,8 @@ static struct PyModuleDef definition = {
 PyMODINIT_FUNC PyInit__kernels(void)
 {
     import_array();
-    return PyModule_Create(&definition);
+    PyObject *module = PyModule_Create(&definition);
+    if (module && PyModule_AddType(module, &ConstraintPlanType) < 0)
+        Py_CLEAR(module);
+    return module;
 }
