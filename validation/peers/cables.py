@@ -1,11 +1,8 @@
 """Planar cables: a pendulum, a slider-crank with a flexible rod, a cantilever."""
 
 import importlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
-
-import numpy as np
 
 from ancfdae import (
     CABLE_2D,
@@ -24,7 +21,7 @@ from ancfdae import (
     Scene,
     Uniform,
 )
-from validation.peers.pair import GRAVITY, Pair
+from validation.peers.pair import GRAVITY, Model, Pair
 
 __all__ = ["CablePendulum", "Elastica", "FlexibleSlider"]
 
@@ -34,21 +31,22 @@ _ROPE = Material(_DENSITY, _MODULUS, 0.0)
 
 
 def _rod(name: str, start: float, end: float, cables: int, side: float = _SIDE) -> Beam:
+    materials = [_ROPE] * cables
     section = Rectangle(side, side)
-    return Beam(name, (start, 0), (end, 0), cables, section, _ROPE, element=CABLE_2D)
+    return Beam(name, (start, 0), (end, 0), cables, section, materials, element=CABLE_2D)
 
 
 def _cables(
     items: Any, mbs: Any, rod: Beam, weight: float, **nodes: Any
 ) -> tuple[list[int], list[int]]:
     """Add a rod of cables; return its nodes and elements."""
-    section, material = rod.section, rod.material
-    assert isinstance(section, Rectangle) and isinstance(material, Material)
-    area, modulus = section.height * section.width, material.youngs_modulus
+    section = rod.section
+    assert isinstance(section, Rectangle)
+    area = section.height * section.width
     template = items.Cable2D(
-        massPerLength=material.density * area,
-        bendingStiffness=modulus * area * section.height**2 / 12,
-        axialStiffness=modulus * area,
+        massPerLength=_DENSITY * area,
+        bendingStiffness=_MODULUS * area * section.height**2 / 12,
+        axialStiffness=_MODULUS * area,
     )
     made = importlib.import_module("exudyn.beams").GenerateStraightLineANCFCable2D(
         mbs,
@@ -84,12 +82,23 @@ class CablePendulum(Pair):
         """The free end."""
         return Point("rope", 1.0)
 
-    def build(self, exu: Any, items: Any, mbs: Any) -> Callable[[], Any]:
+    def design(self) -> list[str]:
+        """Return Young's modulus of every cable."""
+        return [f"rope.youngs_modulus[{i}]" for i in range(self.cables)]
+
+    def build(self, exu: Any, items: Any, mbs: Any) -> Model:
         """Pin two coordinates of the first node."""
         (rope,) = self.scene().beams
         assert isinstance(rope, Beam)
-        nodes, _ = _cables(items, mbs, rope, GRAVITY, fixedConstraintsNode0=[1, 1, 0, 0])
-        return lambda: mbs.GetNodeOutput(nodes[-1], exu.OutputVariableType.Position)[:2]
+        nodes, cables = _cables(items, mbs, rope, GRAVITY, fixedConstraintsNode0=[1, 1, 0, 0])
+
+        def vary(i: int, factor: float) -> None:
+            axial = factor * _MODULUS * _SIDE**2
+            mbs.SetObjectParameter(cables[i], "axialStiffness", axial)
+            mbs.SetObjectParameter(cables[i], "bendingStiffness", axial * _SIDE**2 / 12)
+
+        end = exu.OutputVariableType.Position
+        return Model(lambda: mbs.GetNodeOutput(nodes[-1], end)[:2], vary)
 
 
 @final
@@ -142,16 +151,14 @@ class FlexibleSlider(Pair):
         """The slider."""
         return Point("rod", 1.0)
 
-    def build(self, exu: Any, items: Any, mbs: Any) -> Callable[[], Any]:
-        """The rate of the crank is a constraint of velocities, and needs no function of time."""
+    def build(self, exu: Any, items: Any, mbs: Any) -> Model:
+        """Constrain the rate of the crank, which needs no function of time."""
         (rod,) = self.scene().beams
         assert isinstance(rod, Beam)
         nodes, _ = _cables(items, mbs, rod, GRAVITY)
         for i, node in enumerate(nodes):
             arm = -self.rod * (1 - i / self.cables)
-            mbs.SetNodeParameter(
-                node, "initialVelocities", [0, self._swing * arm, 0, self._swing]
-            )
+            mbs.SetNodeParameter(node, "initialVelocities", [0, self._swing * arm, 0, self._swing])
         speed = [0, self.rate * self.crank / 2, self.rate]
         mass, inertia = self._bar
         node = mbs.AddNode(
@@ -195,7 +202,7 @@ class FlexibleSlider(Pair):
                 markerNumbers=turn, velocityLevel=True, offset=self.rate
             )
         )
-        return lambda: mbs.GetNodeOutput(end, exu.OutputVariableType.Position)[:2]
+        return Model(lambda: mbs.GetNodeOutput(end, exu.OutputVariableType.Position)[:2])
 
 
 @final
@@ -227,11 +234,11 @@ class Elastica(Pair):
         """The free end."""
         return Point("rod", 1.0)
 
-    def build(self, exu: Any, items: Any, mbs: Any) -> Callable[[], Any]:
+    def build(self, exu: Any, items: Any, mbs: Any) -> Model:
         """Fix position and direction of the first node."""
         (rod,) = self.scene().beams
         assert isinstance(rod, Beam)
         nodes, _ = _cables(items, mbs, rod, 0.0, fixedConstraintsNode0=[1, 1, 0, 1])
         end = mbs.AddMarker(items.MarkerNodePosition(nodeNumber=nodes[-1]))
         mbs.AddLoad(items.Force(markerNumber=end, loadVector=[0, -self._force, 0]))
-        return lambda: mbs.GetNodeOutput(nodes[-1], exu.OutputVariableType.Position)[:2]
+        return Model(lambda: mbs.GetNodeOutput(nodes[-1], exu.OutputVariableType.Position)[:2])

@@ -5,6 +5,7 @@ import importlib.util
 import itertools
 import sys
 import time
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -13,9 +14,9 @@ from ancfdae.errors import MissingPackage
 from ancfdae.numerics.arrays import Array
 from validation.peers.pair import Pair
 
-_INSTALL = "Report peers needs Exudyn and JAX: .venv/bin/python -m pip install -e '.[peers]'"
+INSTALL = "Report peers needs Exudyn and JAX: .venv/bin/python -m pip install -e '.[peers]'"
 
-__all__ = ["SPECTRAL_RADIUS", "Exudyn", "Way", "require_exudyn"]
+__all__ = ["INSTALL", "SPECTRAL_RADIUS", "Exudyn", "Way", "require_exudyn"]
 
 # Of generalised-alpha with the numerical damping of HHT at alpha = -0.3: (1 + alpha)/(1 - alpha).
 SPECTRAL_RADIUS = 0.7 / 1.3
@@ -27,16 +28,23 @@ class Way(NamedTuple):
     linear_solver: str
     modified_newton: bool
 
+    @property
+    def title(self) -> str:
+        """Name in tables."""
+        return f"{self.linear_solver}, {'modified' if self.modified_newton else 'full'} Newton"
+
     @staticmethod
     def all() -> list["Way"]:
         """Return every way; the fastest counts."""
-        return list(itertools.starmap(Way, itertools.product(("EXUdense", "EigenSparse"), (1, 0))))
+        return list(
+            itertools.starmap(Way, itertools.product(("EXUdense", "EigenSparse"), (True, False)))
+        )
 
 
 def require_exudyn() -> None:
     """Refuse where Exudyn is not installed."""
     if importlib.util.find_spec("exudyn") is None:
-        raise MissingPackage(_INSTALL)
+        raise MissingPackage(INSTALL)
 
 
 @final
@@ -50,7 +58,7 @@ class Exudyn:
         self._exu: Any = importlib.import_module("exudyn")
         self._container = self._exu.SystemContainer()
         self._mbs = self._container.AddSystem()
-        self._read = pair.build(self._exu, importlib.import_module("exudyn.utilities"), self._mbs)
+        self._model = pair.build(self._exu, importlib.import_module("exudyn.utilities"), self._mbs)
         self._mbs.Assemble()
 
     def end(self, step: float, steps: int, newton: float, way: Way) -> Array:
@@ -61,9 +69,9 @@ class Exudyn:
         integration.numberOfSteps, integration.endTime = steps, steps * step
         integration.generalizedAlpha.spectralRadius = SPECTRAL_RADIUS
         integration.newton.relativeTolerance = newton
-        integration.newton.useModifiedNewton = bool(way.modified_newton)
+        integration.newton.useModifiedNewton = way.modified_newton
         done = self._mbs.SolveDynamic(asked, storeSolver=False, autoAssemble=False)
-        return np.asarray(self._read()) if done else np.full(3, np.nan)
+        return np.asarray(self._model.read()) if done else np.full(3, np.nan)
 
     def fastest(self, step: float, steps: int, newton: float) -> Way:
         """Return the way whose run is fastest."""
@@ -82,14 +90,30 @@ class Exudyn:
         asked.staticSolver.numberOfLoadSteps = load_steps
         asked.staticSolver.newton.relativeTolerance = 1e-8
         done = self._mbs.SolveStatic(asked, storeSolver=False, autoAssemble=False)
-        return np.asarray(self._read()) if done else np.full(3, np.nan)
+        return np.asarray(self._model.read()) if done else np.full(3, np.nan)
 
-    def frequencies(self, number: int, sparse: bool) -> Array:
-        """Return the lowest natural frequencies, rad/s."""
+    def differences(self, run: Callable[[], Array], number: int, step: float) -> Array:
+        """Return central differences of what a run returns in the logarithms of variables.
+
+        Shape (number, d), at factors 1 + step and 1 - step.
+        """
+        rows = []
+        for i in range(number):
+            ends = []
+            for factor in (1 + step, 1 - step):
+                self._model.vary(i, factor)
+                ends.append(run())
+            self._model.vary(i, 1.0)
+            rows.append((ends[0] - ends[1]) / (2 * step))
+        return np.array(rows)
+
+    def frequencies(self, number: int, held: Sequence[int]) -> Array:
+        """Return the lowest natural frequencies, rad/s, where some coordinates are held."""
         values, _ = self._mbs.ComputeODE2Eigenvalues(
             self._quiet(),
-            useSparseSolver=sparse,
-            numberOfEigenvalues=number if sparse else 0,
+            useSparseSolver=False,
+            constrainedCoordinates=list(held),
+            ignoreAlgebraicEquations=True,
             autoAssemble=False,
         )
         return np.sqrt(np.abs(np.asarray(values)[:number]))

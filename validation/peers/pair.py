@@ -2,14 +2,24 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from ancfdae import Integrator, Point, Scene, simulate
 from ancfdae.numerics.arrays import Array
 
-__all__ = ["GRAVITY", "Pair"]
+__all__ = ["GRAVITY", "Model", "Pair"]
 
 GRAVITY = 9.81
+
+
+class Model(NamedTuple):
+    """What a main system of Exudyn is asked for.
+
+    ``read()`` is where the compared point is, ``vary(i, factor)`` multiplies design variable i.
+    """
+
+    read: Callable[[], Any]
+    vary: Callable[[int, float], None] = lambda i, factor: None
 
 
 class Pair(ABC):
@@ -35,11 +45,15 @@ class Pair(ABC):
         """The point that is compared."""
 
     @abstractmethod
-    def build(self, exu: Any, items: Any, mbs: Any) -> Callable[[], Any]:
-        """Add the items to a main system of Exudyn; return ``read()``, where the point is.
+    def build(self, exu: Any, items: Any, mbs: Any) -> Model:
+        """Add the items to a main system of Exudyn.
 
         `exu` is the module ``exudyn``, `items` its ``utilities``.
         """
+
+    def design(self) -> list[str]:
+        """Return the design variables, in the order of `Model.vary`."""
+        return []
 
     def end(self, t_end: float, integrator: Integrator) -> Array:
         """Return where this package finds the point at the end."""

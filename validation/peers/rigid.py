@@ -1,7 +1,6 @@
 """Rigid bodies: one, chains, a slider-crank."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -19,7 +18,7 @@ from ancfdae import (
     Scene,
     Spherical,
 )
-from validation.peers.pair import GRAVITY, Pair
+from validation.peers.pair import GRAVITY, Model, Pair
 
 __all__ = ["Chain", "RigidSlider"]
 
@@ -68,9 +67,13 @@ class Chain(Pair):
         """The end of the last bar."""
         return Point(f"bar {self.bodies - 1}", x=_LENGTH / 2, y=0, z=0)
 
-    def build(self, exu: Any, items: Any, mbs: Any) -> Callable[[], Any]:
+    def design(self) -> list[str]:
+        """Return the densities."""
+        return [f"bar {i}.density" for i in range(self.bodies)]
+
+    def build(self, exu: Any, items: Any, mbs: Any) -> Model:
         """Angles of Cardan: fewer coordinates than Euler parameters, and faster."""
-        last, spin = mbs.CreateGround(), np.array([0, 0, self._spin])
+        last, spin, bars = mbs.CreateGround(), np.array([0, 0, self._spin]), []
         for i in range(self.bodies):
             centre = [(i + 0.5) * _LENGTH, 0, 0]
             bar = mbs.CreateRigidBody(
@@ -86,10 +89,16 @@ class Chain(Pair):
                 mbs.CreateRevoluteJoint(itemNumbers=pair, position=place, axis=[0, 1, 0])
             else:
                 mbs.CreateSphericalJoint(itemNumbers=pair, position=place)
+            bars.append(bar)
             last = bar
-        return lambda: mbs.GetObjectOutputBody(
-            last, exu.OutputVariableType.Position, [_LENGTH / 2, 0, 0]
-        )
+
+        def vary(i: int, factor: float) -> None:
+            inertia = items.InertiaCuboid(factor * _DENSITY, [_LENGTH, _THICKNESS, _THICKNESS])
+            mbs.SetObjectParameter(bars[i], "mass", inertia.mass)
+            mbs.SetObjectParameter(bars[i], "inertia", inertia.GetInertia6D())
+
+        place = exu.OutputVariableType.Position
+        return Model(lambda: mbs.GetObjectOutputBody(last, place, [_LENGTH / 2, 0, 0]), vary)
 
 
 @final
@@ -141,12 +150,14 @@ class RigidSlider(Pair):
         """The slider."""
         return Point("rod", x=self.rod / 2, y=0)
 
-    def build(self, exu: Any, items: Any, mbs: Any) -> Callable[[], Any]:
+    def build(self, exu: Any, items: Any, mbs: Any) -> Model:
         """Three coordinates a bar, two of the slider."""
         elbow, end = self._places
 
         def marker(body: int, x: float) -> int:
-            return int(mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=body, localPosition=[x, 0, 0])))
+            return int(
+                mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=body, localPosition=[x, 0, 0]))
+            )
 
         def bar(length: float, centre: np.ndarray, angle: float) -> int:
             mass, inertia = self._inertia(length)
@@ -161,7 +172,9 @@ class RigidSlider(Pair):
         node = mbs.AddNode(items.NodePoint2D(referenceCoordinates=list(end)))
         slider = mbs.AddObject(items.MassPoint2D(mass=self.slider, nodeNumber=node))
         on_slider = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=slider))
-        ground = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=mbs.AddObject(items.ObjectGround())))
+        ground = mbs.AddMarker(
+            items.MarkerBodyPosition(bodyNumber=mbs.AddObject(items.ObjectGround()))
+        )
         for markers in (
             [ground, marker(crank, -self.crank / 2)],
             [marker(crank, self.crank / 2), marker(rod, -self.rod / 2)],
@@ -170,7 +183,9 @@ class RigidSlider(Pair):
             mbs.AddObject(items.ObjectJointRevolute2D(markerNumbers=markers))
         height = mbs.AddMarker(items.MarkerNodeCoordinate(nodeNumber=node, coordinate=1))
         fixed = mbs.AddMarker(
-            items.MarkerNodeCoordinate(nodeNumber=mbs.AddNode(items.NodePointGround()), coordinate=0)
+            items.MarkerNodeCoordinate(
+                nodeNumber=mbs.AddNode(items.NodePointGround()), coordinate=0
+            )
         )
         mbs.AddObject(items.ObjectConnectorCoordinate(markerNumbers=[fixed, height]))
-        return lambda: mbs.GetNodeOutput(node, exu.OutputVariableType.Position)
+        return Model(lambda: mbs.GetNodeOutput(node, exu.OutputVariableType.Position))
