@@ -54,7 +54,7 @@ from ancfdae import (
 
 STRIP = Rectangle(0.04, 0.03)
 SOFT = Material(2000.0, 1e8, 0.3, damping_time=1e-2)
-STEP, END = 2.0**-9, 2.0**-6
+STEP, END = 2.0**-8, 2.0**-6
 
 
 def pendulum():
@@ -252,7 +252,7 @@ def test_every_target_is_the_limit_of_differences_of_the_call(name, displaced):
     # (2e-3)^4 over the next derivatives.
     for points, h in ((True, 2e-4), (False, 2e-3)):
         chosen = [target for target in targets if ("point" in target) == points]
-        for seed in range(4):
+        for seed in range(3):
             along = weights(scene, chosen, seed)
             slope = np.array([slopes[target] for target in chosen]) @ along
             expected = slope_of_the_call(scene, chosen, along, h)
