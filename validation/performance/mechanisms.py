@@ -1,6 +1,6 @@
 """A step of small mechanisms: rigid bodies, a flexible connecting rod, chains."""
 
-from collections.abc import Sequence
+import itertools
 from functools import partial
 
 from ancfdae import (
@@ -16,7 +16,6 @@ from ancfdae import (
     Revolute,
     RigidBody,
     Scene,
-    Spherical,
     Uniform,
     assemble,
     simulate,
@@ -45,7 +44,7 @@ def chain(count: int) -> Scene:
     joints = [Revolute(bodies[0].at(0, 0, 0), _AXIS)]
     joints += [
         Revolute(left.at(0.5, 0, 0), _AXIS, right.at(0, 0, 0))
-        for left, right in zip(bodies, bodies[1:], strict=False)
+        for left, right in itertools.pairwise(bodies)
     ]
     return Scene([], joints, (0, -_GRAVITY, 0), bodies=bodies)
 
