@@ -7,7 +7,6 @@ is compared with what `docs/theory/08-adjoint.md` says of it.
 
 import numpy as np
 import pytest
-from members import inertia_q
 
 from ancfdae import (
     HHT,
@@ -32,6 +31,7 @@ from ancfdae.sensitivity.continuous_adjoint import _BackwardRun, _with_smooth_mu
 from ancfdae.sensitivity.observables import states_of
 
 from mechanisms import GuidedDoublePendulum
+from members import inertia_q
 
 
 class FourBar(ComplexStepSystem):

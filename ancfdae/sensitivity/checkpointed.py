@@ -40,14 +40,14 @@ def size_of(memory: str | float) -> float:
     if not isinstance(memory, str):
         require_positive("memory", memory)
         return float(memory)
-    found = re.fullmatch(r"\s*([0-9.eE+]+)\s*([kMG]?B)\s*", memory)
+    match = re.fullmatch(r"\s*([0-9.eE+]+)\s*([kMG]?B)\s*", memory)
     try:
-        number = float(found[1]) if found else 0.0
+        number = float(match[1]) if match else 0.0
     except ValueError:
         number = 0.0
-    if not found or not 0 < number < np.inf:
+    if not match or not 0 < number < np.inf:
         raise InvalidInput("memory", rule, repr(memory), repair)
-    return number * _UNITS[found[2]]
+    return number * _UNITS[match[2]]
 
 
 def gradients(
@@ -130,8 +130,8 @@ class _Watched:
         self.value = float(value)
         for leaf, weight in leaf_weights(nodes, np.ones(())).items():
             require_finite_number("the derivative", weight)
-            own = cast(Reduction, leaf)
-            self._slopes[own] = weight * own.slopes_of_values(values[own], grid)
+            reduction = cast(Reduction, leaf)
+            self._slopes[reduction] = weight * reduction.slopes_of_values(values[reduction], grid)
 
     def seeds(self, states: States, first: int) -> Seeds:
         """Return the partials in the states of a part, and add those in the design.
@@ -147,9 +147,9 @@ class _Watched:
             p = leaf.pulled_back(self._system, states, nodes, slopes)
             self.gradient = self.gradient + p.b.sum(axis=0)
             for name, so_far in total.items():
-                own: Array | None = getattr(p, name)
-                if own is not None:
-                    total[name] = own if so_far is None else so_far + own
+                partial: Array | None = getattr(p, name)
+                if partial is not None:
+                    total[name] = partial if so_far is None else so_far + partial
         return Seeds(total["q"], total["v"], total["lam"])
 
 
@@ -205,7 +205,7 @@ class _Backward:
             for x in self._watched:
                 seeds = x.seeds(states_of(solution), self._ends[k])
                 on = self._replay.no_covectors() if x.on is None else x.on
-                own, x.on = self._replay.pull_back(solution, begin, self._ends[k], seeds, on)
-                x.gradient = x.gradient + own
+                gradient, x.on = self._replay.pull_back(solution, begin, self._ends[k], seeds, on)
+                x.gradient = x.gradient + gradient
                 if k == 0:
                     x.gradient = self._replay.close(x.on, seeds, x.gradient)
