@@ -36,11 +36,16 @@ def _rod(name: str, start: float, end: float, cables: int, side: float = _SIDE) 
     return Beam(name, (start, 0), (end, 0), cables, section, materials, element=CABLE_2D)
 
 
+def _ends(rod: Beam) -> list[float]:
+    """Return where a rod along x begins and ends."""
+    return [float(np.asarray(end)[0]) for end in (rod.start, rod.end)]
+
+
 def _cables(
     items: Any, mbs: Any, rod: Beam, weight: float, **nodes: Any
 ) -> tuple[list[int], list[int]]:
     """Add a rod of cables; return its nodes and elements."""
-    section = rod.section
+    section, (start, end) = rod.section, _ends(rod)
     assert isinstance(section, Rectangle)
     area = section.height * section.width
     template = items.Cable2D(
@@ -50,8 +55,8 @@ def _cables(
     )
     made = importlib.import_module("exudyn.beams").GenerateStraightLineANCFCable2D(
         mbs,
-        [*rod.start, 0],
-        [*rod.end, 0],
+        [start, 0, 0],
+        [end, 0, 0],
         rod.elements,
         template,
         massProportionalLoad=[0, -weight, 0],

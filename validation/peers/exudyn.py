@@ -116,7 +116,8 @@ class Exudyn:
             ignoreAlgebraicEquations=True,
             autoAssemble=False,
         )
-        return np.sqrt(np.abs(np.asarray(values)[:number]))
+        frequencies: Array = np.sqrt(np.abs(np.asarray(values)[:number]))
+        return frequencies
 
     def _quiet(self) -> Any:
         asked = self._exu.SimulationSettings()

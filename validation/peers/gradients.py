@@ -26,7 +26,9 @@ def fill(report: Report, quick: bool) -> None:
     cases: list[tuple[Pair, int]] = [(CablePendulum(10), 1), (CablePendulum(10), 10)]
     if not quick:
         cases += [(CablePendulum(100), 100), (Chain(5, True), 1), (Chain(20, True), 20)]
-    rows, curves, ratios = [], [], []
+    rows: list[list[object]] = []
+    curves: list[Series] = []
+    ratios: list[float] = []
     for pair, number in cases:
         case = _Case(pair, number, 8 if quick else _STEPS)
         errors = case.errors_of_differences()
@@ -97,7 +99,8 @@ class _Case:
         limit = values[1 + int(np.nanargmin(steps))]
         if not np.isclose(limit, exact, rtol=0.05):
             raise AssertionError(f"the codes disagree: {limit} there, {exact} here")
-        return np.maximum(np.abs(values / limit - 1), np.nanmin(steps) / abs(limit))
+        errors: Array = np.maximum(np.abs(values / limit - 1), np.nanmin(steps) / abs(limit))
+        return errors
 
     def error_here(self) -> float:
         """Return how far direct and adjoint are apart, relative."""

@@ -100,7 +100,7 @@ def _height(elements: int, step: float, steps: int) -> Callable[[Array], Any]:
             return weight - jnp.zeros(n).at[where].add(gradient(q[where]))
 
         def newton(known: Any, state: Any) -> Any:
-            a, lam, q_p, rest = *state, *known
+            (a, lam), (q_p, rest) = state, known
             q = q_p + beta * step**2 * a
             K = jnp.zeros((n, n)).at[where[:, :, None], where[:, None, :]].add(hessian(q[where]))
             R = M @ a / (1 + alpha) + fixed.T @ lam - force(q) - alpha / (1 + alpha) * rest

@@ -7,6 +7,7 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae import (
+    Joint,
     Pin,
     Point,
     PointMass,
@@ -140,7 +141,7 @@ class RigidSlider(Pair):
             bars.append(RigidBody(name, tuple(centre), *self._inertia(length), frame=axes))
         crank, rod = bars
         here, there = crank.at(self.crank / 2), rod.at(-self.rod / 2)
-        joints = [Pin(crank.at(-self.crank / 2)), Pin(here, there)]
+        joints: list[Joint] = [Pin(crank.at(-self.crank / 2)), Pin(here, there)]
         joints.append(PointOnLine(self.point, (1.0, 0.0)))
         mass = PointMass(self.point, self.slider)
         return Scene(bodies=[*bars, mass], joints=joints, gravity=(0, -GRAVITY))
@@ -165,7 +166,7 @@ class RigidSlider(Pair):
             body = mbs.AddObject(items.RigidBody2D(mass=mass, inertia=inertia, nodeNumber=node))
             weight = [0, -GRAVITY * mass, 0]
             mbs.AddLoad(items.Force(markerNumber=marker(body, 0), loadVector=weight))
-            return body
+            return int(body)
 
         crank = bar(self.crank, elbow / 2, self.angle)
         rod = bar(self.rod, (elbow + end) / 2, -math.asin(elbow[1] / self.rod))
