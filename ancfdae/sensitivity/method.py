@@ -179,6 +179,11 @@ class Run:
 class GradientMethod(abc.ABC):
     """Frozen settings of a method that differentiates objectives of a run."""
 
+    @property
+    def takes_runs(self) -> bool:
+        """Whether it differentiates a run that is there, `Run.after`, without another."""
+        return True
+
     @abc.abstractmethod
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """Return value and gradient of every objective from as few runs as possible.
