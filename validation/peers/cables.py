@@ -4,6 +4,8 @@ import importlib
 from dataclasses import dataclass
 from typing import Any, final
 
+import numpy as np
+
 from ancfdae import (
     CABLE_2D,
     Beam,
