@@ -195,8 +195,8 @@ def angle(y: Any, x: Any) -> Any:
         return y.angle(x)
     size = x.real**2 + y.real**2
     turned = (x.real * y.imag - y.real * x.imag) / size
-    found = np.arctan2(y.real, x.real)
-    return found + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else found
+    value = np.arctan2(y.real, x.real)
+    return value + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else value
 
 
 def concatenate(parts: Sequence[Any]) -> Any:
