@@ -8,9 +8,8 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.load_formulas import LoadFormula, load_formula
 from ancfdae.assembly.load_input import LoadInput
-from ancfdae.kernels import LoadPlan
+from ancfdae.kernels import LoadPlan, load_forces, load_forces_along, load_tangents
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
 
@@ -21,24 +20,24 @@ class MovingLoad:
     """A load that depends on positions or velocities."""
 
     item: LoadInput
-    formula: LoadFormula
+    plan: LoadPlan
 
     def force(self, q: Array, v: Array, t: Array) -> Array:
         """Return its Q."""
-        return self.formula.forces(self.item.factor(t, 0), q, v)
+        return load_forces(self.plan, self.item.factor(t, 0), q, v)
 
     def force_along(
         self, states: tuple[Array, Array], rates: tuple[Array, Array], t: Array, dt: float
     ) -> Array:
         """Differentiate its Q along rates of (q, v) and of time."""
-        dQ = self.formula.forces_along(self.item.factor(t, 0), *states, *rates)
+        dQ = load_forces_along(self.plan, self.item.factor(t, 0), *states, *rates)
         if self.item.load.law is None:
             return dQ
-        return dQ + self.formula.forces(dt * self.item.factor(t, 1), *states)
+        return dQ + load_forces(self.plan, dt * self.item.factor(t, 1), *states)
 
     def tangents(self, q: Array, v: Array, t: Array, velocity: bool) -> Array:
         """Return values of Q_q or Q_v."""
-        return self.formula.tangents(self.item.factor(t, 0), q, v, velocity)
+        return load_tangents(self.plan, self.item.factor(t, 0), q, v, velocity)
 
 
 @final
@@ -57,9 +56,7 @@ class LoadForces:
         self._active = sorted({i for item in inputs for i in item.active})
         self._moved: dict[int, LoadForces] = {}
         self._moving = [
-            MovingLoad(item, load_formula(item, pattern))
-            for item in inputs
-            if not item.load.constant
+            MovingLoad(item, item.plan(pattern)) for item in inputs if not item.load.constant
         ]
         self._steady = np.zeros(self._n_q)
         self._timed: list[tuple[LoadInput, Array]] = []
@@ -79,14 +76,9 @@ class LoadForces:
         """Whether a load depends on positions or velocities."""
         return len(self._moving) > 0
 
-    def plans(self) -> tuple[tuple[LoadPlan, bool], ...] | None:
-        """Return what a kernel takes of the loads that move, and whether they use velocities.
-
-        None where one is written in functions that kernels have not.
-        """
-        plans = [(load.formula.plan, load.item.uses_velocity) for load in self._moving]
-        known = tuple((plan, velocity) for plan, velocity in plans if plan is not None)
-        return known if len(known) == len(plans) else None
+    def plans(self) -> tuple[tuple[LoadPlan, bool], ...]:
+        """Return what a kernel takes of the loads that move, and whether they use velocities."""
+        return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
     def timed(self) -> tuple[Array, Array]:
         """Return the sum of constant loads, (n_q,), and what laws multiply, (n_loads, n_q)."""
@@ -153,9 +145,9 @@ class LoadForces:
         q, v = (x[None].real + 1j * STEP * dx.real for x, dx in zip(states, rates, strict=True))
         for load in self._moving:
             factor = load.item.factor(t, 0).real + 1j * STEP * dt * load.item.factor(t, 1).real
-            Q_q += load.formula.tangents(factor, q, v, False).imag / STEP
+            Q_q += load_tangents(load.plan, factor, q, v, False).imag / STEP
             if Q_v is not None and load.item.uses_velocity:
-                Q_v += load.formula.tangents(factor, q, v, True).imag / STEP
+                Q_v += load_tangents(load.plan, factor, q, v, True).imag / STEP
 
     def force_along_pull_back(
         self,

@@ -1,16 +1,18 @@
-"""One load as numbers, and its force with derivatives by operations of NumPy."""
+"""One load as numbers, and its force as a list of operations, which kernels take."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import final
 
 import numpy as np
 
 from ancfdae.assembly.vectors import Vectors
+from ancfdae.kernels import LoadPlan
 from ancfdae.model.loads import Load
 from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.operations import Listed, Operations
+from ancfdae.numerics.patterns import Pattern
 
 
 @final
@@ -41,25 +43,32 @@ class LoadInput:
         F: Array = self.load.force(U, V, self.p, self.reference)
         return F
 
-    @cached_property
-    def pairs(self) -> tuple[Array, Array]:
-        """All pairs of entries of L in the order of their rows, as tangents take them."""
-        row = self.rows
-        i, j = (x.ravel() for x in np.indices((len(row), len(row))))
-        order = np.lexsort((j, i, row[j], row[i]))
-        return i[order], j[order]
-
-    @property
-    def rows(self) -> Array:
-        """Row of every entry of L."""
-        first = self.vectors.first
-        return np.repeat(np.arange(len(first) - 1), np.diff(first))
-
     @property
     def couplings(self) -> tuple[Array, Array]:
-        """Rows and columns of what tangents have, pair by pair."""
-        i, j = self.pairs
-        return self.vectors.column[i], self.vectors.column[j]
+        """Rows and columns of what tangents have, by pairs of rows of L and of their entries."""
+        first, column = self.vectors.first, self.vectors.column
+        row = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        i, j = (x.ravel() for x in np.indices((len(row), len(row))))
+        order = np.lexsort((j, i, row[j], row[i]))
+        return column[i[order]], column[j[order]]
+
+    def plan(self, pattern: Pattern) -> LoadPlan:
+        """Return the force as operations, with tangents on a pattern that holds the couplings.
+
+        Raises
+        ------
+        InvalidInput
+            For a force that is made of other functions than jets have.
+        """
+        shape, size, vectors = self.reference.shape, self.reference.size, self.vectors
+        operations = Operations(2 * size)
+        U, V = (Listed(operations, x) for x in np.arange(2 * size).reshape(2, *shape))
+        F = self.load.force(U, V, self.p, self.reference)
+        results = np.broadcast_to(U.numbers(F), shape)
+        constants, *lists = operations.arrays(results.ravel())
+        arrays = vectors.first, vectors.column, *lists, pattern.index(*self.couplings)
+        indices = tuple(np.asarray(x, np.int32) for x in arrays)
+        return LoadPlan(indices, (vectors.value, constants), vectors.n_q, pattern.size)
 
     @property
     def active(self) -> list[int]:

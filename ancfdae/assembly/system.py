@@ -173,9 +173,8 @@ class AncfSystem(MechanicalSystem):
 
     @property
     def plan(self) -> Plan | None:
-        """What a kernel marches with: real numbers, and loads of functions that it has."""
-        moving = self._loads.plans()
-        if np.iscomplexobj(self.b) or moving is None:
+        """What a kernel marches with: real numbers."""
+        if np.iscomplexobj(self.b):
             return None
         steady, rows = self._loads.timed()
         inertia, weights = self._inertia, self.weights
@@ -191,7 +190,7 @@ class AncfSystem(MechanicalSystem):
             self._constraints.pattern.rows_of(np.zeros(self._constraints.pattern.size)),
             self._constraints.factors.table,
             self._loads.factors,
-            moving,
+            self._loads.plans(),
         )
 
     # -- the protocol --------------------------------------------------------------------------

@@ -54,6 +54,17 @@ class Carried(NDArrayOperatorsMixin, abc.ABC):
         """Return parts of this kind, this one among them, as one list of vectors."""
 
 
+def without_derivatives(ufunc: np.ufunc) -> InvalidInput:
+    """Return the error for a function that nothing here is carried through."""
+    known = ", ".join(f.__name__ for f in _DERIVATIVES)
+    return InvalidInput(
+        f"numpy.{ufunc.__name__}",
+        "must have derivatives in time",
+        "a function that has none here",
+        f"Use arithmetic and {known} of NumPy.",
+    )
+
+
 @final
 class Jet(Carried):
     """A value and its first time derivatives, up to three.
@@ -120,13 +131,7 @@ class Jet(Carried):
             x = inputs[0].derivatives[0]
             y = ufunc(x)
             return self._chain(y, _DERIVATIVES[ufunc](x, y))
-        known = ", ".join(f.__name__ for f in _DERIVATIVES)
-        raise InvalidInput(
-            f"numpy.{ufunc.__name__}",
-            "must have derivatives in time",
-            "a function that has none here",
-            f"Use arithmetic and {known} of NumPy.",
-        )
+        raise without_derivatives(ufunc)
 
     def _entries(self, x: Any) -> tuple[Any, ...]:
         """Return x as a jet's derivatives; a constant has zeros."""

@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import Carried
+from ancfdae.numerics.jets import Carried, without_derivatives
 
 #: In the order of `kernels/load_plan.h`; the one left out is the angle of two numbers.
 _ANGLE = "angle"
@@ -94,10 +94,7 @@ def _shortened(function: Any, numbers: Sequence[int], constants: Sequence[Any]) 
 
 @final
 class Listed(Carried):
-    """An array of numbers whose operations are listed.
-
-    Functions that the kernel has not are refused with a TypeError.
-    """
+    """An array of numbers whose operations are listed, those that jets have."""
 
     def __init__(self, operations: Operations, at: Array) -> None:
         self._operations, self.at = operations, at
@@ -139,15 +136,24 @@ class Listed(Carried):
         return np.array(own, dtype=np.int64).reshape(values.shape)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        """List a function of NumPy."""
-        if method != "__call__" or kwargs:
-            return NotImplemented
-        if ufunc is np.matmul:
+        """List a function of NumPy.
+
+        Raises
+        ------
+        InvalidInput
+            For a function without derivatives.
+        """
+        plain = method == "__call__" and not kwargs
+        if plain and ufunc is np.matmul:
             a, b = (Listed(self._operations, self.numbers(x)) for x in inputs)
             return (a[..., :, :, None] * b[..., None, :, :]).sum(axis=-2)
-        if ufunc not in _CODES or (ufunc is np.power and isinstance(inputs[1], Listed)):
-            return NotImplemented
-        return self._apply(ufunc, *inputs)
+        if plain and ufunc is np.positive:
+            return self
+        if plain and ufunc is np.power and isinstance(inputs[1], Listed):
+            return np.exp(inputs[1] * self._apply(np.log, inputs[0]))
+        if plain and ufunc in _CODES:
+            return self._apply(ufunc, *inputs)
+        raise without_derivatives(ufunc)
 
     def _apply(self, function: Any, *inputs: Any) -> Listed:
         arrays = np.broadcast_arrays(*(self.numbers(x) for x in inputs))
