@@ -59,18 +59,11 @@ LoadPlan = _kernels.LoadPlan
 class Plan(NamedTuple):
     """A system of elements, joints and loads, for `march`.
 
-<<<<<<< HEAD
-    `places` are those of the elements' tangents on the system's pattern, `mass` the values of M
-    there. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of time are
-    functions of instants, (k,): those of constraints with derivatives, (orders, k, n_parts), None
-    where nothing is driven, and those of loads, (k, n_loads), of `moving` ones last. Of these it
-    says whether they use velocities.
-=======
     `mass` is M on the system's pattern, `places` those of the elements' tangents on it, and M the
     same without zeros. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of
     time are functions of instants, (k,): those of constraints with derivatives, (orders, k,
-    n_parts), None where nothing is driven, and those of loads, (k, n_loads).
->>>>>>> main
+    n_parts), None where nothing is driven, and those of loads, (k, n_loads), of `moving` ones
+    last. Of these it says whether they use velocities.
     """
 
     block: Block

@@ -57,13 +57,8 @@ typedef struct {
  * end of the step, those in `within` to instants in it, U to vectors of one joint. */
 typedef struct {
     T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *B, *Q, *inner, *reaction, *ahead, *start;
-<<<<<<< HEAD
-    T *Phi, *rate, *defect, *R, *x, *force, *K, *D, *sum, *matrix, *work;
-    T *at_end, *within, *of_load;
-=======
     T *Phi, *rate, *defect, *R, *x, *force, *f_q, *f_v, *sum, *matrix, *work;
-    T *at_end, *within;
->>>>>>> main
+    T *at_end, *within, *of_load;
     const T *c[1];
     double *least;
     int *pivots, B_known, banded;
@@ -243,30 +238,6 @@ static int NAME(residual_at)(const NAME(plan) *p, NAME(room) *r, const step_coef
     return sum == 0;
 }
 
-<<<<<<< HEAD
-/* Subtract Q_q, or Q_v, of loads that move. */
-static void NAME(load_tangents)(const NAME(plan) *p, NAME(room) *r, const double *factors,
-                                int velocity, T *values)
-{
-    for (npy_intp k = 0; k < p->n_moving; k++)
-        if (!velocity || p->moving[k].velocity)
-            NAME(load_tangent)(p->moving[k].plan, &p->moving[k].numbers, -factors[p->n_loads + k],
-                               r->q, r->v, velocity, r->of_load, values);
-}
-
-/* Factorise eq. (6) at the state as it stands: 0, NOT_SOLVED, or INDEFINITE. */
-static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
-                            const double *of_loads)
-{
-    npy_intp n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
-    const T *v = p->damped ? r->v : NULL;
-    r->counts[1]++;
-    memset(r->K, 0, (size_t)p->nnz * sizeof(T));
-    NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->K);
-    NAME(constraint_curvature)(p->constraints, p->numbers.l, r->c[0], r->lam, r->K);
-    NAME(load_tangents)(p, r, of_loads + AT_END * p->n_factors, 0, r->K);
-    if (p->first) {
-=======
 /* Factorise eq. (6) from values of f_q, f_v, NULL where there is none, and Phi_q: 0, NOT_SOLVED, or
  * INDEFINITE. */
 static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
@@ -274,7 +245,6 @@ static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coeff
 {
     npy_intp n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
     if (p->first && !f_v) {
->>>>>>> main
         memset(r->matrix, 0, (size_t)p->first[n] * sizeof(T));
         NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_A, p->K.values, r->matrix);
         NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_q, f_q, r->matrix);
@@ -285,21 +255,9 @@ static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coeff
     if (!p->flat)
         return INDEFINITE;
     for (npy_intp i = 0; i < p->nnz; i++)
-<<<<<<< HEAD
-        r->sum[i] = c->in_A * p->mass[i] + c->in_q * r->K[i];
-    if (p->velocity) {
-        memset(r->D, 0, (size_t)p->nnz * sizeof(T));
-        if (p->damped)
-            NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->D);
-        NAME(load_tangents)(p, r, of_loads + AT_END * p->n_factors, 1, r->D);
-        for (npy_intp i = 0; i < p->nnz; i++)
-            r->sum[i] += c->in_v * r->D[i];
-    }
-=======
         r->sum[i] = c->in_A * p->K.values[i] + c->in_q * f_q[i];
     for (npy_intp i = 0; f_v && i < p->nnz; i++)
         r->sum[i] += c->in_v * f_v[i];
->>>>>>> main
     r->banded = 1;
     memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
     return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, B, p->factors,
@@ -308,19 +266,33 @@ static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coeff
                : 0;
 }
 
+/* Subtract Q_q, or Q_v, of loads that move. */
+static void NAME(load_tangents)(const NAME(plan) *p, NAME(room) *r, const double *factors,
+                                int velocity, T *values)
+{
+    for (npy_intp k = 0; k < p->n_moving; k++)
+        if (!velocity || p->moving[k].velocity)
+            NAME(load_tangent)(p->moving[k].plan, &p->moving[k].numbers, -factors[p->n_loads + k],
+                               r->q, r->v, velocity, r->of_load, values);
+}
+
 /* The same at the state as it stands. */
-static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c)
+static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                            const double *of_loads)
 {
     const T *v = p->damped ? r->v : NULL;
     r->counts[1]++;
     memset(r->f_q, 0, (size_t)p->nnz * sizeof(T));
     NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->f_q);
     NAME(constraint_curvature)(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
-    if (p->damped) {
+    NAME(load_tangents)(p, r, of_loads + AT_END * p->n_factors, 0, r->f_q);
+    if (p->velocity) {
         memset(r->f_v, 0, (size_t)p->nnz * sizeof(T));
-        NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->f_v);
+        if (p->damped)
+            NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->f_v);
+        NAME(load_tangents)(p, r, of_loads + AT_END * p->n_factors, 1, r->f_v);
     }
-    return NAME(factor_sum)(p, r, c, r->f_q, p->damped ? r->f_v : NULL, r->B);
+    return NAME(factor_sum)(p, r, c, r->f_q, p->velocity ? r->f_v : NULL, r->B);
 }
 
 /* x = J^-1 right, or its transpose, for rows. */

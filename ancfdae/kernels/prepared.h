@@ -214,13 +214,8 @@ static int given_room(Prepared *x)
                  {&r->B, (size_t)c->n_values},
                  {&r->Q, n_q}, {&r->inner, n_q}, {&r->reaction, n_q}, {&r->ahead, n_q},
                  {&r->start, n_q}, {&r->Phi, n_lam}, {&r->rate, n_lam}, {&r->defect, n_lam},
-<<<<<<< HEAD
-                 {&r->R, n}, {&r->x, n}, {&r->force, n_q}, {&r->K, nnz},
-                 {&r->D, p->velocity ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
-=======
                  {&r->R, n}, {&r->x, n}, {&r->force, n_q}, {&r->f_q, nnz},
-                 {&r->f_v, p->damped ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
->>>>>>> main
+                 {&r->f_v, p->velocity ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
                  {&r->matrix, envelope > band ? envelope : band}, {&r->work, 8 * n},
                  {&r->at_end, (size_t)c->n_c}, {&r->within, 2 * (size_t)c->n_c}, {&r->least, n},
                  {&r->of_load, 0}};
