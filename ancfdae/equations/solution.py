@@ -246,19 +246,18 @@ class Solution:
             )
         return self.sensitivities
 
-    def with_sensitivities(
-        self, own: Sensitivities, verdict: Verdict, steps: int, seconds: float
-    ) -> Solution:
-        """Return the solution with derivatives, cut to the `steps` that have them.
+    def with_sensitivities(self, own: Sensitivities, verdict: Verdict, seconds: float) -> Solution:
+        """Return the solution with derivatives, cut to the instants that have them.
 
         The verdict tells how the pass ended, its seconds are added to the statistics.
         """
-        outcome = self.outcome
+        rows, outcome = len(own.q_b), self.outcome
+        steps = (rows - 1) // self.degree
         if verdict is not Verdict.FINISHED:
-            outcome = Outcome(verdict, float(self.t[steps]), steps, 0.0)
-        kept = {x: getattr(self, x)[: steps + 1] for x in ("t", "q", "v", "a", "lam")}
+            outcome = Outcome(verdict, float(self.t[rows - 1]), steps, 0.0)
+        kept = {x: getattr(self, x)[:rows] for x in ("t", "q", "v", "a", "lam")}
         full = self.with_pass(steps, seconds)
-        control = self.control if steps == len(self.t) - 1 else ()
+        control = self.control if rows == len(self.t) else ()
         return replace(full, **kept, outcome=outcome, sensitivities=own, control=control)
 
     def with_pass(self, factorisations: int, seconds: float) -> Solution:
