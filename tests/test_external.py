@@ -340,7 +340,7 @@ def test_integrators_of_high_order_end_cleanly_at_the_singular_configuration(kin
 @pytest.mark.parametrize("rtol", [5e-5, 1e-6])
 def test_adjoint_of_idas_ends_cleanly_at_the_singular_configuration(rtol):
     # The motion goes through; the covectors become infinite there, and the pass back ends. (At 1e-4
-    # its steps may fall before and behind it, by chance, with any gradient: README, Limits.)
+    # its steps may fall before and behind it, by chance, with any gradient: docs/limits.md.)
     place = custom(lambda t, q, v, lam, b: q[:, 0] ** 2, "place")
     with pytest.raises(UnfinishedRun, match="no gradient"):
         gradient(double_four_bar(), Integral(place), 2.0, IDAS(rtol), method=Adjoint())

@@ -64,6 +64,17 @@ def test_python_in_the_documents_runs(
     run_block(block)
 
 
+@pytest.mark.parametrize("path", [README, ROOT / "docs" / "index.md"], ids=["readme", "site"])
+def test_the_output_under_the_first_program_is_what_it_prints(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = path.read_text(encoding="utf-8")
+    shown = re.search(r"^```text\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert shown is not None
+    run_block(python_blocks(path.name, text)[0])
+    assert capsys.readouterr().out == shown[1]
+
+
 def test_modules_that_documents_name_exist() -> None:
     for path in DOCUMENTS:
         for name in re.findall(r"`([\w/]+\.py)`", path.read_text(encoding="utf-8")):

@@ -19,6 +19,7 @@ from ancfdae.assembly.joint_input import JointInput
 from ancfdae.assembly.joint_polynomials import JointPolynomials
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.errors import InconsistentStart
+from ancfdae.kernels import Joints
 from ancfdae.model.joints import DrivenJoint
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.linear_map import LinearMap
@@ -74,6 +75,17 @@ class JointConstraints:
         spread = L[at].tocoo() if count else scipy.sparse.coo_array((0, n_q))
         self._to_force = LinearMap.of(spread.col, spread.row, spread.data, (n_q, count))
         return spread
+
+    def plan(self) -> Joints:
+        """Return the arrays that a kernel evaluates constraints from."""
+        values = np.zeros(self.pattern.size)
+        maps = self._to_values.csr, self.pattern.rows_of(values), self._curvature.csr
+        c = self._coefficients.parts
+        return Joints(self._vectors.csr, *self._poly.entries.arrays, c.a, c.s, c.offset, *maps)
+
+    def factors(self, t: Array, order: int) -> Array:
+        """Return what the parts of the coefficients are multiplied with, shape (k, n_parts)."""
+        return self._coefficients.factors(t, order)
 
     def couplings(self) -> tuple[Array, Array, Array, Array]:
         """Rows, columns, weights and bilinear entry of the products L_i^T L_j + L_j^T L_i."""

@@ -76,6 +76,11 @@ class ElasticForces:
         """Whether forces depend on velocities."""
         return self._block.tau is not None
 
+    @property
+    def tangent_places(self) -> tuple[Block, Array]:
+        """The elements, and the places of their tangents on the pattern."""
+        return self._elements, self._index
+
     def round_off(self, q: Array, weights: Array) -> float:
         """Size of the round-off in Q_s near a configuration, one instant.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ancfdae.assembly.mass_blocks import MassBlocks
 from ancfdae.assembly.numbering import Numbering
+from ancfdae.kernels import Csr
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_map import LinearMap
 from ancfdae.numerics.patterns import Pattern
@@ -112,6 +113,11 @@ class Inertia:
     def gravity_rows(self) -> Array:
         """Gravity and its design partials as rows, shape (1 + n_b, n_q)."""
         return np.concatenate([self.gravity[None], self.gravity_b.T])
+
+    @property
+    def csr(self) -> Csr:
+        """Arrays of M in compressed sparse rows."""
+        return self._M.csr
 
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""

@@ -89,6 +89,11 @@ class Entries:
     s_i: Array
     s_j: Array
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
+        """All five."""
+        return self.a_row, self.a_at, self.s_row, self.s_i, self.s_j
+
     def only(self, rows: Array) -> Entries:
         """Return those of some rows, a mask of shape (n_lam,)."""
         a, s = rows[self.a_row], rows[self.s_row]
@@ -126,8 +131,8 @@ class Coefficients:
     def __init__(self, slots: Sequence[Slot], n_lam: int) -> None:
         self._slots = slots
         self.driven = any(isinstance(slot.item.joint, DrivenJoint) for slot in slots)
-        self._parts = self._collect(n_lam)
-        self.turning = bool(np.any(self._parts.s[1:]))
+        self.parts = self._collect(n_lam)
+        self.turning = bool(np.any(self.parts.s[1:]))
         self._last: tuple[float, Values] | None = None
 
     def _collect(self, n_lam: int) -> Values:
@@ -149,16 +154,16 @@ class Coefficients:
 
     @cached_property
     def _still(self) -> Values:
-        return self._parts.times(np.ones(1))
+        return self.parts.times(np.ones(1))
 
     @cached_property
     def _zero(self) -> Values:
-        return self._parts.times(np.zeros(1))
+        return self.parts.times(np.zeros(1))
 
     @property
     def is_complex(self) -> bool:
         """Whether coefficients carry a complex perturbation."""
-        return np.iscomplexobj(self._parts.a)
+        return np.iscomplexobj(self.parts.a)
 
     def at(self, t: float, order: int = 0) -> Values:
         """Coefficients, or their time derivatives, at one instant."""
@@ -174,11 +179,12 @@ class Coefficients:
 
     def over(self, t: Array, order: int = 0) -> Values:
         """Coefficients at many instants; one row where they do not depend on time."""
-        if not self.driven:
-            return self._parts
+        return self.parts.times(self.factors(t, order)) if self.driven else self.parts
+
+    def factors(self, t: Array, order: int) -> Array:
+        """Return the factors of the parts, or their time derivatives, shape (k, n_parts)."""
         still = np.full((1, len(t)), float(order == 0))
-        factors = np.concatenate([still, *(slot.item.factors(t, order) for slot in self._slots)])
-        return self._parts.times(factors.T)
+        return np.concatenate([still, *(slot.item.factors(t, order) for slot in self._slots)]).T
 
     def series(self, t: float, count: int) -> list[Values]:
         """Coefficients and their time derivatives."""

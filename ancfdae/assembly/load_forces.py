@@ -112,6 +112,16 @@ class LoadForces:
         """Whether a load depends on positions or velocities."""
         return len(self._moving) > 0
 
+    def timed(self) -> tuple[Array, Array]:
+        """Return the sum of constant loads, (n_q,), and what laws multiply, (n_loads, n_q)."""
+        rows = [row for _, row in self._timed]
+        return self._steady, np.array(rows).reshape(len(rows), self._n_q)
+
+    def factors(self, t: Array) -> Array:
+        """Return the laws at instants, shape (k, n_loads)."""
+        columns = [item.factor(t, 0)[:, 0, 0] for item, _ in self._timed]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
+
     def couplings(self) -> tuple[Array, Array]:
         """Rows and columns of all entries that tangents may have."""
         rows, columns = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]

@@ -31,6 +31,7 @@ from ancfdae.equations.system import (
 )
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.errors.text import listed
+from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.naming import Layout, Naming
@@ -165,6 +166,26 @@ class AncfSystem(MechanicalSystem):
         rows = joints.joints
         self.naming = replace(self.naming, layout=replace(self.naming.layout, joints=rows))
         self.constraint_names = tuple(joint.name for joint in rows for _ in range(joint.rows))
+
+    @property
+    def plan(self) -> Plan | None:
+        """What a kernel marches with: real numbers, and no load that moves."""
+        if np.iscomplexobj(self.b) or self._loads.moving:
+            return None
+        steady, rows = self._loads.timed()
+        inertia, weights = self._inertia, self.weights
+        return Plan(
+            *self._elastic.tangent_places,
+            inertia.csr,
+            inertia.values,
+            inertia.gravity + steady,
+            rows,
+            weights,
+            1 / weights,
+            self._constraints.plan(),
+            self._constraints.factors,
+            self._loads.factors,
+        )
 
     # -- the protocol --------------------------------------------------------------------------
 

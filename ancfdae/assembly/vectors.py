@@ -11,6 +11,7 @@ from typing import final
 import numpy as np
 import scipy
 
+from ancfdae.kernels import Csr
 from ancfdae.model.bodies import Point
 from ancfdae.model.elements import Quantity
 from ancfdae.model.naming import Naming, PointVector
@@ -53,6 +54,11 @@ class Vectors:
     def _set(self, value: Array) -> None:
         self.matrix = scipy.sparse.csr_array((value, (self._row, self._column)), shape=self._shape)
         self._L = LinearMap(self.matrix)
+
+    @property
+    def csr(self) -> Csr:
+        """Arrays of L in compressed sparse rows."""
+        return self._L.csr
 
     def moved_by(self, i: int) -> Array:
         """Tell which vectors depend on design variable i, shape (n_v,)."""

@@ -42,6 +42,7 @@ import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
 from ancfdae.errors import InvalidInput
+from ancfdae.kernels import Plan
 from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
@@ -158,6 +159,11 @@ class MechanicalSystem(ComplexSteps):
     def constraint_pattern(self) -> Pattern:
         """Pattern of Phi_q."""
         return Pattern.full((self.n_lam, self.n_q))
+
+    @property
+    def plan(self) -> Plan | None:
+        """The same system as arrays from which a kernel takes steps; None where there is none."""
+        return None
 
     @cached_property
     def weights(self) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from ancfdae.errors import InvalidInput, Outcome, Verdict
 from ancfdae.modes import advice
 from ancfdae.numerics.arrays import Array
 
+# Rows of q, v, a and lam.
+Rows: TypeAlias = tuple[Array, Array, Array, Array]
 _CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT)
 
 
@@ -108,6 +110,18 @@ class Recorder:
         for array, value in zip(self._arrays, (t, q, v, a, lam, *derivatives), strict=True):
             array[rows] = value
         self._rows, self._control = rows.stop, control
+
+    def room(self, count: int) -> Rows:
+        """Return the next rows of q, v, a and lam, for states that `take` counts."""
+        while self._rows + count > len(self._arrays[0]):
+            self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
+        q, v, a, lam = (x[self._rows : self._rows + count] for x in self._arrays[1:5])
+        return q, v, a, lam
+
+    def take(self, t: Array) -> None:
+        """Count rows that were written, at these instants."""
+        self._arrays[0][self._rows : self._rows + len(t)] = t
+        self._rows += len(t)
 
     def restart(self) -> None:
         """Forget all instants but the first."""

@@ -8,7 +8,8 @@ compiled, and by what: docs/measurements.md, section 11.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy.typing as npt
 
@@ -37,6 +38,70 @@ class Block(NamedTuple):
     n_q: int
 
 
+#: A matrix in compressed sparse rows: where rows begin, columns, values.
+Csr: TypeAlias = tuple[Array, Array, Array]
+
+
+class Joints(NamedTuple):
+    """Constraints as polynomials of vectors L q (`constraints.h`), and what to make of them.
+
+    The raw Jacobian is mapped to values of Phi_q on its pattern, that of `B`; multipliers times
+    bilinear coefficients are mapped to values of (Phi_q^T lam)_q. Coefficients have one row for
+    each factor of time, the first of which is one.
+    """
+
+    L: Csr
+    a_row: Array
+    a_at: Array
+    s_row: Array
+    s_i: Array
+    s_j: Array
+    a: Array
+    s: Array
+    offset: Array
+    to_values: Csr
+    B: Csr
+    curvature: Csr
+
+
+class Plan(NamedTuple):
+    """A system of elements, joints and loads that the state does not change, for `march`.
+
+    `places` are those of the elements' tangents on the system's pattern, `mass` the values of M
+    there. `loads` are rows of forces. Factors of time are functions of instants, (k,): those of
+    joints, and their derivative of an order, (k, n_parts), and those of loads, (k, n_loads).
+    """
+
+    block: Block
+    places: Array
+    M: Csr
+    mass: Array
+    gravity: Array
+    loads: Array
+    weights: Array
+    inverse_weights: Array
+    joints: Joints
+    joint_factors: Callable[[Array, int], Array]
+    load_factors: Callable[[Array], Array]
+
+
+class Layout(NamedTuple):
+    """Order and scale of the unknowns, and where values stand in an envelope or in a band.
+
+    The envelope is (first, chosen, places, signs) as for `ldl_factor`, and the band (half, flat,
+    factors) as for `band_factor`.
+    """
+
+    order: Array
+    scale: Array
+    envelope: tuple[Array, Array, Array, Array] | None
+    band: tuple[int, Array, Array] | None
+
+
+#: Why a march ends: with all steps, or before one that it does not solve, that needs factors at
+#: Gauss points, whose matrix needs a band, or that no time is left for.
+ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
+
 add_scaled = _kernels.add_scaled
 balance = _kernels.balance
 band_factor = _kernels.band_factor
@@ -52,7 +117,9 @@ gram = _kernels.gram
 ldl_factor = _kernels.ldl_factor
 ldl_solve = _kernels.ldl_solve
 lifted = _kernels.lifted
+march = _kernels.march
 norm = _kernels.norm
+prepare = _kernels.prepare
 recombine = _kernels.recombine
 relative = _kernels.relative
 strain = _kernels.strain

@@ -6,7 +6,7 @@ shape (..., n, n_y, d), packed matrices (..., n, n_g).
 
 from typing import Any
 
-from ancfdae.kernels import Array, Block
+from ancfdae.kernels import Array, Block, Layout, Plan
 
 def relative(block: Block, q: Array, /) -> Array:
     """Return Y = R q."""
@@ -133,6 +133,33 @@ def ldl_factor(
 
 def ldl_solve(factors: Array, first: Array, order: Array, right: Array, /) -> Array:
     """Return P^T (L D L^T)^-1 P x for right sides x along the last axis; P as in `band_solve`."""
+
+def prepare(plan: Plan, layout: Layout, rules: Array, /) -> object:
+    """Return what `march` takes.
+
+    The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of
+    `integrators/hht/newton.py` in the order of `march_rules` in `kernels.c`.
+    """
+
+def march(
+    prepared: object,
+    state: tuple[Array, Array, Array, Array, Array],
+    motion: float,
+    h: Array,
+    of_joints: Array,
+    of_loads: Array,
+    seconds: float,
+    rows: tuple[Array, Array, Array, Array],
+    /,
+) -> tuple[int, int, float, Array, tuple[int, int, int]]:
+    """Take steps of sizes h from (q, v, a, lam, A), as many as can be taken in so many seconds.
+
+    Factors of joints are (k, instants, n_parts): at the end of each step, at its beginning, at the
+    three Gauss points, and their time derivatives there; two instants do where no step is small.
+    Factors of loads are (k, 2, n_loads). Returns the number of steps taken, why it ends, the motion
+    and a of the last state, and counts of iterations, factorisations and steps that round-off
+    disturbs. The states after the steps, q, v, A and lam, are written to rows.
+    """
 
 def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
     """Return x + s y for arrays of one shape, or whatever NumPy makes of it."""

@@ -11,9 +11,11 @@
 #include <numpy/arrayobject.h>
 
 #include <complex.h>
+#include <float.h>
 #include <limits.h>
 #include <math.h>
 #include <string.h>
+#include <time.h>
 
 #if defined(_MSC_VER) && !defined(__clang__)
 #error "MSVC has no complex numbers of C; build with clang-cl or MinGW"
@@ -51,6 +53,32 @@
 /* The largest element: 8 relative node vectors of 3 numbers. */
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
+/* Settings of Newton's method in steps of HHT-I3, numbers only (`integrators/hht/newton.py`), with
+ * the places and weights of the Gauss points of small steps. */
+typedef struct {
+    double alpha, tolerance, max_iterations, blur, slow, near, ahead, smooth, round_off, jump, quiet;
+    double places[3], weights[3];
+} march_rules;
+
+/* Step size, and Newmark coefficients with what a adds to q, v and A. */
+typedef struct {
+    double h, alpha, beta, gamma, in_q, in_v, in_A;
+} step_coefficients;
+
+static step_coefficients coefficients_of_step(double h, double alpha)
+{
+    double beta = (1 - alpha) * (1 - alpha) / 4, gamma = (1 - 2 * alpha) / 2;
+    step_coefficients c = {h, alpha, beta, gamma, beta * (h * h), gamma * h, 1 / (1 + alpha)};
+    return c;
+}
+
+static double seconds_now(void)
+{
+    struct timespec now;
+    timespec_get(&now, TIME_UTC);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
 #define T double
 #define NAME(x) x##_real
 #define CLONES WITH_WIDE_VECTORS
@@ -59,8 +87,10 @@ enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 #include "totals.h"
 #undef OF_SIZE
 #include "sparse.h"
+#include "march_joints.h"
 #include "band.h"
 #include "symmetric.h"
+#include "march.h"
 #undef T
 #undef NAME
 #undef CLONES
@@ -1099,6 +1129,10 @@ static PyObject *py_ldl_solve(PyObject *const *args)
     return (PyObject *)out;
 }
 
+/* ---- marches ------------------------------------------------------------------------------- */
+
+#include "prepared.h"
+
 /* ---- module -------------------------------------------------------------------------------- */
 
 /* Each function takes exactly this many arguments; see `__init__.py`. */
@@ -1130,6 +1164,8 @@ FUNCTION(band_factor, 6)
 FUNCTION(band_solve, 7)
 FUNCTION(ldl_factor, 6)
 FUNCTION(ldl_solve, 4)
+FUNCTION(prepare, 3)
+FUNCTION(march, 8)
 
 static PyObject *any_norm(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
@@ -1160,6 +1196,8 @@ static PyMethodDef methods[] = {
     METHOD(band_solve),
     METHOD(ldl_factor),
     METHOD(ldl_solve),
+    METHOD(prepare),
+    METHOD(march),
     {NULL, NULL, 0, NULL},
 };
 

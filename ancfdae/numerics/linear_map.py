@@ -12,11 +12,11 @@ from ancfdae.numerics.arrays import Array
 
 @final
 class LinearMap:
-    """A constant matrix, shape (n, m), that is only ever multiplied with."""
+    """A constant matrix, shape (n, m), that is only ever multiplied with; `csr` are its arrays."""
 
     def __init__(self, matrix: scipy.sparse.csr_array) -> None:
         first, columns = (x.astype("int32", copy=False) for x in (matrix.indptr, matrix.indices))
-        self._rows = first, columns, matrix.data
+        self.csr = first, columns, matrix.data
         self._width = matrix.shape[1]
 
     @staticmethod
@@ -26,20 +26,20 @@ class LinearMap:
 
     def __call__(self, x: Array) -> Array:
         """Multiply a vector, shape (m,)."""
-        return csr_rows(*self._rows, x)
+        return csr_rows(*self.csr, x)
 
     def columns(self, x: Array) -> Array:
         """Multiply a vector or the columns of an array, shape (m, k)."""
-        return csr_rows(*self._rows, x.T).T
+        return csr_rows(*self.csr, x.T).T
 
     def rows(self, x: Array) -> Array:
         """Multiply each row of an array, shape (k, m) to (k, n)."""
-        return csr_rows(*self._rows, x)
+        return csr_rows(*self.csr, x)
 
     def rows_transposed(self, x: Array) -> Array:
         """Multiply each row with the transposed matrix, shape (k, n) to (k, m)."""
-        return csr_rows_transposed(*self._rows, x, self._width)
+        return csr_rows_transposed(*self.csr, x, self._width)
 
     def transposed(self, x: Array) -> Array:
         """Multiply with the transposed (not conjugated) matrix."""
-        return csr_rows_transposed(*self._rows, x, self._width)
+        return csr_rows_transposed(*self.csr, x, self._width)

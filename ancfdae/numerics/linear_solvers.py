@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from ancfdae.errors import SingularMatrix
-from ancfdae.kernels import add_scaled, band_factor, band_solve, ldl_factor, ldl_solve
+from ancfdae.kernels import Layout, add_scaled, band_factor, band_solve, ldl_factor, ldl_solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.orders import little_fill, narrow_band
 from ancfdae.numerics.patterns import Pattern
@@ -101,6 +101,14 @@ class SaddlePoint:
         """Number of unknowns."""
         return len(self.scale)
 
+    def layout(self, band: bool) -> Layout | None:
+        """Return where values stand, in a band where asked for; None where that is too wide."""
+        if self._half_width > _BAND_HALF_WIDTH:
+            return None
+        own = self._band.arrays if band or not self._envelope else None
+        envelope = self._envelope.arrays if self._envelope else None
+        return Layout(self._order, self.scale, envelope, own)
+
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.
 
@@ -126,10 +134,14 @@ class SaddlePoint:
     def _storage(self) -> _Storage:
         """What factorises with exchanges."""
         if self._half_width <= _BAND_HALF_WIDTH:
-            at = self._places(self._order)
-            return _BandStorage(self.scale, self._order, *at, self._half_width)
+            return self._band
         order = little_fill(*self._patterns)
         return _SparseStorage(self.scale, order, *self._places(order))
+
+    @cached_property
+    def _band(self) -> _BandStorage:
+        at = self._places(self._order)
+        return _BandStorage(self.scale, self._order, *at, self._half_width)
 
     def _places(self, order: Array) -> tuple[Array, Array]:
         """Return rows and columns of all entries in an order: of K, of B, and of B^T."""
@@ -163,6 +175,11 @@ class _Envelope:
         self._places = self._first[column] + row - column
         self._signs = np.where(order < K.shape[0], 1.0, -1.0)
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """Where columns begin, chosen values of K, places of these and of B, signs of pivots."""
+        return self._first, self._chosen, self._places, self._signs
+
     def factor(self, terms: Terms, B: Array) -> Factorization | None:
         """Factorise; None where a pivot has not its sign."""
         factors, failed = ldl_factor(terms, B, self._chosen, self._places, self._first, self._signs)
@@ -192,6 +209,11 @@ class _BandStorage(_Storage):
         self._flat += 2 * half_width + rows
         numbered = scale[order]
         self._factors = numbered[rows] * numbered[columns]
+
+    @property
+    def arrays(self) -> tuple[int, Array, Array]:
+        """Half width, places of all values, and what scales them."""
+        return self._half_width, self._flat, self._factors
 
     def factor(self, K: Array, B: Array) -> Factorization:
         size, half_width = len(self._order), self._half_width

@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 import scipy
 
-from ancfdae.kernels import csr_rows, csr_rows_transposed, csr_subtract
+from ancfdae.kernels import Csr, csr_rows, csr_rows_transposed, csr_subtract
 from ancfdae.numerics.arrays import Array
 
 
@@ -77,6 +77,10 @@ class Pattern:
     def csr(self, values: Array) -> scipy.sparse.csr_array:
         """Return the matrix in compressed sparse row form."""
         return scipy.sparse.csr_array((values, self.columns, self._first), shape=self.shape)
+
+    def rows_of(self, values: Array) -> Csr:
+        """Return the arrays of the matrix in compressed sparse rows."""
+        return self._first, self.columns, values
 
     def dot(self, values: Array, x: Array) -> Array:
         """Product of the matrix with a vector or with the columns of an array."""

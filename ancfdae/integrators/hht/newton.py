@@ -21,7 +21,14 @@ from ancfdae.integrators.hht.equations import (
     predict_increment,
     residual,
 )
-from ancfdae.integrators.hht.small_steps import constraint_increment, motion_size, share_of_defect
+from ancfdae.integrators.hht.small_steps import (
+    PLACES,
+    QUIET,
+    WEIGHTS,
+    constraint_increment,
+    motion_size,
+    share_of_defect,
+)
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.kernels import add_scaled, finite, norm
@@ -120,6 +127,12 @@ class StepSolver:
         # The round-off of elastic forces, times 1e7.
         self._blur = system.traits.force_round_off / (0.1 * _ROUND_OFF)
         self._least = max(self._blur, _TINY)
+
+    def rules(self, alpha: float) -> Array:
+        """Return the numbers that `march_rules` of the kernels names, in its order."""
+        own = self._tolerance, self.max_iterations, self._blur
+        rates = _SLOW, _NEAR, _AHEAD, _SMOOTH, _ROUND_OFF, _JUMP, QUIET
+        return np.array([alpha, *own, *rates, *PLACES, *WEIGHTS])
 
     @property
     def iterations(self) -> int:

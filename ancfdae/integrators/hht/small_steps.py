@@ -32,10 +32,10 @@ from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
 
 # Gauss points on (0, 1), exact for polynomials of degree 5 in s.
-_PLACES = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))
-_WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
+PLACES = (0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15))
+WEIGHTS = (5 / 18, 8 / 18, 5 / 18)
 # Part of the motion that round-off of the constraints may disturb, and of its derivatives.
-_QUIET, _QUIET_DERIVATIVES = 1e-9, 1e-8
+QUIET, _QUIET_DERIVATIVES = 1e-9, 1e-8
 _EPS = float(np.finfo(float).eps)
 
 
@@ -52,7 +52,7 @@ def motion_size(
 def share_of_defect(system: MechanicalSystem, c: Coefficients, q: Array, motion: float) -> float:
     """Return chi: 1, or less where Phi_n is round-off that would disturb a step of size h."""
     noise = _EPS * norm(q, system.weights)
-    allowed = _QUIET * motion * c.beta * c.h**2
+    allowed = QUIET * motion * c.beta * c.h**2
     return 1.0 if noise <= allowed else allowed / noise
 
 
@@ -82,7 +82,7 @@ class ConstraintRow:
         chi = share_of_defect(system, c, q, motion)
         dq = predict_increment(c, before.v, before.a)[0] + (c.beta * c.h**2) * after.a
         G, g = chi * system.constraint_q(t, q), chi * system.constraint_total(t, (q,))
-        for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
+        for place, weight in zip(PLACES, WEIGHTS, strict=True):
             q, t = before.q + place * dq, before.t + place * c.h
             G = G + (weight * c.h) * system.constraint_q(t, q, dq / c.h)
             g = g + (weight * c.h) * system.constraint_total(t, (q, dq / c.h))
@@ -94,7 +94,7 @@ def constraint_increment(
 ) -> Array:
     """Return I; exact for joints, quadratic in q. A drive A sin(w t) leaves A (w h)^7 / 2e6."""
     total = np.zeros(system.n_lam)
-    for place, weight in zip(_PLACES, _WEIGHTS, strict=True):
+    for place, weight in zip(PLACES, WEIGHTS, strict=True):
         q, t = before.q + place * dq, before.t + place * c.h
         total = total + (weight * c.h) * system.constraint(t, q, dq / c.h)
     return total

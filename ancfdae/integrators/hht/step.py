@@ -18,6 +18,7 @@ import numpy as np
 
 from ancfdae.errors import Verdict
 from ancfdae.integrators.hht import linear_passes
+from ancfdae.integrators.hht.compiled import CompiledSteps
 from ancfdae.integrators.hht.continuation import solved
 from ancfdae.integrators.hht.equations import (
     Coefficients,
@@ -61,6 +62,8 @@ class Stepper(OneStepMethod[State]):
         self._problem, self._alpha = problem, alpha
         self._solver = StepSolver(problem.system, problem.matrices, *newton, recorder)
         self._tolerance, self._recorder = tolerance, recorder
+        rules = self._solver.rules(alpha)
+        self._compiled = CompiledSteps.of(problem.system, problem.matrices, rules, recorder)
         self._coefficients = Coefficients(0.0, alpha)
 
     def consistent(self) -> Record:
@@ -84,7 +87,7 @@ class Stepper(OneStepMethod[State]):
         if c.h != h:
             c = self._coefficients = Coefficients(h, self._alpha)
         system, step = self._problem.system, (c, last, t)
-        node = self._solver.advance(step)
+        node = self._alone(h, last, t) or self._solver.advance(step)
         # Where steps are controlled a smaller one is the better cure.
         hard = isinstance(node, Failure) and node.verdict is not Verdict.SINGULAR
         if isinstance(node, Failure) and hard and self._tolerance is None:
@@ -97,6 +100,26 @@ class Stepper(OneStepMethod[State]):
             row = ConstraintRow.of(system, c, last, node)
             node_b = linear_passes.advance(system, self._problem.matrices, c, node_b, node, row)
         return node, node_b
+
+    def march(self, before: State, sizes: Array, ends: Array) -> tuple[int, State]:
+        """Take steps by the kernel; without derivatives."""
+        node, node_b = before
+        if self._compiled is None or node_b is not None:
+            return 0, before
+        rows = self._recorder.room(len(sizes))
+        taken, node = self._compiled.march(node, sizes, ends, rows)
+        self._recorder.take(ends[:taken])
+        return taken, (node, None)
+
+    def _alone(self, h: float, before: Node, t: float) -> Node | None:
+        """Take one step by the kernel; None where it does not solve it."""
+        if self._compiled is None:
+            return None
+        system = self._problem.system
+        q, v, A = np.empty((3, 1, system.n_q))
+        rows = q, v, A, np.empty((1, system.n_lam))
+        taken, node = self._compiled.march(before, np.array([h]), np.array([t]), rows)
+        return node if taken else None
 
     def recorded(self, state: State) -> Record:
         """Return what a solution keeps of a state."""

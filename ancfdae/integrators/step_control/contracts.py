@@ -7,6 +7,8 @@ import math
 import sys
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
+import numpy as np
+
 from ancfdae.errors import InvalidInput, Verdict
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
@@ -15,6 +17,9 @@ from ancfdae.numerics.arrays import Array
 State = TypeVar("State")
 # Time, q, v, a, lam and, where derivatives are integrated too, q_b, v_b, a_b, lam_b.
 Record = tuple[float, Array, Array, Array, Array, tuple[Array, ...]]
+
+
+_NONE = np.zeros(0)
 
 
 class Failure(NamedTuple):
@@ -49,6 +54,13 @@ class OneStepMethod(abc.ABC, Generic[State]):
     def advance(self, h: float, before: State, t: float) -> State | Failure:
         """Return the state at t, after a step of size h, or why it was not solved."""
 
+    def march(self, before: State, sizes: Array, ends: Array) -> tuple[int, State]:
+        """Take and record as many of the given steps as go at once; by default none.
+
+        Returns their number and the state after them.
+        """
+        return 0, before
+
     @abc.abstractmethod
     def recorded(self, state: State) -> Record:
         """Return what a solution keeps of a state."""
@@ -68,6 +80,10 @@ class Controller(abc.ABC):
     @abc.abstractmethod
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
         """Return size and end of the step after instant n at time t, or how the run ends there."""
+
+    def known(self, n: int) -> tuple[Array, Array]:
+        """Return sizes and ends of some steps from instant n on that any step leads to; or none."""
+        return _NONE, _NONE
 
     @abc.abstractmethod
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:

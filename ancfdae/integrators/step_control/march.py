@@ -66,6 +66,11 @@ def _next(
         return Failure(planned, 0.0)
     h, end = planned
     before = method.start(h) if now is None else method.resized(now, h / last)
+    sizes, ends = controller.known(n)
+    if len(sizes):
+        taken, after = method.march(before, sizes, ends)
+        if taken:
+            return Reached(n + taken, float(ends[taken - 1]), float(sizes[taken - 1]), after)
     after = method.advance(h, before, end)
     failed = isinstance(after, Failure)
     if failed and after.verdict is Verdict.SINGULAR:

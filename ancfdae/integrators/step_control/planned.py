@@ -21,6 +21,8 @@ from ancfdae.numerics.arrays import Array
 
 # Steps may miss the end time by this many parts of their number (accumulated round-off).
 _WHOLE = 1e-9
+# Steps that are taken at once.
+_PACKET = 256
 # A number of steps is exact up to here.
 _COUNTABLE = 2.0**53
 # A longer list of instants is shortened where it is printed.
@@ -170,11 +172,18 @@ class Plan(Controller):
     """Sizes and ends of all steps, of the one that begins at instant n at place n."""
 
     def __init__(self, sizes: Array, ends: Array) -> None:
-        self._sizes, self._ends = sizes.tolist(), ends.tolist()
+        self._sizes, self._ends = sizes, ends
 
     def plan(self, n: int, t: float) -> tuple[float, float] | Verdict:
         """Return the step as it is known."""
-        return (self._sizes[n], self._ends[n]) if n < len(self._ends) else Verdict.FINISHED
+        if n == len(self._ends):
+            return Verdict.FINISHED
+        return float(self._sizes[n]), float(self._ends[n])
+
+    def known(self, n: int) -> tuple[Array, Array]:
+        """Return the next steps."""
+        packet = slice(n, n + _PACKET)
+        return self._sizes[packet], self._ends[packet]
 
     def judge(self, n: int, t: float, h: float, error: float | None) -> int | Verdict:
         """Go on if the step was solved."""

@@ -27,8 +27,8 @@ class Bushing(Load):
     With x_m the component of r(point) - r(other) along axis m, beyond its reference value, and
     theta_m the angle about it (docs/theory/03-joints-and-loads.md): forces -(k_m x_m + c_m x_m')
     and torques -(k_m theta_m + c_m theta_m'). The axes are x, y and z of the reference; they turn
-    with the other section. Angles stay well below pi. Design targets: ``stiffness_x`` ..., ``damping_x``
-    ..., and in space ``turn_stiffness_x`` ..., ``turn_damping_x`` ..., in the plane
+    with the other section. Angles stay well below pi. Design targets: ``stiffness_x`` ...,
+    ``damping_x`` ..., and in space ``turn_stiffness_x`` ..., ``turn_damping_x`` ..., in the plane
     ``turn_stiffness`` and ``turn_damping``.
 
     Parameters

@@ -1,0 +1,376 @@
+/* Steps of HHT-I3 with Newton's method (docs/theory.md, section 5), for one scalar type.
+ *
+ * The formulas, and what stops an iteration, are those of `integrators/hht`: `newton.py` says why.
+ * A step that is not solved here is left to them, which find out what is wrong with it, so that
+ * nothing has to be told but how many steps were taken.
+ */
+
+/* Rows of a table of factors, one table for each step: at its end, at its beginning, at the Gauss
+ * points of small steps, and the time derivatives there. */
+enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = RATE_AT_GAUSS + 3 };
+/* How a march ends: with all steps, or before one that is not solved, that needs factors at Gauss
+ * points, whose matrix is indefinite, or that no time is left for. */
+enum { ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME };
+
+/* A system with its matrices and the settings of Newton's method. `first` is NULL without an
+ * envelope, `flat` without a band; coefficients of joints that are `still` are known. */
+typedef struct {
+    npy_intp n_q, n_lam, nnz, n_loads, n_chosen, half;
+    int n_y, d, damped, still;
+    NAME(block) block;
+    NAME(joints) joints;
+    NAME(csr) M, B, curvature, to_values;
+    const npy_int32 *index, *first, *chosen, *places;
+    const npy_int64 *order, *flat;
+    const T *mass, *gravity, *loads;
+    const double *weights, *inverse, *signs, *scale, *factors;
+    NAME(gbtrf_t) gbtrf;
+    NAME(gbtrs_t) gbtrs;
+    march_rules rules;
+} NAME(plan);
+
+/* Room for what an iteration writes. `ahead` holds dq of a small step, `bent` the multipliers times
+ * bilinear coefficients; c belongs to the end of the step, c_s and c_t to instants in it. */
+typedef struct {
+    T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *V, *raw, *B, *Q, *inner, *reaction, *ahead, *start;
+    T *Phi, *rate, *defect, *R, *x, *force, *K, *D, *sum, *bent, *matrix, *work;
+    NAME(coefficients) c, c_s, c_t;
+    double *least;
+    int *pivots, B_known, banded;
+    npy_intp counts[3]; /* iterations, factorisations, steps that round-off disturbs */
+} NAME(room);
+
+/* The state before a step. */
+typedef struct {
+    const T *q, *v, *a, *lam, *A;
+    double motion;
+} NAME(before);
+
+INLINE double NAME(size_of)(npy_intp n, const T *x, const double *weights)
+{
+    double sum = 0;
+    for (npy_intp i = 0; i < n; i++)
+        sum += weights[i] * creal(x[i]) * creal(x[i]);
+    return sqrt(sum);
+}
+
+/* Phi_q on its pattern from the vectors as they stand. */
+static void NAME(jacobian_at)(const NAME(plan) *p, NAME(room) *r, const NAME(coefficients) *c)
+{
+    if (r->B_known)
+        return;
+    NAME(raw_jacobian)(&p->joints, c, r->U, r->raw);
+    memset(r->B, 0, (size_t)p->to_values.n * sizeof(T));
+    NAME(csr_times)(&p->to_values, r->raw, r->B);
+    r->B_known = p->still && p->joints.n_s == 0;
+}
+
+/* Coefficients at an instant: known ones, or those of a row of factors. */
+static const NAME(coefficients) *NAME(at_instant)(const NAME(plan) *p, NAME(room) *r,
+                                                  const double *factors, int instant)
+{
+    if (p->still)
+        return &r->c;
+    NAME(coefficients_at)(&p->joints, factors + instant * p->joints.n_parts, &r->c_s);
+    return &r->c_s;
+}
+
+/* out = Phi_q^T lam with the Jacobian as it stands. */
+static void NAME(reaction_of)(const NAME(plan) *p, const NAME(room) *r, const T *lam, T *out)
+{
+    memset(out, 0, (size_t)p->n_q * sizeof(T));
+    NAME(csr_rows_transposed)(p->n_lam, p->B.first, p->B.columns, r->B, 1, lam, 1, p->n_q, out);
+}
+
+static void NAME(force_at)(const NAME(plan) *p, NAME(room) *r, const double *factors, const T *q,
+                           const T *v)
+{
+    memset(r->inner, 0, (size_t)p->n_q * sizeof(T));
+    NAME(forces)(p->n_y, p->d, &p->block, q, p->damped ? v : NULL, r->inner);
+    for (npy_intp i = 0; i < p->n_q; i++)
+        r->Q[i] = p->gravity[i] - r->inner[i];
+    for (npy_intp k = 0; k < p->n_loads; k++)
+        for (npy_intp i = 0; i < p->n_q; i++)
+            r->Q[i] += factors[k] * p->loads[k * p->n_q + i];
+}
+
+/* Phi = defect + its integral over a small step along dq. */
+static void NAME(constraint_over)(const NAME(plan) *p, NAME(room) *r, double h,
+                                  const double *factors, const T *q, const T *dq, T *Phi)
+{
+    const NAME(joints) *j = &p->joints;
+    memcpy(Phi, r->defect, (size_t)p->n_lam * sizeof(T));
+    for (int k = 0; k < 3; k++) {
+        for (npy_intp i = 0; i < p->n_q; i++) {
+            r->x[i] = q[i] + p->rules.places[k] * dq[i];
+            r->force[i] = dq[i] / h;
+        }
+        const NAME(coefficients) *c = NAME(at_instant)(p, r, factors, AT_GAUSS + k);
+        if (!p->still)
+            NAME(coefficients_at)(j, factors + (RATE_AT_GAUSS + k) * j->n_parts, &r->c_t);
+        NAME(vectors_of)(j, r->x, r->U);
+        NAME(vectors_of)(j, r->force, r->V);
+        NAME(phi_rate)(j, c, &r->c_t, r->U, r->V, r->rate);
+        for (npy_intp i = 0; i < p->n_lam; i++)
+            Phi[i] += p->rules.weights[k] * h * r->rate[i];
+    }
+}
+
+static double NAME(motion_of)(const NAME(plan) *p, const NAME(room) *r, const T *a)
+{
+    double size = NAME(size_of)(p->n_q, a, p->weights) +
+                  NAME(size_of)(p->n_q, r->reaction, p->inverse) +
+                  NAME(size_of)(p->n_q, r->Q, p->inverse);
+    double least = fmax(p->rules.blur, DBL_MIN);
+    return size < least ? least : size; /* also what is not a number */
+}
+
+static double NAME(motion_before)(const NAME(plan) *p, NAME(room) *r, const NAME(before) *b,
+                                  const double *of_joints, const double *of_loads)
+{
+    if (b->motion < INFINITY)
+        return b->motion;
+    const NAME(coefficients) *c = NAME(at_instant)(p, r, of_joints, AT_START);
+    NAME(vectors_of)(&p->joints, b->q, r->U);
+    NAME(jacobian_at)(p, r, c);
+    NAME(reaction_of)(p, r, b->lam, r->reaction);
+    NAME(force_at)(p, r, of_loads + AT_START * p->n_loads, b->q, b->v);
+    return NAME(motion_of)(p, r, b->a);
+}
+
+/* Coordinates, velocities and accelerations that belong to a (eqs. 2, 3). */
+static void NAME(state_of)(const NAME(plan) *p, const NAME(room) *r, const step_coefficients *c,
+                           const T *A_n, const T *a, T *q, T *v, T *A)
+{
+    for (npy_intp i = 0; i < p->n_q; i++) {
+        q[i] = r->q_p[i] + c->in_q * a[i];
+        v[i] = r->v_p[i] + c->in_v * a[i];
+        A[i] = (c->alpha * c->in_A) * A_n[i] + c->in_A * a[i];
+    }
+}
+
+static void NAME(predict)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                          const NAME(before) *b)
+{
+    double of_a = c->h * (1 - c->gamma), of_dq = c->h * c->h * (c->gamma - 0.5 - c->beta);
+    for (npy_intp i = 0; i < p->n_q; i++) {
+        r->v_p[i] = b->v[i] + of_a * b->a[i];
+        r->dq_p[i] = c->h * r->v_p[i] + of_dq * b->a[i];
+        r->q_p[i] = b->q[i] + r->dq_p[i];
+    }
+}
+
+/* The guess of a: a step ahead where the line through a and A is smooth. */
+static void NAME(look_ahead)(const NAME(plan) *p, NAME(room) *r, const NAME(before) *b,
+                             double motion)
+{
+    double times = p->rules.alpha ? fmin(-1 / p->rules.alpha, p->rules.ahead) : 0;
+    for (npy_intp i = 0; i < p->n_q; i++)
+        r->a[i] = b->A[i] - b->a[i];
+    if (times * NAME(size_of)(p->n_q, r->a, p->weights) > p->rules.smooth * motion)
+        times = 0;
+    for (npy_intp i = 0; i < p->n_q; i++)
+        r->a[i] = b->a[i] + times * r->a[i];
+    memcpy(r->lam, b->lam, (size_t)p->n_lam * sizeof(T));
+}
+
+/* The residual of eqs. (4) and (5) at a and lam; whether it is finite. */
+static int NAME(residual_at)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                             const NAME(before) *b, const double *of_joints,
+                             const double *of_loads, int small)
+{
+    T sum = 0, *R = r->R;
+    NAME(state_of)(p, r, c, b->A, r->a, r->q, r->v, r->A);
+    if (small) {
+        for (npy_intp i = 0; i < p->n_q; i++)
+            r->ahead[i] = r->dq_p[i] + c->in_q * r->a[i];
+        NAME(constraint_over)(p, r, c->h, of_joints, b->q, r->ahead, r->Phi);
+    }
+    NAME(vectors_of)(&p->joints, r->q, r->U);
+    if (!small)
+        NAME(phi)(&p->joints, &r->c, r->U, r->Phi);
+    NAME(jacobian_at)(p, r, &r->c);
+    NAME(reaction_of)(p, r, r->lam, r->reaction);
+    NAME(force_at)(p, r, of_loads + AT_END * p->n_loads, r->q, r->v);
+    memset(R, 0, (size_t)p->n_q * sizeof(T));
+    NAME(csr_times)(&p->M, r->A, R);
+    for (npy_intp i = 0; i < p->n_q; i++) {
+        R[i] += r->reaction[i] - r->Q[i];
+        sum += 0 * R[i];
+    }
+    for (npy_intp i = 0; i < p->n_lam; i++) {
+        R[p->n_q + i] = (1 / c->in_q) * r->Phi[i];
+        sum += 0 * R[p->n_q + i];
+    }
+    return sum == 0;
+}
+
+/* Factorise eq. (6) at the state as it stands: 0, NOT_SOLVED, or INDEFINITE. */
+static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c)
+{
+    const NAME(joints) *j = &p->joints;
+    npy_intp n = p->n_q + p->n_lam;
+    const T *v = p->damped ? r->v : NULL;
+    r->counts[1]++;
+    memset(r->K, 0, (size_t)p->nnz * sizeof(T));
+    NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->K);
+    for (npy_intp i = 0; i < j->n_s; i++)
+        r->bent[i] = r->lam[j->s_row[i]] * r->c.s[i];
+    NAME(csr_times)(&p->curvature, r->bent, r->K);
+    if (p->first) {
+        memset(r->matrix, 0, (size_t)p->first[n] * sizeof(T));
+        NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_A, p->mass, r->matrix);
+        NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_q, r->K, r->matrix);
+        NAME(ldl_placed)(p->to_values.n, NULL, p->places + p->n_chosen, 1, r->B, r->matrix);
+        if (NAME(ldl_factor)(n, p->first, p->signs, r->matrix, r->least) == 0)
+            return r->banded = 0;
+        if (!p->flat)
+            return INDEFINITE;
+    }
+    for (npy_intp i = 0; i < p->nnz; i++)
+        r->sum[i] = c->in_A * p->mass[i] + c->in_q * r->K[i];
+    if (p->damped) {
+        memset(r->D, 0, (size_t)p->nnz * sizeof(T));
+        NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->D);
+        for (npy_intp i = 0; i < p->nnz; i++)
+            r->sum[i] += c->in_v * r->D[i];
+    }
+    r->banded = 1;
+    memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
+    return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, p->to_values.n, r->sum, r->B,
+                             p->factors, p->flat, r->matrix, r->pivots)
+               ? NOT_SOLVED
+               : 0;
+}
+
+/* x = J^-1 R. */
+static void NAME(solved_for)(const NAME(plan) *p, NAME(room) *r)
+{
+    npy_intp n = p->n_q + p->n_lam;
+    if (!r->banded) {
+        NAME(ldl_solve)(n, p->first, r->matrix, p->order, 1, 1, r->R, r->work, r->x);
+        return;
+    }
+    for (npy_intp i = 0; i < n; i++)
+        r->work[i] = p->scale[p->order[i]] * r->R[p->order[i]];
+    NAME(band_solve)(p->gbtrs, 'N', (int)n, (int)p->half, 1, r->matrix, r->pivots, r->work);
+    for (npy_intp i = 0; i < n; i++)
+        r->x[p->order[i]] = p->scale[p->order[i]] * r->work[i];
+}
+
+/* Whether round-off of elastic forces leaves less than seven digits of the motion. */
+static int NAME(blurred)(const NAME(plan) *p, NAME(room) *r)
+{
+    if (NAME(size_of)(p->n_q, r->a, p->weights) >= p->rules.blur)
+        return 0;
+    NAME(reaction_of)(p, r, r->lam, r->force);
+    return NAME(size_of)(p->n_q, r->force, p->inverse) < p->rules.blur;
+}
+
+/* Newton's method for one step; the solution stands in a and lam. */
+static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                          const NAME(before) *b, const double *of_joints, const double *of_loads,
+                          int small, double most, double *motion_after)
+{
+    double last = INFINITY, motion = most;
+    int fresh = 1;
+    for (npy_intp i = 0; i < p->rules.max_iterations; i++) {
+        r->counts[0]++;
+        if (!NAME(residual_at)(p, r, c, b, of_joints, of_loads, small))
+            return NOT_SOLVED;
+        int failed = fresh ? NAME(factorised)(p, r, c) : 0;
+        if (failed)
+            return failed;
+        NAME(solved_for)(p, r);
+        for (npy_intp k = 0; k < p->n_q; k++)
+            r->a[k] -= r->x[k];
+        for (npy_intp k = 0; k < p->n_lam; k++)
+            r->lam[k] -= r->x[p->n_q + k];
+        double now = NAME(motion_of)(p, r, r->a);
+        motion = now < motion ? now : motion;
+        NAME(reaction_of)(p, r, r->x + p->n_q, r->force);
+        double size = (NAME(size_of)(p->n_q, r->x, p->weights) +
+                       NAME(size_of)(p->n_q, r->force, p->inverse)) / motion;
+        double rate = last > 0 && last < INFINITY ? fmin(size / last, 1) : size > 0;
+        int stuck = fresh && rate > 0.5 && size <= p->rules.round_off &&
+                    NAME(size_of)(p->n_q, r->R, p->inverse) <= p->rules.round_off * now;
+        double left = size * (fresh ? fmin(1, rate * rate) : rate / fmax(1 - rate, 1e-3));
+        if (stuck || left <= p->rules.tolerance || size <= p->rules.tolerance) {
+            r->counts[2] += stuck || NAME(blurred)(p, r);
+            *motion_after = now;
+            return 0;
+        }
+        if (last < INFINITY)
+            fresh = rate > p->rules.slow || (size < p->rules.near && size * (rate * rate * rate) > p->rules.tolerance);
+        else
+            fresh = size > p->rules.slow;
+        last = size;
+    }
+    return NOT_SOLVED;
+}
+
+/* One step from b; of the state after it a stays in the room. */
+static int NAME(stepped)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                         const NAME(before) *b, const double *of_joints, npy_intp instants,
+                         const double *of_loads, double *motion_after)
+{
+    double motion = NAME(motion_before)(p, r, b, of_joints, of_loads);
+    double noise = DBL_EPSILON * NAME(size_of)(p->n_q, b->q, p->weights);
+    double allowed = p->rules.quiet * motion * c->in_q;
+    int small = p->n_lam && !(noise <= allowed);
+    if (small && instants < ALL_INSTANTS)
+        return NEEDS_GAUSS;
+    NAME(predict)(p, r, c, b);
+    NAME(look_ahead)(p, r, b, motion);
+    if (small) {
+        const NAME(coefficients) *at_start = NAME(at_instant)(p, r, of_joints, AT_START);
+        NAME(vectors_of)(&p->joints, b->q, r->U);
+        NAME(phi)(&p->joints, at_start, r->U, r->defect);
+        for (npy_intp i = 0; i < p->n_lam; i++)
+            r->defect[i] *= allowed / noise;
+    }
+    if (!p->still)
+        NAME(coefficients_at)(&p->joints, of_joints + AT_END * p->joints.n_parts, &r->c);
+    double most = motion > DBL_MIN ? p->rules.jump * motion : INFINITY;
+    return NAME(iterated)(p, r, c, b, of_joints, of_loads, small, most, motion_after);
+}
+
+/* As many of k steps of sizes h as can be taken until the clock says so; the states after them are
+ * rows of q, v, A and lam. Tables of factors have `instants` rows of joints, two of loads, or are
+ * empty. `ends` tells why no more are taken; what stands in b belongs to the last state then. */
+static npy_intp NAME(marched)(const NAME(plan) *p, NAME(room) *r, NAME(before) *b, npy_intp k,
+                              const double *h, npy_intp instants, const double *of_joints,
+                              const double *of_loads, double until, T *const out[4], T *a, int *ends)
+{
+    npy_intp sizes[] = {p->n_q, p->n_q, p->n_q, p->n_lam}, n_q = p->n_q;
+    for (npy_intp n = 0; n < k; n++) {
+        step_coefficients c = coefficients_of_step(h[n], p->rules.alpha);
+        npy_intp counts[3];
+        double motion = 0, ratio = n ? h[n] / h[n - 1] : 1;
+        if (n && seconds_now() > until)
+            return *ends = OUT_OF_TIME, n;
+        NAME(before) begin = *b;
+        if (ratio != 1) {
+            for (npy_intp i = 0; i < n_q; i++)
+                r->start[i] = b->A[i] + ratio * (b->a[i] - b->A[i]);
+            begin.a = r->start;
+        }
+        memcpy(counts, r->counts, sizeof counts);
+        *ends = NAME(stepped)(p, r, &c, &begin, of_joints + n * instants * p->joints.n_parts,
+                              instants, of_loads + n * 2 * p->n_loads, &motion);
+        if (*ends) {
+            memcpy(r->counts, counts, sizeof counts);
+            return n;
+        }
+        T *row[4];
+        for (int i = 0; i < 4; i++)
+            row[i] = out[i] + n * sizes[i];
+        NAME(state_of)(p, r, &c, b->A, r->a, row[0], row[1], row[2]);
+        memcpy(row[3], r->lam, (size_t)p->n_lam * sizeof(T));
+        memcpy(a, r->a, (size_t)n_q * sizeof(T));
+        NAME(before) after = {row[0], row[1], a, row[3], row[2], motion};
+        *b = after;
+    }
+    *ends = ALL_TAKEN;
+    return k;
+}

@@ -1,0 +1,351 @@
+/* Plans of marches (march.h) from the arrays of Python, checked once for all steps.
+ *
+ * `__init__.py` says what a plan, a layout of the matrix and the rules hold.
+ */
+
+enum { MOST_KEPT = 48, MOST_ROOM = 48 };
+
+/* A plan with the arrays that it points to and its room. */
+typedef struct {
+    PyObject *kept[MOST_KEPT];
+    int n_kept;
+    plan_real plan;
+    room_real room;
+    void *memory;
+} Prepared;
+
+static const char *const prepared_name = "ancfdae.march";
+
+static void prepared_dropped(Prepared *x)
+{
+    for (int i = 0; i < x->n_kept; i++)
+        Py_DECREF(x->kept[i]);
+    PyMem_RawFree(x->memory);
+    PyMem_Free(x);
+}
+
+static void capsule_dropped(PyObject *capsule)
+{
+    prepared_dropped(PyCapsule_GetPointer(capsule, prepared_name));
+}
+
+/* An item of a tuple with so many of them. */
+static PyObject *item(PyObject *tuple, Py_ssize_t size, Py_ssize_t i)
+{
+    if (!tuple || !PyTuple_Check(tuple) || PyTuple_GET_SIZE(tuple) != size)
+        return wrong("a plan is made of named tuples"), NULL;
+    return PyTuple_GET_ITEM(tuple, i);
+}
+
+/* An array that is kept; with this size unless it is negative. */
+static PyArrayObject *kept(Prepared *x, PyObject *object, int type, int axes, npy_intp size)
+{
+    PyArrayObject *array = NULL;
+    if (!object || x->n_kept == MOST_KEPT)
+        return NULL;
+    if (!taken(object, type, axes, &array)) {
+        Py_XDECREF(array);
+        return NULL;
+    }
+    x->kept[x->n_kept++] = (PyObject *)array;
+    if (size >= 0 && PyArray_SIZE(array) != size)
+        return wrong("an array of a plan has another size"), NULL;
+    return array;
+}
+
+static const double *kept_numbers(Prepared *x, PyObject *object, npy_intp size)
+{
+    return data_of(kept(x, object, NPY_DOUBLE, 0, size));
+}
+
+/* Indices from 0 to `most`. */
+static const npy_int64 *kept_indices(Prepared *x, PyObject *object, npy_intp size, npy_intp most)
+{
+    PyArrayObject *array = kept(x, object, NPY_INT64, 1, size);
+    return array && (within_64(array, most) || wrong("an index of a plan is too large"))
+               ? data_of(array)
+               : NULL;
+}
+
+static const npy_int32 *kept_short_indices(Prepared *x, PyObject *object, npy_intp size,
+                                           npy_intp most)
+{
+    PyArrayObject *array = kept(x, object, NPY_INT32, 1, size);
+    return array && (within_32(array, 0, most) || wrong("an index of a plan is too large"))
+               ? data_of(array)
+               : NULL;
+}
+
+/* A matrix (first, columns, values) of n rows; n is taken from it where it is negative. */
+static int kept_csr(Prepared *x, PyObject *tuple, npy_intp n, npy_intp n_columns, csr_real *m)
+{
+    PyArrayObject *first = kept(x, item(tuple, 3, 0), NPY_INT32, 1, n < 0 ? -1 : n + 1);
+    PyArrayObject *columns = kept(x, item(tuple, 3, 1), NPY_INT32, 1, -1);
+    PyArrayObject *values = kept(x, item(tuple, 3, 2), NPY_DOUBLE, 1, -1);
+    if (!first || !columns || !values || !is_csr(first, columns, values, n_columns))
+        return 0;
+    csr_real made = {PyArray_SIZE(first) - 1, data_of(first), data_of(columns), data_of(values)};
+    *m = made;
+    return 1;
+}
+
+static int kept_block(Prepared *x, PyObject *object, PyObject *index)
+{
+    Arguments a;
+    plan_real *p = &x->plan;
+    if (x->n_kept + 5 > MOST_KEPT)
+        return 0;
+    int good = filled(&a, object, NULL, 0) && lawful(&a) &&
+               (a.type == NPY_DOUBLE || wrong("a plan is made of real numbers"));
+    PyArrayObject *own[] = {a.A, a.g_o, a.p_o, a.tau, a.vectors};
+    for (int i = 0; i < 5; i++)
+        if (own[i])
+            x->kept[x->n_kept++] = (PyObject *)own[i];
+    if (!good)
+        return 0;
+    npy_intp k = 1, size = (npy_intp)(a.n_y + 1) * a.d;
+    BLOCK_OF_TYPE(real)
+    p->block = b;
+    p->n_y = a.n_y, p->d = a.d, p->n_q = a.n_q, p->damped = a.tau != NULL;
+    p->index = kept_short_indices(x, index, a.n * size * size, p->nnz - 1);
+    return p->index != NULL;
+}
+
+enum { JOINT_ITEMS = 12, PLAN_ITEMS = 11, LAYOUT_ITEMS = 4 };
+
+/* (L, a_row, a_at, s_row, s_i, s_j, a, s, offset, to_values, B, curvature) */
+static int kept_joints(Prepared *x, PyObject *t)
+{
+    plan_real *p = &x->plan;
+    joints_real *j = &p->joints;
+    PyArrayObject *a = kept(x, item(t, JOINT_ITEMS, 6), NPY_DOUBLE, 2, -1);
+    PyArrayObject *s = kept(x, item(t, JOINT_ITEMS, 7), NPY_DOUBLE, 2, -1);
+    PyArrayObject *offset = kept(x, item(t, JOINT_ITEMS, 8), NPY_DOUBLE, 2, -1);
+    if (!a || !s || !offset || !kept_csr(x, item(t, JOINT_ITEMS, 0), -1, p->n_q, &j->L))
+        return 0;
+    j->d = p->d, j->n_parts = PyArray_DIM(a, 0), j->n_vectors = j->L.n / p->d;
+    j->n_a = PyArray_DIM(a, 1), j->n_s = PyArray_DIM(s, 1), j->n_lam = PyArray_DIM(offset, 1);
+    j->a = data_of(a), j->s = data_of(s), j->offset = data_of(offset);
+    p->n_lam = j->n_lam;
+    if (j->n_parts < 1 || PyArray_DIM(s, 0) != j->n_parts ||
+        PyArray_DIM(offset, 0) != j->n_parts || j->L.n != j->n_vectors * p->d)
+        return wrong("coefficients of joints must have one row for each factor");
+    npy_intp most = j->n_lam - 1, n_raw = j->n_a + 2 * j->n_s * p->d;
+    j->a_row = kept_indices(x, item(t, JOINT_ITEMS, 1), j->n_a, most);
+    j->a_at = kept_indices(x, item(t, JOINT_ITEMS, 2), j->n_a, j->L.n - 1);
+    j->s_row = kept_indices(x, item(t, JOINT_ITEMS, 3), j->n_s, most);
+    j->s_i = kept_indices(x, item(t, JOINT_ITEMS, 4), j->n_s, j->n_vectors - 1);
+    j->s_j = kept_indices(x, item(t, JOINT_ITEMS, 5), j->n_s, j->n_vectors - 1);
+    return j->a_row && j->a_at && j->s_row && j->s_i && j->s_j &&
+           kept_csr(x, item(t, JOINT_ITEMS, 9), -1, n_raw, &p->to_values) &&
+           kept_csr(x, item(t, JOINT_ITEMS, 10), j->n_lam, p->n_q, &p->B) &&
+           kept_csr(x, item(t, JOINT_ITEMS, 11), p->nnz, j->n_s, &p->curvature) &&
+           (p->B.first[j->n_lam] == p->to_values.n ||
+            wrong("there must be a value for each entry of the constraint Jacobian"));
+}
+
+/* (order, scale, envelope, band); an envelope is (first, chosen, places, signs) and a band (half,
+ * flat, factors), or None. */
+static int kept_layout(Prepared *x, PyObject *t)
+{
+    plan_real *p = &x->plan;
+    npy_intp n = p->n_q + p->n_lam, n_B = p->to_values.n;
+    PyObject *own = item(t, LAYOUT_ITEMS, 2), *band = item(t, LAYOUT_ITEMS, 3);
+    p->order = kept_indices(x, item(t, LAYOUT_ITEMS, 0), n, n - 1);
+    p->scale = kept_numbers(x, item(t, LAYOUT_ITEMS, 1), n);
+    if (!p->order || !p->scale || (own == Py_None && band == Py_None))
+        return PyErr_Occurred() ? 0 : wrong("a layout must have an envelope or a band");
+    if (own != Py_None) {
+        Envelope e = {NULL, 0, 0};
+        int good = item(own, 4, 0) && envelope_taken(item(own, 4, 0), &e);
+        if (e.first && x->n_kept < MOST_KEPT)
+            x->kept[x->n_kept++] = (PyObject *)e.first;
+        PyArrayObject *chosen = good ? kept(x, item(own, 4, 1), NPY_INT32, 1, -1) : NULL;
+        if (!chosen || !within_32(chosen, 0, p->nnz - 1) || e.n != n)
+            return PyErr_Occurred() ? 0 : wrong("the envelope is not that of the matrix");
+        p->first = data_of(e.first), p->chosen = data_of(chosen), p->n_chosen = PyArray_SIZE(chosen);
+        p->places = kept_short_indices(x, item(own, 4, 2), p->n_chosen + n_B, e.size - 1);
+        p->signs = kept_numbers(x, item(own, 4, 3), n);
+        if (!p->places || !p->signs)
+            return 0;
+    }
+    if (band != Py_None) {
+        if (!item(band, 3, 0) || !taken_number(item(band, 3, 0), (INT_MAX - 1) / 3, &p->half))
+            return 0;
+        npy_intp size = p->nnz + 2 * n_B;
+        p->flat = kept_indices(x, item(band, 3, 1), size, n * (3 * p->half + 1) - 1);
+        p->factors = kept_numbers(x, item(band, 3, 2), size);
+        if (!p->flat || !p->factors || n > INT_MAX)
+            return PyErr_Occurred() ? 0 : wrong("the band is too large");
+    }
+    return 1;
+}
+
+/* Give room to pointers, one behind the other; counts are numbers of doubles. */
+static int given_room(Prepared *x)
+{
+    const plan_real *p = &x->plan;
+    const joints_real *j = &p->joints;
+    room_real *r = &x->room;
+    size_t n_q = (size_t)p->n_q, n_lam = (size_t)p->n_lam, n = n_q + n_lam, U = (size_t)j->L.n;
+    size_t n_a = (size_t)j->n_a, n_s = (size_t)j->n_s, nnz = (size_t)p->nnz, total = 0;
+    size_t envelope = p->first ? (size_t)p->first[n] : 0;
+    size_t band = p->flat ? n * (3 * (size_t)p->half + 1) : 0;
+    struct {
+        double **to;
+        size_t size;
+    } rooms[] = {{&r->q_p, n_q}, {&r->dq_p, n_q}, {&r->v_p, n_q}, {&r->q, n_q}, {&r->v, n_q},
+                 {&r->A, n_q}, {&r->a, n_q}, {&r->lam, n_lam}, {&r->U, U}, {&r->V, U},
+                 {&r->raw, n_a + 2 * n_s * (size_t)p->d}, {&r->B, (size_t)p->to_values.n},
+                 {&r->Q, n_q}, {&r->inner, n_q}, {&r->reaction, n_q}, {&r->ahead, n_q},
+                 {&r->start, n_q}, {&r->Phi, n_lam}, {&r->rate, n_lam}, {&r->defect, n_lam},
+                 {&r->R, n}, {&r->x, n}, {&r->force, n_q}, {&r->K, nnz},
+                 {&r->D, p->damped ? nnz : 0}, {&r->sum, p->flat ? nnz : 0}, {&r->bent, n_s},
+                 {&r->matrix, envelope > band ? envelope : band}, {&r->work, 8 * n},
+                 {&r->c.a, n_a}, {&r->c.s, n_s}, {&r->c.offset, n_lam}, {&r->c_s.a, n_a},
+                 {&r->c_s.s, n_s}, {&r->c_s.offset, n_lam}, {&r->c_t.a, n_a}, {&r->c_t.s, n_s},
+                 {&r->c_t.offset, n_lam}, {&r->least, n}};
+    int count = (int)(sizeof rooms / sizeof rooms[0]);
+    for (int i = 0; i < count; i++)
+        total += rooms[i].size;
+    x->memory = PyMem_RawCalloc(total + n + 1, sizeof(double));
+    if (!x->memory)
+        return PyErr_NoMemory(), 0;
+    double *at = x->memory;
+    for (int i = 0; i < count; i++) {
+        *rooms[i].to = at;
+        at += rooms[i].size;
+    }
+    r->pivots = (int *)at;
+    return 1;
+}
+
+/* prepare(plan, layout, rules): what `march` takes. */
+static PyObject *py_prepare(PyObject *const *args)
+{
+    static void *gbtrf, *gbtrs;
+    Prepared *x = PyMem_Calloc(1, sizeof *x);
+    if (!x)
+        return PyErr_NoMemory();
+    plan_real *p = &x->plan;
+    PyObject *t = args[0];
+    const double one = 1;
+    PyArrayObject *mass = kept(x, item(t, PLAN_ITEMS, 3), NPY_DOUBLE, 1, -1);
+    const double *rules = kept_numbers(x, args[2], sizeof(march_rules) / sizeof(double));
+    if (!mass || !rules || (p->nnz = PyArray_SIZE(mass), 0) ||
+        !kept_block(x, item(t, PLAN_ITEMS, 0), item(t, PLAN_ITEMS, 1)) ||
+        !kept_csr(x, item(t, PLAN_ITEMS, 2), p->n_q, p->n_q, &p->M))
+        return prepared_dropped(x), NULL;
+    memcpy(&p->rules, rules, sizeof p->rules);
+    p->mass = data_of(mass);
+    PyArrayObject *loads = kept(x, item(t, PLAN_ITEMS, 5), NPY_DOUBLE, 2, -1);
+    p->gravity = kept_numbers(x, item(t, PLAN_ITEMS, 4), p->n_q);
+    p->weights = kept_numbers(x, item(t, PLAN_ITEMS, 6), p->n_q);
+    p->inverse = kept_numbers(x, item(t, PLAN_ITEMS, 7), p->n_q);
+    if (!loads || !p->gravity || !p->weights || !p->inverse ||
+        (PyArray_DIM(loads, 1) != p->n_q && !wrong("a load must have a number for each coordinate")) ||
+        !kept_joints(x, item(t, PLAN_ITEMS, 8)) || !kept_layout(x, args[1]) || !given_room(x))
+        return prepared_dropped(x), NULL;
+    p->loads = data_of(loads), p->n_loads = PyArray_DIM(loads, 0);
+    p->still = p->joints.n_parts == 1;
+    if (p->still)
+        coefficients_at_real(&p->joints, &one, &x->room.c);
+    if (p->flat) {
+        p->gbtrf = (gbtrf_t_real)lapack(&gbtrf, "dgbtrf", "void (int *, int *, int *, int *, ");
+        p->gbtrs = (gbtrs_t_real)lapack(&gbtrs, "dgbtrs", "void (char *, int *, int *, int *, int *, ");
+        if (!p->gbtrf || !p->gbtrs)
+            return prepared_dropped(x), NULL;
+    }
+    PyObject *capsule = PyCapsule_New(x, prepared_name, capsule_dropped);
+    return capsule ? capsule : (prepared_dropped(x), NULL);
+}
+
+/* Whether an array has a shape; negative numbers are any. */
+static int shaped(PyArrayObject *x, int axes, const npy_intp *shape)
+{
+    int good = PyArray_NDIM(x) == axes;
+    for (int i = 0; good && i < axes; i++)
+        good = shape[i] < 0 || PyArray_DIM(x, i) == shape[i];
+    return good || wrong("states, tables and rows must have the shapes of a plan");
+}
+
+/* Arguments of a march: sizes of steps, the state, tables of factors, and rows to write. */
+typedef struct {
+    PyArrayObject *h, *state[5], *of_joints, *of_loads, *a;
+    double *rows[4];
+    npy_intp k, instants;
+} Marching;
+
+static void marching_dropped(Marching *m)
+{
+    Py_XDECREF(m->h);
+    for (int i = 0; i < 5; i++)
+        Py_XDECREF(m->state[i]);
+    Py_XDECREF(m->of_joints);
+    Py_XDECREF(m->of_loads);
+    Py_XDECREF(m->a);
+}
+
+static int marching_taken(const plan_real *p, PyObject *const *args, Marching *m)
+{
+    npy_intp sizes[] = {p->n_q, p->n_q, p->n_q, p->n_lam, p->n_q}, any = -1;
+    npy_intp out_sizes[] = {p->n_q, p->n_q, p->n_q, p->n_lam};
+    memset(m, 0, sizeof *m);
+    if (!taken(args[3], NPY_DOUBLE, 1, &m->h) || !shaped(m->h, 1, &any) ||
+        !taken(args[4], NPY_DOUBLE, 3, &m->of_joints) ||
+        !taken(args[5], NPY_DOUBLE, 3, &m->of_loads))
+        return 0;
+    m->k = PyArray_SIZE(m->h);
+    for (int i = 0; i < 5; i++)
+        if (!item(args[1], 5, i) || !taken(item(args[1], 5, i), NPY_DOUBLE, 1, &m->state[i]) ||
+            !shaped(m->state[i], 1, sizes + i))
+            return 0;
+    for (int i = 0; i < 4; i++) {
+        PyArrayObject *row = (PyArrayObject *)item(args[7], 4, i);
+        npy_intp shape[] = {m->k, out_sizes[i]};
+        if (!row)
+            return 0;
+        if (!PyArray_Check((PyObject *)row) || PyArray_TYPE(row) != NPY_DOUBLE ||
+            !PyArray_ISCARRAY(row))
+            return wrong("rows must be arrays of real numbers in one piece");
+        if (!shaped(row, 2, shape))
+            return 0;
+        m->rows[i] = PyArray_DATA(row);
+    }
+    npy_intp of_joints[] = {p->still ? -1 : m->k, -1, p->joints.n_parts};
+    npy_intp of_loads[] = {m->k, 2, p->n_loads};
+    m->instants = p->still ? ALL_INSTANTS : PyArray_DIM(m->of_joints, 1);
+    m->a = (PyArrayObject *)PyArray_SimpleNew(1, sizes, NPY_DOUBLE);
+    return m->a && shaped(m->of_joints, 3, of_joints) && shaped(m->of_loads, 3, of_loads) &&
+           (m->instants >= 2 || wrong("a table must tell the factors at both ends of a step"));
+}
+
+/* march(prepared, state, motion, h, of_joints, of_loads, seconds, rows): as many steps as can be
+ * taken; returns their number, why it ends, the size of the motion, a, and counts. */
+static PyObject *py_march(PyObject *const *args)
+{
+    Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
+    double motion = PyFloat_AsDouble(args[2]), seconds = PyFloat_AsDouble(args[6]);
+    if (!x || PyErr_Occurred())
+        return NULL;
+    Marching m;
+    PyObject *result = NULL;
+    room_real *r = &x->room;
+    if (marching_taken(&x->plan, args, &m)) {
+        before_real b = {data_of(m.state[0]), data_of(m.state[1]), data_of(m.state[2]),
+                         data_of(m.state[3]), data_of(m.state[4]), motion};
+        const double *of_joints = data_of(m.of_joints), *of_loads = data_of(m.of_loads);
+        double *a = PyArray_DATA(m.a);
+        int ends = ALL_TAKEN;
+        npy_intp steps;
+        memset(r->counts, 0, sizeof r->counts);
+        Py_BEGIN_ALLOW_THREADS
+        steps = marched_real(&x->plan, r, &b, m.k, data_of(m.h), m.instants, of_joints, of_loads,
+                             seconds_now() + seconds, m.rows, a, &ends);
+        Py_END_ALLOW_THREADS
+        result = Py_BuildValue("nidO(nnn)", steps, ends, b.motion, m.a, r->counts[0], r->counts[1],
+                               r->counts[2]);
+    }
+    marching_dropped(&m);
+    return result;
+}
