@@ -207,7 +207,9 @@ class SteppedIntegrator(AdjointIntegrator):
         """Return a copy with other settings, without repeating their warnings."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)
-            return replace(self, **changes)
+            settings: Any = self  # Every kind is a frozen dataclass.
+            changed: Self = replace(settings, **changes)
+            return changed
 
     def differentiate(self, system: MechanicalSystem, solution: Solution) -> Solution:
         """Add the design derivatives of a run of this integrator (eqs. 22-25).

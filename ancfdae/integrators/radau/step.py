@@ -1,15 +1,10 @@
 """A step of Radau IIA: of the motion and, if asked for, of its design derivatives.
 
-The stages meet the constraints of positions. What velocities V miss of theirs, O(h^3), is removed
-at every stage, and accelerations and multipliers follow from positions and velocities:
-
-    M (v - V) + Phi_q^T sigma = 0,    Phi_q v = nu
-    M a + Phi_q^T lam = Q,            Phi_q a = gamma.
-
-So a step goes on from q and v, and all of q, v, a, lam have the order of the method at its end.
+The stages meet the constraints of positions. What their velocities miss, O(h^3), is removed, and
+accelerations and multipliers follow (`completion`); so a step goes on from q and v.
 
 **Error of a step.** The embedded formula of order 3, filtered by the real matrix (Hairer & Wanner,
-IV.8). With a_0 of the state before, e its weights and k = gamma, all in the scaled displacements x,
+IV.8). With a_0 of the state before, e its weights and k = gamma, in the scaled displacements x
 
     r_q = h sum e_i x_i,    r_v = a_0 + sum (e^T A^-1)_i x_i
     [k^2 M + h k f_v + h^2 f_q   Phi_q^T] [dq]   [h^2 (M (r_v + k r_q/h) + f_v r_q)]
@@ -23,8 +18,8 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations.held import acceleration_side
 from ancfdae.equations.saddle_points import solve
+from ancfdae.integrators.completion import completed
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.linear_passes import LinearSteps
 from ancfdae.integrators.radau.newton import Solved, StageSolver
@@ -43,20 +38,23 @@ from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, R
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 
-# Parts of a run, each an eighth of the one before, that a first step is tried with.
-_FIRST, _SHRINK = 1 / 20, 1 / 8
+# Parts of a run that first steps are tried with, each an eighth of the one before.
+_FIRST = [0.05 * 8.0**-k for k in range(8)]
+# Shortest part of a step by way of which it is solved.
+_SHORTEST = 1e-3
 
 
 class State(NamedTuple):
-    """What a step leaves: its size, and its start, stages and end as rows; the start of a run one.
+    """What a step leaves: its size; start, stages and end as rows (t, q, v, a, lam).
 
-    Derivatives q_b, v_b, a_b, lam_b have rows alike. Estimates are of q and v, and of q_b and v_b.
+    The start of a run is one row. Derivatives q_b, v_b, a_b, lam_b alike; the estimated errors are
+    of q and v, q_b and v_b.
     """
 
     h: float
-    rows: tuple[Array, Array, Array, Array, Array]
+    rows: tuple[Array, ...]
     derivatives: tuple[Array, ...] = ()
-    estimate: tuple[Array, ...] = ()
+    errors: tuple[Array, ...] = ()
 
 
 @final
@@ -66,7 +64,8 @@ class Stepper(OneStepMethod[State]):
     Tolerances are those of positions and of velocities; none where nothing controls the error.
     """
 
-    order: ClassVar[int] = 3
+    order: ClassVar[int] = 4
+    bears_jumps: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -85,10 +84,8 @@ class Stepper(OneStepMethod[State]):
 
     def start(self, h: float) -> State:
         """Return the start, whatever the step."""
-        t, *states = self._problem.initial
-        q, v, a, lam = (x[None] for x in states)
-        derivatives = tuple(x[None] for x in self._problem.derivative or ())
-        return State(h, (np.array([t]), q, v, a, lam), derivatives)
+        rows = (np.asarray(x)[None] for x in self._problem.initial)
+        return State(h, tuple(rows), tuple(x[None] for x in self._problem.derivative or ()))
 
     def resized(self, state: State, ratio: float) -> State:
         """Return the state, which serves any step."""
@@ -100,90 +97,88 @@ class Stepper(OneStepMethod[State]):
         return t, q, v, a, lam, tuple(x[1:] for x in state.derivatives)
 
     def advance(self, h: float, before: State, t: float) -> State | Failure:
-        """Solve the equations of the step to t."""
-        t_0, q, v, a, lam = (x[-1] for x in before.rows)
-        begin = Begin(float(t_0), q, v, h)
-        multipliers = np.tile(lam, (3, 1))
-        still = np.multiply.outer(PLACES[:, 0] ** 2 / 2, a)
-        guess = still
-        if len(before.rows[0]) > 1:
-            guess = at_stages(BUTCHER, continued(before.rows[2], h / before.h) - v) / h
-        found = self._solver.solve(begin, (guess, multipliers))
-        if isinstance(found, Failure) and not self._tolerances and guess is not still:
-            found = self._solver.solve(begin, (still, multipliers))
+        """Solve the equations of the step to t, and complete its stages."""
+        t_0, *last = (x[-1] for x in before.rows)
+        begin = Begin(float(t_0), last[0], last[1], h)
+        found = self._solved(begin, before)
         if isinstance(found, Failure):
             return found
-        times = np.append(begin.t, begin.times)
-        times[-1] = t
-        stages = begin.stages(found.x, found.lam)
-        ends = zip(times[1:].tolist(), stages.q, stages.v, strict=True)
-        columns = zip((q, v, a, lam), zip(*(self._end(*x) for x in ends), strict=True), strict=True)
-        rows = (times, *(np.array([first, *after]) for first, after in columns))
-        return self._estimated(found, begin, before, State(h, rows))
-
-    def _end(self, t: float, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
-        """Complete a position and a velocity that may miss the constraints by velocity, sigma."""
         system, accelerations = self._problem.system, self._problem.accelerations
-        before = accelerations.factorisations
-        factors = accelerations.factors(t, q)
-        self._recorder.factorisations += accelerations.factorisations - before
-        v = v - solve(factors, np.zeros_like(v), system.constraint(t, q, v))[0]
-        a, lam = solve(factors, system.force(t, q, v), acceleration_side(system, t, q, v))
-        return q, v, a, lam
+        times = np.append(begin.times[:2], t)
+        counted, rows = accelerations.factorisations, []
+        stages = begin.stages(found.x, found.lam)
+        for s, q, v in zip(times.tolist(), stages.q, stages.v, strict=True):
+            rows.append((q, *completed(system, accelerations.factors(s, q), s, q, v)))
+        self._recorder.factorisations += accelerations.factorisations - counted
+        columns = (np.array(x) for x in zip(last, *rows, strict=True))
+        after = State(h, (np.append(t_0, times), *columns))
+        return self._controlled(found, before, after) if self._tolerances else after
 
-    def _estimated(self, found: Solved, begin: Begin, before: State, after: State) -> State:
+    def _solved(self, begin: Begin, before: State) -> Solved | Failure:
+        """Solve the equations of a step, by way of shorter ones from its start if need be."""
+        h, v, part = begin.h, begin.v, 1.0
+        still = np.multiply.outer(PLACES[:, 0] ** 2 / 2, before.rows[3][-1])
+        x, lam = still, np.tile(before.rows[4][-1], (3, 1))
+        usual = self._solver.usual(begin.t, *(row[-1] for row in before.rows[1:]))
+        if len(before.rows[0]) > 1:
+            x = at_stages(BUTCHER, continued(before.rows[2], 1 + h / before.h * PLACES) - v) / h
+        found = self._solver.solve(begin, (x, lam), usual)
+        # Where steps are controlled a smaller one is the better cure.
+        while isinstance(found, Failure) and part > _SHORTEST and not self._tolerances:
+            part /= 4
+            found = self._solver.solve(begin._replace(h=part * h), (still, lam), usual)
+        self._recorder.continued += part < 1 and not isinstance(found, Failure)
+        while part < 1 and not isinstance(found, Failure):
+            V = begin._replace(h=part * h).stages(found.x, found.lam).v
+            part *= 2
+            ahead = continued(np.concatenate([v[None], V]), 2 * PLACES)
+            guess = at_stages(BUTCHER, ahead - v) / (part * h), found.lam
+            found = self._solver.solve(begin._replace(h=part * h), guess, usual)
+        return found
+
+    def _controlled(self, found: Solved, before: State, after: State) -> State:
         """Add the estimated errors, and derivatives with theirs."""
-        if not self._tolerances:
-            return after
-        estimate = self._embedded(found, begin.h, before.rows[3][-1].real, found.x.real)
-        if not before.derivatives:
-            return after._replace(estimate=estimate)
-        assert self._matrices is not None
+        errors = self._embedded(found, after.h, before.rows[3][-1].real, found.x.real)
+        if self._matrices is None:
+            return after._replace(errors=errors)
         self._recorder.factorisations += 1
         t, *states = (x[None] for x in after.rows)
-        steps = LinearSteps.of(self._problem, np.array([begin.h]), t, tuple(states))
+        steps = LinearSteps.of(self._problem, np.array([after.h]), t, states)
         first = [x[-1:] for x in before.derivatives]
-        more, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
-        derivatives = tuple(map(np.concatenate, zip(first, more, strict=True)))
-        estimate_b = self._embedded(found, begin.h, first[2][0], x_b)
-        return after._replace(derivatives=derivatives, estimate=(*estimate, *estimate_b))
+        rows, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
+        derivatives = tuple(map(np.concatenate, zip(first, rows, strict=True)))
+        errors += self._embedded(found, after.h, first[2][0], x_b)
+        return after._replace(derivatives=derivatives, errors=errors)
 
-    def _embedded(self, found: Solved, h: float, a: Array, x: Array) -> tuple[Array, Array]:
+    def _embedded(self, found: Solved, h: float, a: Array, x: Array) -> tuple[Array, ...]:
         """Return dq and dv; columns of derivatives alike."""
         system, local = self._problem.system, found.matrix.local
         r_q = h * at_stages(EMBEDDED, x)[0]
         r_v = a + at_stages(EMBEDDED @ INVERSE, x)[0]
-        dot = system.pattern.dot
-        right = dot(local.M[0], r_v + GAMMA / h * r_q)
+        right = system.pattern.dot(local.M[0], r_v + GAMMA / h * r_q)
         if local.f_v is not None:
-            right = right + dot(local.f_v[0], r_q)
+            right = right + system.pattern.dot(local.f_v[0], r_q)
         side = np.zeros((system.n_lam, *right.shape[1:]))
         dq = solve(found.matrix.real, h**2 * right, side)[0]
         return dq, GAMMA / h * dq - r_q
 
     def error(self, h: float, before: State, after: State) -> float:
         """Return the largest e, of positions, velocities and their derivatives."""
-        if not self._tolerances:
-            return 0.0
-        largest = 0.0
+        errors = [0.0]
         for k, tolerance in enumerate(self._tolerances):
-            size = np.abs(after.rows[1 + k][[0, -1]].real).max(axis=0)
-            errors = [tolerance.of_motion(h, after.estimate[k], size)]
+            # The tolerance divides by the share of the step in the run; here it is the whole error.
+            T, size = tolerance.t_end, np.abs(after.rows[1 + k][[0, -1]].real).max(axis=0)
+            errors.append(tolerance.of_motion(T, after.errors[k], size))
             if after.derivatives:
                 size_b = np.abs(after.derivatives[k][-1])
-                errors.append(tolerance.of_derivatives(h, after.estimate[2 + k], size_b))
-            largest = float(np.maximum(largest, np.max(errors)))  # NaN stays.
-        return largest
+                errors.append(tolerance.of_derivatives(T, after.errors[2 + k], size_b))
+        return float(np.max(errors))  # NaN if one is.
 
     def start_error(self) -> float:
-        """Return e of a first step, tried, for its size; zero if none can be solved."""
-        if not self._tolerances:
-            return 0.0
-        h = self._tolerances[0].t_end * _FIRST
-        start = self.start(h)
-        for _ in range(8):
-            after = self.advance(h, start, h)
+        """Return e of the first step that can be solved, relative to its size^order."""
+        for part in _FIRST if self._tolerances else ():
+            h = part * self._tolerances[0].t_end
+            after = self.advance(h, self.start(h), h)
             if not isinstance(after, Failure):
-                return self.error(h, start, after) / h**self.order
-            h *= _SHRINK
+                return self.error(h, self.start(h), after) / h**self.order
         return 0.0

@@ -43,15 +43,13 @@ def at_stages(matrix: Array, x: Array) -> Array:
     return np.asarray((matrix @ x.reshape(3, -1)).reshape(-1, *x.shape[1:]))
 
 
-def continued(rows: Array, ratio: float) -> Array:
-    """Continue what a step holds at its start and stages to the stages of the next, (4, n).
+def continued(rows: Array, ahead: Array) -> Array:
+    """Continue what a step holds at its start and stages, (4, n), to other places, a column.
 
-    By the cubic; `ratio` is the size of the next step relative to that of the step.
+    By the cubic; the unit is the size of the step.
     """
-    places = np.append(0.0, PLACES)
-    ahead = 1 + ratio * PLACES
-    shares = np.empty((3, 4))
+    places, shares = np.append(0.0, PLACES), []
     for k, place in enumerate(places):
         others = np.delete(places, k)
-        shares[:, k] = np.prod((ahead - others) / (place - others), axis=1)
-    return np.asarray(shares @ rows)
+        shares.append(np.prod((ahead - others) / (place - others), axis=1))
+    return np.asarray(np.transpose(shares) @ rows)
