@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import all_examples, law_examples, public_classes, scene_of
 
 from ancfdae import (
     CABLE_2D,
@@ -42,6 +41,8 @@ from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.model import joints
 from ancfdae.model.joints import Joint
 from validation.scenes import crank_slider, pendulum
+
+from examples import all_examples, law_examples, public_classes, scene_of
 
 SAME, STEP, COUNT = 2e-9, 2.0**-9, 6
 RUBBER = Material(1100.0, 5e4, 0.3)

@@ -72,6 +72,11 @@ class SteppedIntegrator(AdjointIntegrator):
         object.__setattr__(self, "newton_tolerance", float(newton_tolerance))
         object.__setattr__(self, "max_iterations", max_iterations)
 
+    @property
+    def differentiates_runs(self) -> bool:
+        """Not where derivatives are controlled along with the motion."""
+        return not (isinstance(self.steps, ControlledSteps) and self.steps.sensitivities)
+
     @abc.abstractmethod
     def _stepper(
         self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
@@ -91,6 +96,10 @@ class SteppedIntegrator(AdjointIntegrator):
     def _estimated(self, solution: Solution, scales: Scales) -> Solution:
         """Return the solution with estimates of its errors, if there are any."""
         return solution
+
+    def back_factorisations(self, solution: Solution) -> int:
+        """Return the steps: one matrix each."""
+        return solution.statistics.steps
 
     @final
     def sizes(self, solution: Solution) -> Array:
@@ -185,7 +194,7 @@ class SteppedIntegrator(AdjointIntegrator):
 
     def _derivatives_along(self, system: MechanicalSystem) -> bool:
         """Whether derivatives are integrated with the motion and controlled."""
-        if not (isinstance(self.steps, ControlledSteps) and self.steps.sensitivities):
+        if self.differentiates_runs:
             return False
         if np.iscomplexobj(system.b):
             raise InvalidInput(

@@ -14,16 +14,21 @@ from ancfdae.errors import (
     InvalidInput,
     StabilityWarning,
     Verdict,
-    require_finite,
 )
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
-from ancfdae.integrators.hht.equations import Coefficients, Node, Steps, constraint_error
+from ancfdae.integrators.hht.equations import (
+    Coefficients,
+    Node,
+    Steps,
+    constraint_error,
+    require_alpha,
+)
 from ancfdae.integrators.hht.replay import Replay, through_start
 from ancfdae.integrators.hht.small_steps import Nodes, node_after
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
-from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, Seeds
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control import FixedSteps, GivenSteps, StepControl
@@ -34,7 +39,7 @@ from ancfdae.numerics.arrays import Array
 
 @final
 @dataclass(frozen=True, init=False)
-class HHT(SteppedIntegrator):
+class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     """HHT-I3 (Negrut, Rampalli, Ottarsson & Sajdak 2007) at a fixed step, or with error control.
 
     Exactly one of `steps`, `step` and `rtol` is given.
@@ -81,14 +86,7 @@ class HHT(SteppedIntegrator):
         rtol: float | None = None,
     ) -> None:
         self._set(steps, step, rtol, newton_tolerance, max_iterations)
-        require_finite("HHT.hht_alpha", hht_alpha)
-        if not -1 / 3 <= hht_alpha <= 0:
-            raise InvalidInput(
-                "HHT.hht_alpha",
-                "must lie in [-1/3, 0]",
-                hht_alpha,
-                "-0.3 damps fast motion strongly, -0.05 hardly.",
-            )
+        require_alpha("HHT.hht_alpha", hht_alpha)
         object.__setattr__(self, "hht_alpha", float(hht_alpha))
         if hht_alpha == 0:
             warnings.warn(
@@ -152,10 +150,7 @@ class HHT(SteppedIntegrator):
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
     ) -> float:
-        """Return what an objective would change without the defects of the steps.
-
-        The arguments are those of `pull_back`; there are three instants at least.
-        """
+        """Return what an objective would change without the defects; `Defects` has them."""
         first, nodes = self._opened(system, solution)
         defects = Defects.of(solution.t, solution.a, nodes.steps)
         _, back, change = linear_passes.pull_back(nodes, seeds, defects)
