@@ -149,7 +149,7 @@ class StageMatrices:
     """Exact matrices of the stages of a step."""
 
     def __init__(self, problem: Problem) -> None:
-        """Number the unknowns; constraints are scaled by their rows at the start."""
+        """Set up the numbering; constraints are scaled by their rows at the start."""
         system, Phi_q = problem.system, problem.system.constraint_q(0.0, problem.initial.q)
         n, m, K, B = system.n_q, system.n_lam, system.pattern, system.constraint_pattern
         self._n_q = n
