@@ -318,9 +318,9 @@ class ComplexStepSystem(MechanicalSystem):
         curvature = np.zeros((n, n))
         second = derivative(moved, (1.0,), 2, lambda: self._d.terms(_constraint_at, m, (0.0,)))
         curvature[i, j] = second @ m.lam
-        own = np.diag(curvature)
-        mixed = np.triu(0.5 * (curvature - own[:, None] - own), 1)
-        result = (mixed + mixed.T + np.diag(own)) / np.outer(reach, reach)
+        pure = np.diag(curvature)
+        mixed = np.triu(0.5 * (curvature - pure[:, None] - pure), 1)
+        result = (mixed + mixed.T + np.diag(pure)) / np.outer(reach, reach)
         return np.asarray(result.ravel())
 
     @cached_property

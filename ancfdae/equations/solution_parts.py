@@ -70,12 +70,12 @@ class EstimatedErrors:
     derivatives: tuple[float, ...] | None = None
 
     def __repr__(self) -> str:
-        own = (
+        derivatives = (
             "not computed"
             if self.derivatives is None
             else listed(f"{x:.3g}" for x in self.derivatives)
         )
-        return f"estimated errors: motion {self.motion:.3g}; derivatives {own}"
+        return f"estimated errors: motion {self.motion:.3g}; derivatives {derivatives}"
 
 
 @final

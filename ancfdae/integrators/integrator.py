@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
+import numpy as np
+
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_positive
@@ -118,6 +120,14 @@ class Seeds:
     v: Array | None
     lam: Array | None
     densities: tuple[tuple[float, Density], ...] = ()
+
+    def rows(self, part: slice) -> tuple[Array | None, Array | None, Array | None]:
+        """Return those on q, v and lam of some instants."""
+        q, v, lam = (
+            None if x is None else np.ascontiguousarray(x[part], dtype=float)
+            for x in (self.q, self.v, self.lam)
+        )
+        return q, v, lam
 
 
 class AdjointIntegrator(Integrator):

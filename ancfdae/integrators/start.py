@@ -258,15 +258,15 @@ def _project_position(
     """
     gap = system.constraint(t, q_start)
     for stages in _STAGES:
-        found = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
+        reached = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
         for stage in range(1, stages + 1):
             left = gap * (1 - stage / stages)
-            moved = _close_gap(system, matrices, q_start, t, found, left)
+            moved = _close_gap(system, matrices, q_start, t, reached, left)
             if moved is None:
                 break
-            found = moved
+            reached = moved
         else:
-            return found
+            return reached
     raise InconsistentStart(
         "start",
         "must be close enough to the constraints to be projected",
