@@ -193,7 +193,8 @@ def pull_back_start(
     """Return the design derivative of a number through the start, shape (n_b,).
 
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
-    and 1, whatever the number of design variables. With Phi' = Phi_q v - nu, (Phi')_q = Phi_q'.
+    and 1, independent of the number of design variables. With Phi' = Phi_q v - nu, (Phi')_q =
+    Phi_q'.
     """
     t, q, v, _, lam = state
     q_start, v_start = system.start()
