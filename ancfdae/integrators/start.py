@@ -185,7 +185,7 @@ def pull_back_start(
     """Return the design derivative of a number through the start, shape (n_b,).
 
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
-    and 1, whatever the number of design variables.
+    and 1, independent of the number of design variables.
     """
     t, q, _, _, lam = state
     q_start, _ = system.start()
