@@ -253,7 +253,7 @@ class Solution:
     ) -> Solution:
         """Return the solution with derivatives, cut to the `steps` that have them.
 
-        The verdict tells how the pass ended, its seconds are added to the statistics.
+        The verdict is how the pass ended, its seconds are added to the statistics.
         """
         outcome = self.outcome
         if verdict is not Verdict.FINISHED:
