@@ -81,7 +81,7 @@ class EstimatedErrors:
 @final
 @dataclass(frozen=True)
 class Sensitivities:
-    """Total derivatives of a trajectory in the design variables of given values.
+    """Total derivatives of a trajectory with respect to design variables of given values.
 
     q_b, v_b, a_b have the shape (n_t, n_q, n_b), lam_b (n_t, n_lam, n_b).
     """

@@ -43,7 +43,7 @@ class Tangent:
         zero = np.zeros_like(q)
         self._q, self._lam, self._rest = q, lam, zero
         self._K, self._Phi_q = balance.tangent(1.0, q, lam), system.constraint_q(t, q)
-        self._factors: Factorization = balance.factor(self._K, q)
+        self._factors: Factorization = balance.factor(self._K, self._Phi_q)
         R, Phi = balance.unbalanced(q, lam), system.constraint(t, q)
         # Not where a caller linearises about what is no equilibrium.
         at_rest = balance.is_round_off(R, self._K, q, lam)

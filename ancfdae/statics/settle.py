@@ -85,7 +85,7 @@ class Settling:
         b = self._balance
         force = b.held_back(b.q_0)
         try:
-            a = solve(b.factor(b.M_0, b.q_0), force, 0 * b.Phi_0)[0]
+            a = solve(b.factor(b.M_0, b.Phi_q(b.q_0)), force, 0 * b.Phi_0)[0]
         except SingularMatrix:
             a = force / b.system.weights
         # Where nothing is to move any mu does.

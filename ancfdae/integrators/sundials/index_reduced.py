@@ -187,7 +187,7 @@ class IndexReduced(abc.ABC):
 
     @final
     def per_design(self, x: Array) -> Array:
-        """Return derivatives in b, shape (..., n_q, n_b), of those in ln b, (..., n_b, n_q)."""
+        """Turn derivatives by ln b, (..., n_b, n_q), into derivatives by b, (..., n_q, n_b)."""
         return np.asarray(np.swapaxes(x, -1, -2) / self._scales.b)
 
     def _vectors(self, q: Array, v: Array, a: Array, lam: Array) -> tuple[Array, Array]:
