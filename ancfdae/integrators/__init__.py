@@ -5,10 +5,14 @@ from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.integrand import Density, Integrand, PartialIntegral, Points
 from ancfdae.integrators.integrator import (
     AdjointIntegrator,
+    DefectIntegrator,
     Integrator,
+    PartwiseIntegrator,
     QuadratureIntegrator,
+    RunInParts,
     Seeds,
 )
+from ancfdae.integrators.radau.method import Radau
 from ancfdae.integrators.static import Static
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
 from ancfdae.integrators.sundials.ida import IDA

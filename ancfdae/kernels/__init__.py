@@ -53,21 +53,23 @@ Csr: TypeAlias = tuple[Array, Array, Array]
 
 
 ConstraintPlan = _kernels.ConstraintPlan
+LoadPlan = _kernels.LoadPlan
 
 
 class Plan(NamedTuple):
-    """A system of elements, joints and loads that the state does not change, for `march`.
+    """A system of elements, joints and loads, for `march`.
 
-    `places` are those of the elements' tangents on the system's pattern, `mass` the values of M
-    there. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of time are
-    functions of instants, (k,): those of constraints with derivatives, (orders, k, n_parts), None
-    where nothing is driven, and those of loads, (k, n_loads).
+    `mass` is M on the system's pattern, `places` those of the elements' tangents on it, and M the
+    same without zeros. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of
+    time are functions of instants, (k,): those of constraints with derivatives, (orders, k,
+    n_parts), None where nothing is driven, and those of loads, (k, n_loads), of `moving` ones
+    last. Of these it says whether they use velocities.
     """
 
     block: Block
     places: Array
     M: Csr
-    mass: Array
+    mass: Csr
     gravity: Array
     loads: Array
     weights: Array
@@ -76,6 +78,7 @@ class Plan(NamedTuple):
     B: Csr
     joint_factors: Callable[[Array, int], Array] | None
     load_factors: Callable[[Array], Array]
+    moving: tuple[tuple[LoadPlan, bool], ...]
 
 
 class Layout(NamedTuple):
@@ -95,6 +98,9 @@ class Layout(NamedTuple):
 #: Gauss points, whose matrix needs a band, or that no time is left for.
 ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
 
+#: Numbers among the rules of `prepare`.
+RULES = 17
+
 add_scaled = _kernels.add_scaled
 balance = _kernels.balance
 band_factor = _kernels.band_factor
@@ -106,17 +112,22 @@ constraints = _kernels.constraints
 csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
 csr_subtract = _kernels.csr_subtract
+differentiate_steps = _kernels.differentiate_steps
 finite = _kernels.finite
 force_totals = _kernels.force_totals
 forces = _kernels.forces
 forces_along = _kernels.forces_along
 gram = _kernels.gram
 ldl_factor = _kernels.ldl_factor
+load_forces = _kernels.load_forces
+load_forces_along = _kernels.load_forces_along
+load_tangents = _kernels.load_tangents
 ldl_solve = _kernels.ldl_solve
 lifted = _kernels.lifted
 march = _kernels.march
 norm = _kernels.norm
 prepare = _kernels.prepare
+pull_back_steps = _kernels.pull_back_steps
 recombine = _kernels.recombine
 relative = _kernels.relative
 strain = _kernels.strain

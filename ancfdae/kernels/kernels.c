@@ -54,6 +54,19 @@
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
 #include "constraint_plan.h"
+#include "load_plan.h"
+
+/* The angle of (x, y); of complex numbers too that are real but for a tiny step. */
+static double angle_of_real(double y, double x)
+{
+    return atan2(y, x);
+}
+
+static double complex angle_of_complex(double complex y, double complex x)
+{
+    double size = creal(x) * creal(x) + creal(y) * creal(y);
+    return atan2(creal(y), creal(x)) + I * ((creal(x) * cimag(y) - creal(y) * cimag(x)) / size);
+}
 /* Settings of Newton's method in steps of HHT-I3, numbers only (`integrators/hht/newton.py`), with
  * the places and weights of the Gauss points of small steps. */
 typedef struct {
@@ -82,32 +95,43 @@ static double seconds_now(void)
 
 #define T double
 #define NAME(x) x##_real
+#define MATH(x) x
+#define ANGLE_OF angle_of_real
 #define CLONES WITH_WIDE_VECTORS
 #include "elements.h"
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
 #include "constraints.h"
+#include "loads.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
 #include "march.h"
+#include "passes.h"
 #undef T
 #undef NAME
+#undef MATH
+#undef ANGLE_OF
 #undef CLONES
 #define T double complex
 #define NAME(x) x##_complex
+#define MATH(x) c##x
+#define ANGLE_OF angle_of_complex
 #define CLONES
 #include "elements.h"
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
 #include "constraints.h"
+#include "loads.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
 #undef T
 #undef NAME
+#undef MATH
+#undef ANGLE_OF
 #undef CLONES
 
 #include "constraint_totals.h"
@@ -546,6 +570,7 @@ static PyObject *py_stressed(PyObject *const *args)
 /* ---- constraints ----------------------------------------------------------------------------- */
 
 #include "constraint_calls.h"
+#include "load_calls.h"
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
@@ -672,7 +697,7 @@ static PyObject *py_csr_subtract(PyObject *const *args)
  * to `ahead`, in place, which may be rows of z. */
 static PyObject *py_recombine(PyObject *const *args)
 {
-    enum { BLOCK = 64, ROWS = 6, FROM = 4 };
+    enum { ROWS = 6, FROM = 4 };
     PyArrayObject *matrix = NULL, *z = (PyArrayObject *)args[1], *to[2];
     for (int k = 0; k < 2; k++)
         to[k] = (PyArrayObject *)args[2 + k];
@@ -691,22 +716,8 @@ static PyObject *py_recombine(PyObject *const *args)
     }
     if (!good)
         wrong("there must be a matrix of 6 x 4, four rows in place and twice three");
-    else {
-        const double *m = data_of(matrix), *from = data_of(z);
-        for (npy_intp at = 0; at < size; at += BLOCK) {
-            int count = size - at < BLOCK ? (int)(size - at) : BLOCK;
-            double own[FROM][BLOCK];
-            for (int j = 0; j < FROM; j++)
-                memcpy(own[j], from + j * size + at, (size_t)count * sizeof(double));
-            for (int i = 0; i < ROWS; i++) {
-                double *row = (double *)PyArray_DATA(to[i / 3]) + i % 3 * size + at;
-                const double *c = m + i * FROM;
-                for (int k = 0; k < count; k++)
-                    row[k] = c[0] * own[0][k] + c[1] * own[1][k] + c[2] * own[2][k] +
-                             c[3] * own[3][k];
-            }
-        }
-    }
+    else
+        recombined(data_of(matrix), data_of(z), size, PyArray_DATA(to[0]), PyArray_DATA(to[1]));
     Py_DECREF(matrix);
     return good ? Py_NewRef(Py_None) : NULL;
 }
@@ -1162,6 +1173,9 @@ FUNCTION(force_totals, 9)
 FUNCTION(tangents, 6)
 FUNCTION(constraint_curvature, 3)
 FUNCTION(constraint_totals, 8)
+FUNCTION(load_forces, 4)
+FUNCTION(load_forces_along, 6)
+FUNCTION(load_tangents, 5)
 FUNCTION(gram, 2)
 FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
@@ -1176,6 +1190,8 @@ FUNCTION(ldl_factor, 6)
 FUNCTION(ldl_solve, 4)
 FUNCTION(prepare, 3)
 FUNCTION(march, 8)
+FUNCTION(differentiate_steps, 6)
+FUNCTION(pull_back_steps, 6)
 
 #define FUNCTION_OF_MANY(name)                                                                     \
     static PyObject *any_##name(PyObject *self, PyObject *const *args, Py_ssize_t count)           \
@@ -1196,6 +1212,9 @@ static PyMethodDef methods[] = {
     METHOD_OF_MANY(constraint_gradient),
     METHOD(constraint_curvature),
     METHOD(constraint_totals),
+    METHOD(load_forces),
+    METHOD(load_forces_along),
+    METHOD(load_tangents),
     METHOD(finite),
     METHOD(relative),
     METHOD(lifted),
@@ -1217,6 +1236,8 @@ static PyMethodDef methods[] = {
     METHOD(ldl_solve),
     METHOD(prepare),
     METHOD(march),
+    METHOD(differentiate_steps),
+    METHOD(pull_back_steps),
     {NULL, NULL, 0, NULL},
 };
 
@@ -1227,7 +1248,8 @@ PyMODINIT_FUNC PyInit__kernels(void)
 {
     import_array();
     PyObject *module = PyModule_Create(&definition);
-    if (module && PyModule_AddType(module, &ConstraintPlanType) < 0)
+    if (module && (PyModule_AddType(module, &ConstraintPlanType) < 0 ||
+                   PyModule_AddType(module, &LoadPlanType) < 0))
         Py_CLEAR(module);
     return module;
 }

@@ -19,8 +19,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_package, require_positive
-from ancfdae.integrators import HHT, Seeds
-from ancfdae.integrators.hht.replay import Replay
+from ancfdae.integrators import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
@@ -59,8 +58,11 @@ def gradients(
     The solution of the results is the last part of the run; its statistics count repeated steps.
     """
     system, integrator = run.system, run.integrator
-    if not isinstance(integrator, HHT):
-        rule, repair = "is a limit of the pass back over steps of HHT", "Use HHT, or leave it out."
+    if not (
+        isinstance(integrator, PartwiseIntegrator) and isinstance(integrator, AdjointIntegrator)
+    ):
+        rule = "needs an integrator that can take parts of its runs again, such as HHT"
+        repair = "Use HHT(step=...), or leave it out."
         raise InvalidInput("memory", rule, repr(integrator), repair)
     started, replay = time.perf_counter(), integrator.replay(system, run.t_end)
     length, kept = division(system, len(replay.t) - 1, memory)
@@ -108,7 +110,7 @@ class _Watched:
         # What observables remember where a part begins.
         self._past: dict[int, dict[object, float]] = {0: {}}
         self.value, self.gradient = 0.0, np.zeros(system.n_b)
-        self.on = np.zeros((6, system.n_q))
+        self.on: Array | None = None
 
     def look(self, states: States, first: int) -> None:
         """Note the values at instants from `first` on."""
@@ -158,7 +160,7 @@ class _Backward:
     last: Solution
 
     def __init__(
-        self, system: MechanicalSystem, replay: Replay, length: int, watched: list[_Watched]
+        self, system: MechanicalSystem, replay: RunInParts, length: int, watched: list[_Watched]
     ) -> None:
         self._system, self._replay, self._watched = system, replay, watched
         self._ends = [*range(0, len(replay.t) - 1, length), len(replay.t) - 1]
@@ -202,7 +204,8 @@ class _Backward:
         with keeping(solution):
             for x in self._watched:
                 seeds = x.seeds(states_of(solution), self._ends[k])
-                gradient, x.on = self._replay.pull_back(solution, begin, self._ends[k], seeds, x.on)
+                on = self._replay.no_covectors() if x.on is None else x.on
+                gradient, x.on = self._replay.pull_back(solution, begin, self._ends[k], seeds, on)
                 x.gradient = x.gradient + gradient
                 if k == 0:
                     x.gradient = self._replay.close(x.on, seeds, x.gradient)

@@ -54,7 +54,7 @@ class Gradient:
     ----------
     value : float
     gradient : array, shape (n_b,)
-        Total derivatives in the design variables.
+        Total derivatives with respect to the design variables.
     names : tuple of str
         Names of the design variables.
     method : GradientMethod
@@ -104,7 +104,7 @@ class Gradient:
 class Run:
     """What is integrated: a system from t = 0 to `t_end`, with a progress bar or without.
 
-    `after` is a run that goes on, or that is there already if it reached `t_end`.
+    `after` is a run to be continued, or the run itself if it reached `t_end`.
     """
 
     system: MechanicalSystem
@@ -178,6 +178,11 @@ class Run:
 
 class GradientMethod(abc.ABC):
     """Frozen settings of a method that differentiates objectives of a run."""
+
+    @property
+    def takes_runs(self) -> bool:
+        """Whether it differentiates a run that is there, `Run.after`, without another."""
+        return True
 
     @abc.abstractmethod
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:

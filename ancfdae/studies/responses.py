@@ -34,11 +34,11 @@ from ancfdae.errors import (
     require_kind,
     require_text,
 )
-from ancfdae.integrators import HHT, AdjointIntegrator, ControlledSteps, Integrator
+from ancfdae.integrators import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity import Adjoint, Direct, GradientMethod
+from ancfdae.sensitivity import Direct, GradientMethod
 from ancfdae.sensitivity.method import Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
@@ -55,8 +55,8 @@ class Responses:
 
     ``r["mass"]`` is a function for SciPy's optimisers, ``r["mass"].gradient`` its gradient,
     ``r.constraint("miss", upper=1.0)`` a `NonlinearConstraint`, and `values` and `jacobian` are
-    those of all functions, for `least_squares`. Whatever is asked for first runs the design; the
-    rest is remembered. Values alone cost the run alone, so that searches without derivatives pay
+    those of all functions, for `least_squares`. The first evaluation runs the design; further ones
+    use its results. Values alone cost the run alone, so that searches without derivatives pay
     for none: `HHT` differentiates the run when a gradient is asked for; other integrators, and
     `Adjoint(memory)`, which take both at once, do so in every run after the first such question.
 
@@ -73,10 +73,10 @@ class Responses:
     method : GradientMethod, optional
         As in `gradients`.
     scale : float or array, shape (n_b,)
-        Functions take x = b / scale, the design values over it. Optimisers want variables of one
-        size: the values at the start are a good scale.
+        Functions take x = b / scale, the design values over it. Optimisers require variables of
+        similar size: the values at the start are a good scale.
     strict : bool
-        Whether a design without values, whose run ends early or which cannot be put together,
+        Whether a design without values, whose run ends early or which cannot be assembled,
         raises its error. By default a later one than the first is warned about (`FailedDesign`)
         and made unattractive, so that the optimiser steps back: functions rise towards it,
         constraints turn to what they forbid, `values` are infinite. Ask for `solution` at the
@@ -85,7 +85,7 @@ class Responses:
     Raises
     ------
     InvalidInput, UnknownName
-        If the input makes no sense.
+        If the input is invalid.
 
     Attributes
     ----------
@@ -126,7 +126,9 @@ class Responses:
         self._known: dict[bytes, Evaluation] = {}
         self._runs: dict[bytes, tuple[Run, Solution]] = {}
         self._good: list[Array] = []
-        self._asked, self._resumes = False, _resumes(integrator, method)
+        # Whether a run that is there can be differentiated: then values go without derivatives.
+        self._asked = False
+        self._resumes = method.takes_runs and integrator.differentiates_runs
         self._rows: list[SweepRow] = []
         self.names, self.design_names = tuple(functions), tuple(system.design_names)
 
@@ -300,13 +302,6 @@ class Evaluation:
     jacobian: Array | None
     error: AncfdaeError | None = None
     near: Array | None = None
-
-
-def _resumes(integrator: Integrator, method: GradientMethod) -> bool:
-    """Whether a run that is there can be differentiated: then values go without derivatives."""
-    if not isinstance(integrator, HHT) or (isinstance(method, Adjoint) and method.memory):
-        return False
-    return not (isinstance(integrator.steps, ControlledSteps) and integrator.steps.sensitivities)
 
 
 def _scale(scale: object, n_b: int) -> Array:

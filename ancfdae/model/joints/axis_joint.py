@@ -47,7 +47,7 @@ class AxisJoint(Joint):
         Point of another beam, whose section carries the axis along; without it the axis is fixed
         to ground.
     ground : sequence of float, optional
-        Place on the ground, not with `other`; by default where the point is in the reference
+        Position on the ground, not with `other`; by default where the point is in the reference
         configuration, see `Pin`.
     name : str, optional
         By default ``kind(beam@fraction)``.
@@ -62,6 +62,11 @@ class AxisJoint(Joint):
     takes_part = SECTION
     design_fields = (("axis", require_direction), ("ground", require_vector))
     spatial = True
+
+    @property
+    def way(self) -> Sequence[float]:
+        """The axis."""
+        return self.axis
 
     def around(self, p: Array, reference: Array) -> Around:
         """Return the axis and what carries it."""

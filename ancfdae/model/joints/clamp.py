@@ -8,6 +8,7 @@ from typing import final
 
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import BeamElement, Quantity
 from ancfdae.model.joints.frames import fix_turn, flat_angle
 from ancfdae.model.joints.joint import (
@@ -24,7 +25,7 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Clamp(Joint):
-    """Hold a section of a beam to ground where and as it stands in the reference configuration.
+    """Hold a section of a beam to ground where and as it is in the reference configuration.
 
     The section neither moves nor turns nor shears in its plane. It may still contract, and the
     centre line may leave it obliquely: a beam that is stretched contracts there, and one that is
@@ -41,8 +42,8 @@ class Clamp(Joint):
     name : str, optional
         By default ``clamp(beam@fraction)``.
     ground : sequence of float, optional
-        Place on the ground, with design targets ``ground_x`` ...; by default where the point is in
-        the reference configuration.
+        Position on the ground, with design targets ``ground_x`` ...; by default where the point is
+        in the reference configuration.
     """
 
     point: Point
@@ -50,6 +51,7 @@ class Clamp(Joint):
     ground: Sequence[float] | None = None
 
     kind = "clamp"
+    sign = Sign("clamp", "s", filled=True)
     design_fields = (("ground", require_vector),)
     holds_position = True
     no_second_point = "It holds to ground; use Weld to hold two sections together."

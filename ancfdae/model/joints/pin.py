@@ -8,6 +8,7 @@ from typing import final
 
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 
@@ -26,7 +27,7 @@ class Pin(Joint):
     other : Point, optional
         Point of another beam; without it the joint holds to ground.
     ground : sequence of float, optional
-        Place on the ground; by default where the point is in the reference configuration, also
+        Position on the ground; by default where the point is in the reference configuration, also
         where other design variables move it, until a target such as ``ground_x`` writes it.
     name : str, optional
         By default ``pin(beam@fraction)``.
@@ -38,6 +39,7 @@ class Pin(Joint):
     name: str = ""
 
     kind = "pin"
+    sign = Sign("pin", "o")
     design_fields = (("ground", require_vector),)
     holds_position = True
 
