@@ -253,7 +253,7 @@ class Solution:
     ) -> Solution:
         """Return the solution with derivatives, cut to the instants that have them.
 
-        The verdict tells how the pass ended, its seconds are added to the statistics.
+        The verdict is how the pass ended, its seconds are added to the statistics.
         """
         rows, outcome = len(sensitivities.q_b), self.outcome
         steps = (rows - 1) // self.degree
