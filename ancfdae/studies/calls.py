@@ -48,7 +48,7 @@ def simulate(
     t_end : float
         End time; s.
     integrator : Integrator
-        `HHT`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
+        `HHT`, `Radau`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
     after : Solution, optional
         A run of this model by the same `HHT` that ended before, at its end time, early or at
         Ctrl-C: it goes on there, and the result is the whole run, to round-off that of one in one
