@@ -296,7 +296,7 @@ class Balance:
 
     @cached_property
     def load(self) -> float:
-        """Size of the load at the start, and no less than round-off tells."""
+        """Size of the load at the start, and no less than its round-off."""
         least = _SEEN * self.system.traits.force_round_off
         return max(self.strength(self.held_back(self.q_0)), least, float(np.finfo(float).tiny))
 
@@ -318,7 +318,7 @@ class _Convergence:
         """Judge a correction that led to q and lam, from the unbalanced forces R, with matrices."""
         b = self._balance
         moved = b.length(dq)
-        # Where all coordinates are zero at the start, the first correction tells their size.
+        # Where all coordinates are zero at the start, the first correction gives their size.
         moved /= b.position or b.length(q - b.q_0) or 1.0
         reactions, change = (b.reactions(Phi_q, x) for x in (lam, dlam))
         force = max(b.load, b.strength(reactions))

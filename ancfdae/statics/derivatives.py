@@ -5,7 +5,7 @@ Phi_q q_b             = -Phi_b
 
 K of a thin beam holds sums of its axial stiffness that leave that of bending, (h/L)^2 of them: a
 solution with its factors is right to (L/h)^2 units of round-off, and Q_b in a length is that of a
-stretch which q_b takes back. Both are mended by refinement: what solutions leave is
+stretch which q_b takes back. Both are corrected by refinement: the residual of a solution is
 differentiated as a whole, element by element, before anything is summed
 (docs/theory/11-statics.md).
 """

@@ -56,7 +56,7 @@ class LoadPath:
         self._ahead: list[PathPoint] = []
 
     def follow(self) -> Verdict:
-        """Go as far as the path leads, and tell why it ends."""
+        """Follow the path to its end; return why it ends."""
         size, verdict = 1.0, Verdict.EQUILIBRIUM
         try:
             for _ in range(self._max_steps):
