@@ -47,13 +47,13 @@ class PartInputs:
             item, own = self._joint(joint)
             inputs.append(item.shaped(held))
             points += own
-        n_b, d = len(self.b), self.numbering.element.d
+        n_b, d = len(self.b), self.numbering.d
         return JointConstraints(inputs, self._vectors(points), n_b, d)
 
     def forces(self) -> LoadForces:
         """Return the forces of all loads."""
         inputs = [self.load(load) for load in self.scene.loads]
-        return LoadForces(inputs, self.numbering.n_q, len(self.b), self.numbering.element.d)
+        return LoadForces(inputs, self.numbering.n_q, len(self.b), self.numbering.d)
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
         """Return one joint as it stands alone, with its vectors."""
@@ -82,7 +82,7 @@ class PartInputs:
         return JointInput(joint, p, p_b, *self._in_reference(self._vectors(own))), own
 
     def _vectors(self, points: list[PointVector]) -> Vectors:
-        return Vectors(points, self.numbering.element.d, self.numbering.n_q, len(self.b))
+        return Vectors(points, self.numbering.d, self.numbering.n_q, len(self.b))
 
     def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
         """Return vectors in the reference configuration, and their partials that are not zero."""
@@ -103,5 +103,5 @@ class PartInputs:
             last = first + len(point.numbers())
             places[point] = (p[first:last], p_b[first:last])
             first = last
-        names = part.vectors(self.numbering.element)
+        names = part.vectors(self.scene.elements)
         return point_vectors(self.naming, names, places), p[:count], p_b[:count]

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.model.bodies import Point
-from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
 from ancfdae.model.joints.joint import SECTION, Equations, Travelling, empty_coefficients
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -41,12 +41,12 @@ class Guide(Travelling):
     kind = "guide"
     takes_part = SECTION
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return the position to ground; both positions and the slopes of the other point."""
         if self.other is None:
             return ((self.point, Quantity.POSITION),)
-        first, second, *slopes = super().vectors(element)
-        return (first, second, *slopes[element.d :])
+        first, second, *slopes = super().vectors(elements)
+        return (first, second, *slopes[elements.d :])
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Direction . (r - r') as in the reference."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.joints.clamp import Clamp
 from ancfdae.model.joints.frames import unit
 from ancfdae.model.joints.joint import Equations, Travelling, empty_coefficients
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -37,9 +36,9 @@ class MovingBase(Travelling):
     kind = "base"
     holds_position = True
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return those of a clamp."""
-        return Clamp(self.point).vectors(element)
+        return Clamp(self.point).vectors(elements)
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Return those of a clamp."""
