@@ -13,25 +13,27 @@ import numpy as np
 
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.model.joints import DrivenJoint
 from ancfdae.model.laws import Law
 from ancfdae.model.laws.law import require_law
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.patterns import Pattern
 
 
 @final
 class JointWork:
     """Power of one driven joint, as it is or `at_unit_rate`, with its multipliers' first row."""
 
-    def __init__(
-        self, item: JointInput, vectors: Vectors, first_row: int, n_b: int, d: int
-    ) -> None:
+    def __init__(self, item: JointInput, vectors: Vectors, first_row: int) -> None:
         # The last equations hold the shape of sections, whatever the time.
         c = item.joint.coefficients(item.p, item.reference)
         moving = len(c.offset) - len(c.shapes)
         alone = replace(item, dropped=tuple(range(moving, len(c.offset))))
-        self._constraints = JointConstraints([alone], vectors, n_b, d)
+        structure = JointStructure.of([alone], vectors)
+        pattern = Pattern((vectors.n_q, vectors.n_q), *structure.couplings)
+        self._constraints = JointConstraints.on(pattern, structure, vectors.n_b)
         self.rows = slice(first_row, first_row + moving)
 
     def value(self, t: Array, q: Array, lam: Array) -> Array:

@@ -7,9 +7,9 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.held_angles import HeldAngles
 from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.load_forces import LoadForces, LoadInput
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
@@ -37,8 +37,8 @@ class PartInputs:
     reference: Reference
     b: Array
 
-    def constraints(self) -> JointConstraints:
-        """Return the constraints of all joints, and of bodies that are rigid."""
+    def joints(self) -> JointStructure:
+        """Return all joints, and what keeps bodies that are rigid."""
         inputs, points = [], []
         bodies = zip(self.numbering.bodies, self.numbering.rigid, strict=True)
         rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
@@ -47,8 +47,7 @@ class PartInputs:
             item, own = self._joint(joint)
             inputs.append(item.shaped(held))
             points += own
-        n_b, d = len(self.b), self.numbering.d
-        return JointConstraints(inputs, self._vectors(points), n_b, d)
+        return JointStructure.of(inputs, self._vectors(points))
 
     def forces(self) -> LoadForces:
         """Return the forces of all loads."""
@@ -82,7 +81,7 @@ class PartInputs:
         return JointInput(joint, p, p_b, *self._in_reference(self._vectors(own))), own
 
     def _vectors(self, points: list[PointVector]) -> Vectors:
-        return Vectors(points, self.numbering.d, self.numbering.n_q, len(self.b))
+        return Vectors.of_points(points, self.numbering.d, self.numbering.n_q, len(self.b))
 
     def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
         """Return vectors in the reference configuration, and their partials that are not zero."""

@@ -12,9 +12,11 @@ import numpy as np
 from ancfdae.assembly.assembled_start import AssembledStart
 from ancfdae.assembly.beam_sections import BeamSections
 from ancfdae.assembly.block import element_block
+from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
 from ancfdae.assembly.inertia import Inertia
+from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.mass_blocks import element_masses, other_masses
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
@@ -110,9 +112,9 @@ class AncfSystem(MechanicalSystem):
         self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
         inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
-        self._constraints, self._loads = inputs.constraints(), inputs.forces()
-        self.pattern = self._whole_pattern()
-        self._constraints.place_curvature(self.pattern)
+        joints, self._loads = inputs.joints(), inputs.forces()
+        self.pattern = self._whole_pattern(joints)
+        self._constraints = JointConstraints.on(self.pattern, joints, self.n_b)
         self._loads.place(self.pattern)
         soft = mapping.only(self._numbering.elements)
         beams = [beam for beam in scene.beams if not beam.rigid]
@@ -140,9 +142,9 @@ class AncfSystem(MechanicalSystem):
         d = self._numbering.d
         return (g, g_b) if len(g) else (np.zeros(d), np.zeros((d, self.n_b)))
 
-    def _whole_pattern(self) -> Pattern:
+    def _whole_pattern(self, structure: JointStructure) -> Pattern:
         """Pattern of everything: elements, rigid bodies, curvature of joints, tangents of loads."""
-        joints, loads = self._constraints.couplings()[:2], self._loads.couplings()
+        joints, loads = structure.couplings, self._loads.couplings()
         parts = zip(self._numbering.couplings(), joints, loads, strict=True)
         rows, columns = (np.concatenate(part) for part in parts)
         return Pattern((self.n_q, self.n_q), rows, columns)
@@ -182,8 +184,9 @@ class AncfSystem(MechanicalSystem):
             rows,
             weights,
             1 / weights,
-            self._constraints.plan(),
-            self._constraints.factors,
+            self._constraints.plan,
+            self._constraints.pattern.rows_of(np.zeros(self._constraints.pattern.size)),
+            self._constraints.factors.table,
             self._loads.factors,
         )
 

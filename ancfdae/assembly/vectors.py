@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
 import scipy
 
-from ancfdae.kernels import Csr
 from ancfdae.model.bodies import Point
 from ancfdae.model.elements import Quantity
 from ancfdae.model.naming import Naming, PointVector
@@ -22,68 +21,79 @@ from ancfdae.numerics.linear_map import LinearMap
 
 
 @final
+@dataclass(frozen=True, eq=False)
 class Vectors:
-    """A list of point vectors as one linear map with design derivatives.
+    """A list of point vectors as one linear map U = L q with design derivatives.
 
-    `matrix` is L, (n_v d, n_q): row d i + c is component c of vector i. `moves`, (n_b,), tells
-    whether it depends on each design variable.
+    Row d i + c of L is component c of vector i. Its entries stand row by row, those of row r are
+    first[r] to first[r + 1] - 1; `change` are partials of the entries `changed`, in variables each.
     """
 
-    def __init__(self, vectors: Sequence[PointVector], d: int, n_q: int, n_b: int) -> None:
-        self._d, self._n_b, self._count = d, n_b, len(vectors)
-        rows, columns, values, values_b = [], [], [], []
-        for number, vector in enumerate(vectors):
+    d: int
+    n_q: int
+    n_b: int
+    first: Array
+    column: Array
+    value: Array
+    changed: Array
+    variable: Array
+    change: Array
+
+    @staticmethod
+    def of_points(vectors: Sequence[PointVector], d: int, n_q: int, n_b: int) -> Vectors:
+        """Return the map of vectors."""
+        sizes, columns = [0], [np.zeros(0, dtype=np.int64)]
+        values, values_b = [np.zeros(0)], [np.zeros((0, n_b))]
+        for vector in vectors:
             used = (vector.weights != 0) | np.any(vector.weights_b != 0, axis=1)
             for axis in range(d):
                 # U turned by a right angle is (-U_y, U_x).
                 component, sign = (1 - axis, 2 * axis - 1) if vector.turned else (axis, 1)
                 columns.append(vector.vectors[used] * d + component)
-                rows.append(np.full(int(np.sum(used)), number * d + axis))
                 values.append(sign * vector.weights[used])
                 values_b.append(sign * vector.weights_b[used])
-        empty = np.zeros(0, dtype=np.int64)
-        self._row, self._column = np.concatenate([empty, *rows]), np.concatenate([empty, *columns])
-        self._value = np.concatenate([np.zeros(0), *values])
-        value_b = np.concatenate([np.zeros((0, n_b)), *values_b])
-        self._at, self._variable = np.nonzero(value_b)
-        self._change = value_b[self._at, self._variable]
-        self.moves = np.bincount(self._variable, minlength=n_b) > 0
-        self._shape, self._moved = (self._count * d, n_q), dict[int, Vectors]()
-        self._set(self._value)
-
-    def _set(self, value: Array) -> None:
-        self.matrix = scipy.sparse.csr_array((value, (self._row, self._column)), shape=self._shape)
-        self._L = LinearMap(self.matrix)
+                sizes.append(len(values[-1]))
+        value_b = np.concatenate(values_b)
+        at, variable = np.nonzero(value_b)
+        change = value_b[at, variable]
+        first, column = np.cumsum(sizes), np.concatenate(columns)
+        return Vectors(d, n_q, n_b, first, column, np.concatenate(values), at, variable, change)
 
     @property
-    def csr(self) -> Csr:
-        """Arrays of L in compressed sparse rows."""
-        return self._L.csr
+    def count(self) -> int:
+        """Number of vectors."""
+        return (len(self.first) - 1) // self.d
 
-    def moved_by(self, i: int) -> Array:
-        """Tell which vectors depend on design variable i, shape (n_v,)."""
-        touched = np.zeros(self._count, dtype=bool)
-        touched[self._row[self._at[self._variable == i]] // self._d] = True
-        return touched
+    @cached_property
+    def matrix(self) -> scipy.sparse.csr_array:
+        """L."""
+        shape = self.count * self.d, self.n_q
+        return scipy.sparse.csr_array((self.value, self.column, self.first), shape=shape)
+
+    @cached_property
+    def _L(self) -> LinearMap:
+        return LinearMap(self.matrix)
+
+    @cached_property
+    def moves(self) -> Array:
+        """Whether L depends on each design variable, (n_b,)."""
+        return np.asarray(np.bincount(self.variable, minlength=self.n_b) > 0)
 
     def moved(self, i: int) -> Vectors:
         """Return the vectors moved in design variable i by an imaginary step."""
         if not self.moves[i]:
             return self
-        if i not in self._moved:
-            chosen, value = self._variable == i, self._value.astype(complex)
-            value[self._at[chosen]] += 1j * STEP * self._change[chosen]
-            self._moved[i] = copy.copy(self)
-            self._moved[i]._set(value)
-        return self._moved[i]
+        chosen, value = self.variable == i, self.value.astype(complex)
+        value[self.changed[chosen]] += 1j * STEP * self.change[chosen]
+        return replace(self, value=value)
 
     def of(self, q: Array) -> Array:
         """Return U for rows of q, shape (k, n_v, d)."""
-        return self._L.rows(q).reshape(len(q), self._count, self._d)
+        return self._L.rows(q).reshape(len(q), self.count, self.d)
 
     def of_b(self, q: Array) -> Array:
         """Return the design partial of U with q held, shape (k, n_v, d, n_b)."""
-        result = np.zeros((len(q), self._count, self._d, self._n_b), dtype=q.dtype)
+        result = np.zeros((len(q), self.count, self.d, self.n_b), dtype=q.dtype)
         for i in np.flatnonzero(self.moves):
             result[..., i] = self.moved(int(i)).of(q.real).imag / STEP
         return result

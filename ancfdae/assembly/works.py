@@ -32,7 +32,7 @@ class Works:
                 rule, repair = "must be driven: others do no work", "Name a Drive or a Guide."
                 raise InvalidInput(f"work of joint {name!r}", rule, "one that is not", repair)
             item = self._inputs.joint(at_unit_rate(found[0]) if unit_rate else found[0])
-            self._joints[key] = JointWork(*item, place.first_row, self._n_b, self._layout.d)
+            self._joints[key] = JointWork(*item, place.first_row)
         return self._joints[key]
 
     def of_load(self, name: str) -> LoadWork:

@@ -9,7 +9,8 @@ compiled, and by what: docs/measurements.md, section 11.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from enum import IntEnum
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy.typing as npt
 
@@ -38,38 +39,29 @@ class Block(NamedTuple):
     n_q: int
 
 
+@final
+class Constraints(IntEnum):
+    """What is asked of constraints: Phi, values of Phi_q, or Phi_q^T lam."""
+
+    RATE = 0
+    VALUES = 1
+    FORCE = 2
+
+
 #: A matrix in compressed sparse rows: where rows begin, columns, values.
 Csr: TypeAlias = tuple[Array, Array, Array]
 
 
-class Joints(NamedTuple):
-    """Constraints as polynomials of vectors L q (`constraints.h`), and what to make of them.
-
-    The raw Jacobian is mapped to values of Phi_q on its pattern, that of `B`; multipliers times
-    bilinear coefficients are mapped to values of (Phi_q^T lam)_q. Coefficients have one row for
-    each factor of time, the first of which is one.
-    """
-
-    L: Csr
-    a_row: Array
-    a_at: Array
-    s_row: Array
-    s_i: Array
-    s_j: Array
-    a: Array
-    s: Array
-    offset: Array
-    to_values: Csr
-    B: Csr
-    curvature: Csr
+ConstraintPlan = _kernels.ConstraintPlan
 
 
 class Plan(NamedTuple):
     """A system of elements, joints and loads that the state does not change, for `march`.
 
     `places` are those of the elements' tangents on the system's pattern, `mass` the values of M
-    there. `loads` are rows of forces. Factors of time are functions of instants, (k,): those of
-    joints, and their derivative of an order, (k, n_parts), and those of loads, (k, n_loads).
+    there. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of time are
+    functions of instants, (k,): those of constraints with derivatives, (orders, k, n_parts), None
+    where nothing is driven, and those of loads, (k, n_loads).
     """
 
     block: Block
@@ -80,8 +72,9 @@ class Plan(NamedTuple):
     loads: Array
     weights: Array
     inverse_weights: Array
-    joints: Joints
-    joint_factors: Callable[[Array, int], Array]
+    constraints: ConstraintPlan
+    B: Csr
+    joint_factors: Callable[[Array, int], Array] | None
     load_factors: Callable[[Array], Array]
 
 
@@ -106,6 +99,10 @@ add_scaled = _kernels.add_scaled
 balance = _kernels.balance
 band_factor = _kernels.band_factor
 band_solve = _kernels.band_solve
+constraint_curvature = _kernels.constraint_curvature
+constraint_gradient = _kernels.constraint_gradient
+constraint_totals = _kernels.constraint_totals
+constraints = _kernels.constraints
 csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
 csr_subtract = _kernels.csr_subtract

@@ -60,6 +60,60 @@ def strain(g_o: Array, Y: Array, V: Array | None, tau: Array | None, /) -> Array
 def stressed(p: Array, Y: Array, /) -> Array:
     """Return W(p) Y, the gradient of p . g(Y)."""
 
+class ConstraintPlan:
+    """Constraints of joints; `constraint_plan.h` says what the indices are, in its order.
+
+    Numbers are entries of L, coefficients (linear, products, offsets), and those that factors of
+    time multiply. Factors have the shape (orders, k, n_parts) or (orders, 1, n_parts).
+    """
+
+    def __init__(
+        self,
+        indices: tuple[Array, ...],
+        numbers: tuple[Array, Array, Array],
+        d: int,
+        n_q: int,
+        n_values: int,
+        n_curved: int,
+        /,
+    ) -> None: ...
+
+def constraints(
+    plan: ConstraintPlan, what: int, factors: Array, lam: Array | None, /, *motion: Array
+) -> Array:
+    """Return Phi, values of Phi_q or Phi_q^T lam, or their derivatives along the motion.
+
+    `what` is a `Constraints`; states have a leading axis of k instants, or are those of one.
+    """
+
+def constraint_curvature(plan: ConstraintPlan, factors: Array, lam: Array, /) -> Array:
+    """Return values of (Phi_q^T lam)_q, from factors of one order, (k or 1, n_parts)."""
+
+def constraint_gradient(
+    plan: ConstraintPlan, factors: Array, lam: Array, /, *motion: Array
+) -> tuple[Array, Array]:
+    """Return partials of lam . Phi, or of its time derivative, in the numbers of the plan.
+
+    In entries of L, (k, n_l), and in coefficients and their time derivatives, (k, orders, n_c).
+    """
+
+def constraint_totals(
+    plan: ConstraintPlan,
+    partials: tuple[Array, ...],
+    factors: Array,
+    factors_b: Array | None,
+    lam: Array | None,
+    lam_b: Array | None,
+    motion: tuple[Array, ...],
+    motion_b: tuple[Array, ...] | None,
+    /,
+) -> Array:
+    """Return total design derivatives of Phi, or with lam of Phi_q^T lam, as rows, (k, n_b, n).
+
+    Partials are (variable, number, first, part, entry, value), see `constraint_totals.h`;
+    derivatives are rows, (k, n_b, n). Without those of the motion it is held.
+    """
+
 def csr_rows(first: Array, columns: Array, values: Array, x: Array, /) -> Array:
     """Return M x for rows of x; M in compressed sparse rows."""
 

@@ -53,6 +53,7 @@
 /* The largest element: 8 relative node vectors of 3 numbers. */
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
+#include "constraint_plan.h"
 /* Settings of Newton's method in steps of HHT-I3, numbers only (`integrators/hht/newton.py`), with
  * the places and weights of the Gauss points of small steps. */
 typedef struct {
@@ -86,8 +87,8 @@ static double seconds_now(void)
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
+#include "constraints.h"
 #include "sparse.h"
-#include "march_joints.h"
 #include "band.h"
 #include "symmetric.h"
 #include "march.h"
@@ -101,12 +102,15 @@ static double seconds_now(void)
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
+#include "constraints.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
 #undef T
 #undef NAME
 #undef CLONES
+
+#include "constraint_totals.h"
 
 /* ---- arguments ---------------------------------------------------------------------------- */
 
@@ -538,6 +542,10 @@ static PyObject *py_stressed(PyObject *const *args)
     Py_XDECREF(Y);
     return (PyObject *)out;
 }
+
+/* ---- constraints ----------------------------------------------------------------------------- */
+
+#include "constraint_calls.h"
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
@@ -1152,6 +1160,8 @@ FUNCTION(forces, 3)
 FUNCTION(forces_along, 5)
 FUNCTION(force_totals, 9)
 FUNCTION(tangents, 6)
+FUNCTION(constraint_curvature, 3)
+FUNCTION(constraint_totals, 8)
 FUNCTION(gram, 2)
 FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
@@ -1167,16 +1177,25 @@ FUNCTION(ldl_solve, 4)
 FUNCTION(prepare, 3)
 FUNCTION(march, 8)
 
-static PyObject *any_norm(PyObject *self, PyObject *const *args, Py_ssize_t count)
-{
-    (void)self;
-    return py_norm(args, count);
-}
+#define FUNCTION_OF_MANY(name)                                                                     \
+    static PyObject *any_##name(PyObject *self, PyObject *const *args, Py_ssize_t count)           \
+    {                                                                                              \
+        (void)self;                                                                                \
+        return py_##name(args, count);                                                             \
+    }
+FUNCTION_OF_MANY(norm)
+FUNCTION_OF_MANY(constraints)
+FUNCTION_OF_MANY(constraint_gradient)
 
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))counted_##name, METH_FASTCALL, NULL}
+#define METHOD_OF_MANY(name) {#name, (PyCFunction)(void (*)(void))any_##name, METH_FASTCALL, NULL}
 static PyMethodDef methods[] = {
     METHOD(add_scaled),
-    {"norm", (PyCFunction)(void (*)(void))any_norm, METH_FASTCALL, NULL},
+    METHOD_OF_MANY(norm),
+    METHOD_OF_MANY(constraints),
+    METHOD_OF_MANY(constraint_gradient),
+    METHOD(constraint_curvature),
+    METHOD(constraint_totals),
     METHOD(finite),
     METHOD(relative),
     METHOD(lifted),
@@ -1207,5 +1226,8 @@ static struct PyModuleDef definition = {
 PyMODINIT_FUNC PyInit__kernels(void)
 {
     import_array();
-    return PyModule_Create(&definition);
+    PyObject *module = PyModule_Create(&definition);
+    if (module && PyModule_AddType(module, &ConstraintPlanType) < 0)
+        Py_CLEAR(module);
+    return module;
 }

@@ -5,6 +5,19 @@
  * nothing has to be told but how many steps were taken.
  */
 
+/* A matrix in compressed sparse rows. */
+typedef struct {
+    npy_intp n;
+    const npy_int32 *first, *columns;
+    const T *values;
+} NAME(csr);
+
+/* out += M x. */
+INLINE void NAME(csr_times)(const NAME(csr) *m, const T *x, T *out)
+{
+    NAME(csr_alone)(m->n, m->first, m->columns, m->values, x, 1, out);
+}
+
 /* Rows of a table of factors, one table for each step: at its end, at its beginning, at the Gauss
  * points of small steps, and the time derivatives there. */
 enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = RATE_AT_GAUSS + 3 };
@@ -13,13 +26,15 @@ enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = 
 enum { ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME };
 
 /* A system with its matrices and the settings of Newton's method. `first` is NULL without an
- * envelope, `flat` without a band; coefficients of joints that are `still` are known. */
+ * envelope, `flat` without a band; coefficients of joints that are `still` are the same at all
+ * instants. */
 typedef struct {
     npy_intp n_q, n_lam, nnz, n_loads, n_chosen, half;
     int n_y, d, damped, still;
     NAME(block) block;
-    NAME(joints) joints;
-    NAME(csr) M, B, curvature, to_values;
+    const constraint_plan *constraints;
+    NAME(constraint_numbers) numbers;
+    NAME(csr) M, B;
     const npy_int32 *index, *first, *chosen, *places;
     const npy_int64 *order, *flat;
     const T *mass, *gravity, *loads;
@@ -29,12 +44,13 @@ typedef struct {
     march_rules rules;
 } NAME(plan);
 
-/* Room for what an iteration writes. `ahead` holds dq of a small step, `bent` the multipliers times
- * bilinear coefficients; c belongs to the end of the step, c_s and c_t to instants in it. */
+/* Room for what an iteration writes. `ahead` holds dq of a small step; coefficients c belong to the
+ * end of the step, those in `within` to instants in it, U to vectors of one joint. */
 typedef struct {
-    T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *V, *raw, *B, *Q, *inner, *reaction, *ahead, *start;
-    T *Phi, *rate, *defect, *R, *x, *force, *K, *D, *sum, *bent, *matrix, *work;
-    NAME(coefficients) c, c_s, c_t;
+    T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *B, *Q, *inner, *reaction, *ahead, *start;
+    T *Phi, *rate, *defect, *R, *x, *force, *K, *D, *sum, *matrix, *work;
+    T *at_end, *within;
+    const T *c[1];
     double *least;
     int *pivots, B_known, banded;
     npy_intp counts[3]; /* iterations, factorisations, steps that round-off disturbs */
@@ -54,25 +70,35 @@ INLINE double NAME(size_of)(npy_intp n, const T *x, const double *weights)
     return sqrt(sum);
 }
 
-/* Phi_q on its pattern from the vectors as they stand. */
-static void NAME(jacobian_at)(const NAME(plan) *p, NAME(room) *r, const NAME(coefficients) *c)
+/* Phi_q on its pattern. */
+static void NAME(jacobian_at)(const NAME(plan) *p, NAME(room) *r, const T *const *c, const T *q)
 {
+    const T *X[] = {q};
     if (r->B_known)
         return;
-    NAME(raw_jacobian)(&p->joints, c, r->U, r->raw);
-    memset(r->B, 0, (size_t)p->to_values.n * sizeof(T));
-    NAME(csr_times)(&p->to_values, r->raw, r->B);
-    r->B_known = p->still && p->joints.n_s == 0;
+    memset(r->B, 0, (size_t)p->constraints->n_values * sizeof(T));
+    NAME(constraints)(p->constraints, p->numbers.l, VALUES, 0, c, X, NULL, r->U, r->B);
+    r->B_known = p->still && p->constraints->n_s == 0;
 }
 
-/* Coefficients at an instant: known ones, or those of a row of factors. */
-static const NAME(coefficients) *NAME(at_instant)(const NAME(plan) *p, NAME(room) *r,
-                                                  const double *factors, int instant)
+/* Phi, or its first time derivative along v. */
+static void NAME(constraint_at)(const NAME(plan) *p, NAME(room) *r, const T *const *c, const T *q,
+                                const T *v, T *Phi)
 {
-    if (p->still)
-        return &r->c;
-    NAME(coefficients_at)(&p->joints, factors + instant * p->joints.n_parts, &r->c_s);
-    return &r->c_s;
+    const T *X[] = {q, v};
+    memset(Phi, 0, (size_t)p->n_lam * sizeof(T));
+    NAME(constraints)(p->constraints, p->numbers.l, RATE, v ? 1 : 0, c, X, NULL, r->U, Phi);
+}
+
+/* Coefficients from a row of factors, and their rates from the third row on where asked for. */
+static void NAME(at_instant)(const NAME(plan) *p, NAME(room) *r, const double *factors, int instant,
+                             int rates, const T **c)
+{
+    c[0] = p->numbers.part_0;
+    c[rates] = rates ? NULL : c[0];
+    if (!p->still)
+        NAME(coefficients)(p->constraints, &p->numbers, rates, 0, RATE_AT_GAUSS - AT_GAUSS,
+                           factors + instant * p->constraints->n_parts, r->within, c);
 }
 
 /* out = Phi_q^T lam with the Jacobian as it stands. */
@@ -98,19 +124,15 @@ static void NAME(force_at)(const NAME(plan) *p, NAME(room) *r, const double *fac
 static void NAME(constraint_over)(const NAME(plan) *p, NAME(room) *r, double h,
                                   const double *factors, const T *q, const T *dq, T *Phi)
 {
-    const NAME(joints) *j = &p->joints;
+    const T *c[2];
     memcpy(Phi, r->defect, (size_t)p->n_lam * sizeof(T));
     for (int k = 0; k < 3; k++) {
         for (npy_intp i = 0; i < p->n_q; i++) {
             r->x[i] = q[i] + p->rules.places[k] * dq[i];
             r->force[i] = dq[i] / h;
         }
-        const NAME(coefficients) *c = NAME(at_instant)(p, r, factors, AT_GAUSS + k);
-        if (!p->still)
-            NAME(coefficients_at)(j, factors + (RATE_AT_GAUSS + k) * j->n_parts, &r->c_t);
-        NAME(vectors_of)(j, r->x, r->U);
-        NAME(vectors_of)(j, r->force, r->V);
-        NAME(phi_rate)(j, c, &r->c_t, r->U, r->V, r->rate);
+        NAME(at_instant)(p, r, factors, AT_GAUSS + k, 1, c);
+        NAME(constraint_at)(p, r, c, r->x, r->force, r->rate);
         for (npy_intp i = 0; i < p->n_lam; i++)
             Phi[i] += p->rules.weights[k] * h * r->rate[i];
     }
@@ -130,9 +152,9 @@ static double NAME(motion_before)(const NAME(plan) *p, NAME(room) *r, const NAME
 {
     if (b->motion < INFINITY)
         return b->motion;
-    const NAME(coefficients) *c = NAME(at_instant)(p, r, of_joints, AT_START);
-    NAME(vectors_of)(&p->joints, b->q, r->U);
-    NAME(jacobian_at)(p, r, c);
+    const T *c[1];
+    NAME(at_instant)(p, r, of_joints, AT_START, 0, c);
+    NAME(jacobian_at)(p, r, c, b->q);
     NAME(reaction_of)(p, r, b->lam, r->reaction);
     NAME(force_at)(p, r, of_loads + AT_START * p->n_loads, b->q, b->v);
     return NAME(motion_of)(p, r, b->a);
@@ -186,10 +208,9 @@ static int NAME(residual_at)(const NAME(plan) *p, NAME(room) *r, const step_coef
             r->ahead[i] = r->dq_p[i] + c->in_q * r->a[i];
         NAME(constraint_over)(p, r, c->h, of_joints, b->q, r->ahead, r->Phi);
     }
-    NAME(vectors_of)(&p->joints, r->q, r->U);
     if (!small)
-        NAME(phi)(&p->joints, &r->c, r->U, r->Phi);
-    NAME(jacobian_at)(p, r, &r->c);
+        NAME(constraint_at)(p, r, r->c, r->q, NULL, r->Phi);
+    NAME(jacobian_at)(p, r, r->c, r->q);
     NAME(reaction_of)(p, r, r->lam, r->reaction);
     NAME(force_at)(p, r, of_loads + AT_END * p->n_loads, r->q, r->v);
     memset(R, 0, (size_t)p->n_q * sizeof(T));
@@ -208,20 +229,17 @@ static int NAME(residual_at)(const NAME(plan) *p, NAME(room) *r, const step_coef
 /* Factorise eq. (6) at the state as it stands: 0, NOT_SOLVED, or INDEFINITE. */
 static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c)
 {
-    const NAME(joints) *j = &p->joints;
-    npy_intp n = p->n_q + p->n_lam;
+    npy_intp n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
     const T *v = p->damped ? r->v : NULL;
     r->counts[1]++;
     memset(r->K, 0, (size_t)p->nnz * sizeof(T));
     NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->K);
-    for (npy_intp i = 0; i < j->n_s; i++)
-        r->bent[i] = r->lam[j->s_row[i]] * r->c.s[i];
-    NAME(csr_times)(&p->curvature, r->bent, r->K);
+    NAME(constraint_curvature)(p->constraints, p->numbers.l, r->c[0], r->lam, r->K);
     if (p->first) {
         memset(r->matrix, 0, (size_t)p->first[n] * sizeof(T));
         NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_A, p->mass, r->matrix);
         NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_q, r->K, r->matrix);
-        NAME(ldl_placed)(p->to_values.n, NULL, p->places + p->n_chosen, 1, r->B, r->matrix);
+        NAME(ldl_placed)(n_B, NULL, p->places + p->n_chosen, 1, r->B, r->matrix);
         if (NAME(ldl_factor)(n, p->first, p->signs, r->matrix, r->least) == 0)
             return r->banded = 0;
         if (!p->flat)
@@ -237,7 +255,7 @@ static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coeff
     }
     r->banded = 1;
     memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
-    return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, p->to_values.n, r->sum, r->B,
+    return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, r->B,
                              p->factors, p->flat, r->matrix, r->pivots)
                ? NOT_SOLVED
                : 0;
@@ -323,14 +341,16 @@ static int NAME(stepped)(const NAME(plan) *p, NAME(room) *r, const step_coeffici
     NAME(predict)(p, r, c, b);
     NAME(look_ahead)(p, r, b, motion);
     if (small) {
-        const NAME(coefficients) *at_start = NAME(at_instant)(p, r, of_joints, AT_START);
-        NAME(vectors_of)(&p->joints, b->q, r->U);
-        NAME(phi)(&p->joints, at_start, r->U, r->defect);
+        const T *at_start[1];
+        NAME(at_instant)(p, r, of_joints, AT_START, 0, at_start);
+        NAME(constraint_at)(p, r, at_start, b->q, NULL, r->defect);
         for (npy_intp i = 0; i < p->n_lam; i++)
             r->defect[i] *= allowed / noise;
     }
+    r->c[0] = p->numbers.part_0;
     if (!p->still)
-        NAME(coefficients_at)(&p->joints, of_joints + AT_END * p->joints.n_parts, &r->c);
+        NAME(coefficients)(p->constraints, &p->numbers, 0, 0, 1,
+                           of_joints + AT_END * p->constraints->n_parts, r->at_end, r->c);
     double most = motion > DBL_MIN ? p->rules.jump * motion : INFINITY;
     return NAME(iterated)(p, r, c, b, of_joints, of_loads, small, most, motion_after);
 }
@@ -356,7 +376,7 @@ static npy_intp NAME(marched)(const NAME(plan) *p, NAME(room) *r, NAME(before) *
             begin.a = r->start;
         }
         memcpy(counts, r->counts, sizeof counts);
-        *ends = NAME(stepped)(p, r, &c, &begin, of_joints + n * instants * p->joints.n_parts,
+        *ends = NAME(stepped)(p, r, &c, &begin, of_joints + n * instants * p->constraints->n_parts,
                               instants, of_loads + n * 2 * p->n_loads, &motion);
         if (*ends) {
             memcpy(r->counts, counts, sizeof counts);

@@ -111,36 +111,22 @@ static int kept_block(Prepared *x, PyObject *object, PyObject *index)
     return p->index != NULL;
 }
 
-enum { JOINT_ITEMS = 12, PLAN_ITEMS = 11, LAYOUT_ITEMS = 4 };
+enum { PLAN_ITEMS = 12, LAYOUT_ITEMS = 4 };
 
-/* (L, a_row, a_at, s_row, s_i, s_j, a, s, offset, to_values, B, curvature) */
-static int kept_joints(Prepared *x, PyObject *t)
+/* A plan of constraints, and (first, columns, values) of Phi_q. */
+static int kept_constraints(Prepared *x, PyObject *object, PyObject *B)
 {
     plan_real *p = &x->plan;
-    joints_real *j = &p->joints;
-    PyArrayObject *a = kept(x, item(t, JOINT_ITEMS, 6), NPY_DOUBLE, 2, -1);
-    PyArrayObject *s = kept(x, item(t, JOINT_ITEMS, 7), NPY_DOUBLE, 2, -1);
-    PyArrayObject *offset = kept(x, item(t, JOINT_ITEMS, 8), NPY_DOUBLE, 2, -1);
-    if (!a || !s || !offset || !kept_csr(x, item(t, JOINT_ITEMS, 0), -1, p->n_q, &j->L))
-        return 0;
-    j->d = p->d, j->n_parts = PyArray_DIM(a, 0), j->n_vectors = j->L.n / p->d;
-    j->n_a = PyArray_DIM(a, 1), j->n_s = PyArray_DIM(s, 1), j->n_lam = PyArray_DIM(offset, 1);
-    j->a = data_of(a), j->s = data_of(s), j->offset = data_of(offset);
-    p->n_lam = j->n_lam;
-    if (j->n_parts < 1 || PyArray_DIM(s, 0) != j->n_parts ||
-        PyArray_DIM(offset, 0) != j->n_parts || j->L.n != j->n_vectors * p->d)
-        return wrong("coefficients of joints must have one row for each factor");
-    npy_intp most = j->n_lam - 1, n_raw = j->n_a + 2 * j->n_s * p->d;
-    j->a_row = kept_indices(x, item(t, JOINT_ITEMS, 1), j->n_a, most);
-    j->a_at = kept_indices(x, item(t, JOINT_ITEMS, 2), j->n_a, j->L.n - 1);
-    j->s_row = kept_indices(x, item(t, JOINT_ITEMS, 3), j->n_s, most);
-    j->s_i = kept_indices(x, item(t, JOINT_ITEMS, 4), j->n_s, j->n_vectors - 1);
-    j->s_j = kept_indices(x, item(t, JOINT_ITEMS, 5), j->n_s, j->n_vectors - 1);
-    return j->a_row && j->a_at && j->s_row && j->s_i && j->s_j &&
-           kept_csr(x, item(t, JOINT_ITEMS, 9), -1, n_raw, &p->to_values) &&
-           kept_csr(x, item(t, JOINT_ITEMS, 10), j->n_lam, p->n_q, &p->B) &&
-           kept_csr(x, item(t, JOINT_ITEMS, 11), p->nnz, j->n_s, &p->curvature) &&
-           (p->B.first[j->n_lam] == p->to_values.n ||
+    if (!PyObject_TypeCheck(object, &ConstraintPlanType) || x->n_kept == MOST_KEPT)
+        return wrong("constraints must be a plan of theirs");
+    x->kept[x->n_kept++] = Py_NewRef(object);
+    const ConstraintPlan *own = (ConstraintPlan *)object;
+    p->constraints = &own->plan, p->numbers = own->in_real;
+    p->n_lam = own->plan.n_lam, p->still = own->plan.n_parts == 1;
+    if (own->type != NPY_DOUBLE || own->plan.n_q != p->n_q || own->plan.n_curved != p->nnz)
+        return wrong("constraints must be real, and those of the coordinates");
+    return kept_csr(x, B, p->n_lam, p->n_q, &p->B) &&
+           (p->B.first[p->n_lam] == own->plan.n_values ||
             wrong("there must be a value for each entry of the constraint Jacobian"));
 }
 
@@ -149,7 +135,7 @@ static int kept_joints(Prepared *x, PyObject *t)
 static int kept_layout(Prepared *x, PyObject *t)
 {
     plan_real *p = &x->plan;
-    npy_intp n = p->n_q + p->n_lam, n_B = p->to_values.n;
+    npy_intp n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
     PyObject *own = item(t, LAYOUT_ITEMS, 2), *band = item(t, LAYOUT_ITEMS, 3);
     p->order = kept_indices(x, item(t, LAYOUT_ITEMS, 0), n, n - 1);
     p->scale = kept_numbers(x, item(t, LAYOUT_ITEMS, 1), n);
@@ -185,26 +171,24 @@ static int kept_layout(Prepared *x, PyObject *t)
 static int given_room(Prepared *x)
 {
     const plan_real *p = &x->plan;
-    const joints_real *j = &p->joints;
+    const constraint_plan *c = p->constraints;
     room_real *r = &x->room;
-    size_t n_q = (size_t)p->n_q, n_lam = (size_t)p->n_lam, n = n_q + n_lam, U = (size_t)j->L.n;
-    size_t n_a = (size_t)j->n_a, n_s = (size_t)j->n_s, nnz = (size_t)p->nnz, total = 0;
+    size_t n_q = (size_t)p->n_q, n_lam = (size_t)p->n_lam, n = n_q + n_lam;
+    size_t nnz = (size_t)p->nnz, total = 0;
     size_t envelope = p->first ? (size_t)p->first[n] : 0;
     size_t band = p->flat ? n * (3 * (size_t)p->half + 1) : 0;
     struct {
         double **to;
         size_t size;
     } rooms[] = {{&r->q_p, n_q}, {&r->dq_p, n_q}, {&r->v_p, n_q}, {&r->q, n_q}, {&r->v, n_q},
-                 {&r->A, n_q}, {&r->a, n_q}, {&r->lam, n_lam}, {&r->U, U}, {&r->V, U},
-                 {&r->raw, n_a + 2 * n_s * (size_t)p->d}, {&r->B, (size_t)p->to_values.n},
+                 {&r->A, n_q}, {&r->a, n_q}, {&r->lam, n_lam}, {&r->U, 2 * (size_t)c->most},
+                 {&r->B, (size_t)c->n_values},
                  {&r->Q, n_q}, {&r->inner, n_q}, {&r->reaction, n_q}, {&r->ahead, n_q},
                  {&r->start, n_q}, {&r->Phi, n_lam}, {&r->rate, n_lam}, {&r->defect, n_lam},
                  {&r->R, n}, {&r->x, n}, {&r->force, n_q}, {&r->K, nnz},
-                 {&r->D, p->damped ? nnz : 0}, {&r->sum, p->flat ? nnz : 0}, {&r->bent, n_s},
+                 {&r->D, p->damped ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
                  {&r->matrix, envelope > band ? envelope : band}, {&r->work, 8 * n},
-                 {&r->c.a, n_a}, {&r->c.s, n_s}, {&r->c.offset, n_lam}, {&r->c_s.a, n_a},
-                 {&r->c_s.s, n_s}, {&r->c_s.offset, n_lam}, {&r->c_t.a, n_a}, {&r->c_t.s, n_s},
-                 {&r->c_t.offset, n_lam}, {&r->least, n}};
+                 {&r->at_end, (size_t)c->n_c}, {&r->within, 2 * (size_t)c->n_c}, {&r->least, n}};
     int count = (int)(sizeof rooms / sizeof rooms[0]);
     for (int i = 0; i < count; i++)
         total += rooms[i].size;
@@ -229,7 +213,6 @@ static PyObject *py_prepare(PyObject *const *args)
         return PyErr_NoMemory();
     plan_real *p = &x->plan;
     PyObject *t = args[0];
-    const double one = 1;
     PyArrayObject *mass = kept(x, item(t, PLAN_ITEMS, 3), NPY_DOUBLE, 1, -1);
     const double *rules = kept_numbers(x, args[2], sizeof(march_rules) / sizeof(double));
     if (!mass || !rules || (p->nnz = PyArray_SIZE(mass), 0) ||
@@ -244,12 +227,9 @@ static PyObject *py_prepare(PyObject *const *args)
     p->inverse = kept_numbers(x, item(t, PLAN_ITEMS, 7), p->n_q);
     if (!loads || !p->gravity || !p->weights || !p->inverse ||
         (PyArray_DIM(loads, 1) != p->n_q && !wrong("a load must have a number for each coordinate")) ||
-        !kept_joints(x, item(t, PLAN_ITEMS, 8)) || !kept_layout(x, args[1]) || !given_room(x))
+        !kept_constraints(x, item(t, PLAN_ITEMS, 8), item(t, PLAN_ITEMS, 9)) || !kept_layout(x, args[1]) || !given_room(x))
         return prepared_dropped(x), NULL;
     p->loads = data_of(loads), p->n_loads = PyArray_DIM(loads, 0);
-    p->still = p->joints.n_parts == 1;
-    if (p->still)
-        coefficients_at_real(&p->joints, &one, &x->room.c);
     if (p->flat) {
         p->gbtrf = (gbtrf_t_real)lapack(&gbtrf, "dgbtrf", "void (int *, int *, int *, int *, ");
         p->gbtrs = (gbtrs_t_real)lapack(&gbtrs, "dgbtrs", "void (char *, int *, int *, int *, int *, ");
@@ -312,7 +292,7 @@ static int marching_taken(const plan_real *p, PyObject *const *args, Marching *m
             return 0;
         m->rows[i] = PyArray_DATA(row);
     }
-    npy_intp of_joints[] = {p->still ? -1 : m->k, -1, p->joints.n_parts};
+    npy_intp of_joints[] = {p->still ? -1 : m->k, -1, p->constraints->n_parts};
     npy_intp of_loads[] = {m->k, 2, p->n_loads};
     m->instants = p->still ? ALL_INSTANTS : PyArray_DIM(m->of_joints, 1);
     m->a = (PyArrayObject *)PyArray_SimpleNew(1, sizes, NPY_DOUBLE);

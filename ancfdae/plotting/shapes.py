@@ -98,7 +98,7 @@ class BeamMesh(Mesh):
         quantities = [q for q in body.element.quantities if q <= d]
         points = self._stations(naming)
         self._vectors = {
-            quantity: Vectors(
+            quantity: Vectors.of_points(
                 [naming.vector(point, quantity) for point in points],
                 d,
                 n_q,
@@ -174,7 +174,7 @@ class RigidMesh(Mesh):
         x = x[:, : body.dimension] + np.asarray(body.centre)
         points = [body.at(*place) for place in x.tolist()]
         vectors = [naming.vector(point, Quantity.POSITION) for point in points]
-        self._places = Vectors(vectors, body.dimension, n_q, naming.lengths_b.shape[1])
+        self._places = Vectors.of_points(vectors, body.dimension, n_q, naming.lengths_b.shape[1])
 
     def places(self, q: Array, move: int | None = None) -> Array:
         """R + x d_1 + y d_2 + z d_3."""

@@ -145,7 +145,7 @@ class Symbols:
 
     def _vectors(self, names: Names) -> Vectors:
         own, n_b = point_vectors(self._naming, names), self._naming.lengths_b.shape[1]
-        return Vectors(own, self._d, len(self._q_o), n_b)
+        return Vectors.of_points(own, self._d, len(self._q_o), n_b)
 
     def _of(self, names: list[tuple[Point, Quantity]], q: Array) -> Array:
         """Return vectors of points, shape (k, n, d)."""

@@ -36,7 +36,6 @@ class CompiledSteps:
     ) -> None:
         self._plan, self._matrices, self._rules, self._recorder = plan, matrices, rules, recorder
         self._prepared, self._small = prepare(plan, layout, rules), False
-        self._still = np.ones((1, 2, 1)) if len(plan.joints.offset) == 1 else None
 
     @classmethod
     def of(
@@ -75,18 +74,16 @@ class CompiledSteps:
 
     def _joint_factors(self, starts: Array, ends: Array, h: Array) -> Array:
         """Factors at ends and beginnings of steps, and where they are small at Gauss points."""
-        if self._still is not None:
-            return self._still
+        of = self._plan.joint_factors
+        if of is None:
+            return np.ones((1, 2, 1))
         instants = [ends, starts]
         if self._small:
             instants += [starts + place * h for place in PLACES]
         t = np.stack(instants, axis=1)
-        tables = [self._table(t, 0), self._table(t[:, 2:], 1)]
+        values, rates = of(t.ravel(), 1)[0], of(t[:, 2:].ravel(), 2)[1]
+        tables = [x.reshape(len(h), -1, x.shape[1]) for x in (values, rates)]
         return np.concatenate(tables, axis=1)
-
-    def _table(self, t: Array, order: int) -> Array:
-        factors = self._plan.joint_factors(t.ravel(), order)
-        return factors.reshape(*t.shape, factors.shape[1])
 
     def _load_factors(self, starts: Array, ends: Array) -> Array:
         of = self._plan.load_factors

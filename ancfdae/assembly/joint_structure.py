@@ -1,0 +1,196 @@
+"""Where coefficients of all joints do not vanish, and their numbers, as kernels take them.
+
+Numbers of all joints stand joint by joint: entries of L, and coefficients c = (linear, products,
+offsets). Those of driven joints are sums over parts that factors of time multiply; the first part
+is that of all joints that stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, final
+
+import numpy as np
+
+from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.vectors import Vectors
+from ancfdae.kernels import ConstraintPlan
+from ancfdae.model.naming import JointLayout
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.patterns import Pattern
+
+
+@final
+@dataclass(frozen=True)
+class Slot:
+    """A joint among all, its vectors in U and its parts but the first.
+
+    `linear` and `products` are indices of its coefficients that do not vanish, those of one half of
+    the symmetric matrix, and `at` are the places of all, offsets last, among those of all joints.
+    """
+
+    item: JointInput
+    vectors: slice
+    parts: slice
+    linear: tuple[Array, ...]
+    products: tuple[Array, ...]
+    at: Array
+
+    def coefficients(self, item: JointInput) -> Array:
+        """Return the coefficients of all parts, (n_parts, n), of the joint as it is or moved."""
+        _, i, j = self.products
+        # Both halves of the symmetric matrix in one entry, 1/2 on the diagonal.
+        half = np.where(i == j, 0.5, 1.0)
+        rows = (
+            (c.linear[self.linear], c.bilinear[self.products] * half, c.offset)
+            for c in item.parts()
+        )
+        return np.array([np.concatenate(row) for row in rows])
+
+    def partials(self, i: int) -> tuple[Array, Array, Array]:
+        """Return parts, entries and values of the partials in a design variable."""
+        change = self.coefficients(self.item.moved(i)) - self.coefficients(self.item)
+        part, at = np.nonzero(change.imag)
+        # The first part is that of all joints.
+        parts = np.where(part == 0, 0, self.parts.start + part - 1)
+        return parts, self.at[at], change.imag[part, at] / STEP
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointStructure:
+    """All joints of a scene; `indices` and `pattern`, of Phi_q, as a `ConstraintPlan` takes them.
+
+    Of the indices those of the curvature and of what moves are left out. `couplings` are rows and
+    columns of what the curvature has.
+    """
+
+    slots: tuple[Slot, ...]
+    vectors: Vectors
+    joints: tuple[JointLayout, ...]
+    indices: tuple[Array, ...]
+    pattern: Pattern
+    couplings: tuple[Array, Array]
+
+    @staticmethod
+    def of(inputs: Sequence[JointInput], vectors: Vectors) -> JointStructure:
+        """Return the structure of joints whose vectors are these, in order."""
+        d, slots, layouts = vectors.d, [], []
+        shapes = [_shape(item) for item in inputs]
+        # The first part is that of all joints.
+        begin = np.cumsum([(0, 0, 0, 0, 1), *(shape.sizes for shape in shapes)], axis=0)
+        where = [(np.zeros((2, 0), dtype=np.int64), np.zeros((3, 0), dtype=np.int64))]
+        for item, shape, first, last in zip(inputs, shapes, begin, begin[1:], strict=False):
+            vector, _, _, row, part = first.tolist()
+            layouts.append(
+                JointLayout(item.joint.name, row, shape.sizes[3], item.joint.holds_position)
+            )
+            ahead = 0, begin[-1, 1], begin[-1, 1] + begin[-1, 2]
+            at = [np.arange(*x) for x in zip(first[1:4] + ahead, last[1:4] + ahead, strict=True)]
+            own = slice(vector, int(last[0])), slice(part, int(last[4]))
+            slots.append(Slot(item, *own, shape.linear, shape.products, np.concatenate(at)))
+            r, i, axis = shape.linear
+            of_linear = np.array([row + r, (vector + i) * d + axis])
+            r, i, j = shape.products
+            where.append((of_linear, np.array([row + r, (vector + i) * d, (vector + j) * d])))
+        both = (np.concatenate(x, axis=1) for x in zip(*where, strict=True))
+        return _placed(slots, vectors, layouts, begin, tuple(row for x in both for row in x))
+
+    @property
+    def n_lam(self) -> int:
+        """Number of equations."""
+        return sum(joint.rows for joint in self.joints)
+
+    @cached_property
+    def parts(self) -> list[Array]:
+        """Coefficients of each joint."""
+        return [slot.coefficients(slot.item) for slot in self.slots]
+
+    def moved(self, i: int) -> JointStructure:
+        """Return the joints moved in design variable i by an imaginary step."""
+        slots = tuple(replace(slot, item=slot.item.moved(i)) for slot in self.slots)
+        return replace(self, slots=slots, vectors=self.vectors.moved(i))
+
+    def moving(self) -> tuple[Array, Array, Array, Array]:
+        """Return what moves: counts to the begin of each joint, entries, parts and values."""
+        counts, found = [0], [(np.zeros(0, dtype=np.int64),) * 2 + (np.zeros(0),)]
+        for slot, c in zip(self.slots, self.parts, strict=True):
+            part, at = np.nonzero(c[1:])
+            found.append((slot.at[at], slot.parts.start + part, c[1:][part, at]))
+            counts.append(counts[-1] + len(at))
+        entries, parts, values = (np.concatenate(x) for x in zip(*found, strict=True))
+        return np.array(counts), entries, parts, values
+
+    def plan(self, curved: Array, n_curved: int) -> ConstraintPlan:
+        """Return the kernel's plan; `curved` are the places of the couplings among values."""
+        counts, entries, parts, values = self.moving()
+        still = np.zeros(len(self.indices[3]) + len(self.indices[5]) + self.n_lam)
+        still = still.astype(np.result_type(still, *self.parts))
+        for slot, c in zip(self.slots, self.parts, strict=True):
+            still[slot.at] = c[0]
+        joints, *others = self.indices
+        table = np.insert(joints, 5, counts, axis=1)
+        indices = tuple(np.asarray(x, np.int32) for x in (table, *others, curved, entries, parts))
+        vectors = self.vectors
+        sizes = vectors.d, vectors.n_q, self.pattern.size, n_curved
+        return ConstraintPlan(indices, (vectors.value, still, values), *sizes)
+
+
+class _Shape(NamedTuple):
+    """Indices of coefficients; numbers of vectors, linear entries, products, rows and factors."""
+
+    linear: tuple[Array, ...]
+    products: tuple[Array, ...]
+    sizes: tuple[int, int, int, int, int]
+
+
+def _shape(item: JointInput) -> _Shape:
+    c = item.structure()
+    linear, products = np.nonzero(c.linear), np.nonzero(np.triu(c.bilinear))
+    sizes = len(item.reference), len(linear[0]), len(products[0]), len(c.offset)
+    return _Shape(linear, products, (*sizes, len(item.parts()) - 1))
+
+
+def _placed(
+    slots: list[Slot],
+    vectors: Vectors,
+    layouts: list[JointLayout],
+    begin: Array,
+    where: tuple[Array, ...],
+) -> JointStructure:
+    """Find the places of products of raw entries of Phi_q with entries of L."""
+    d, first, column = vectors.d, vectors.first, vectors.column
+    linear_row, linear_at, row, i, j = where
+    axes = np.arange(d)
+    raw_at = np.concatenate([i[:, None] + axes, j[:, None] + axes], axis=1).ravel()
+    of_linear, of_products = _entries(first, linear_at), _entries(first, raw_at)
+    rows = linear_row[of_linear[0]], np.repeat(row, 2 * d)[of_products[0]]
+    columns = column[of_linear[1]], column[of_products[1]]
+    pattern = Pattern((int(begin[-1][3]), vectors.n_q), *map(np.concatenate, (rows, columns)))
+    places = tuple(pattern.index(*x) for x in zip(rows, columns, strict=True))
+    linear = np.searchsorted(of_linear[0], begin[:, 1])
+    products = np.searchsorted(of_products[0], begin[:, 2] * 2 * d)
+    table = np.concatenate([begin, np.stack([linear, products], axis=1)], axis=1)
+    indices = (table, first, column, *where, *places)
+    couplings = _couplings(vectors, i, j)
+    return JointStructure(tuple(slots), vectors, tuple(layouts), indices, pattern, couplings)
+
+
+def _couplings(vectors: Vectors, i: Array, j: Array) -> tuple[Array, Array]:
+    """Return rows and columns of the products L_i^T L_j, and of each its transpose."""
+    first, column, axes = vectors.first, vectors.column, np.arange(vectors.d)
+    left, right = ((at[:, None] + axes).ravel() for at in (i, j))
+    number, one = _entries(first, left)
+    pair, other = _entries(first, right[number])
+    both = np.stack([column[one[pair]], column[other]], axis=1)
+    return both.ravel(), both[:, ::-1].ravel()
+
+
+def _entries(first: Array, rows: Array) -> tuple[Array, Array]:
+    """Return for all entries of some rows the number of the row, and the entry."""
+    sizes = np.diff(first)[rows]
+    number = np.repeat(np.arange(len(rows)), sizes)
+    begin = np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return number, first[rows][number] + np.arange(len(number)) - begin

@@ -1,0 +1,240 @@
+"""Steps by the kernel and by Python are the same steps, for every kind of part.
+
+SAME: elastic forces have the round-off eps E A, over the mass of a slope that of accelerations,
+2e-16 * 1e2 N / 1e-4 kg = 2e-10 m/s^2 beside 1e1 m/s^2, with a factor of 1e2 for six steps. A term
+that is missing or wrong in the kernel shows at 1e-3 and more, and would leave the step to Python,
+which `only_the_kernel` refuses.
+"""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples import all_examples, law_examples, public_classes, scene_of
+
+from ancfdae import (
+    CABLE_2D,
+    HHT,
+    Beam,
+    Clamp,
+    ControlledSteps,
+    Distance,
+    Drive,
+    Guide,
+    Harmonic,
+    InconsistentStart,
+    Material,
+    Pin,
+    PointForce,
+    PointMass,
+    Rectangle,
+    RigidBody,
+    Scene,
+    assemble,
+    kernels,
+    simulate,
+)
+from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.errors import RedundantConstraints
+from ancfdae.integrators.hht.compiled import CompiledSteps
+from ancfdae.integrators.hht.newton import StepSolver
+from ancfdae.model import joints
+from ancfdae.model.joints import Joint
+from validation.scenes import crank_slider, pendulum
+
+SAME, STEP, COUNT = 2e-9, 2.0**-9, 6
+RUBBER = Material(1100.0, 5e4, 0.3)
+SECTION = Rectangle(0.05, 0.04)
+
+
+def by_python(monkeypatch):
+    monkeypatch.setattr(CompiledSteps, "of", classmethod(lambda *_: None))
+
+
+def only_the_kernel(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("a step was left to Python")
+
+    monkeypatch.setattr(StepSolver, "_solve", refuse)
+
+
+def assert_same(system, one, other, tolerance=SAME):
+    """Compare runs in the norm of the inertia, multipliers beside the inertia forces too."""
+    assert one.outcome.verdict is other.outcome.verdict
+    root = np.sqrt(system.weights)
+    inertia = np.max(np.abs(other.a * system.weights))
+    for name, factor in (("t", 1), ("q", root), ("v", root), ("a", root)):
+        x, y = getattr(one, name) * factor, getattr(other, name) * factor
+        assert np.max(np.abs(x - y)) <= tolerance * np.max(np.abs(y)), name
+    size = max(np.max(np.abs(other.lam), initial=0), inertia)
+    assert np.max(np.abs(one.lam - other.lam), initial=0) <= tolerance * size
+
+
+def compared(scene, integrator=None, t_end=COUNT * STEP, tolerance=SAME):
+    system = assemble(scene)
+    integrator = integrator or HHT(STEP)
+    with pytest.MonkeyPatch.context() as patch:
+        only_the_kernel(patch)
+        fast = simulate(system, t_end, integrator)
+    with pytest.MonkeyPatch.context() as patch:
+        by_python(patch)
+        slow = simulate(system, t_end, integrator)
+    assert_same(system, fast, slow, tolerance)
+    # Where round-off decides whether an iteration was the last one may be more.
+    more = fast.statistics.iterations - slow.statistics.iterations
+    assert abs(more) <= fast.statistics.steps
+    return fast
+
+
+def beams(d, **kind):
+    z = (0.2,) * (d - 2)
+    rod = Beam("rod", (0.1, 0.2, *z), (0.9, 0.7, *z), 2, SECTION, RUBBER, **kind)
+    return rod, Beam("arm", (0.9, 0.7, *z), (1.5, 0.4, *z), 1, SECTION, RUBBER, **kind)
+
+
+KINDS = {"planar": beams(2), "spatial": beams(3), "cable": beams(2, element=CABLE_2D)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_joint_is_the_same_in_the_kernel(kind):
+    members, ran = KINDS[kind], set()
+    points = members[1].at(0.4), members[0].at(0.8)
+    gravity = (0.0, -9.81, 0.0)[: members[0].dimension]
+    for joint in all_examples(joints, Joint, members, points).values():
+        scene = replace(scene_of(members, joint), gravity=gravity, project_start=True)
+        try:
+            compared(scene)
+        except (InconsistentStart, RedundantConstraints):
+            continue
+        ran.add(type(joint).__name__)
+    assert len(ran) >= len(public_classes(joints, Joint)) - (9 if kind != "spatial" else 3), ran
+
+
+@pytest.mark.parametrize("law", law_examples().values(), ids=law_examples())
+def test_every_law_is_the_same_in_the_kernel(law):
+    rod, arm = KINDS["planar"]
+    held = [Pin(rod.at_start), Pin(rod.at_end, arm.at_start), Guide(arm.at_end, (0.6, 0.8), law)]
+    loads = [PointForce(rod.at_end, (3.0, -2.0), law=law), PointForce(arm.at_end, (1.0, 1.0))]
+    compared(Scene([rod, arm], held, (0, -9.81), loads=loads, project_start=True))
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_element_is_the_same_in_the_kernel(kind, damping):
+    rod, arm = (replace(x, material=replace(RUBBER, damping_time=damping)) for x in KINDS[kind])
+    masses = [PointMass(arm.at_end, 0.3, name="mass")]
+    gravity = (0.0, -9.81, 0.0)[: rod.dimension]
+    compared(Scene([rod, arm], [Clamp(rod.at_start)], gravity, bodies=masses))
+
+
+def test_rigid_bodies_are_the_same_in_the_kernel():
+    bodies = [RigidBody(f"b{k}", (0.5 * k, 0.0), 1.0, 0.02, centre=(0.2, 0.1)) for k in range(3)]
+    held = [Pin(bodies[0].at(0, 0)), Pin(bodies[0].at(0.5, 0), bodies[1].at(0, 0))]
+    held.append(Distance(bodies[1].at(0.5, 0), 0.2, bodies[2].at(0.0, 0.2)))
+    compared(Scene([], held, (0, -9.81), bodies=bodies))
+
+
+def test_small_steps_take_the_increment_of_the_constraints_in_the_kernel():
+    # At 1e-9 s round-off of Phi over h^2 is 1e2 m/s^2; quiet constraints leave 1e-9 of the motion,
+    # in a run of ten such steps a hundred times that.
+    rod, arm = KINDS["planar"]
+    joint = [Pin(rod.at_start), Distance(rod.at_end, 0.7, arm.at_end)]
+    joint.append(Drive(rod.at_start, Harmonic(0.5, 4.0)))
+    scene = Scene([rod, arm], joint, (0, -9.81), project_start=True)
+    compared(scene, HHT(1e-9), 1e-8, 1e-6)
+
+
+def test_controlled_steps_are_the_same_in_the_kernel():
+    compared(pendulum(), HHT(steps=ControlledSteps(1e-4)), 0.1)
+
+
+def test_more_steps_than_a_packet_are_the_same_in_the_kernel():
+    assert compared(pendulum(), HHT(2.0**-12), 300 * 2.0**-12).statistics.steps == 300
+
+
+def test_a_hard_step_in_a_packet_is_taken_by_python(monkeypatch):
+    # Four iterations do not solve every step from the guess; continuation does, in both.
+    system, integrator = assemble(crank_slider()), HHT(2.0**-6, max_iterations=4)
+    fast = simulate(system, 0.25, integrator)
+    by_python(monkeypatch)
+    slow = simulate(system, 0.25, integrator)
+    assert fast.statistics.steps > fast.statistics.continued > 0
+    assert_same(system, fast, slow)
+
+
+def test_threads_march_side_by_side_as_alone():
+    systems = [assemble(crank_slider()), assemble(pendulum())] * 2
+    alone = [simulate(system, 0.0625, HHT(2.0**-10)).q for system in systems]
+    together = [None] * len(systems)
+
+    def run(k):
+        together[k] = simulate(systems[k], 0.0625, HHT(2.0**-10)).q
+
+    threads = [threading.Thread(target=run, args=(k,)) for k in range(len(systems))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(np.array_equal(x, y) for x, y in zip(alone, together, strict=True))
+
+
+# ---------------------------------------------------------------- what kernels refuse
+
+
+def prepared_arguments():
+    system = assemble(pendulum())
+    return [system.plan, saddle_point(system, 0.0).layout(band=True), np.ones(17)]
+
+
+PLAN, LAYOUT, RULES = prepared_arguments()
+BROKEN = {
+    "no plan": ((), LAYOUT, RULES),
+    "rules": (PLAN, LAYOUT, RULES[1:]),
+    "complex mass": (PLAN._replace(mass=PLAN.mass + 1j), LAYOUT, RULES),
+    "places": (PLAN._replace(places=PLAN.places + len(PLAN.mass)), LAYOUT, RULES),
+    "fewer places": (PLAN._replace(places=PLAN.places[:-1]), LAYOUT, RULES),
+    "short gravity": (PLAN._replace(gravity=PLAN.gravity[1:]), LAYOUT, RULES),
+    "loads": (PLAN._replace(loads=np.zeros((1, 5))), LAYOUT, RULES),
+    "weights": (PLAN._replace(weights=np.ones(1)), LAYOUT, RULES),
+    "order": (PLAN, LAYOUT._replace(order=LAYOUT.order + 1), RULES),
+    "nothing to factorise": (PLAN, LAYOUT._replace(envelope=None, band=None), RULES),
+    "band": (PLAN, LAYOUT._replace(band=(1, *LAYOUT.band[1:])), RULES),
+    "envelope": (PLAN, LAYOUT._replace(envelope=LAYOUT.envelope[::-1]), RULES),
+    "inertia": (PLAN._replace(M=(PLAN.M[0][:-1], *PLAN.M[1:])), LAYOUT, RULES),
+}
+
+
+@pytest.mark.parametrize("arguments", BROKEN.values(), ids=BROKEN)
+def test_what_does_not_fit_together_is_no_plan(arguments):
+    with pytest.raises((ValueError, TypeError)):
+        kernels.prepare(*arguments)
+
+
+@pytest.mark.parametrize("spoilt", ["state", "h", "joints", "loads", "rows", "columns", "prepared"])
+def test_a_march_takes_only_what_fits_its_plan(spoilt):
+    n_q, n_lam = len(PLAN.gravity), 2
+    zeros = [np.zeros(n) for n in (n_q, n_q, n_q, n_lam, n_q)]
+    rows = [np.zeros((4, n)) for n in (n_q, n_q, n_q, n_lam)]
+    of = {
+        "prepared": kernels.prepare(PLAN, LAYOUT, RULES),
+        "state": tuple(zeros),
+        "motion": np.inf,
+        "h": np.full(4, STEP),
+        "joints": np.ones((1, 2, 1)),
+        "loads": np.zeros((4, 2, 0)),
+        "seconds": 1.0,
+        "rows": tuple(rows),
+    }
+    changes = {
+        "prepared": {"prepared": None},
+        "state": {"state": (zeros[0][1:], *zeros[1:])},
+        "h": {"h": np.full((4, 1), STEP)},
+        "joints": {"joints": np.ones((1, 2, 2))},
+        "loads": {"loads": np.zeros((4, 2, 1))},
+        "rows": {"rows": tuple(row[1:] for row in rows)},
+        "columns": {"rows": tuple(np.asfortranarray(row) for row in rows)},
+    }
+    kernels.march(*of.values())
+    with pytest.raises((ValueError, TypeError)):
+        kernels.march(*(of | changes[spoilt]).values())

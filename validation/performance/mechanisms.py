@@ -1,0 +1,99 @@
+"""A step of small mechanisms: rigid bodies, a flexible connecting rod, chains."""
+
+from collections.abc import Sequence
+from functools import partial
+
+from ancfdae import (
+    CABLE_2D,
+    HHT,
+    Beam,
+    Drive,
+    Material,
+    Pin,
+    PointMass,
+    PointOnLine,
+    Rectangle,
+    Revolute,
+    RigidBody,
+    Scene,
+    Spherical,
+    Uniform,
+    assemble,
+    simulate,
+)
+from ancfdae.equations import MechanicalSystem
+from validation.performance.row import Row
+from validation.performance.steps import medians
+
+__all__ = ["chain", "flexible_slider_crank", "measure", "one_body", "rigid_slider_crank"]
+
+_STEP, _NEWTON, _GRAVITY = 2.0**-10, 1e-8, 9.81
+_AXIS, _BOX = (0.0, 0.0, 1.0), (0.01, 0.1, 0.1)
+
+
+def one_body() -> Scene:
+    """Return a spatial rigid body on a revolute joint."""
+    return chain(1)
+
+
+def chain(count: int) -> Scene:
+    """Return a chain of spatial rigid bodies of 0.5 m on revolute joints, from rest."""
+    bodies = [
+        RigidBody(f"b{k}", (0.5 * k, 0.0, 0.0), 1.0, _BOX, centre=(0.25, 0.0, 0.0))
+        for k in range(count)
+    ]
+    joints = [Revolute(bodies[0].at(0, 0, 0), _AXIS)]
+    joints += [
+        Revolute(left.at(0.5, 0, 0), _AXIS, right.at(0, 0, 0))
+        for left, right in zip(bodies, bodies[1:], strict=False)
+    ]
+    return Scene([], joints, (0, -_GRAVITY, 0), bodies=bodies)
+
+
+def rigid_slider_crank() -> Scene:
+    """Return a planar crank, a connecting rod and a slider under gravity."""
+    crank = RigidBody("crank", (0, 0), 1.0, 0.01, centre=(0.1, 0))
+    rod = RigidBody("rod", (0.2, 0), 2.0, 0.05, centre=(0.25, 0))
+    joints = [
+        Pin(crank.at(0, 0)),
+        Pin(crank.at(0.2, 0), rod.at(0, 0)),
+        PointOnLine(rod.at(0.5, 0), direction=(1, 0)),
+    ]
+    slider = PointMass(rod.at(0.5, 0), 0.5, name="slider")
+    return Scene([], joints, (0, -_GRAVITY), bodies=[crank, rod, slider])
+
+
+def flexible_slider_crank(cables: int) -> Scene:
+    """Return a driven rigid crank with a connecting rod of cables."""
+    steel = Material(7850, 2.1e11, 0.3)
+    section = Rectangle(0.01, 0.01)
+    crank = Beam("crank", (0, 0), (0.15, 0), 1, section, steel, rigid=True, element=CABLE_2D)
+    rod = Beam("rod", (0.15, 0), (0.55, 0), cables, section, steel, element=CABLE_2D)
+    joints = [
+        Pin(crank.at_start),
+        Drive(crank.at_start, Uniform(speed=10.0)),
+        Pin(crank.at_end, rod.at_start),
+        PointOnLine(rod.at_end, direction=(1, 0)),
+    ]
+    slider = PointMass(rod.at_end, 0.1, name="slider")
+    return Scene([crank, rod], joints, bodies=[slider], project_start=True)
+
+
+def measure(steps: int = 256, repeats: int = 7) -> list[Row]:
+    """Return microseconds of a step; the start, measured by a run of one step, is taken off."""
+    scenes = (
+        ("one rigid body on a revolute joint", one_body()),
+        ("the rigid slider-crank", rigid_slider_crank()),
+        ("the slider-crank with 4 cables", flexible_slider_crank(4)),
+        ("a chain of 20 bodies, revolute", chain(20)),
+    )
+    rows = []
+    for name, scene in scenes:
+        system = assemble(scene)
+        short, long = medians([partial(_run, system, k) for k in (1, 1 + steps)], repeats)
+        rows.append(Row(f"step of {name}", 1e6 * (long - short) / steps, "us"))
+    return rows
+
+
+def _run(system: MechanicalSystem, steps: int) -> object:
+    return simulate(system, steps * _STEP, HHT(_STEP, newton_tolerance=_NEWTON))
