@@ -627,7 +627,7 @@ def test_every_scene_and_every_parameter_has_a_case():
         driven = set()
         for scene, design in CASES.values():
             system = assemble(SCENES[scene](), design)
-            if system.element.d == dimension:
+            if system.naming.layout.d == dimension:
                 targets = [t for variable in system._design for t in variable.targets]
                 beams = {beam.name for beam in system._scene.beams}
                 owners = (target.split(".") for target in targets)
@@ -970,7 +970,7 @@ def test_force_is_the_sum_of_oracle_elements(conservative):
     beams = [replace(beam, energy=beam.energy and SaintVenantKirchhoff()) for beam in s.scene.beams]
     paper = assemble(replace(s.scene, beams=beams))
     expected = np.zeros(s.system.n_q)
-    g, oracle = s.scene.gravity, oracle_of(s.system.element)
+    g, oracle = s.scene.gravity, oracle_of(s.scene.beams[0].element)
     for rows, p, X_o, rule in plain_elements(s.scene):
         section = (p["h"], p["w"], p["l"], X_o)
         X = s.q[rows].reshape(-1, d)
@@ -985,7 +985,7 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
     expected, volumes, oracle = (
         np.zeros((s.system.n_q, s.system.n_q)),
         0.0,
-        oracle_of(s.system.element),
+        oracle_of(s.scene.beams[0].element),
     )
     for rows, p, X_o, rule in plain_elements(s.scene):
         section = (p["h"], p["w"], p["l"], X_o)
@@ -997,7 +997,7 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
     assert_close(s.system.mass_times(s.q, s.a), M @ s.a, VALUE)
     assert_close(s.system.energies.kinetic(s.v[None]), np.array([0.5 * s.v @ M @ s.v]), VALUE)
     translation = np.zeros((s.system.n_q // d, d))
-    translation[:: s.system.element.n_s, 0] = 1.0
+    translation[:: s.system.naming.layout.bodies[0].stride, 0] = 1.0
     total = translation.ravel() @ s.system.mass_times(s.q, translation.ravel())
     assert_close(total, volumes, VALUE)
     if all(beam.reference().straight for beam in s.scene.beams):
@@ -1009,14 +1009,14 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
 
 def vector_by_hand(system, q, point, quantity):
     """Position (0) or slope (1, 2, 3) of a point by the oracle's shape functions."""
-    d = system.element.d
+    d = system.naming.layout.d
     place = system.naming.layout.beam(point.beam)
     fractions = np.array(place.fractions)
     k = max(int(np.sum(fractions < point.fraction)) - 1, 0)
     xi = (point.fraction - fractions[k]) / (fractions[k + 1] - fractions[k])
     l = system.naming.lengths[place.first_element + k]
-    oracle = oracle_of(system.element)
-    size = system.element.n_s * d
+    oracle = oracle_of(system.naming.layout.beams[0].element)
+    size = system.naming.layout.bodies[0].stride * d
     first = system.naming.layout.body(point.beam).first_vector * d + k * size
     X = q[first : first + 2 * size].reshape(-1, d)
     if quantity == 0:
@@ -1026,7 +1026,7 @@ def vector_by_hand(system, q, point, quantity):
 
 def turns_by_hand(system, q, q_o, point):
     """Turns of a section from the reference: two tilts and those of its two axes, or one turn."""
-    n_s, d = system.element.n_s, system.element.d
+    n_s, d = system.naming.layout.bodies[0].stride, system.naming.layout.d
     spanning = range(2, n_s) if n_s > 2 else [1]
     now, then = (
         np.array([vector_by_hand(system, x, point, k) for k in spanning]).T for x in (q, q_o)

@@ -236,7 +236,7 @@ class JointSetting(Setting):
     def coefficients(self, t, order):
         """What the joint states, at its own parameters."""
         q_o = self.system.start()[0]
-        vectors = self.joint.vectors(self.system.element)
+        vectors = self.joint.vectors(self.scene.elements)
         reference = np.array([named_by_hand(self.system, q_o, name) for name in vectors])
         p = np.array(list(self.joint.parameters().values()))
         return coefficients_of(self.joint, p, reference, t, order)
@@ -313,7 +313,7 @@ def equations_by_hand(s, q, t):
         return np.append(gap - joint.travel.at(t) * direction, turns), None
     if not isinstance(joint, Drive):
         pytest.skip(f"what a {type(joint).__name__} means stands in test_joint_kinematics")
-    n_s = s.system.element.n_s
+    n_s = s.system.naming.layout.bodies[0].stride
     slopes, were = (
         np.array([vector_by_hand(s.system, x, joint.point, k) for k in range(min(2, n_s - 1), n_s)])
         for x in (q, start)
@@ -371,11 +371,11 @@ def test_reference_configuration_satisfies_a_joint_that_is_given_no_place(name):
 
 
 def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
-    d, n = one.scene.dimension, len(one.joint.vectors(one.system.element))
+    d, n = one.scene.dimension, len(one.joint.vectors(one.scene.elements))
     for order in range(4 if isinstance(one.joint, DrivenJoint) else 1):
         c = one.coefficients(0.3, order)
         # Of a cable, which has no section, no right angle is asked.
-        cable = one.system.element is CABLE_2D
+        cable = one.scene.beams[0].element is CABLE_2D
         rows = one.system.n_lam + (len(one.coefficients(0.3, 0).shapes) if cable else 0)
         assert c.linear.shape == (rows, n, d)
         assert c.bilinear.shape == (rows, n, n)

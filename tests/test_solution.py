@@ -285,7 +285,7 @@ def equilibrium(scene):
         right = np.concatenate([right, -system.constraint(0.0, q)])
         x = matrices.factor(-force_q(system, 0.0, q, v), B).solve(right)
         q, lam = q + x[: system.n_q], lam + x[system.n_q :]
-    return q.reshape(-1, system.element.n_s, system.element.d)
+    return q.reshape(-1, system.naming.layout.bodies[0].stride, system.naming.layout.d)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
