@@ -11,7 +11,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from test_readme import README, ROOT, python_blocks
+from documents import README, ROOT, python_blocks
 
 TUTORIAL = ROOT / "docs" / "tutorial"
 

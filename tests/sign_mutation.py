@@ -27,7 +27,7 @@ from ancfdae.equations.derived import members
 
 from mechanisms import GuidedDoublePendulum
 
-DESIGN = ("a.height", "m.frequency", "push.force_x")
+DESIGN = ("a.height", "a.length", "m.frequency", "push.force_x")
 
 
 def everything(design=DESIGN):

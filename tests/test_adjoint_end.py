@@ -7,7 +7,6 @@ is compared with what `docs/theory/08-adjoint.md` says of it.
 
 import numpy as np
 import pytest
-from members import inertia_q
 
 from ancfdae import (
     HHT,
@@ -32,6 +31,7 @@ from ancfdae.sensitivity.continuous_adjoint import _BackwardRun, _with_smooth_mu
 from ancfdae.sensitivity.observables import states_of
 
 from mechanisms import GuidedDoublePendulum
+from members import inertia_q
 
 
 class FourBar(ComplexStepSystem):
@@ -122,7 +122,7 @@ def end_of(system, step, t_end):
     integrator, objective = HHT(step, hht_alpha=-0.1), Integral(custom(density, "H"))
     run = _with_smooth_multipliers(system, integrator.integrate(system, t_end), False)
     partials = objective.partials(system, states_of(run))
-    end, epsilon, gamma = _BackwardRun(system, integrator, run, partials)._end()
+    end, epsilon, gamma = _BackwardRun(system, integrator.hht_alpha, run, partials)._end()
     state = float(run.t[-1]), run.q[-1], run.v[-1], run.a[-1], run.lam[-1]
     return state, (end.mu, -end.mu_tau, end.A, end.zeta, epsilon, gamma)
 

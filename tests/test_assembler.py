@@ -5,12 +5,36 @@ values with a plain assembly of oracle elements and shape functions written by h
 steps have no truncation error: STEP^2 vanishes against one.
 """
 
-import inspect
 import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
+
+from ancfdae import (
+    Beam,
+    Clamp,
+    DesignVariable,
+    Material,
+    MechanicalSystem,
+    Pin,
+    PointOnLine,
+    Rectangle,
+    SaintVenantKirchhoff,
+    Scene,
+    assemble,
+    distribution,
+)
+from ancfdae.equations.saddle_points import saddle_point
+from ancfdae.errors import InvalidInput
+from ancfdae.integrators.hht.equations import Coefficients
+from ancfdae.integrators.hht.start import RecurrenceStart
+from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.start import consistent_start, start_sensitivity
+from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
+from ancfdae.numerics.extrapolation import real_derivative
+
+from by_hand import oracle_of, plain_elements, turns_by_hand, vector_by_hand
 from members import (
     acceleration_side,
     acceleration_side_total,
@@ -33,330 +57,11 @@ from members import (
     velocity_side,
     velocity_side_total,
 )
-from scipy.spatial.transform import Rotation
+from scenes import FLAT, MACHINES, RIGID, SCENES, STEEL, one_planar_beam
+from setting import DERIVATIVE, STEP, VALUE, Setting, assert_close, concrete_subclasses
 
-from ancfdae import (
-    CABLE_2D,
-    Beam,
-    Clamp,
-    CurvedBeam,
-    DesignVariable,
-    Distance,
-    DistributedForce,
-    Drive,
-    FollowerForce,
-    Guide,
-    Harmonic,
-    Material,
-    MechanicalSystem,
-    Pin,
-    PointForce,
-    PointMass,
-    PointOnLine,
-    Rectangle,
-    Revolute,
-    RigidBody,
-    RigidBox,
-    RigidCylinder,
-    RigidMotion,
-    RigidSphere,
-    SaintVenantKirchhoff,
-    Scene,
-    Spherical,
-    SpringDamper,
-    Uniform,
-    assemble,
-    distribution,
-)
-from ancfdae.equations.saddle_points import saddle_point
-from ancfdae.errors import InvalidInput, SingularMatrix
-from ancfdae.integrators.hht.equations import Coefficients
-from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.start import consistent_start, start_sensitivity
-from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
-from ancfdae.numerics import linear_solvers
-from ancfdae.numerics.extrapolation import real_derivative
-from ancfdae.numerics.linear_solvers import SaddlePoint
-from ancfdae.numerics.patterns import Pattern
-
-from oracle import plain_ancf as ancf
-from oracle import plain_cable
-
-STEP = 1e-40
-# Two evaluations of one derivative differ by round-off: sums over up to 432 quadrature points and
-# 28 entries of g, with terms a few hundred times the result (the cancellation in the strain,
-# about 1e-1, and in the product rule): 1e3 eps = 2e-13, five times that is allowed.
-DERIVATIVE = 1e-12
 # Time is real: derivatives in it come from extrapolated differences, good to about 1e-11.
 DIFFERENCES = 1e-9
-# Values against the oracle: sums as above without the product rule, and a reference that was
-# turned into the direction of the beam (a few eps more).
-VALUE = 3e-13
-
-STEEL = Material(density=2700.0, youngs_modulus=3e6, poisson_ratio=0.3)
-RUBBER = Material(density=1100.0, youngs_modulus=1e6, poisson_ratio=0.41)
-FLAT = Rectangle(height=0.06, width=0.04)
-THICK = Rectangle(height=0.09, width=0.05)
-TALL = Rectangle(height=0.08, width=0.04)
-GUM = Material(density=1100.0, youngs_modulus=1e6, poisson_ratio=0.41, damping_time=0.02)
-
-
-# ---------------------------------------------------------------- scenes
-
-
-def arc(name, centre, radius, angles, dimension, pitch=0.0, section=FLAT, material=STEEL):
-    """Arc (with a pitch: helix) of one element per pair of angles; unit slopes."""
-    positions, frames = [], []
-    for theta in angles:
-        tangent = np.array([np.cos(theta), np.sin(theta), pitch]) / np.sqrt(1 + pitch**2)
-        normal = np.array([-np.sin(theta), np.cos(theta), 0.0])
-        place = radius * np.array([np.sin(theta), -np.cos(theta), pitch * theta])
-        positions.append(np.asarray(centre) + place[:dimension])
-        frame = np.array([tangent, normal, np.cross(tangent, normal)])
-        frames.append(frame[:dimension, :dimension])
-    return CurvedBeam(name, np.array(positions), np.array(frames), section, material)
-
-
-def clamped(element):
-    """An oblique beam of any element, clamped away from its nodes."""
-    start, end = ((0.2, 0.1, 0.3)[: element.d], (1.4, 0.6, -0.2)[: element.d])
-    beam = Beam("rod", start, end, 2, FLAT, STEEL, element=element)
-    return Scene([beam], [Clamp(beam.at(0.3))], gravity=(1.3, -9.81, 0.7)[: element.d])
-
-
-def one_planar_beam():
-    beam = Beam("rod", (0.2, 0.1), (1.4, 0.1), 2, FLAT, STEEL)
-    return Scene([beam], [Pin(beam.at_start)], gravity=(0.0, -9.81))
-
-
-def planar_pair():
-    """Oblique beams of per-element heights; pins at a y offset and at an interior fraction."""
-    heights = [Rectangle(h, 0.05) for h in (0.05, 0.06, 0.08)]
-    crank = Beam("crank", (0.0, 0.0), (0.6, 0.8), 3, heights, [STEEL, STEEL, RUBBER])
-    rod = Beam("rod", (0.6, 0.8), (1.8, 0.1), 2, FLAT, RUBBER)
-    joints = [
-        Pin(crank.at(0.0, y=0.02), name="ground"),
-        Pin(crank.at_end, rod.at_start, name="elbow"),
-        # Off the declared place, so that bodies are assembled, and a guide too many, so that
-        # positions are projected, too.
-        Pin(rod.at(0.85, y=-0.01), ground=(1.6, 0.25), name="slot"),
-        PointOnLine(rod.at(0.3), (1.0, -0.6), through=(0.93, 0.62), name="rail"),
-    ]
-    start = [RigidMotion("crank", 1.5, (0.0, 0.0), velocity=(0.1, 0.2))]
-    return Scene([crank, rod], joints, gravity=(1.0, -9.81), start=start, project_start=True)
-
-
-def planar_mixed():
-    """A clamped arc that carries a straight beam; clamp away from the nodes."""
-    bow = arc("bow", (0.0, 1.0), 1.0, (0.0, 0.5, 0.9), 2, section=[FLAT, TALL])
-    tip = bow.positions[-1]
-    rod = Beam("rod", tuple(tip), tuple(tip + np.array([0.5, 0.2])), 2, THICK, RUBBER)
-    joints = [Clamp(bow.at(0.2)), Pin(bow.at(1.0), rod.at(0.3, y=0.01), name="weld")]
-    return Scene([bow, rod], joints, project_start=True)
-
-
-def planar_cables():
-    """A clamped cable that carries another one by its middle."""
-    heights = [Rectangle(h, 0.05) for h in (0.05, 0.06)]
-    rope = Beam("rope", (0.0, 0.0), (0.6, 0.8), 2, heights, [STEEL, RUBBER], element=CABLE_2D)
-    rod = Beam("rod", (0.6, 0.8), (1.8, 0.1), 2, FLAT, RUBBER, element=CABLE_2D)
-    joints = [Clamp(rope.at(0.1)), Pin(rope.at_end, rod.at(0.3), name="elbow")]
-    return Scene([rope, rod], joints, gravity=(1.0, -9.81), project_start=True)
-
-
-def one_spatial_beam():
-    beam = Beam("rod", (0.0, 0.0, 0.0), (1.2, 0.0, 0.0), 2, FLAT, STEEL)
-    return Scene([beam], [Clamp(beam.at_start)], gravity=(0.0, -9.81, 2.0))
-
-
-def spatial_pair():
-    heights = [Rectangle(h, 0.05) for h in (0.05, 0.08)]
-    crank = Beam("crank", (0, 0, 0), (0.4, 0.8, 0.3), 2, heights, STEEL, height_axis=(1, 0, 1))
-    rod = Beam("rod", (0.4, 0.8, 0.3), (0.4, 0.8, 1.3), 2, FLAT, RUBBER)
-    joints = [
-        Pin(crank.at(0.15, y=0.02, z=-0.01), name="ground"),
-        Pin(crank.at_end, rod.at(0.3, y=0.01), name="elbow"),
-        # A little more away from the first one than it is on the beam.
-        Pin(crank.at(0.7), ground=(0.3, 0.57, 0.21), name="slot"),
-    ]
-    start = [RigidMotion("rod", (0.3, -0.2, 0.5), (0.1, 0.2, 0.0), velocity=(1.0, 0.0, 2.0))]
-    return Scene([crank, rod], joints, (0.3, -9.81, 1.0), start, project_start=True)
-
-
-def spatial_mixed():
-    coil = arc("coil", (0.0, 1.0, 0.2), 1.0, (0.0, 0.5, 0.9), 3, pitch=0.3)
-    tip = coil.positions[-1]
-    rod = Beam("rod", tuple(tip), tuple(tip + np.array([0.5, 0.2, -0.3])), 1, THICK, RUBBER)
-    joints = [Clamp(coil.at(0.3, y=0.01)), Pin(coil.at_end, rod.at_start, name="weld")]
-    return Scene([coil, rod], joints, gravity=(0.0, 0.0, -9.81))
-
-
-def planar_machine():
-    """A driven crank with a slider, a link and a guided point; one of three beams is damped."""
-    crank = Beam("crank", (0.0, 0.0), (0.3, 0.4), 1, THICK, STEEL)
-    rod = Beam("rod", (0.3, 0.4), (1.5, 0.1), 2, FLAT, GUM)
-    bow = arc("bow", (1.5, 1.1), 1.0, (0.0, 0.4, 0.9), 2)
-    law = Harmonic(amplitude=0.4, frequency=3.0, phase=0.2, offset=0.1)
-    joints = [
-        Pin(crank.at_start, name="bearing"),
-        Drive(crank.at(0.2, y=0.01), Uniform(speed=2.0, acceleration=1.5), name="motor"),
-        Pin(crank.at_end, rod.at_start, name="elbow"),
-        PointOnLine(rod.at(0.8, y=0.02), direction=(0.9, 0.2), name="slot"),
-        Distance(rod.at(0.9, y=-0.02), 1.1, bow.at(0.7, y=0.01), name="link"),
-        Guide(bow.at(0.1), (1.0, 0.5), law, name="shaker"),
-        Distance(bow.at_end, 0.8, ground=(1.9, 0.6), name="stay"),
-    ]
-    loads = [
-        PointForce(rod.at(0.4, y=0.01), (3.0, -5.0), name="weight"),
-        DistributedForce("bow", (2.0, -4.0), name="snow"),
-        FollowerForce(bow.at(0.6, y=-0.02), (4.0, -3.0), name="jet"),
-        SpringDamper(rod.at(0.3), 300.0, 5.0, 0.4, bow.at(0.8, y=0.02), name="strut"),
-    ]
-    start = [RigidMotion("crank", 1.5, (0.0, 0.0), velocity=(0.1, 0.2))]
-    return Scene([crank, rod, bow], joints, (1.0, -9.81), start, loads, project_start=True)
-
-
-def spatial_machine():
-    """A chain of hinges about oblique axes; a slider, a link, a drive and every load."""
-    crank = Beam("crank", (0, 0, 0), (0.4, 0.8, 0.3), 1, THICK, GUM, height_axis=(1, 0, 1))
-    coil = arc("coil", (0.4, 1.8, 0.3), 1.0, (0.0, 0.5), 3, pitch=0.3)
-    joints = [
-        Revolute(crank.at(0.1, y=0.02), (0.3, -0.2, 1.0), name="bearing"),
-        Revolute(crank.at_end, (0.2, 1.0, 0.4), coil.at(0.15, y=0.01, z=0.01), name="elbow"),
-        Drive(crank.at(0.6), Harmonic(0.5, 3.0, 0.2), axis=(0.3, -0.2, 1.0), name="motor"),
-        PointOnLine(coil.at(0.8, z=0.01), (0.2, 1.0, 0.3), (0.8, 0.9, 0.3), name="slot"),
-    ]
-    loads = [
-        PointForce(coil.at(0.4, z=0.01), (3.0, -5.0, 1.0), name="weight"),
-        DistributedForce("coil", (2.0, -4.0, 1.0), name="snow"),
-        FollowerForce(coil.at(0.6, y=-0.02), (4.0, -3.0, 2.0), name="jet"),
-        SpringDamper(coil.at(0.9), 300.0, 5.0, 0.4, ground=(0.3, 0.2, 1.5), name="strut"),
-    ]
-    start = [RigidMotion("crank", (0.3, -0.2, 0.5), (0.0, 0.0, 0.0), velocity=(1.0, 0.0, 2.0))]
-    return Scene([crank, coil], joints, (0.3, -9.81, 1.0), start, loads, project_start=True)
-
-
-def damped_pair():
-    """A damped and an undamped beam without loads: the forces have a path of their own."""
-    crank = Beam("crank", (0.0, 0.0), (0.6, 0.8), 2, FLAT, GUM)
-    rod = Beam("rod", (0.6, 0.8), (1.8, 0.1), 1, THICK, STEEL)
-    joints = [Pin(crank.at_start, name="ground"), Pin(crank.at_end, rod.at_start, name="elbow")]
-    return Scene([crank, rod], joints, gravity=(1.0, -9.81))
-
-
-def planar_bodies():
-    """Nothing that bends: two bodies and a point mass, with loads that follow them."""
-    frame = ((0.8, 0.6), (-0.6, 0.8))
-    arm = RigidBody("arm", (0.1, 0.2), 2.0, 0.05, centre=(0.4, 0.1), frame=frame)
-    wheel = RigidBody("wheel", (0.9, 0.8), shape=RigidCylinder(0.2, 0.03), density=2700.0)
-    load = PointMass(wheel.at(0.1, 0.05), 0.7, name="load")
-    joints = [
-        Pin(arm.at(0.0, 0.01), name="ground"),
-        Pin(arm.at(1.0), wheel.origin, name="elbow"),
-        Distance(wheel.at(0.1, 0.1), 0.7, ground=(1.5, 0.4), name="link"),
-    ]
-    loads = [
-        FollowerForce(wheel.at(0.1, -0.02), (4.0, -3.0), name="jet"),
-        SpringDamper(wheel.at(0.3), 30.0, 5.0, 0.4, arm.at(0.2, 0.3), name="strut"),
-    ]
-    start = [RigidMotion("wheel", 1.5, (0.9, 0.8), velocity=(0.1, 0.2))]
-    bodies = [arm, wheel, load]
-    return Scene([], joints, (1.0, -9.81), start, loads, project_start=True, bodies=bodies)
-
-
-def planar_carriers():
-    """A beam that bends, two that do not, a body and point masses on all of them."""
-    rod = Beam("rod", (0.0, 0.0), (0.6, 0.8), 2, FLAT, GUM)
-    heights = [Rectangle(h, 0.05) for h in (0.05, 0.08)]
-    arm = Beam("arm", (0.6, 0.8), (1.8, 0.1), 2, heights, STEEL, rigid=True)
-    bow = replace(arc("bow", (1.8, 1.1), 1.0, (0.0, 0.5, 0.9), 2, section=[FLAT, TALL]), rigid=True)
-    box = RigidBody("box", tuple(bow.positions[-1]), shape=RigidBox(0.3, 0.2, 0.1), density=900.0)
-    bodies = [
-        box,
-        PointMass(rod.at(0.3, y=0.01), 0.3, name="bead"),
-        PointMass(arm.at(0.8, y=0.01), 0.4, name="knot"),
-        PointMass(box.at(0.1, -0.1), 0.5, name="load"),
-    ]
-    joints = [
-        Clamp(rod.at(0.1)),
-        Pin(rod.at_end, arm.at(0.0), name="elbow"),
-        Pin(arm.at_end, bow.at_start, name="knee"),
-        Pin(bow.at(0.9, y=0.01), box.at(0.1, 0.05), name="hook"),
-    ]
-    loads = [
-        DistributedForce("bow", (2.0, -4.0), name="snow"),
-        SpringDamper(arm.at(0.3), 300.0, 5.0, 0.4, rod.at(0.8, y=0.02), name="strut"),
-    ]
-    start = [RigidMotion("arm", 1.5, (0.6, 0.8), velocity=(0.1, 0.2))]
-    beams = [rod, arm, bow]
-    return Scene(beams, joints, (1.0, -9.81), start, loads, project_start=True, bodies=bodies)
-
-
-def spatial_carriers():
-    """A beam that bends, a rigid coil and a body of any inertia, on joints about axes."""
-    rod = Beam("rod", (0, 0, 0), (0.4, 0.8, 0.3), 1, THICK, STEEL, height_axis=(1, 0, 1))
-    coil = replace(arc("coil", (0.4, 1.8, 0.3), 1.0, (0.0, 0.5, 0.8), 3, pitch=0.3), rigid=True)
-    inertia = (0.05, 0.06, 0.07, 0.01, -0.02, 0.015)
-    frame = Rotation.from_rotvec((0.3, -0.5, 0.9)).as_matrix().tolist()
-    place = tuple(coil.positions[-1])
-    body = RigidBody("body", place, 2.0, inertia, (0.1, 0.2, -0.1), frame=frame)
-    ball = RigidBody("ball", (0, 1, 1), shape=RigidSphere(0.1), density=900.0, centre=(0, 0, 0.1))
-    bodies = [body, ball, PointMass(coil.at(0.7, z=0.01), 0.4, name="bead")]
-    joints = [
-        Revolute(rod.at(0.1, y=0.02), (0.3, -0.2, 1.0), name="bearing"),
-        Revolute(rod.at_end, (0.2, 1.0, 0.4), coil.at(0.0, y=0.01, z=0.01), name="elbow"),
-        Spherical(coil.at_end, body.at(0.0, 0.1, 0.0), name="knee"),
-        Distance(ball.at(0.1, 0.0, 0.0), 0.9, body.origin, name="link"),
-    ]
-    loads = [
-        DistributedForce("coil", (2.0, -4.0, 1.0), name="snow"),
-        FollowerForce(body.at(0.1, 0.2, 0.3), (4.0, -3.0, 2.0), name="jet"),
-        SpringDamper(coil.at(0.9), 300.0, 5.0, 0.4, ground=(0.3, 0.2, 1.5), name="strut"),
-    ]
-    start = [RigidMotion("body", (0.3, -0.2, 0.5), (0.0, 0.0, 0.0), velocity=(1.0, 0.0, 2.0))]
-    beams = [rod, coil]
-    return Scene(beams, joints, (0.3, -9.81, 1.0), start, loads, project_start=True, bodies=bodies)
-
-
-def cable_carriers():
-    """A cable that carries a body off its centre, and a rigid one of the same element."""
-    rope = Beam("rope", (0.0, 0.0), (0.6, 0.8), 2, FLAT, STEEL, element=CABLE_2D)
-    rod = Beam("rod", (0.6, 0.8), (1.8, 0.1), 2, FLAT, RUBBER, element=CABLE_2D, rigid=True)
-    box = RigidBody("box", (1.75, 0.0), shape=RigidBox(0.3, 0.2, 0.1), density=900.0)
-    joints = [
-        Clamp(rope.at(0.1)),
-        Pin(rope.at_end, rod.at(0.3), name="elbow"),
-        Pin(rod.at_end, box.at(0.1, 0.05), name="hook"),
-    ]
-    return Scene([rope, rod], joints, gravity=(1.0, -9.81), project_start=True, bodies=[box])
-
-
-SCENES = {
-    scene.__name__: scene
-    for scene in (
-        one_planar_beam,
-        planar_pair,
-        planar_mixed,
-        planar_cables,
-        one_spatial_beam,
-        spatial_pair,
-        spatial_mixed,
-        damped_pair,
-        planar_machine,
-        spatial_machine,
-        planar_bodies,
-        planar_carriers,
-        spatial_carriers,
-        cable_carriers,
-    )
-}
-for ELEMENT in ALL_ELEMENTS:
-    SCENES[ELEMENT.name] = lambda element=ELEMENT: clamped(element)
-#: Scenes with something rigid.
-RIGID = ("planar_bodies", "planar_carriers", "spatial_carriers", "cable_carriers")
-#: Scenes with bilinear or driven joints, with loads that follow the motion or with damping.
-MACHINES = ("damped_pair", "planar_machine", "spatial_machine", *RIGID)
 MATERIAL = ("youngs_modulus", "poisson_ratio", "density")
 ALL = (*MATERIAL, "width", "height", "length", "damping_time")
 
@@ -495,83 +200,6 @@ CASES = {
 CASES |= {f"{element.name}, all": (element.name, of("rod", *ALL)) for element in ALL_ELEMENTS}
 
 
-class Setting:
-    """A system with a random state beside its start and random design derivatives of it."""
-
-    def __init__(self, scene, design):
-        self.scene = SCENES[scene]() if isinstance(scene, str) else scene
-        self.design = design
-        self.system = assemble(self.scene, design)
-        system, rng = self.system, np.random.default_rng(3)
-        self.q = system.start()[0] + 0.05 * rng.uniform(-1, 1, system.n_q)
-        self.v, self.a = rng.uniform(-1, 1, (2, system.n_q))
-        self.lam = rng.uniform(-1, 1, system.n_lam)
-        scale = 1.0 / np.where(system.b == 0, 1.0, system.b)
-        self.q_b, self.v_b, self.a_b = rng.uniform(-1, 1, (3, system.n_q, system.n_b)) * scale
-        self.t, self._moved = 0.3, {}
-
-    def moved(self, i):
-        """The system with an imaginary step in one design variable, and the step; kept."""
-        if i not in self._moved:
-            size = STEP * self.unit(i)
-            b = self.system.b.astype(complex)
-            b[i] += 1j * size
-            self._moved[i] = self.system.with_values(b), size
-        return self._moved[i]
-
-    def by_design(self, value):
-        """Complex step of value(system, i, size) in every design variable, as a last axis."""
-        columns = []
-        for i in range(self.system.n_b):
-            system, size = self.moved(i)
-            columns.append(np.imag(value(system, i, 1j * size)) / size)
-        return np.stack(columns, axis=-1)
-
-    def noise(self, name):
-        """Round-off of accelerations and multipliers where the bodies are not strained.
-
-        A start by rigid motions leaves forces that are round-off, and so are their derivatives:
-        of Q in the norm of the weights `force_round_off`, in single numbers by the least and the
-        largest weight. Factor 10 for the solve, and for coordinates that move by more than 1 m.
-        """
-        weights, Q = self.system.weights, 10 * self.system.traits.force_round_off
-        sizes = {"a": Q / np.sqrt(np.min(weights)), "lam": Q * np.sqrt(np.max(weights))}
-        return sizes.get(name, 0.0)
-
-    def unit(self, i):
-        """Size of a design variable, one where it is zero."""
-        return abs(self.system.b[i]) or 1.0
-
-    def by_coordinate(self, value, state=None):
-        """Complex step of value(q), or of value of another state, as a last axis."""
-        state = self.q if state is None else state
-        columns = []
-        for k in range(self.system.n_q):
-            q = state.astype(complex)
-            q[k] += 1j * STEP
-            columns.append(np.imag(value(q)) / STEP)
-        return np.stack(columns, axis=-1)
-
-    def check_design(self, partial, value, magnitude, tolerance=DERIVATIVE, noise=0.0):
-        """Compare column by column: design variables have units of their own.
-
-        `magnitude` is the size of the differentiated quantity, the scale where the exact
-        derivative vanishes, and `noise` that of its round-off.
-        """
-        system = self.system
-        if not system.n_b:
-            assert partial.shape[-1] == 0
-            return
-        expected = self.by_design(value)
-        assert partial.shape == expected.shape
-        for i in range(system.n_b):
-            scale = max(np.max(np.abs(expected[..., i])), magnitude / self.unit(i))
-            allowed = tolerance * scale + noise / self.unit(i)
-            assert np.max(np.abs(partial[..., i] - expected[..., i])) <= allowed, (
-                system.design_names[i]
-            )
-
-
 @pytest.fixture(scope="module", params=CASES)
 def setting(request):
     return Setting(*CASES[request.param])
@@ -595,25 +223,7 @@ def conservative(request):
     return Setting(request.param, [])
 
 
-def assert_close(value, expected, tolerance):
-    scale = np.max(np.abs(expected))
-    assert scale > 0
-    assert np.shape(value) == np.shape(expected)
-    assert np.max(np.abs(value - expected)) <= tolerance * scale
-
-
 # ---------------------------------------------------------------- completeness
-
-
-def concrete_subclasses(base):
-    found = set()
-    for kind in base.__subclasses__():
-        found |= concrete_subclasses(kind)
-        # Only public classes of the package: other tests may define some of their own.
-        public = kind.__module__.startswith("ancfdae.") and not kind.__name__.startswith("_")
-        if not inspect.isabstract(kind) and public:
-            found.add(kind)
-    return found
 
 
 def test_every_element_is_known_and_so_appears_in_the_scenes_of_this_file():
@@ -938,32 +548,6 @@ def test_arrays_of_the_protocol_have_their_shapes(setting):
 # ---------------------------------------------------------------- values by hand
 
 
-def plain_elements(scene):
-    """(rows of q, parameters, reference node vectors, oracle rule) of every element."""
-    n_s = scene.beams[0].element.n_s
-    size, node = n_s * scene.dimension, 0
-    for beam in scene.beams:
-        shape, parameters = beam.reference(), beam.element_parameters()
-        positions = [np.asarray(beam.place, float)]
-        for length, chord in zip(shape.lengths, shape.chords, strict=True):
-            positions.append(positions[-1] + length * chord)
-        rule = {} if shape.straight else {"n_xi": 12, "n_y": 6, "n_z": 6}
-        for k in range(beam.element_count):
-            slopes = shape.slopes[:, : n_s - 1]
-            X_o = [positions[k], *slopes[k], positions[k + 1], *slopes[k + 1]]
-            rows = np.arange((node + k) * size, (node + k + 2) * size)
-            yield rows, dict(zip(ALL_COLUMNS, parameters[k], strict=False)), np.array(X_o), rule
-        node += beam.element_count + 1
-
-
-def oracle_of(element):
-    """The oracle of an element."""
-    return plain_cable if element is CABLE_2D else ancf
-
-
-ALL_COLUMNS = ("E", "nu", "rho", "l", "tau", "h", "w")
-
-
 def test_force_is_the_sum_of_oracle_elements(conservative):
     s, d = conservative, conservative.scene.dimension
     # The oracle has the energy of the source paper.
@@ -1005,38 +589,6 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
         P = ElementParameter
         which = [P.DENSITY, P.SIZE_1, P.SIZE_2, P.LENGTH]
         assert_close(total, np.sum(np.prod(blocks[:, which], axis=1)), VALUE)
-
-
-def vector_by_hand(system, q, point, quantity):
-    """Position (0) or slope (1, 2, 3) of a point by the oracle's shape functions."""
-    d = system.naming.layout.d
-    place = system.naming.layout.beam(point.beam)
-    fractions = np.array(place.fractions)
-    k = max(int(np.sum(fractions < point.fraction)) - 1, 0)
-    xi = (point.fraction - fractions[k]) / (fractions[k + 1] - fractions[k])
-    l = system.naming.lengths[place.first_element + k]
-    oracle = oracle_of(system.naming.layout.beams[0].element)
-    size = system.naming.layout.bodies[0].stride * d
-    first = system.naming.layout.body(point.beam).first_vector * d + k * size
-    X = q[first : first + 2 * size].reshape(-1, d)
-    if quantity == 0:
-        return oracle.shape(d, xi, point.y, point.z, l) @ X
-    return oracle.shape_gradient(d, xi, point.y, point.z, l)[:, quantity - 1] @ X
-
-
-def turns_by_hand(system, q, q_o, point):
-    """Turns of a section from the reference: two tilts and those of its two axes, or one turn."""
-    n_s, d = system.naming.layout.bodies[0].stride, system.naming.layout.d
-    spanning = range(2, n_s) if n_s > 2 else [1]
-    now, then = (
-        np.array([vector_by_hand(system, x, point, k) for k in spanning]).T for x in (q, q_o)
-    )
-    y = then[:, 0] / np.linalg.norm(then[:, 0])
-    if d == 2:
-        return np.array([now[1, 0] * y[0] - now[0, 0] * y[1]])
-    normal = np.cross(*then.T) / np.linalg.norm(np.cross(*then.T))
-    map_of_section, z = now @ np.linalg.pinv(then), np.cross(normal, y)
-    return np.array([*(normal @ now), z @ map_of_section @ y, y @ map_of_section @ z])
 
 
 def test_constraints_are_those_of_vectors_by_hand(conservative):
@@ -1209,203 +761,3 @@ def test_equal_elements_share_their_invariants_and_a_single_changed_one_does_not
     assert len(shared.with_values(shared.b * [1.0, 1.1])._elastic._block.A) == 2
     # The imaginary part of a complex step makes an element different, too.
     assert len(shared.with_values(shared.b + np.array([0.0, 1e-40j]))._elastic._block.A) == 2
-
-
-# ---------------------------------------------------------------- patterns
-
-
-@pytest.mark.parametrize("shape", [(4, 7), (250, 250)], ids=["dense", "sparse"])
-def test_pattern_products_are_those_of_the_dense_matrix(shape):
-    rng = np.random.default_rng(1)
-    rows, columns = rng.integers(0, shape[0], 60), rng.integers(0, shape[1], 60)
-    pattern = Pattern(shape, rows, columns)
-    raw = rng.uniform(-1, 1, 60) + 1j * rng.uniform(-1, 1, 60)
-    expected = np.zeros(shape, dtype=complex)
-    np.add.at(expected, (rows, columns), raw)
-    values = pattern.gather(rows, columns, raw)
-    # Sums of at most 60 products of size one.
-    tolerance = 60 * np.finfo(float).eps
-    assert_close(pattern.dense(values), expected, tolerance)
-    assert_close(pattern.csr(values).toarray(), expected, tolerance)
-    for x, y in (
-        (rng.uniform(-1, 1, shape[1]), rng.uniform(-1, 1, shape[0])),
-        (rng.uniform(-1, 1, (shape[1], 3)), rng.uniform(-1, 1, (shape[0], 3))),
-    ):
-        assert_close(pattern.dot(values, x), expected @ x, tolerance)
-        assert_close(pattern.dot_transposed(values, y), expected.T @ y, tolerance)
-
-
-# ---------------------------------------------------------------- linear solvers
-
-
-STORAGES = {
-    "band": (10**9, linear_solvers._BandStorage),
-    "sparse": (0, linear_solvers._SparseStorage),
-}
-
-
-class Chain:
-    """Two pinned chains of beams, a matrix on their pattern and the same matrix densely."""
-
-    def __init__(self, kind, monkeypatch):
-        half_width, storage = STORAGES[kind]
-        monkeypatch.setattr(linear_solvers, "_BAND_HALF_WIDTH", half_width)
-        self.system = chain_system()
-        system = self.system
-        self.B = system.constraint_q(0.0, system.start()[0])
-        self.solver = SaddlePoint(system.pattern, system.constraint_pattern, system.weights, self.B)
-        assert isinstance(self.solver._storage, storage)
-
-    def values(self, is_complex):
-        """M plus an unsymmetric perturbation of a tenth of its diagonal."""
-        rng, pattern = np.random.default_rng(2), self.system.pattern
-        weights = np.sqrt(self.system.weights)
-        noise = rng.uniform(-1, 1, pattern.size) * weights[pattern.rows] * weights[pattern.columns]
-        K = self.system.mass(None) + 0.003 * noise
-        return K * (1 + 0.1j * rng.uniform(-1, 1, pattern.size)) if is_complex else K
-
-    def matrix(self, K):
-        n, m = self.system.n_q, self.system.n_lam
-        A = np.zeros((n + m, n + m), dtype=K.dtype)
-        A[:n, :n] = self.system.pattern.dense(K)
-        A[n:, :n] = self.system.constraint_pattern.dense(self.B)
-        A[:n, n:] = A[n:, :n].T
-        return A
-
-
-def chain_system():
-    crank = Beam("crank", (0.0, 0.0), (1.0, 0.0), 9, FLAT, STEEL)
-    rod = Beam("rod", (1.0, 0.0), (2.0, 0.5), 21, THICK, RUBBER)
-    joints = [Pin(crank.at_start), Pin(crank.at_end, rod.at_start, name="p"), Pin(rod.at_end)]
-    return assemble(Scene([crank, rod], joints))
-
-
-@pytest.mark.parametrize("kind", STORAGES)
-@pytest.mark.parametrize("is_complex", [False, True], ids=["real", "complex"])
-@pytest.mark.parametrize("right", ["vector", "columns", "complex vector", "complex columns"])
-def test_every_storage_solves_with_the_matrix_and_its_transpose(
-    kind, is_complex, right, monkeypatch
-):
-    chain = Chain(kind, monkeypatch)
-    K = chain.values(is_complex)
-    A, factors = chain.matrix(K), chain.solver.factor(K, chain.B)
-    rng = np.random.default_rng(4)
-    shape = (len(A), 4) if right.endswith("columns") else (len(A),)
-    b = rng.uniform(-1, 1, shape)
-    if right.startswith("complex"):
-        b = b + 1j * rng.uniform(-1, 1, shape)
-    kept = b.copy()
-    scale = chain.solver.scale
-    S = scale[:, None] * A * scale
-    # Error of a solution of the scaled system: condition times eps times growth, which for
-    # partial pivoting is a small power of N in practice: 100.
-    tolerance = 100 * np.linalg.cond(S) * np.finfo(float).eps
-    assert tolerance < 1e-6  # otherwise the matrix would be too bad to show anything
-    assert np.max(np.abs(A - A.T)) > 0.001 * np.max(np.abs(A))  # so that the transpose counts
-    for matrix, x in ((A, factors.solve(b)), (A.T, factors.solve_transposed(b))):
-        expected = np.linalg.solve(matrix, b)
-        assert x.shape == b.shape
-        unscaled = scale if b.ndim == 1 else scale[:, None]
-        assert_close(x / unscaled, expected / unscaled, tolerance)
-        assert (x.dtype.kind == "c") == (expected.dtype.kind == "c")
-    assert np.array_equal(b, kept)  # right-hand sides are left alone
-
-
-@pytest.mark.parametrize("kind", STORAGES)
-def test_imaginary_part_of_a_complex_step_survives_the_factorisation(kind, monkeypatch):
-    # (K + i eps N)^{-1} b has the imaginary part -eps K^{-1} N K^{-1} b.
-    chain = Chain(kind, monkeypatch)
-    K, rng = chain.values(False), np.random.default_rng(5)
-    N = rng.uniform(-1, 1, chain.system.pattern.size)
-    b = rng.uniform(-1, 1, chain.solver.size)
-    real = chain.solver.factor(K, chain.B)
-    x = real.solve(b)
-    n = chain.system.n_q
-    change = np.zeros_like(x)
-    change[:n] = chain.system.pattern.dot(N, x[:n])
-    expected = -real.solve(change)
-    stepped = chain.solver.factor(K + 1j * STEP * N, chain.B).solve(b)
-    A = chain.matrix(K)
-    scale = chain.solver.scale
-    tolerance = 100 * np.linalg.cond(scale[:, None] * A * scale) * np.finfo(float).eps
-    assert_close(stepped.imag / STEP / scale, expected / scale, tolerance)
-
-
-@pytest.mark.parametrize("kind", STORAGES)
-def test_no_right_hand_side_gives_no_solution(kind, monkeypatch):
-    chain = Chain(kind, monkeypatch)
-    factors = chain.solver.factor(chain.values(False), chain.B)
-    empty = np.zeros((chain.solver.size, 0))
-    assert factors.solve(empty).shape == factors.solve_transposed(empty).shape == empty.shape
-
-
-@pytest.mark.parametrize("kind", STORAGES)
-@pytest.mark.parametrize("is_complex", [False, True], ids=["real", "complex"])
-def test_singular_matrix_is_refused(kind, is_complex, monkeypatch):
-    chain = Chain(kind, monkeypatch)
-    K = chain.values(is_complex)
-    with pytest.raises(SingularMatrix):
-        chain.solver.factor(K, 0 * chain.B)  # a row of zeros
-    with pytest.raises(SingularMatrix):
-        chain.solver.factor(0 * K, chain.B)  # more coordinates than constraints
-    spoiled = K.copy()
-    spoiled[7] = np.nan
-    with pytest.raises(SingularMatrix, match="not finite"):
-        chain.solver.factor(spoiled, chain.B)
-
-
-class SymmetricChain(Chain):
-    """The same chains with a symmetric matrix, positive definite unless it is shifted."""
-
-    def __init__(self):
-        self.system = system = chain_system()
-        self.B = system.constraint_q(0.0, system.start()[0])
-        patterns = system.pattern, system.constraint_pattern
-        self.solver = SaddlePoint(*patterns, system.weights, self.B, symmetric=True)
-
-    def values(self, is_complex, shift=0.0):
-        system, rng = self.system, np.random.default_rng(8)
-        q = rng.uniform(-1, 1, system.n_q) * 0.01 + system.start()[0]
-        K = system.mass(None) * (1 - shift) - 1e-8 * force_q(system, 0.0, q, q)
-        return K * (1 + 0.1j * rng.uniform(-1, 1)) if is_complex else K
-
-
-@pytest.mark.parametrize("is_complex", [False, True], ids=["real", "complex"])
-@pytest.mark.parametrize("right", ["vector", "columns", "complex vector", "complex columns"])
-@pytest.mark.parametrize("shift", [0.0, 1.5], ids=["definite", "indefinite"])
-def test_symmetric_matrices(is_complex, right, shift):
-    chain = SymmetricChain()
-    K = chain.values(is_complex, shift)
-    A, factors = chain.matrix(K), chain.solver.factor(K, chain.B)
-    assert np.max(np.abs(A - A.T)) < 1e-14 * np.max(np.abs(A))
-    symmetric = isinstance(factors, linear_solvers._SymmetricFactorization)
-    assert symmetric == (shift == 0)  # a pivot of an indefinite matrix has not its sign
-    rng, scale = np.random.default_rng(4), chain.solver.scale
-    for columns in (1, 2, 4, 5, 8, 13) if right.endswith("columns") else ((),):
-        b = rng.uniform(-1, 1, (len(A), columns) if columns else (len(A),))
-        if right.startswith("complex"):
-            b = b + 1j * rng.uniform(-1, 1, b.shape)
-        tolerance = 100 * np.linalg.cond(scale[:, None] * A * scale) * np.finfo(float).eps
-        assert tolerance < 1e-6
-        unscaled = scale if b.ndim == 1 else scale[:, None]
-        expected = np.linalg.solve(A, b) / unscaled
-        for x in (factors.solve(b), factors.solve_transposed(b)):
-            assert_close(x / unscaled, expected, tolerance)
-
-
-def test_singular_symmetric_matrices_are_refused():
-    chain = SymmetricChain()
-    K = chain.values(False)
-    for values, B in ((K, 0 * chain.B), (0 * K, chain.B), (np.nan * K, chain.B)):
-        with pytest.raises(SingularMatrix):
-            chain.solver.factor(values, B)
-
-
-def test_chains_are_bands():
-    system = chain_system()
-    values = system.constraint_q(0.0, system.start()[0])
-    arguments = (system.pattern, system.constraint_pattern, system.weights, values)
-    # A narrow band of two nodes and the multipliers between them.
-    storage = SaddlePoint(*arguments)._storage
-    assert isinstance(storage, linear_solvers._BandStorage)
-    assert storage._half_width <= 20

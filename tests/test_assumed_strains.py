@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from test_strain_energies import arc, kind_of, straight
 
 from ancfdae import BEAM_2D, BEAM_3D, EnhancedContinuum, PointSection
 from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.elastic import energy
 from ancfdae.model.elements.invariants import prepare
 
+from element_kinds import arc, kind_of, straight
 from oracle import plain_strains
 
 E, NU, L = 3.0, 0.3, 0.5

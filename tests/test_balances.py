@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_section_forces import forces, section_axes
-from test_strain_energies import arc, kind_of, straight
 
 from ancfdae import (
     BEAM_2D,
@@ -44,7 +42,9 @@ from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.element import SectionPlace
 from ancfdae.sensitivity.observables import States, observe, reaction
 
+from element_kinds import arc, kind_of, straight
 from oracle import plain_rod, plain_strains
+from sections import forces, section_axes
 
 PLACES = [(0.03, 0.03), (0.03, -0.01), (-0.01, -0.01), (-0.01, 0.03)]
 OFF = PointSection(places=PLACES, areas=[4e-4] * 4, shear_factors=(0.8, 0.7), torsion_constant=2e-7)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from test_strain_energies import ENERGIES, SECTIONS
 
 from ancfdae import (
     BEAM_2D,
@@ -18,6 +17,8 @@ from ancfdae import (
     gradient,
     position,
 )
+
+from element_kinds import ENERGIES, SECTIONS
 
 CASES = [(3, section, "enhanced") for section in SECTIONS]
 CASES += [(2, section, "enhanced") for section in SECTIONS]

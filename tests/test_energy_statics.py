@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_strain_energies import ENERGIES, SECTIONS
 
 from ancfdae import (
     Adjoint,
@@ -23,6 +22,8 @@ from ancfdae import (
     reaction,
     static_gradient,
 )
+
+from element_kinds import ENERGIES, SECTIONS
 
 CASES = [(d, section, "enhanced") for section in SECTIONS for d in (2, 3)]
 CASES += [(d, "rectangle", energy) for energy in ENERGIES for d in (2, 3)]

@@ -123,7 +123,7 @@ def test_adjoint_weighted_estimate_is_the_error(name, controlled):
 
 def test_adjoint_weighted_estimate_refuses_what_it_cannot_do():
     objective = Integral(HEIGHT)
-    with pytest.raises(InvalidInput, match="adjoint_error: runs with HHT"):
+    with pytest.raises(InvalidInput, match="adjoint_error: needs an integrator"):
         adjoint_error(CartesianPendulum(), objective, 1.0, IDA())
     with pytest.raises(InvalidInput, match="needs four steps"):
         adjoint_error(CartesianPendulum(), objective, 0.2, HHT(0.1))

@@ -2,25 +2,6 @@
 
 import numpy as np
 import pytest
-from members import (
-    acceleration_side,
-    acceleration_side_total,
-    constraint_b,
-    constraint_force,
-    constraint_force_b,
-    constraint_force_q,
-    constraint_force_rate,
-    constraint_force_rate_total,
-    constraint_q_times_total,
-    force_b,
-    force_q,
-    force_rate,
-    force_rate_total,
-    force_v,
-    jerk_side,
-    jerk_side_total,
-    mass_b_times,
-)
 
 from ancfdae import (
     HHT,
@@ -42,6 +23,26 @@ from ancfdae import (
 from validation.external import published
 from validation.external.rods import cartesian_pendulum, double_four_bar, four_bar_minimal
 from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
+
+from members import (
+    acceleration_side,
+    acceleration_side_total,
+    constraint_b,
+    constraint_force,
+    constraint_force_b,
+    constraint_force_q,
+    constraint_force_rate,
+    constraint_force_rate_total,
+    constraint_q_times_total,
+    force_b,
+    force_q,
+    force_rate,
+    force_rate_total,
+    force_v,
+    jerk_side,
+    jerk_side_total,
+    mass_b_times,
+)
 
 STEP = 1e-30  # complex step: its square vanishes against one
 SYSTEMS = {

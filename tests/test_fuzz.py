@@ -19,7 +19,6 @@ import ancfdae
 from ancfdae import (
     HHT,
     AncfdaeError,
-    Beam,
     BodyShape,
     Harmonic,
     Integrator,
@@ -36,12 +35,11 @@ from ancfdae import (
     Section,
     Terminal,
     distribution,
-    position,
 )
 from ancfdae.model.joints import Joint
 
-ROD = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.05, 0.04), Material(1e3, 1e7, 0.3))
-TIP = position(ROD.at_end, 0)
+from junk import INF, JUNK, ROD, TIP
+
 #: What the fields of each type are given.
 GOOD = {
     float: [0.3, 1.0, 2.5],
@@ -61,10 +59,6 @@ GOOD = {
     Load: [PointForce(ROD.at_end, (0.0, 1.0))],
     Joint: [Pin(ROD.at_start)],
 }
-NAN, INF = float("nan"), float("inf")
-JUNK = [None, "x", "", "a.b", "3", NAN, INF, -2, -0.5, 0, 10**400, 1j, b"x", [], {}, (), [[]]]
-JUNK += [(1.0, NAN), (1.0, "x"), np.zeros(3), np.zeros((2, 0)), np.array("x"), object(), int, len]
-JUNK += [ROD, ROD.at_end, {"a": 1}, iter([1.0]), ["rod"], 1e308, np.float64(0.5), np.True_]
 
 
 def kinds() -> list[Callable[..., Any]]:

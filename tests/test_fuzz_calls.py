@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from test_fuzz import JUNK, ROD, TIP
 
 import ancfdae
 from ancfdae import (
@@ -44,6 +43,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.sensitivity import GradientMethod, Method
+
+from junk import JUNK, ROD, TIP
 
 SCENE = Scene([ROD], [ancfdae.Clamp(ROD.at_start)], gravity=(0.0, -9.81))
 SWINGING = Scene([ROD], [Pin(ROD.at_start)], gravity=(0.0, -9.81))

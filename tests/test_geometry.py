@@ -54,7 +54,7 @@ from ancfdae import (
 
 STRIP = Rectangle(0.04, 0.03)
 SOFT = Material(2000.0, 1e8, 0.3, damping_time=1e-2)
-STEP, END = 2.0**-9, 2.0**-6
+STEP, END = 2.0**-8, 2.0**-6
 
 
 def pendulum():
@@ -224,33 +224,63 @@ def central(f, x, h):
     return (8 * (f(x + h) - f(x - h)) - (f(x + 2 * h) - f(x - 2 * h))) / (12 * h)
 
 
+def weights(scene, targets, seed):
+    """Random signs of the changes that matter, for all targets at once."""
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], len(targets))
+    return signs * units(scene, targets) / len(targets) ** 0.5
+
+
+def slope_of_the_call(scene, targets, along, h):
+    """Central difference of the call with all targets moved at once."""
+    held = np.array([scene.value(DesignVariable("x", [target])) for target in targets])
+
+    def moved(x):
+        return objective(scene.with_values(dict(zip(targets, held + x * along, strict=True))))
+
+    return central(moved, 0.0, h)
+
+
 @pytest.mark.parametrize("displaced", [False, True], ids=["declared", "displaced"])
 @pytest.mark.parametrize("name", SCENES)
 def test_every_target_is_the_limit_of_differences_of_the_call(name, displaced):
+    # Along random signs of all targets: an error of one of them is missed by each with a
+    # probability of a half at most, whatever the others' are.
     scene, targets, found = gradients(name, displaced)
     size = np.max(np.abs(found.gradient * units(scene, targets)))
-    for target, slope in zip(targets, found.gradient, strict=True):
-        held = scene.value(DesignVariable("x", [target]))
-        size_b = unit(target, held)
-        # Newton's method leaves 1e-12 of 1 m: over h = 2e-3, and the error of the difference,
-        # (2e-3)^4 over the next derivatives.
-        h = size_b * (2e-4 if "point" in target else 2e-3)
-        expected = central(lambda x, t=target: objective(scene.with_values({t: x})), held, h)
-        assert abs(slope - expected) * size_b <= 1e-7 * max(abs(slope) * size_b, size), target
+    slopes = dict(zip(targets, found.gradient, strict=True))
+    # Newton's method leaves 1e-12 of 1 m: over h = 2e-3, and the error of the difference,
+    # (2e-3)^4 over the next derivatives.
+    for points, h in ((True, 2e-4), (False, 2e-3)):
+        chosen = [target for target in targets if ("point" in target) == points]
+        for seed in range(3):
+            along = weights(scene, chosen, seed)
+            slope = np.array([slopes[target] for target in chosen]) @ along
+            expected = slope_of_the_call(scene, chosen, along, h)
+            assert abs(slope - expected) <= 1e-7 * size, wrong_targets(scene, slopes, chosen, h)
+
+
+def wrong_targets(scene, slopes, targets, h):
+    """Each target by itself, where all of them are wrong: differences and derivatives."""
+    sizes = zip(targets, units(scene, targets), strict=True)
+    return {
+        target: (slope_of_the_call(scene, [target], np.array([size]), h), slopes[target] * size)
+        for target, size in sizes
+    }
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_adjoint_and_complex_step_agree(name):
     scene, targets, found = gradients(name, True)
     sizes = units(scene, targets)
-    for method in (Adjoint(), ComplexStep()):
-        other = gradient(scene, Terminal(tip(scene)), END, HHT(STEP), design=targets, method=method)
-        np.testing.assert_allclose(
-            other.gradient * sizes,
-            found.gradient * sizes,
-            rtol=0,
-            atol=1e-9 * np.max(np.abs(found.gradient * sizes)),
-        )
+    call = Terminal(tip(scene)), END, HHT(STEP)
+    scaled = found.gradient * sizes
+    adjoint = gradient(scene, *call, design=targets, method=Adjoint()).gradient * sizes
+    np.testing.assert_allclose(adjoint, scaled, rtol=0, atol=1e-9 * np.max(np.abs(scaled)))
+    for seed in range(3):  # As above, all targets at once.
+        along = weights(scene, targets, seed)
+        every = DesignVariable("every", dict(zip(targets, along, strict=True)))
+        steps = gradient(scene, *call, design=[every], method=ComplexStep()).gradient
+        assert abs(steps[0] - found.gradient @ along) <= 1e-9 * np.max(np.abs(scaled))
 
 
 # ---------------------------------------------------------------- identities of whole mechanisms

@@ -4,7 +4,6 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from members import constraint_b, velocity_side
 
 from ancfdae import (
     HHT,
@@ -35,6 +34,7 @@ from ancfdae import (
 )
 
 from mechanisms import CartesianPendulum, chain
+from members import constraint_b, velocity_side
 
 GGL, INDEX_1 = IndexReduction
 DESIGN = ("a.height", "m.frequency")

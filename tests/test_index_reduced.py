@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from members import constraint_force, velocity_side
 
 from ancfdae import (
     Beam,
@@ -18,6 +17,7 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.sundials.index_reduced import ColumnStorage
 
 from mechanisms import CartesianPendulum, chain
+from members import constraint_force, velocity_side
 
 FORMS = list(IndexReduction)
 # Imaginary step of the reference derivatives: its square vanishes against any value here.

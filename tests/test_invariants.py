@@ -7,7 +7,6 @@ CLOSE = 1e-13 leaves a factor of two. Seen over 40 states: 6e-15 in energy and f
 shows at order one.
 """
 
-import element_forces
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -27,6 +26,7 @@ from ancfdae.model.elements import (
 from ancfdae.model.elements.invariants import prepare
 from ancfdae.model.sections import Rectangle
 
+import element_forces
 from oracle import plain_ancf as ancf
 from oracle import plain_cable
 

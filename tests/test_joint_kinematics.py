@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from examples import coefficients_of
 from scipy.spatial.transform import Rotation
 
 from ancfdae import (
@@ -24,6 +23,8 @@ from ancfdae import (
     Universal,
     Weld,
 )
+
+from examples import coefficients_of
 
 # Sums of a dozen products of vectors of length one, which come from inverses of condition one.
 ROUND_OFF = 2e-14

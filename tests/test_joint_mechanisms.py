@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import all_examples
 from scipy.spatial.transform import Rotation
 
 from ancfdae import (
@@ -46,6 +45,8 @@ from ancfdae import (
 )
 from ancfdae.model import joints
 from ancfdae.model.joints import Joint
+
+from examples import all_examples
 
 # ---------------------------------------------------------------- statics of frames
 

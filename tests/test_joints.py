@@ -2,7 +2,7 @@
 
 Every joint stands alone in a scene, at nodes and between them, to ground and between beams. Its
 equations are compared with their geometric meaning, every derivative of the protocol with a
-complex step (tolerances: `test_assembler`), and the right sides of the velocity, acceleration and
+complex step (tolerances: `setting`), and the right sides of the velocity, acceleration and
 jerk equations with the derivatives of Phi along a smooth curve q(t). Simulations show that the
 joints hold what they should.
 """
@@ -12,37 +12,7 @@ from functools import partial as given
 
 import numpy as np
 import pytest
-from examples import all_examples, coefficients_of, public_classes
-from members import (
-    acceleration_side,
-    acceleration_side_total,
-    constraint_b,
-    constraint_force,
-    constraint_force_b,
-    constraint_force_q,
-    constraint_force_rate,
-    constraint_force_rate_total,
-    constraint_q_times_total,
-    jerk_side,
-    jerk_side_total,
-    velocity_side,
-    velocity_side_total,
-)
-from numpy.polynomial import chebyshev
 from scipy.spatial.transform import Rotation
-from test_assembler import (
-    DERIVATIVE,
-    FLAT,
-    STEEL,
-    THICK,
-    VALUE,
-    Setting,
-    arc,
-    assert_close,
-    concrete_subclasses,
-    turns_by_hand,
-    vector_by_hand,
-)
 
 from ancfdae import (
     CABLE_2D,
@@ -81,25 +51,26 @@ from ancfdae.model.joints import DrivenJoint, Joint
 from ancfdae.model.joints.frames import Section, across, unit
 from ancfdae.model.parts import Normal
 
-# Derivatives along a curve: an interpolant of degree DEGREE at Chebyshev points of [t - WINDOW,
-# t + WINDOW]. Truncation: the curve is cubic and laws have frequencies below 4 rad/s, so that
-# coefficients fall like (4 WINDOW / 2)^n / n! and the last is below 1e-18. Round-off: DEGREE
-# coefficients of 1 eps, times T_n''' < n^3 at the middle, over WINDOW^3: 16 * 4096 * eps * 64 =
-# 1e-9 at worst, relative to Phi.
-DEGREE, WINDOW = 16, 0.25
-CURVE = 1e-9
-
-
-def rates_of(function, t):
-    """Values of function and of its first three time derivatives at t, stacked."""
-    nodes = chebyshev.chebpts1(DEGREE + 1)
-    values = np.array([function(t + WINDOW * x) for x in nodes])
-    coefficients = chebyshev.chebfit(nodes, values.reshape(len(nodes), -1), DEGREE)
-    rates = [
-        chebyshev.chebval(0.0, chebyshev.chebder(coefficients, n)) / WINDOW**n for n in range(4)
-    ]
-    return np.array(rates).reshape(4, *values.shape[1:])
-
+from by_hand import turns_by_hand, vector_by_hand
+from curves import CURVE, rates_of
+from examples import all_examples, coefficients_of, public_classes
+from members import (
+    acceleration_side,
+    acceleration_side_total,
+    constraint_b,
+    constraint_force,
+    constraint_force_b,
+    constraint_force_q,
+    constraint_force_rate,
+    constraint_force_rate_total,
+    constraint_q_times_total,
+    jerk_side,
+    jerk_side_total,
+    velocity_side,
+    velocity_side_total,
+)
+from scenes import FLAT, STEEL, THICK, arc
+from setting import DERIVATIVE, VALUE, Setting, assert_close, concrete_subclasses
 
 # ---------------------------------------------------------------- variants
 

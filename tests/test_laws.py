@@ -1,16 +1,12 @@
 """Laws of time: derivatives, complex parameters, smoothness, what each of them is, refusals.
 
-Derivatives are those of an interpolant of degree 16 at Chebyshev points of 0.5 s (`test_joints`).
+Derivatives are those of an interpolant of degree 16 at Chebyshev points of 0.5 s (`curves`).
 """
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import LAW_TIME, law_examples, public_classes
-from members import constraint_b
-from test_assembler import STEP, concrete_subclasses
-from test_joints import rates_of
 
 from ancfdae import (
     Beam,
@@ -32,6 +28,11 @@ from ancfdae import (
     distribution,
 )
 from ancfdae.model import laws
+
+from curves import rates_of
+from examples import LAW_TIME, law_examples, public_classes
+from members import constraint_b
+from setting import STEP, concrete_subclasses
 
 LAWS = law_examples()
 # Round-off of an interpolant's third derivative, 16 * 16^3 eps/0.25^3 = 1e-9 of the values; laws of

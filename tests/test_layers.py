@@ -1,5 +1,9 @@
-"""The contracts between layers (`[tool.importlinter]`, pyproject.toml) refuse forbidden imports."""
+"""The contracts between layers (`[tool.importlinter]`, pyproject.toml) refuse forbidden imports.
 
+And tests import what they share from helper modules, none from another test.
+"""
+
+import ast
 import re
 import shutil
 import subprocess
@@ -128,3 +132,27 @@ def test_every_contract_has_an_import_that_breaks_it() -> None:
     assert len(names) == text.count("[[tool.importlinter.contracts]]")
     for name in names:
         assert any(name.startswith(contract) for _, _, contract in INJECTIONS), name
+
+
+def imported(source: str) -> set[str]:
+    """Return every part of the names of modules that a source imports."""
+    modules = [
+        name
+        for node in ast.walk(ast.parse(source))
+        for name in (
+            [node.module or ""]
+            if isinstance(node, ast.ImportFrom)
+            else [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else []
+        )
+    ]
+    return {part for module in modules for part in module.split(".")}
+
+
+def test_no_module_of_the_tests_imports_a_test() -> None:
+    assert "test_a" in imported("def f():\n    from tests.test_a import x")
+    for path in (ROOT / "tests").rglob("*.py"):
+        names = imported(path.read_text(encoding="utf-8"))
+        tests = {name for name in names if name.startswith("test_")}
+        assert not tests, f"{path.name} imports {tests}: move what they share to a helper module"

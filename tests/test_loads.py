@@ -1,6 +1,6 @@
 """Loads and internal damping of a scene: values by hand, partials by complex step, power.
 
-Tolerances: `test_assembler`. What a load adds is the difference of the forces of a scene with and
+Tolerances: `setting`. What a load adds is the difference of the forces of a scene with and
 without it, without gravity; elastic forces are about 1e4 N and loads about 10 N, so that this
 difference is taken of scenes of a soft material.
 """
@@ -9,21 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import LAW_TIME, all_examples, law_examples, public_classes
-from members import force_b, force_q, force_q_times, force_rate, force_rate_total, force_v
-from test_assembler import (
-    DERIVATIVE,
-    FLAT,
-    STEEL,
-    STEP,
-    THICK,
-    VALUE,
-    Setting,
-    arc,
-    assert_close,
-    concrete_subclasses,
-    vector_by_hand,
-)
 
 from ancfdae import (
     CABLE_2D,
@@ -53,7 +38,12 @@ from ancfdae.model.bodies import Quantity
 from ancfdae.model.elements import ElementParameter
 from ancfdae.model.loads import Load
 
+from by_hand import vector_by_hand
+from examples import LAW_TIME, all_examples, law_examples, public_classes
+from members import force_b, force_q, force_q_times, force_rate, force_rate_total, force_v
 from oracle import plain_ancf as ancf
+from scenes import FLAT, STEEL, THICK, arc
+from setting import DERIVATIVE, STEP, VALUE, Setting, assert_close, concrete_subclasses
 
 # Elastic forces of 1e-3 N beside loads of 10 N lose nothing in the difference.
 GEL = Material(density=1000.0, youngs_modulus=1.0, poisson_ratio=0.3)

@@ -11,19 +11,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import all_examples, law_examples, public_classes, scene_of
 
 from ancfdae import (
     CABLE_2D,
     HHT,
+    Adjoint,
     Beam,
     Clamp,
     ControlledSteps,
+    Direct,
     Distance,
     Drive,
+    GivenSteps,
     Guide,
     Harmonic,
     InconsistentStart,
+    Integral,
     Material,
     Pin,
     PointForce,
@@ -31,17 +34,25 @@ from ancfdae import (
     Rectangle,
     RigidBody,
     Scene,
+    Terminal,
     assemble,
+    differentiate,
+    gradient,
     kernels,
+    position,
     simulate,
 )
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import RedundantConstraints
-from ancfdae.integrators.hht.compiled import CompiledSteps
+from ancfdae.integrators.hht.compiled import CompiledPasses, CompiledSteps
+from ancfdae.integrators.hht.linear_passes import LinearSteps
 from ancfdae.integrators.hht.newton import StepSolver
 from ancfdae.model import joints
 from ancfdae.model.joints import Joint
+from ancfdae.numerics.linear_solvers import SaddlePoint
 from validation.scenes import crank_slider, pendulum
+
+from examples import all_examples, law_examples, public_classes, scene_of
 
 SAME, STEP, COUNT = 2e-9, 2.0**-9, 6
 RUBBER = Material(1100.0, 5e4, 0.3)
@@ -52,10 +63,11 @@ def by_python(monkeypatch):
     monkeypatch.setattr(CompiledSteps, "of", classmethod(lambda *_: None))
 
 
-def only_the_kernel(monkeypatch):
-    def refuse(*_):
-        raise AssertionError("a step was left to Python")
+def refuse(*_):
+    raise AssertionError("a step was left to Python")
 
+
+def only_the_kernel(monkeypatch):
     monkeypatch.setattr(StepSolver, "_solve", refuse)
 
 
@@ -179,6 +191,62 @@ def test_threads_march_side_by_side_as_alone():
     assert all(np.array_equal(x, y) for x, y in zip(alone, together, strict=True))
 
 
+# ---------------------------------------------------------------- passes
+
+
+def assert_same_passes(system, objective, integrator, t_end):
+    """Direct and adjoint derivatives by the kernel and by Python; round-off of sums, as SAME."""
+    values = []
+    for fast in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            if fast:
+                patch.setattr(LinearSteps, "solve", refuse)
+                patch.setattr(LinearSteps, "solve_transposed", refuse)
+            else:
+                patch.setattr(CompiledPasses, "of", classmethod(lambda *_: None))
+            direct = differentiate(system, t_end, integrator).sensitivities
+            adjoint = gradient(system, objective, t_end, integrator, method=Adjoint()).gradient
+        values.append((direct.q_b, direct.v_b, direct.a_b, direct.lam_b, adjoint))
+    for x, y in zip(*values, strict=True):
+        assert np.max(np.abs(x - y)) <= SAME * np.max(np.abs(y))
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_passes_of_every_element_are_the_same_in_the_kernel(kind, damping):
+    rod, arm = (replace(x, material=replace(RUBBER, damping_time=damping)) for x in KINDS[kind])
+    joined = [Clamp(rod.at_start), Pin(rod.at_end, arm.at_start)]
+    gravity = (0.0, -9.81, 0.0)[: rod.dimension]
+    design = ["rod.density", "rod.youngs_modulus", "arm.length", "rod.damping_time"]
+    system = assemble(Scene([rod, arm], joined, gravity, assemble=True), design)
+    objective = Integral(position(arm.at_end, 1))
+    assert_same_passes(system, objective, HHT(STEP), COUNT * STEP)
+    given = GivenSteps((0.0, STEP, 1.5 * STEP, 2.25 * STEP))
+    assert_same_passes(system, Terminal(position(arm.at_end, 0)), HHT(given), 2.25 * STEP)
+
+
+def test_passes_go_on_where_a_matrix_is_not_positive_definite(monkeypatch):
+    # The envelope refuses every matrix, so that the band takes over, in the kernel and in Python.
+    def spoilt(self, band):
+        layout = layout_of(self, band)
+        first, chosen, places, signs = layout.envelope
+        return layout._replace(envelope=(first, chosen, places, -signs))
+
+    layout_of = SaddlePoint.layout
+    system = assemble(pendulum(), ["pendulum.density", "pendulum.height"])
+    objective, integrator = Integral(position(pendulum().beams[0].at_end, 1)), HHT(STEP)
+    known = gradient(system, objective, 4 * STEP, integrator, method=Adjoint()).gradient
+    monkeypatch.setattr(SaddlePoint, "layout", spoilt)
+    with pytest.MonkeyPatch.context() as patch:
+        only_the_kernel(patch)
+        patch.setattr(LinearSteps, "solve", refuse)
+        patch.setattr(LinearSteps, "solve_transposed", refuse)
+        direct = gradient(system, objective, 4 * STEP, integrator, method=Direct()).gradient
+        adjoint = gradient(system, objective, 4 * STEP, integrator, method=Adjoint()).gradient
+    np.testing.assert_allclose(direct, known, rtol=1e-9)
+    np.testing.assert_allclose(adjoint, known, rtol=1e-9)
+
+
 # ---------------------------------------------------------------- what kernels refuse
 
 
@@ -191,8 +259,8 @@ PLAN, LAYOUT, RULES = prepared_arguments()
 BROKEN = {
     "no plan": ((), LAYOUT, RULES),
     "rules": (PLAN, LAYOUT, RULES[1:]),
-    "complex mass": (PLAN._replace(mass=PLAN.mass + 1j), LAYOUT, RULES),
-    "places": (PLAN._replace(places=PLAN.places + len(PLAN.mass)), LAYOUT, RULES),
+    "complex mass": (PLAN._replace(mass=(*PLAN.mass[:2], PLAN.mass[2] + 1j)), LAYOUT, RULES),
+    "places": (PLAN._replace(places=PLAN.places + len(PLAN.mass[2])), LAYOUT, RULES),
     "fewer places": (PLAN._replace(places=PLAN.places[:-1]), LAYOUT, RULES),
     "short gravity": (PLAN._replace(gravity=PLAN.gravity[1:]), LAYOUT, RULES),
     "loads": (PLAN._replace(loads=np.zeros((1, 5))), LAYOUT, RULES),
@@ -209,6 +277,37 @@ BROKEN = {
 def test_what_does_not_fit_together_is_no_plan(arguments):
     with pytest.raises((ValueError, TypeError)):
         kernels.prepare(*arguments)
+
+
+@pytest.mark.parametrize(
+    "spoilt", ["h", "f_q", "f_v", "Phi_q", "matrices", "right", "z", "on", "mu"]
+)
+def test_passes_take_only_what_fits_their_plan(spoilt):
+    n_q, n_lam, nnz, n_B = len(PLAN.gravity), 2, len(PLAN.mass[2]), len(PLAN.B[2])
+    prepared = kernels.prepare(PLAN, LAYOUT, RULES)
+    shapes = {
+        "h": (4,),
+        "f_q": (4, nnz),
+        "f_v": (4, nnz),
+        "Phi_q": (4, n_B),
+        "matrices": (4, 6, 4),
+        "right": (4, 3, n_q + n_lam),
+        "z": (4, 3, n_q),
+        "states": (4, 3, 3, n_q),
+        "lam_b": (4, 3, n_lam),
+        "on": (6, n_q),
+        "mu": (4, n_q),
+        "zeta": (4, n_lam),
+    }
+
+    def call(shapes):
+        *linear, right, z, states, lam_b, on, mu, zeta = (np.ones(x) for x in shapes.values())
+        kernels.differentiate_steps(prepared, tuple(linear), right, z, states, lam_b)
+        kernels.pull_back_steps(prepared, tuple(linear), (None, mu, zeta), on, mu, zeta)
+
+    call(shapes)
+    with pytest.raises(ValueError, match="shapes of a plan"):
+        call(shapes | {spoilt: (*shapes[spoilt][:-1], shapes[spoilt][-1] + 1)})
 
 
 @pytest.mark.parametrize("spoilt", ["state", "h", "joints", "loads", "rows", "columns", "prepared"])

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from members import constraint_force_rate, force_q_times, force_rate
 
 from ancfdae import (
     Adjoint,
@@ -39,6 +38,7 @@ from mechanisms import (
     HeldDoublePendulum,
     WrittenPendulum,
 )
+from members import constraint_force_rate, force_q_times, force_rate
 
 STEP = 1e-40
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from members import constraint_force
 
 from ancfdae import (
     HHT,
@@ -31,6 +30,7 @@ from ancfdae.integrators.step_control.contracts import Failure
 from validation.scenes import crank_slider, pendulum
 
 from mechanisms import CartesianPendulum, chain
+from members import constraint_force
 
 TOLERANCES = np.logspace(-4, -10, 25)
 

@@ -6,7 +6,6 @@ import signal
 
 import numpy as np
 import pytest
-from members import constraint_force
 
 from ancfdae import (
     HHT,
@@ -37,6 +36,7 @@ from ancfdae import (
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
+from members import constraint_force
 
 
 class Failing(CartesianPendulum):

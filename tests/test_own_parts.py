@@ -76,7 +76,7 @@ def test_an_integrator_that_leaves_out_derivatives_is_told():
     with pytest.raises(InvalidInput, match="RungeKutta: has no sensitivities"):
         gradient(*call, made["RungeKutta"](8), design=["rod.inertia"])
     # The compound pendulum: an independent method of fourth order agrees with it.
-    value = made["found"].value
+    value = made["result"].value
     assert value == pytest.approx(
         simulate(made["swing"], 0.25, HHT(rtol=1e-8)).position(made["rod"].at(0.5, 0))[-1, 1],
         rel=1e-6,

@@ -1,5 +1,6 @@
 """Every report runs through with coarse settings and leaves finite figures."""
 
+import importlib.util
 import json
 
 import pytest
@@ -10,7 +11,12 @@ from validation.catalogue import CATALOGUE
 
 @pytest.mark.parametrize("definition", CATALOGUE, ids=lambda definition: definition.name)
 def test_quick_report_is_written_with_its_figures_and_plots(definition, tmp_path, capsys):
-    assert main(["run", definition.name, "--quick", "--out", str(tmp_path)]) == 0
+    done = main(["run", definition.name, "--quick", "--out", str(tmp_path)])
+    if definition.name == "peers" and not importlib.util.find_spec("exudyn"):
+        assert done == 1
+        assert "pip install -e '.[peers]'" in capsys.readouterr().err
+        return
+    assert done == 0
     assert "report.md" in capsys.readouterr().out
     results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
     assert results["figures"]

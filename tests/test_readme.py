@@ -5,37 +5,16 @@ import re
 import shutil
 import subprocess
 import sys
-import textwrap
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-README = ROOT / "README.md"
+from documents import README, ROOT, Block, python_blocks
+
 RUN = ROOT / ".ci" / "run"
-FENCE = re.compile(
-    r"^(?P<indent>[ \t]*)```(?P<language>\w*)[^\n`]*\n(?P<code>.*?)^(?P=indent)```[ \t]*$",
-    re.MULTILINE | re.DOTALL,
-)
 MARKED = re.compile(r"^<!-- command: (\w+) -->\n```bash\n([^\n]+)\n```$", re.MULTILINE)
 MARK = "<!-- command:"
-
-
-@dataclass(frozen=True)
-class Block:
-    document: str
-    line: int
-    code: str
-
-
-def python_blocks(document: str, text: str) -> list[Block]:
-    return [
-        Block(document, text[: match.start("code")].count("\n") + 1, textwrap.dedent(match["code"]))
-        for match in FENCE.finditer(text)
-        if match["language"] in ("python", "py")
-    ]
 
 
 DOCUMENTS = [README, *sorted((ROOT / "docs").glob("**/*.md"))]

@@ -148,8 +148,11 @@ def test_other_runs_are_refused():
         (lambda: simulate(system, 1.0, UNEVEN, after=run), "under the same steps"),
         (lambda: simulate(system, 1.0, CONTROLLED, after=run), "under the same steps"),
         (lambda: simulate(system, 0.25, FIXED, after=run), "must end at 0.25 or before; got 0.5"),
-        (lambda: simulate(system, 1.0, Explicit(), after=run), "after: needs HHT"),
-        (lambda: gradient(system, Integral(X), 1.0, IDA(), after=run), "after: needs HHT"),
+        (lambda: simulate(system, 1.0, Explicit(), after=run), "after: needs an integrator"),
+        (
+            lambda: gradient(system, Integral(X), 1.0, IDA(), after=run),
+            "after: needs an integrator",
+        ),
         (lambda: simulate(system, 1.0, FIXED, after=3), "after: must be of type Solution"),
         (lambda: evaluate(Integral(X), run, CartesianPendulum(0.0)), "solution: .* another start"),
         (lambda: evaluate(Integral(X), 3, system), "solution: must be of type Solution"),

@@ -7,12 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import all_examples, scene_of
-from members import constraint_b
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
-from test_assembler import FLAT, RIGID, SCENES, STEEL, THICK, arc
 
 from ancfdae import (
     CABLE_2D,
@@ -62,6 +59,10 @@ from ancfdae.model import joints, loads
 from ancfdae.model.bodies import Quantity
 from ancfdae.model.joints import Joint
 from ancfdae.model.loads import Load
+
+from examples import all_examples, scene_of
+from members import constraint_b
+from scenes import FLAT, RIGID, SCENES, STEEL, THICK, arc
 
 # A few sums and products of numbers of size one.
 EXACT = 1e-13

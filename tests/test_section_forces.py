@@ -57,20 +57,13 @@ from ancfdae.sensitivity.observables import (
     von_mises,
 )
 
+from sections import forces, section_axes
+
 STEEL = Material(density=7800.0, youngs_modulus=2e11, poisson_ratio=0.3)
 LOOSE = dataclasses.replace(STEEL, poisson_ratio=0.0)
 PLATE = Rectangle(height=0.02, width=0.01)
 GAUSS = 0.5 - 0.5 / np.sqrt(3.0)
 EPS = 1e-40
-
-
-def forces(point, d):
-    """All forces and moments of a section of a beam in d dimensions."""
-    if d == 2:
-        return [axial_force(point), shear_force(point), bending_moment(point)]
-    shears = [shear_force(point, along) for along in (1, 2)]
-    moments = [bending_moment(point, about) for about in (1, 2)]
-    return [axial_force(point), *shears, torque(point), *moments]
 
 
 def cantilever(n, load, d=3, section=PLATE, material=STEEL, **changes):
@@ -90,22 +83,6 @@ def seen(scene, state, points):
     solution, system = state
     d = scene.beams[0].dimension
     return np.array([[observe(o, solution, system)[0] for o in forces(p, d)] for p in points])
-
-
-def section_axes(solution, point):
-    """Normal, height and width axis of a section."""
-    if solution.naming.layout.d == 2:
-        if solution.naming.layout.beams[0].element is CABLE_2D:
-            n = solution.slope(point)[0]
-            n = n / np.linalg.norm(n)
-            return np.array([n, [-n[1], n[0]]])
-        y = solution.slope(point, 1)[0]
-        y = y / np.linalg.norm(y)
-        return np.array([[y[1], -y[0]], y])
-    y, z = (solution.slope(point, along)[0] for along in (1, 2))
-    n, y = np.cross(y, z), y / np.linalg.norm(y)
-    n = n / np.linalg.norm(n)
-    return np.array([n, y, np.cross(n, y)])
 
 
 def statics(solution, point, force, where):

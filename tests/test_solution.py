@@ -11,7 +11,6 @@ import stat
 
 import numpy as np
 import pytest
-from members import constraint_force, force_q
 
 from ancfdae import (
     HHT,
@@ -40,6 +39,7 @@ from ancfdae import (
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from ancfdae.sensitivity import Run
 
+from members import constraint_force, force_q
 from oracle import plain_ancf as ancf
 
 EXACT = 4e-15

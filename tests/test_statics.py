@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from members import constraint_force
 
 from ancfdae import (
     HHT,
@@ -48,6 +47,7 @@ from ancfdae.statics.balance import Balance
 from ancfdae.statics.mobility import free_mechanism
 
 from mechanisms import CartesianPendulum, HeldDoublePendulum, WrittenPendulum, chain
+from members import constraint_force
 
 G = 9.81
 SOFT = Material(1000.0, 1e7, 0.3)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from members import constraint_force, constraint_force_q
 
 from ancfdae import ControlledSteps, Explicit, FixedSteps, GivenSteps, simulate
 from ancfdae.equations.saddle_points import saddle_point
@@ -14,6 +13,7 @@ from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod
 from ancfdae.integrators.step_control.march import march
 
 from mechanisms import CartesianPendulum
+from members import constraint_force, constraint_force_q
 
 
 class ImplicitEuler(OneStepMethod):

@@ -7,7 +7,6 @@ times round-off: 1e-6. Elsewhere the comment says what discretisation error is e
 
 import numpy as np
 import pytest
-from members import force_q
 
 from ancfdae import (
     BEAM_2D,
@@ -27,35 +26,19 @@ from ancfdae import (
     PointForce,
     PointSection,
     Rectangle,
-    SaintVenantKirchhoff,
     Scene,
     Tube,
     assemble,
 )
-from ancfdae.model.elements import Batch, ElementParameter, ElementType
+from ancfdae.model.elements import Batch, ElementParameter
 from ancfdae.model.elements.invariants import prepare
 
+from element_kinds import ENERGIES, SECTIONS, arc, kind_of, straight
+from members import force_q
+
 E, NU = 1e9, 0.3
-PLACES = [(0.006, 0.004), (-0.006, 0.004), (0.006, -0.004), (-0.006, -0.004)]
-SECTIONS = {
-    "rectangle": Rectangle(0.02, 0.01),
-    "circle": Circle(0.01),
-    "tube": Tube(0.01, 0.002),
-    "box": Box(0.02, 0.03, 0.001, 0.002),
-    "I": ISection(0.04, 0.03, 0.002, 0.003),
-    "moments": MomentSection(1e-4, 2e-9, 1e-9, 3e-9),
-    "points": PointSection(places=PLACES, areas=[2e-5] * 4, shear_factors=(0.8, 0.9)),
-}
 ONE_POINT = PointSection(places=[(0.1, 0.2)], areas=[1.0])
 A_LINE = PointSection(places=[(-0.01, -0.02), (0.02, 0.04), (0.0, 0.0)], areas=[1.0, 1.0, 1.0])
-ENERGIES = {
-    "SVK": SaintVenantKirchhoff(),
-    "SVK assumed": SaintVenantKirchhoff(True),
-    "plane stress": PlaneStress(),
-    "plane stress assumed": PlaneStress(True),
-    "enhanced exact strains": EnhancedContinuum(False),
-    "enhanced": EnhancedContinuum(),
-}
 
 
 def rest(scene, steps=1):
@@ -354,10 +337,6 @@ def test_properties_may_be_arrays():
 # ---------------------------------------------------------------- elements
 
 
-def kind_of(d, energy, section=None, straight=True):
-    return ElementType(section or Rectangle(0.06, 0.04), energy, straight)
-
-
 @pytest.mark.parametrize("name", ENERGIES)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("length", [0.02, 1.0])
@@ -430,21 +409,6 @@ def test_thin_cantilever_needs_few_elements():
 
 
 # ---------------------------------------------------------------- derivatives
-
-
-def arc(d):
-    """Relative node vectors of an arc of 0.5 rad, in space a helix."""
-    rows = []
-    for theta in (0.0, 0.5):
-        tangent = np.array([np.cos(theta), np.sin(theta), 0.3]) / np.sqrt(1.09)
-        normal = np.array([-np.sin(theta), np.cos(theta), 0.0])
-        rows += [tangent, normal, np.cross(tangent, normal)][:d]
-    chord = np.array([np.sin(0.5), 1 - np.cos(0.5), 0.15]) / (0.5 * np.sqrt(1.09))
-    return np.array([chord, *rows])[None, :, :d]
-
-
-def straight(d):
-    return np.concatenate([np.eye(d)[:1], np.eye(d), np.eye(d)])[None]
 
 
 @pytest.mark.parametrize("form", ["straight", "curved"])

@@ -17,6 +17,7 @@ from validation.crank_slider import report as crank_slider
 from validation.design import report as design
 from validation.extremes import report as extremes
 from validation.literature import report as literature
+from validation.peers import report as peers
 from validation.pendulum import report as pendulum
 from validation.performance import report as performance
 from validation.report import Report
@@ -130,6 +131,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "what cost?",
         run=design.run,
         source="other way",
+    ),
+    Definition(
+        name="peers",
+        title="Beside Exudyn and JAX",
+        question="What do motion, equilibrium, modes and gradients of small mechanisms cost beside "
+        "a multibody code in C++, and beside a program written by hand in JAX?",
+        run=peers.run,
+        source="wanted",
     ),
     Definition(
         name="performance",

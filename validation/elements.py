@@ -218,8 +218,8 @@ def _frequencies(report: Report, counts: tuple[int, ...], quick: bool) -> None:
             errors = []
             for n in counts[: 4 if d == 3 and quick else None]:
                 beam = _beam(d, h, n, 0.3, energy)
-                found = modes(Scene([beam], [Clamp(beam.at_start)]), count=1)
-                errors.append(float(found.frequencies[0] / exact - 1))
+                lowest = modes(Scene([beam], [Clamp(beam.at_start)]), count=1)
+                errors.append(float(lowest.frequencies[0] / exact - 1))
                 report.figure(f"frequency.{d}d.{_word(name)}.n{n}", errors[-1])
             rows.append([f"{d}D", name, *(f"{x:.1e}" for x in errors)])
     report.table(["element", "energy", *map(str, counts)], rows)

@@ -106,8 +106,8 @@ def _arc_shear(
     rod = _arc(section, n)
     solution, place = _rest(rod, force, moment), rod.at(0.53)
     width = solution.slope(place, 2)[0]
-    found = observe(shear_force(place, 2), solution, assemble(_scene(rod)))[0]
-    return float(found - force @ width / np.linalg.norm(width))
+    computed = observe(shear_force(place, 2), solution, assemble(_scene(rod)))[0]
+    return float(computed - force @ width / np.linalg.norm(width))
 
 
 def _strip_force(n: int) -> float:

@@ -63,9 +63,9 @@ def estimates(report: Report, quick: bool) -> None:
     """Fill the section."""
     report.heading("What one run estimates of its own errors")
     report.text(_METHOD)
-    found = [_measured(case) for case in _cases(quick)]
+    measured = [_measured(case) for case in _cases(quick)]
     rows: list[list[object]] = []
-    for each in found:
+    for each in measured:
         cells = []
         for name, pairs in (("motion", each.motion), ("derivatives", each.derivatives)):
             ratio = pairs[1] / pairs[0]
@@ -76,14 +76,14 @@ def estimates(report: Report, quick: bool) -> None:
         rows.append([each.case.name, each.motion.shape[1], *cells])
     header = ["scene", "runs", "errors of motion", "estimated / true, motion"]
     report.table([*header, "errors of derivatives", "estimated / true, derivatives"], rows)
-    _plot(report, found)
+    _plot(report, measured)
     motion, derivatives = (
-        np.concatenate([_ratios(getattr(each, name)) for each in found if not each.case.damped])
+        np.concatenate([_ratios(getattr(each, name)) for each in measured if not each.case.damped])
         for name in ("motion", "derivatives")
     )
     near = np.mean((derivatives > 1 / _NEAR) & (derivatives < _NEAR))
     report.figure("estimate.derivatives.near", float(near))
-    least = min(_ratios(x).min() for each in found for x in (each.motion, each.derivatives))
+    least = min(_ratios(x).min() for each in measured for x in (each.motion, each.derivatives))
     good = _within(motion, _NEAR) and _within(derivatives, _FAR) and least > 1 / _FAR
     report.claim(
         "What a run of HHT-I3 estimates of its errors is right within a factor of three for the "
@@ -190,14 +190,14 @@ def _rms(x: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(x**2, axis=1)))
 
 
-def _plot(report: Report, found: Sequence[_Pairs]) -> None:
+def _plot(report: Report, measured: Sequence[_Pairs]) -> None:
     panels = []
     for title, name in (("Motion", "motion"), ("Derivatives", "derivatives")):
         series = []
-        for each in found:
+        for each in measured:
             true, estimated = getattr(each, name)
             series.append(Series(each.case.name, true, estimated, marker=True, line=False))
-        both = np.concatenate([getattr(each, name) for each in found], axis=1)
+        both = np.concatenate([getattr(each, name) for each in measured], axis=1)
         ends = np.array([both[0].min(), both[0].max()])
         series.append(Series("estimated = true", ends, ends))
         panels.append(

@@ -106,16 +106,16 @@ def run(report: Report, quick: bool) -> list[Requirement]:
     report.heading("Crank-slider: dΨ/db over the whole run")
     _, agreed_whole = _objective(report, whole)
     report.text(_WHOLE_NOTES)
-    found = [
+    requirements = [
         Requirement(
             f"crank-slider, {name}: HHT-I3 to SUNDIALS, distance of mean order from 2", 0.1, x
         )
         for name, x in zip(_SYMBOLS[3:], distances, strict=True)
     ]
     which = f"crank-slider, {', '.join(_SYMBOLS[3:])}: Explicit from SUNDIALS, relative, up to"
-    found.append(Requirement(f"{which} {short.t_end:g} s", 1e-6, agreed))
-    found.append(Requirement(f"{which} {whole.t_end:g} s", 1e-6, agreed_whole))
-    return found
+    requirements.append(Requirement(f"{which} {short.t_end:g} s", 1e-6, agreed))
+    requirements.append(Requirement(f"{which} {whole.t_end:g} s", 1e-6, agreed_whole))
+    return requirements
 
 
 # ---------------------------------------------------------------- early motion
@@ -139,10 +139,10 @@ def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
             continue
         x, x_b = _slider(done.solution, system, spacing)
         states, multipliers = motion_errors(done.solution, reference.solution, spacing)
-        own = np.max(np.abs(x_b - x_b0), axis=0) / np.max(np.abs(x_b0), axis=0)
+        relative = np.max(np.abs(x_b - x_b0), axis=0) / np.max(np.abs(x_b0), axis=0)
         drift, energy = balance(system, done.solution, _LENGTH)
         apart = float(np.max(np.abs(x - x_0)))
-        ours = [float(np.max(own[3:])), float(np.max(own[:3]))]
+        ours = [float(np.max(relative[3:])), float(np.max(relative[:3]))]
         cells = [done.seconds, apart, states, multipliers, *ours, drift, energy]
         for name, value in zip(_COLUMNS, cells, strict=True):
             report.figure(f"early.{_key(integrator)}.{name}", value)
@@ -219,11 +219,11 @@ def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
     def value(integrator: Integrator, variables: Sequence[str] = _DESIGN) -> _Value:
         chosen = assemble(crank_slider(), variables)
         started = time.process_time()
-        found = gradient(chosen, psi, extent.t_end, integrator)
+        result = gradient(chosen, psi, extent.t_end, integrator)
         seconds = time.process_time() - started
         values = np.full(1 + len(_DESIGN), np.nan)
-        values[0] = found.value
-        values[[1 + _DESIGN.index(v) for v in variables]] = found.gradient * chosen.b
+        values[0] = result.value
+        values[[1 + _DESIGN.index(v) for v in variables]] = result.gradient * chosen.b
         return _Value(integrator, values, seconds)
 
     rtol = extent.rtol

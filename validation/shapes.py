@@ -73,8 +73,8 @@ def helix(a_turn: int) -> float:
     wire = CurvedBeam("wire", positions, frames, _WIRE, _RUBBER)
     F = 1e-6 * _GJ / _COIL**2
     force = PointForce(wire.at_end, (0.0, 0.0, F))
-    found = equilibrium(Scene([wire], [Clamp(wire.at_start)], loads=[force]))
-    moved = found.solution.position(wire.at_end)[0, 2] - positions[-1, 2]
+    bent = equilibrium(Scene([wire], [Clamp(wire.at_start)], loads=[force]))
+    moved = bent.solution.position(wire.at_end)[0, 2] - positions[-1, 2]
     fine, weights = np.polynomial.legendre.leggauss(400)
     at = np.pi * _TURNS * (fine + 1)
     r, axes = _coil(at)
@@ -109,10 +109,10 @@ def shaft(share: float, n: int) -> float:
     rod = Beam("rod", (0, 0, 0), (1, 0, 0), n, _WIRE, _RUBBER)
     joints = [Clamp(rod.at_start), Cylindrical(rod.at_end, axis=(1, 0, 0))]
     loads = [Moment(rod.at_end, (T, 0, 0)), PointForce(rod.at(0.5), (0, F, 0))]
-    found = equilibrium(Scene([rod], joints, loads=loads))
-    if not found.outcome.success:
+    bent = equilibrium(Scene([rod], joints, loads=loads))
+    if not bent.outcome.success:
         return float("nan")
-    moved = np.linalg.norm(found.solution.position(rod.at(0.5))[0, 1:])
+    moved = np.linalg.norm(bent.solution.position(rod.at(0.5))[0, 1:])
     k = 1j * T / _EI
 
     def row(x: float, order: int) -> list[complex]:
@@ -139,10 +139,10 @@ def column(share: float, n: int) -> float:
     P = share * np.pi**2 / 4 * EI
     rod = Beam("rod", (0, 0), (1, 0), n, Rectangle(h, h), Material(1000.0, _E, 0.0))
     load = PointForce(rod.at_end, (-P, 1e-3 * P))
-    found = equilibrium(Scene([rod], [Clamp(rod.at_start)], loads=[load]))
-    if not found.outcome.success:
+    bent = equilibrium(Scene([rod], [Clamp(rod.at_start)], loads=[load]))
+    if not bent.outcome.success:
         return float("nan")
-    moved = found.solution.position(rod.at_end)[0, 1]
+    moved = bent.solution.position(rod.at_end)[0, 1]
 
     def bend(s: float, x: Array) -> list[float]:
         # E I theta'' = -m', m' = P sin + 1e-3 P cos.
@@ -153,7 +153,7 @@ def column(share: float, n: int) -> float:
         run = scipy.integrate.solve_ivp(bend, (0, 1), [0, curvature, 0], rtol=1e-11, atol=1e-14)
         return np.asarray(run.y[:, -1])
 
-    rough = (found.solution.position(rod.at(1e-3))[0, 1]) * 2e6
+    rough = (bent.solution.position(rod.at(1e-3))[0, 1]) * 2e6
     curvature = scipy.optimize.newton(lambda k: shot(k)[1], rough, tol=1e-12)
     return float(abs(moved / shot(curvature)[2] - 1))
 

@@ -101,15 +101,15 @@ def thin_cantilever(
 
 def _frequencies(slenderness: float) -> float:
     """Return the largest error of three frequencies."""
-    found = modes(thin_cantilever(slenderness), 3).frequencies
+    computed = modes(thin_cantilever(slenderness), 3).frequencies
     exact = cantilever_frequencies(8)[:3] * np.sqrt(_E * slenderness**2 / 12 / _RHO)
-    return float(np.max(np.abs(found / exact - 1)))
+    return float(np.max(np.abs(computed / exact - 1)))
 
 
 def _pairs(slenderness: float) -> float:
     """Return how far two pairs are apart."""
-    found = modes(thin_cantilever(slenderness, d=3, round_bar=True), 4).frequencies
-    return float(np.max(np.abs(found[1::2] / found[::2] - 1)))
+    frequencies = modes(thin_cantilever(slenderness, d=3, round_bar=True), 4).frequencies
+    return float(np.max(np.abs(frequencies[1::2] / frequencies[::2] - 1)))
 
 
 def _length_gradients(slenderness: float) -> list[float]:
@@ -120,8 +120,8 @@ def _length_gradients(slenderness: float) -> list[float]:
     errors = []
     tip, length = position(rod.at_end, 1), ["rod.length"]
     for method in (Direct(), Adjoint(), ComplexStep()):
-        found = static_gradient(scene, tip, design=length, method=method)
-        errors.append(abs(float(found.gradient[0] / found.value) - 3) / 3)
+        result = static_gradient(scene, tip, design=length, method=method)
+        errors.append(abs(float(result.gradient[0] / result.value) - 3) / 3)
     return errors
 
 
@@ -132,13 +132,13 @@ def _welded_halves(elements: int, h: float = 0.05) -> float:
     second = Beam("second", (0.5, 0.0), (1.0, 0.0), elements, section, _material())
     joints = [Clamp(first.at_start), Weld(first.at_end, second.at_start)]
     scene = Scene([first, second], joints, loads=[PointForce(second.at_end, (0.0, force))])
-    found = equilibrium(scene)
-    if not found.outcome.success:
+    bent = equilibrium(scene)
+    if not bent.outcome.success:
         return np.inf
     shear = 10 * (1 + 0.3) / (12 + 11 * 0.3)
     G = _E / (2 * (1 + 0.3))
     exact = force / (3 * _E * h**4 / 12) + force / (shear * G * h * h)
-    return abs(float(found.solution.position(second.at_end)[0][1]) / exact - 1)
+    return abs(float(bent.solution.position(second.at_end)[0][1]) / exact - 1)
 
 
 def _material() -> Material:

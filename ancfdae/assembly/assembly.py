@@ -20,7 +20,6 @@ angular velocities, so that Phi_q v = nu.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -109,20 +108,17 @@ class Assembly:
         self._motions, self._pattern, self._declared = motions, pattern, declared
         self._rows = rows
         self._moves, self._strains, self._size = moves, strains, size
-        self._release(free)
-
-    def _release(self, free: Array) -> None:
-        self._free, d = np.flatnonzero(free), self._declared.Z.shape[1]
-        is_shift = np.broadcast_to(np.arange(self._motions.n_x) < d, free.shape).ravel()
+        self._free, d = np.flatnonzero(free), declared.Z.shape[1]
+        is_shift = np.broadcast_to(np.arange(motions.n_x) < d, free.shape).ravel()
         self._shift = is_shift[self._free]
         self._units = np.where(self._shift, self._size, 1.0)
 
     @cached_property
     def _rates(self) -> Assembly:
         """The same for velocities: a body that leads keeps its orientation, but may turn."""
-        other = copy.copy(self)
-        other._release(np.ones(self._motions.none.shape, dtype=bool))
-        return other
+        free = np.ones(self._motions.none.shape, dtype=bool)
+        known = self._declared, self._size, self._moves, self._strains
+        return Assembly(self._motions, self._pattern, self._rows, free, *known)
 
     # -- the start -----------------------------------------------------------------------------
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import final
@@ -34,11 +33,16 @@ class Reference:
         self._scene, self._mapping, self._b = scene, mapping, b
         self._lengths, self._naming = naming.lengths, naming
         self._firsts = scene.first_elements()
-        moving = np.any(naming.lengths_b != 0, axis=0)
-        for body in scene.members:
-            _, numbers_b = mapping.numbers(body.name, b)
+
+    @cached_property
+    def active(self) -> list[int]:
+        """Design variables that the reference configuration or the start depends on."""
+        moving = np.any(self._naming.lengths_b != 0, axis=0)
+        for body in self._scene.members:
+            _, numbers_b = self._mapping.numbers(body.name, self._b)
             moving |= np.any(numbers_b[self._skipped(body) :] != 0, axis=0)
-        self.active: list[int] = np.flatnonzero(moving).tolist()
+        variables: list[int] = np.flatnonzero(moving).tolist()
+        return variables
 
     @cached_property
     def q(self) -> Array:
@@ -76,13 +80,10 @@ class Reference:
         """Return them moved in design variable i by an imaginary step."""
         if i not in self.active:
             return self
-        other = copy.copy(self)
-        for name in ("q", "Z"):
-            other.__dict__.pop(name, None)
-        other._b = self._b + 1j * STEP * np.eye(len(self._b))[i]
-        other._lengths = self._lengths + 1j * STEP * self._naming.lengths_b[:, i]
-        other._naming = replace(self._naming, lengths=other._lengths)
-        return other
+        b = self._b + 1j * STEP * np.eye(len(self._b))[i]
+        lengths = self._lengths + 1j * STEP * self._naming.lengths_b[:, i]
+        naming = replace(self._naming, lengths=lengths)
+        return Reference(self._scene, self._mapping, b, naming)
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""

@@ -179,7 +179,7 @@ class AncfSystem(MechanicalSystem):
         return Plan(
             *self._elastic.tangent_places,
             inertia.csr,
-            inertia.values,
+            self.pattern.rows_of(inertia.values),
             inertia.gravity + steady,
             rows,
             weights,

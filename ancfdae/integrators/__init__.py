@@ -5,8 +5,11 @@ from ancfdae.integrators.hht.method import HHT
 from ancfdae.integrators.integrand import Density, Integrand, PartialIntegral, Points
 from ancfdae.integrators.integrator import (
     AdjointIntegrator,
+    DefectIntegrator,
     Integrator,
+    PartwiseIntegrator,
     QuadratureIntegrator,
+    RunInParts,
     Seeds,
 )
 from ancfdae.integrators.static import Static

@@ -5,7 +5,9 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
+
+import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
@@ -24,11 +26,16 @@ class Integrator(abc.ABC):
     real_only: ClassVar[bool] = False
     order: ClassVar[int | None] = None
 
+    @property
+    def differentiates_runs(self) -> bool:
+        """Whether `resume` can add the derivatives to a run that has reached its end."""
+        return False
+
     def frozen(self, solution: Solution) -> Integrator:
         """Return the integrator that repeats the steps of a run at another design.
 
         Steps that follow from an error estimate jump with the design, and differences of runs show
-        it. `HHT` can repeat them; other integrators return themselves.
+        it. Integrators that cannot repeat them return themselves.
         """
         return self
 
@@ -79,11 +86,10 @@ class Integrator(abc.ABC):
         """Go on with a run of this integrator on this system, from its last instant to `t_end`.
 
         Returns the whole solution, which is that of a run in one go to round-off. Raises
-        InvalidInput where the run is another one, or the integrator is not `HHT`.
+        InvalidInput where the run is another one, or the integrator cannot go on.
         """
-        raise InvalidInput(
-            "after", "needs HHT, whose runs can go on", repr(self), "Run again from t = 0."
-        )
+        rule = "needs an integrator whose runs can go on, such as HHT"
+        raise InvalidInput("after", rule, repr(self), "Run again from t = 0.")
 
 
 class QuadratureIntegrator(Integrator):
@@ -115,6 +121,14 @@ class Seeds:
     lam: Array | None
     densities: tuple[tuple[float, Density], ...] = ()
 
+    def rows(self, part: slice) -> tuple[Array | None, Array | None, Array | None]:
+        """Return those on q, v and lam of some instants."""
+        q, v, lam = (
+            None if x is None else np.ascontiguousarray(x[part], dtype=float)
+            for x in (self.q, self.v, self.lam)
+        )
+        return q, v, lam
+
 
 class AdjointIntegrator(Integrator):
     """An integrator that can also run backward through a finished run."""
@@ -128,6 +142,71 @@ class AdjointIntegrator(Integrator):
         The solution is a finished run of this integrator on this system. The explicit partial of
         the objective in b is left out.
         """
+
+    def back_factorisations(self, solution: Solution) -> int:
+        """Return how many matrices `pull_back` factorises over a run; zero where nobody counts."""
+        return 0
+
+
+class DefectIntegrator(AdjointIntegrator):
+    """An integrator that knows the defects which the smooth motion leaves in its steps."""
+
+    @abc.abstractmethod
+    def discretisation_error(
+        self, system: MechanicalSystem, solution: Solution, seeds: Seeds
+    ) -> float:
+        """Return what an objective would change without the defects of the steps.
+
+        The arguments are those of `pull_back`; there are three instants at least.
+        """
+
+
+class RunInParts(abc.ABC):
+    """A run whose parts can be taken again, from instant `first` to instant `last` of `t`.
+
+    A part begins with the node that the one before ends with, all that the method knows there.
+    `taken` counts the steps, repeated ones included.
+    """
+
+    t: Array
+    taken: int
+
+    @abc.abstractmethod
+    def start(self) -> Any:
+        """Return the node before the first step."""
+
+    @abc.abstractmethod
+    def part(self, node: Any, first: int, last: int) -> tuple[Solution, Any]:
+        """Step from a node at `first` to `last`; return the states there and between, and the end.
+
+        A part that fails or is interrupted holds the steps so far; its outcome says so.
+        """
+
+    @abc.abstractmethod
+    def pull_back(
+        self, run: Solution, node: Any, first: int, seeds: Seeds, on: Array
+    ) -> tuple[Array, Array]:
+        """Run the transposed recurrence back over a part that begins with a node.
+
+        Returns the gradient of the part, (n_b,), and covectors on the states before it from those
+        after it, `on`.
+        """
+
+    @abc.abstractmethod
+    def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
+        """Pull covectors on the states before the first step back through the start."""
+
+    @abc.abstractmethod
+    def no_covectors(self) -> Array:
+        """Return what `pull_back` begins with after the last part."""
+
+
+class PartwiseIntegrator(Integrator):
+    """An integrator whose runs can be taken part by part."""
+
+    @abc.abstractmethod
+    def replay(self, system: MechanicalSystem, t_end: float) -> RunInParts:
+        """Return the run to `t_end`; InvalidInput where its steps are not known before."""
 
 
 def require_rtol(where: str, rtol: float, least: float) -> None:

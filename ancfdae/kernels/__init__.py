@@ -58,16 +58,16 @@ ConstraintPlan = _kernels.ConstraintPlan
 class Plan(NamedTuple):
     """A system of elements, joints and loads that the state does not change, for `march`.
 
-    `places` are those of the elements' tangents on the system's pattern, `mass` the values of M
-    there. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of time are
-    functions of instants, (k,): those of constraints with derivatives, (orders, k, n_parts), None
-    where nothing is driven, and those of loads, (k, n_loads).
+    `mass` is M on the system's pattern, `places` those of the elements' tangents on it, and M the
+    same without zeros. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of
+    time are functions of instants, (k,): those of constraints with derivatives, (orders, k,
+    n_parts), None where nothing is driven, and those of loads, (k, n_loads).
     """
 
     block: Block
     places: Array
     M: Csr
-    mass: Array
+    mass: Csr
     gravity: Array
     loads: Array
     weights: Array
@@ -95,6 +95,9 @@ class Layout(NamedTuple):
 #: Gauss points, whose matrix needs a band, or that no time is left for.
 ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
 
+#: Numbers among the rules of `prepare`.
+RULES = 17
+
 add_scaled = _kernels.add_scaled
 balance = _kernels.balance
 band_factor = _kernels.band_factor
@@ -106,6 +109,7 @@ constraints = _kernels.constraints
 csr_rows = _kernels.csr_rows
 csr_rows_transposed = _kernels.csr_rows_transposed
 csr_subtract = _kernels.csr_subtract
+differentiate_steps = _kernels.differentiate_steps
 finite = _kernels.finite
 force_totals = _kernels.force_totals
 forces = _kernels.forces
@@ -117,6 +121,7 @@ lifted = _kernels.lifted
 march = _kernels.march
 norm = _kernels.norm
 prepare = _kernels.prepare
+pull_back_steps = _kernels.pull_back_steps
 recombine = _kernels.recombine
 relative = _kernels.relative
 strain = _kernels.strain

@@ -4,7 +4,7 @@ States are rows, (..., n_q), leading axes are instants. Relative node vectors Y 
 shape (..., n, n_y, d), packed matrices (..., n, n_g).
 """
 
-from typing import Any
+from typing import Any, TypeAlias
 
 from ancfdae.kernels import Array, Block, Layout, Plan
 
@@ -193,6 +193,32 @@ def prepare(plan: Plan, layout: Layout, rules: Array, /) -> object:
 
     The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of
     `integrators/hht/newton.py` in the order of `march_rules` in `kernels.c`.
+    """
+
+Linear: TypeAlias = tuple[Array, Array, Array | None, Array, Array]
+
+def differentiate_steps(
+    prepared: object, linear: Linear, right: Array, z: Array, states: Array, lam_b: Array, /
+) -> tuple[int, int]:
+    """Take steps of direct differentiation; return their number, and why it ends as `march`.
+
+    Steps are linear: sizes, values of f_q, f_v or None, Phi_q, and matrices of `recombine`, with k
+    rows each. Rows of `right`, (k, n_b, n), are what is known of the right sides, and overwritten,
+    as is z, (4, n_b, n_q); written are states, (k, 3, n_b, n_q), and lam_b, (k, n_b, n_lam).
+    """
+
+def pull_back_steps(
+    prepared: object,
+    linear: Linear,
+    seeds: tuple[Array | None, Array | None, Array | None],
+    on: Array,
+    mu: Array,
+    zeta: Array,
+    /,
+) -> tuple[int, int]:
+    """Take the transposed steps back from the last; return as `differentiate_steps`.
+
+    Seeds are rows on q, v and lam, `on`, (6, n_q), is overwritten; written are rows of mu and zeta.
     """
 
 def march(

@@ -92,6 +92,7 @@ static double seconds_now(void)
 #include "band.h"
 #include "symmetric.h"
 #include "march.h"
+#include "passes.h"
 #undef T
 #undef NAME
 #undef CLONES
@@ -672,7 +673,7 @@ static PyObject *py_csr_subtract(PyObject *const *args)
  * to `ahead`, in place, which may be rows of z. */
 static PyObject *py_recombine(PyObject *const *args)
 {
-    enum { BLOCK = 64, ROWS = 6, FROM = 4 };
+    enum { ROWS = 6, FROM = 4 };
     PyArrayObject *matrix = NULL, *z = (PyArrayObject *)args[1], *to[2];
     for (int k = 0; k < 2; k++)
         to[k] = (PyArrayObject *)args[2 + k];
@@ -691,22 +692,8 @@ static PyObject *py_recombine(PyObject *const *args)
     }
     if (!good)
         wrong("there must be a matrix of 6 x 4, four rows in place and twice three");
-    else {
-        const double *m = data_of(matrix), *from = data_of(z);
-        for (npy_intp at = 0; at < size; at += BLOCK) {
-            int count = size - at < BLOCK ? (int)(size - at) : BLOCK;
-            double own[FROM][BLOCK];
-            for (int j = 0; j < FROM; j++)
-                memcpy(own[j], from + j * size + at, (size_t)count * sizeof(double));
-            for (int i = 0; i < ROWS; i++) {
-                double *row = (double *)PyArray_DATA(to[i / 3]) + i % 3 * size + at;
-                const double *c = m + i * FROM;
-                for (int k = 0; k < count; k++)
-                    row[k] = c[0] * own[0][k] + c[1] * own[1][k] + c[2] * own[2][k] +
-                             c[3] * own[3][k];
-            }
-        }
-    }
+    else
+        recombined(data_of(matrix), data_of(z), size, PyArray_DATA(to[0]), PyArray_DATA(to[1]));
     Py_DECREF(matrix);
     return good ? Py_NewRef(Py_None) : NULL;
 }
@@ -1176,6 +1163,8 @@ FUNCTION(ldl_factor, 6)
 FUNCTION(ldl_solve, 4)
 FUNCTION(prepare, 3)
 FUNCTION(march, 8)
+FUNCTION(differentiate_steps, 6)
+FUNCTION(pull_back_steps, 6)
 
 #define FUNCTION_OF_MANY(name)                                                                     \
     static PyObject *any_##name(PyObject *self, PyObject *const *args, Py_ssize_t count)           \
@@ -1217,6 +1206,8 @@ static PyMethodDef methods[] = {
     METHOD(ldl_solve),
     METHOD(prepare),
     METHOD(march),
+    METHOD(differentiate_steps),
+    METHOD(pull_back_steps),
     {NULL, NULL, 0, NULL},
 };
 

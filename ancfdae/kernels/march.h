@@ -34,10 +34,10 @@ typedef struct {
     NAME(block) block;
     const constraint_plan *constraints;
     NAME(constraint_numbers) numbers;
-    NAME(csr) M, B;
+    NAME(csr) M, K, B; /* K has the values of M on the pattern of all tangents */
     const npy_int32 *index, *first, *chosen, *places;
     const npy_int64 *order, *flat;
-    const T *mass, *gravity, *loads;
+    const T *gravity, *loads;
     const double *weights, *inverse, *signs, *scale, *factors;
     NAME(gbtrf_t) gbtrf;
     NAME(gbtrs_t) gbtrs;
@@ -48,7 +48,7 @@ typedef struct {
  * end of the step, those in `within` to instants in it, U to vectors of one joint. */
 typedef struct {
     T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *B, *Q, *inner, *reaction, *ahead, *start;
-    T *Phi, *rate, *defect, *R, *x, *force, *K, *D, *sum, *matrix, *work;
+    T *Phi, *rate, *defect, *R, *x, *force, *f_q, *f_v, *sum, *matrix, *work;
     T *at_end, *within;
     const T *c[1];
     double *least;
@@ -226,54 +226,65 @@ static int NAME(residual_at)(const NAME(plan) *p, NAME(room) *r, const step_coef
     return sum == 0;
 }
 
-/* Factorise eq. (6) at the state as it stands: 0, NOT_SOLVED, or INDEFINITE. */
-static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c)
+/* Factorise eq. (6) from values of f_q, f_v, NULL where there is none, and Phi_q: 0, NOT_SOLVED, or
+ * INDEFINITE. */
+static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                            const T *f_q, const T *f_v, const T *B)
 {
     npy_intp n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
-    const T *v = p->damped ? r->v : NULL;
-    r->counts[1]++;
-    memset(r->K, 0, (size_t)p->nnz * sizeof(T));
-    NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->K);
-    NAME(constraint_curvature)(p->constraints, p->numbers.l, r->c[0], r->lam, r->K);
-    if (p->first) {
+    if (p->first && !f_v) {
         memset(r->matrix, 0, (size_t)p->first[n] * sizeof(T));
-        NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_A, p->mass, r->matrix);
-        NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_q, r->K, r->matrix);
-        NAME(ldl_placed)(n_B, NULL, p->places + p->n_chosen, 1, r->B, r->matrix);
+        NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_A, p->K.values, r->matrix);
+        NAME(ldl_placed)(p->n_chosen, p->chosen, p->places, c->in_q, f_q, r->matrix);
+        NAME(ldl_placed)(n_B, NULL, p->places + p->n_chosen, 1, B, r->matrix);
         if (NAME(ldl_factor)(n, p->first, p->signs, r->matrix, r->least) == 0)
             return r->banded = 0;
-        if (!p->flat)
-            return INDEFINITE;
     }
+    if (!p->flat)
+        return INDEFINITE;
     for (npy_intp i = 0; i < p->nnz; i++)
-        r->sum[i] = c->in_A * p->mass[i] + c->in_q * r->K[i];
-    if (p->damped) {
-        memset(r->D, 0, (size_t)p->nnz * sizeof(T));
-        NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->D);
-        for (npy_intp i = 0; i < p->nnz; i++)
-            r->sum[i] += c->in_v * r->D[i];
-    }
+        r->sum[i] = c->in_A * p->K.values[i] + c->in_q * f_q[i];
+    for (npy_intp i = 0; f_v && i < p->nnz; i++)
+        r->sum[i] += c->in_v * f_v[i];
     r->banded = 1;
     memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
-    return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, r->B,
-                             p->factors, p->flat, r->matrix, r->pivots)
+    return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, B, p->factors,
+                             p->flat, r->matrix, r->pivots)
                ? NOT_SOLVED
                : 0;
 }
 
-/* x = J^-1 R. */
-static void NAME(solved_for)(const NAME(plan) *p, NAME(room) *r)
+/* The same at the state as it stands. */
+static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c)
+{
+    const T *v = p->damped ? r->v : NULL;
+    r->counts[1]++;
+    memset(r->f_q, 0, (size_t)p->nnz * sizeof(T));
+    NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->f_q);
+    NAME(constraint_curvature)(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
+    if (p->damped) {
+        memset(r->f_v, 0, (size_t)p->nnz * sizeof(T));
+        NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->f_v);
+    }
+    return NAME(factor_sum)(p, r, c, r->f_q, p->damped ? r->f_v : NULL, r->B);
+}
+
+/* x = J^-1 right, or its transpose, for rows. */
+static void NAME(solve_rows)(const NAME(plan) *p, NAME(room) *r, char how, npy_intp rows,
+                             const T *right, T *x)
 {
     npy_intp n = p->n_q + p->n_lam;
     if (!r->banded) {
-        NAME(ldl_solve)(n, p->first, r->matrix, p->order, 1, 1, r->R, r->work, r->x);
+        NAME(ldl_solve)(n, p->first, r->matrix, p->order, rows, 1, right, r->work, x);
         return;
     }
-    for (npy_intp i = 0; i < n; i++)
-        r->work[i] = p->scale[p->order[i]] * r->R[p->order[i]];
-    NAME(band_solve)(p->gbtrs, 'N', (int)n, (int)p->half, 1, r->matrix, r->pivots, r->work);
-    for (npy_intp i = 0; i < n; i++)
-        r->x[p->order[i]] = p->scale[p->order[i]] * r->work[i];
+    for (; rows > 0; rows--, right += n, x += n) {
+        for (npy_intp i = 0; i < n; i++)
+            r->work[i] = p->scale[p->order[i]] * right[p->order[i]];
+        NAME(band_solve)(p->gbtrs, how, (int)n, (int)p->half, 1, r->matrix, r->pivots, r->work);
+        for (npy_intp i = 0; i < n; i++)
+            x[p->order[i]] = p->scale[p->order[i]] * r->work[i];
+    }
 }
 
 /* Whether round-off of elastic forces leaves less than seven digits of the motion. */
@@ -299,7 +310,7 @@ static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coeffic
         int failed = fresh ? NAME(factorised)(p, r, c) : 0;
         if (failed)
             return failed;
-        NAME(solved_for)(p, r);
+        NAME(solve_rows)(p, r, 'N', 1, r->R, r->x);
         for (npy_intp k = 0; k < p->n_q; k++)
             r->a[k] -= r->x[k];
         for (npy_intp k = 0; k < p->n_lam; k++)

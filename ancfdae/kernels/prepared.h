@@ -185,8 +185,8 @@ static int given_room(Prepared *x)
                  {&r->B, (size_t)c->n_values},
                  {&r->Q, n_q}, {&r->inner, n_q}, {&r->reaction, n_q}, {&r->ahead, n_q},
                  {&r->start, n_q}, {&r->Phi, n_lam}, {&r->rate, n_lam}, {&r->defect, n_lam},
-                 {&r->R, n}, {&r->x, n}, {&r->force, n_q}, {&r->K, nnz},
-                 {&r->D, p->damped ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
+                 {&r->R, n}, {&r->x, n}, {&r->force, n_q}, {&r->f_q, nnz},
+                 {&r->f_v, p->damped ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
                  {&r->matrix, envelope > band ? envelope : band}, {&r->work, 8 * n},
                  {&r->at_end, (size_t)c->n_c}, {&r->within, 2 * (size_t)c->n_c}, {&r->least, n}};
     int count = (int)(sizeof rooms / sizeof rooms[0]);
@@ -213,14 +213,15 @@ static PyObject *py_prepare(PyObject *const *args)
         return PyErr_NoMemory();
     plan_real *p = &x->plan;
     PyObject *t = args[0];
-    PyArrayObject *mass = kept(x, item(t, PLAN_ITEMS, 3), NPY_DOUBLE, 1, -1);
+    PyObject *pattern = item(t, PLAN_ITEMS, 3);
+    PyArrayObject *mass = kept(x, item(pattern, 3, 2), NPY_DOUBLE, 1, -1);
     const double *rules = kept_numbers(x, args[2], sizeof(march_rules) / sizeof(double));
     if (!mass || !rules || (p->nnz = PyArray_SIZE(mass), 0) ||
         !kept_block(x, item(t, PLAN_ITEMS, 0), item(t, PLAN_ITEMS, 1)) ||
-        !kept_csr(x, item(t, PLAN_ITEMS, 2), p->n_q, p->n_q, &p->M))
+        !kept_csr(x, item(t, PLAN_ITEMS, 2), p->n_q, p->n_q, &p->M) ||
+        !kept_csr(x, pattern, p->n_q, p->n_q, &p->K))
         return prepared_dropped(x), NULL;
     memcpy(&p->rules, rules, sizeof p->rules);
-    p->mass = data_of(mass);
     PyArrayObject *loads = kept(x, item(t, PLAN_ITEMS, 5), NPY_DOUBLE, 2, -1);
     p->gravity = kept_numbers(x, item(t, PLAN_ITEMS, 4), p->n_q);
     p->weights = kept_numbers(x, item(t, PLAN_ITEMS, 6), p->n_q);
@@ -328,4 +329,94 @@ static PyObject *py_march(PyObject *const *args)
     }
     marching_dropped(&m);
     return result;
+}
+
+/* ---- passes -------------------------------------------------------------------------------- */
+
+/* An array of real numbers of this shape, in place; NULL where it is None and may be. */
+static int in_place(PyObject *object, int optional, int axes, const npy_intp *shape, double **data)
+{
+    PyArrayObject *x = (PyArrayObject *)object;
+    *data = NULL;
+    if (optional && object == Py_None)
+        return 1;
+    if (!PyArray_Check(object) || PyArray_TYPE(x) != NPY_DOUBLE || !PyArray_ISCARRAY(x))
+        return wrong("arrays of a pass must be real numbers in one piece");
+    *data = PyArray_DATA(x);
+    return shaped(x, axes, shape);
+}
+
+enum { LINEAR_ITEMS = 5 };
+
+/* (h, f_q, f_v, Phi_q, matrices) of k steps. */
+static int linear_taken(PyObject *t, const plan_real *p, linear_steps *s)
+{
+    npy_intp n_B = p->constraints->n_values, any = -1;
+    double *x[LINEAR_ITEMS];
+    if (!item(t, LINEAR_ITEMS, 0) || !in_place(item(t, LINEAR_ITEMS, 0), 0, 1, &any, &x[0]))
+        return 0;
+    npy_intp k = PyArray_DIM((PyArrayObject *)item(t, LINEAR_ITEMS, 0), 0);
+    npy_intp of_K[] = {k, p->nnz}, of_B[] = {k, n_B}, of_matrices[] = {k, 6, 4};
+    if (!in_place(item(t, LINEAR_ITEMS, 1), 0, 2, of_K, &x[1]) ||
+        !in_place(item(t, LINEAR_ITEMS, 2), 1, 2, of_K, &x[2]) ||
+        !in_place(item(t, LINEAR_ITEMS, 3), 0, 2, of_B, &x[3]) ||
+        !in_place(item(t, LINEAR_ITEMS, 4), 0, 3, of_matrices, &x[4]))
+        return 0;
+    linear_steps made = {k, x[0], x[1], x[2], x[3], x[4]};
+    *s = made;
+    return 1;
+}
+
+/* differentiate_steps(prepared, linear, right, z, states, lam_b): how many, and why it ends. */
+static PyObject *py_differentiate_steps(PyObject *const *args)
+{
+    Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
+    linear_steps s;
+    double *right, *z, *states, *lam_b;
+    if (!x || !linear_taken(args[1], &x->plan, &s))
+        return NULL;
+    const plan_real *p = &x->plan;
+    npy_intp n = p->n_q + p->n_lam, any[] = {4, -1, p->n_q};
+    if (!in_place(args[3], 0, 3, any, &z))
+        return NULL;
+    npy_intp n_b = PyArray_DIM((PyArrayObject *)args[3], 1), taken_steps;
+    npy_intp of_right[] = {s.k, n_b, n}, of_states[] = {s.k, 3, n_b, p->n_q};
+    npy_intp of_lam[] = {s.k, n_b, p->n_lam};
+    if (!in_place(args[2], 0, 3, of_right, &right) || !in_place(args[4], 0, 4, of_states, &states) ||
+        !in_place(args[5], 0, 3, of_lam, &lam_b))
+        return NULL;
+    double *room = PyMem_RawMalloc((size_t)(n_b * n) * sizeof(double) + 1);
+    int ends = ALL_TAKEN;
+    if (!room)
+        return PyErr_NoMemory();
+    Py_BEGIN_ALLOW_THREADS
+    taken_steps = differentiated(p, &x->room, &s, n_b, right, z, states, lam_b, room, &ends);
+    Py_END_ALLOW_THREADS
+    PyMem_RawFree(room);
+    return Py_BuildValue("ni", taken_steps, ends);
+}
+
+/* pull_back_steps(prepared, linear, seeds, on, mu, zeta): how many, and why it ends. */
+static PyObject *py_pull_back_steps(PyObject *const *args)
+{
+    Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
+    linear_steps s;
+    double *seeds[3], *on, *mu, *zeta;
+    if (!x || !linear_taken(args[1], &x->plan, &s))
+        return NULL;
+    const plan_real *p = &x->plan;
+    npy_intp of_q[] = {s.k, p->n_q}, of_lam[] = {s.k, p->n_lam}, of_on[] = {6, p->n_q}, steps;
+    for (int i = 0; i < 3; i++)
+        if (!item(args[2], 3, i) ||
+            !in_place(item(args[2], 3, i), 1, 2, i < 2 ? of_q : of_lam, &seeds[i]))
+            return NULL;
+    if (!in_place(args[3], 0, 2, of_on, &on) || !in_place(args[4], 0, 2, of_q, &mu) ||
+        !in_place(args[5], 0, 2, of_lam, &zeta))
+        return NULL;
+    int ends = ALL_TAKEN;
+    const double *const given[] = {seeds[0], seeds[1], seeds[2]};
+    Py_BEGIN_ALLOW_THREADS
+    steps = pulled_back(p, &x->room, &s, given, on, mu, zeta, &ends);
+    Py_END_ALLOW_THREADS
+    return Py_BuildValue("ni", steps, ends);
 }

@@ -60,12 +60,12 @@ class Configuration:
             raise InvalidInput(
                 "instant", f"must lie in 0 to {count - 1}", instant, "-1 is the last."
             )
-        own = solution.sensitivities
+        sensitivities = solution.sensitivities
         return Configuration(
             solution.q[instant],
             solution.lam[instant],
-            None if own is None else own.q_b[instant],
-            None if own is None else own.lam_b[instant],
+            None if sensitivities is None else sensitivities.q_b[instant],
+            None if sensitivities is None else sensitivities.lam_b[instant],
             float(solution.t[instant]),
             solution.v[instant],
         )

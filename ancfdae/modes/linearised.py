@@ -62,11 +62,11 @@ class Linearised:
         states = at.q[None], rest, rest, at.lam[None]
         # What is not finite is refused below, not warned about.
         with np.errstate(all="ignore"):
-            found = system.linearise(np.array([at.t]), *states)
-        D = None if found.f_v is None or damped is False else found.f_v[0]
+            linearisation = system.linearise(np.array([at.t]), *states)
+        D = None if linearisation.f_v is None or damped is False else linearisation.f_v[0]
         if D is not None and not np.any(D) and not damped:
             D = None
-        matrices = (found.M[0], found.f_q[0], found.Phi_q[0])
+        matrices = (linearisation.M[0], linearisation.f_q[0], linearisation.Phi_q[0])
         if not all(np.all(np.isfinite(x)) for x in matrices):
             raise InvalidInput(
                 "configuration",

@@ -72,11 +72,11 @@ def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
         return ""
     try:
         with np.errstate(all="ignore"):
-            found = suggestion(system, Configuration(q, lam, t=t), 1.0, None)
+            near = suggestion(system, Configuration(q, lam, t=t), 1.0, None)
     except (AncfdaeError, scipy.linalg.LinAlgError):
         return ""
     return (
-        f"Small motions there have periods from {found.fastest:.3g} to {found.slowest:.3g}; the "
+        f"Small motions there have periods from {near.fastest:.3g} to {near.slowest:.3g}; the "
         "step decides which of them are followed (`suggest_step`)."
     )
 

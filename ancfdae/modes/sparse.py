@@ -52,7 +52,8 @@ def _completed(
 ) -> tuple[Array, Array]:
     """Add what comes before the last of sign z; where K has no potential vectors do not split."""
     count = len(z)
-    while small.symmetric:
+    # No more than there are motions, whatever round-off pretends to find beside all of them.
+    while small.symmetric and len(z) < small.n_free:
         more, Y = left(X)
         # One that is found again, by round-off, is no other.
         again = np.sum((X.T @ small.times(small.M, Y)) ** 2, axis=0)

@@ -167,8 +167,8 @@ def angle(y: Any, x: Any) -> Any:
     if not isinstance(y, Jet):
         size = x.real**2 + y.real**2
         turned = (x.real * y.imag - y.real * x.imag) / size
-        found = np.arctan2(y.real, x.real)
-        return found + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else found
+        value = np.arctan2(y.real, x.real)
+        return value + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else value
     (x_0, *x_1), (y_0, *y_1) = x.derivatives, y.derivatives
     if not x_1:
         return Jet(angle(y_0, x_0))

@@ -105,9 +105,9 @@ class SaddlePoint:
         """Return where values stand, in a band where asked for; None where that is too wide."""
         if self._half_width > _BAND_HALF_WIDTH:
             return None
-        own = self._band.arrays if band or not self._envelope else None
+        band_map = self._band.arrays if band or not self._envelope else None
         envelope = self._envelope.arrays if self._envelope else None
-        return Layout(self._order, self.scale, envelope, own)
+        return Layout(self._order, self.scale, envelope, band_map)
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.

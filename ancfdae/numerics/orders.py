@@ -38,7 +38,7 @@ def little_fill(pattern: Pattern, constraint_pattern: Pattern) -> Array:
 
 def _graph(pattern: Pattern, constraint_pattern: Pattern) -> scipy.sparse.csr_array:
     """Return K + B^T B with logical values."""
-    K, B = (own.csr(np.ones(own.size, dtype=bool)) for own in (pattern, constraint_pattern))
+    K, B = (each.csr(np.ones(each.size, dtype=bool)) for each in (pattern, constraint_pattern))
     return (K + B.T @ B).tocsr() if B.nnz else K
 
 

@@ -55,8 +55,8 @@ class Pattern:
 
         Rows and columns are broadcast.
         """
-        own = self._flattened(self.rows, self.columns)
-        return np.searchsorted(own, self._flattened(rows, columns))
+        entries = self._flattened(self.rows, self.columns)
+        return np.searchsorted(entries, self._flattened(rows, columns))
 
     def _flattened(self, rows: Array, columns: Array) -> Array:
         """Return the places of entries in the dense matrix, row by row."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.errors import InvalidInput
-from ancfdae.integrators import HHT, AdjointIntegrator, Seeds
+from ancfdae.integrators import AdjointIntegrator, Seeds
 from ancfdae.sensitivity import checkpointed
 from ancfdae.sensitivity.checkpointed import size_of
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, keeping
@@ -44,6 +44,11 @@ class Adjoint(GradientMethod):
         """Return a short form that can be typed back."""
         return f"Adjoint(memory={self.memory!r})" if self.memory is not None else "Adjoint()"
 
+    @property
+    def takes_runs(self) -> bool:
+        """Not within a limit of memory, where parts of a run are taken again."""
+        return self.memory is None
+
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
         """One run for all objectives, one transposed pass for each."""
         system, integrator = run.system, run.integrator
@@ -54,8 +59,7 @@ class Adjoint(GradientMethod):
             return checkpointed.gradients(run, objectives, self, size_of(self.memory))
         solution, totals = run.integrals(objectives, differentiated=True)
         results = []
-        # The pass back over a run of HHT factorises once per step.
-        factorised = solution.statistics.steps if isinstance(integrator, HHT) else 0
+        factorised = integrator.back_factorisations(solution)
         for objective in objectives:
             started = time.perf_counter()
             partials = objective.partials(system, states_of(solution), totals)

@@ -19,8 +19,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_package, require_positive
-from ancfdae.integrators import HHT, Seeds
-from ancfdae.integrators.hht.replay import Replay
+from ancfdae.integrators import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
@@ -41,14 +40,14 @@ def size_of(memory: str | float) -> float:
     if not isinstance(memory, str):
         require_positive("memory", memory)
         return float(memory)
-    found = re.fullmatch(r"\s*([0-9.eE+]+)\s*([kMG]?B)\s*", memory)
+    match = re.fullmatch(r"\s*([0-9.eE+]+)\s*([kMG]?B)\s*", memory)
     try:
-        number = float(found[1]) if found else 0.0
+        number = float(match[1]) if match else 0.0
     except ValueError:
         number = 0.0
-    if not found or not 0 < number < np.inf:
+    if not match or not 0 < number < np.inf:
         raise InvalidInput("memory", rule, repr(memory), repair)
-    return number * _UNITS[found[2]]
+    return number * _UNITS[match[2]]
 
 
 def gradients(
@@ -59,8 +58,11 @@ def gradients(
     The solution of the results is the last part of the run; its statistics count repeated steps.
     """
     system, integrator = run.system, run.integrator
-    if not isinstance(integrator, HHT):
-        rule, repair = "is a limit of the pass back over steps of HHT", "Use HHT, or leave it out."
+    if not (
+        isinstance(integrator, PartwiseIntegrator) and isinstance(integrator, AdjointIntegrator)
+    ):
+        rule = "needs an integrator that can take parts of its runs again, such as HHT"
+        repair = "Use HHT(step=...), or leave it out."
         raise InvalidInput("memory", rule, repr(integrator), repair)
     started, replay = time.perf_counter(), integrator.replay(system, run.t_end)
     length, kept = division(system, len(replay.t) - 1, memory)
@@ -108,7 +110,7 @@ class _Watched:
         # What observables remember where a part begins.
         self._past: dict[int, dict[object, float]] = {0: {}}
         self.value, self.gradient = 0.0, np.zeros(system.n_b)
-        self.on = np.zeros((6, system.n_q))
+        self.on: Array | None = None
 
     def look(self, states: States, first: int) -> None:
         """Note the values at instants from `first` on."""
@@ -128,8 +130,8 @@ class _Watched:
         self.value = float(value)
         for leaf, weight in leaf_weights(nodes, np.ones(())).items():
             require_finite_number("the derivative", weight)
-            own = cast(Reduction, leaf)
-            self._slopes[own] = weight * own.slopes_of_values(values[own], grid)
+            reduction = cast(Reduction, leaf)
+            self._slopes[reduction] = weight * reduction.slopes_of_values(values[reduction], grid)
 
     def seeds(self, states: States, first: int) -> Seeds:
         """Return the partials in the states of a part, and add those in the design.
@@ -145,9 +147,9 @@ class _Watched:
             p = leaf.pulled_back(self._system, states, nodes, slopes)
             self.gradient = self.gradient + p.b.sum(axis=0)
             for name, so_far in total.items():
-                own: Array | None = getattr(p, name)
-                if own is not None:
-                    total[name] = own if so_far is None else so_far + own
+                partial: Array | None = getattr(p, name)
+                if partial is not None:
+                    total[name] = partial if so_far is None else so_far + partial
         return Seeds(total["q"], total["v"], total["lam"])
 
 
@@ -158,7 +160,7 @@ class _Backward:
     last: Solution
 
     def __init__(
-        self, system: MechanicalSystem, replay: Replay, length: int, watched: list[_Watched]
+        self, system: MechanicalSystem, replay: RunInParts, length: int, watched: list[_Watched]
     ) -> None:
         self._system, self._replay, self._watched = system, replay, watched
         self._ends = [*range(0, len(replay.t) - 1, length), len(replay.t) - 1]
@@ -202,7 +204,8 @@ class _Backward:
         with keeping(solution):
             for x in self._watched:
                 seeds = x.seeds(states_of(solution), self._ends[k])
-                own, x.on = self._replay.pull_back(solution, begin, self._ends[k], seeds, x.on)
-                x.gradient = x.gradient + own
+                on = self._replay.no_covectors() if x.on is None else x.on
+                gradient, x.on = self._replay.pull_back(solution, begin, self._ends[k], seeds, on)
+                x.gradient = x.gradient + gradient
                 if k == 0:
                     x.gradient = self._replay.close(x.on, seeds, x.gradient)

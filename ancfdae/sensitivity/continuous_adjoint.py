@@ -37,8 +37,7 @@ from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput
-from ancfdae.integrators import HHT
-from ancfdae.integrators.hht.equations import acceleration, correct, predict
+from ancfdae.integrators.hht.equations import Steps, acceleration, correct, predict, require_alpha
 from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
 from ancfdae.numerics.arrays import Array
@@ -58,17 +57,25 @@ _LEAST_STEPS = 4
 class ContinuousAdjoint(GradientMethod):
     """Integrate the adjoint equations of the paper backward with HHT-I3.
 
-    For objectives that are functions of time integrals, on runs of `HHT`. Kept for comparison:
-    `Adjoint` costs the same and is exact for the discrete run.
+    For objectives that are functions of time integrals, on the instants of a run of any integrator.
+    Kept for comparison: `Adjoint` costs the same and is exact for the discrete run. Of second order
+    in even steps, of first order in uneven ones.
+
+    Parameters
+    ----------
+    hht_alpha : float
+        Numerical damping of the integration backward, as of `HHT`.
     """
 
+    hht_alpha: float = -0.3
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        require_alpha("ContinuousAdjoint.hht_alpha", self.hht_alpha)
+
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """One run of HHT for all objectives, one backward run for each."""
-        system, integrator = run.system, run.integrator
-        if not isinstance(integrator, HHT):
-            raise InvalidInput(
-                "ContinuousAdjoint", "runs with HHT", repr(integrator), "Use HHT, or Adjoint."
-            )
+        """One run for all objectives, one backward run for each."""
+        system = run.system
         for objective in objectives:
             if not all(isinstance(leaf, OverTime) for leaf in leaves(objective)):
                 raise InvalidInput(
@@ -89,7 +96,7 @@ class ContinuousAdjoint(GradientMethod):
             with keeping(solution):
                 smooth = _with_smooth_multipliers(system, solution, run.progress)
                 partials = objective.partials(system, states_of(smooth))
-                backward = _BackwardRun(system, integrator, smooth, partials)
+                backward = _BackwardRun(system, self.hht_alpha, smooth, partials)
                 total = backward.gradient(run.progress)
             # Two factorisations per step: for the multipliers and backward; one more at the end.
             factorised, seconds = 2 * len(solution.t) - 1, time.perf_counter() - started
@@ -137,12 +144,12 @@ class _BackwardRun:
     def __init__(
         self,
         system: MechanicalSystem,
-        integrator: HHT,
+        alpha: float,
         solution: Solution,
         partials: ObjectivePartials,
     ) -> None:
         self._system, self._solution, self._partials = system, solution, partials
-        self._steps = integrator.steps_of(solution)
+        self._steps = Steps(np.diff(solution.t), alpha)
         self._matrices: SaddlePoint = saddle_point(system, 0.0)
         t, q, v, lam = solution.t, solution.q, solution.v, solution.lam
         self._local: Linearisation = system.linearise(t, q, v, solution.a, lam)

@@ -124,10 +124,12 @@ class Run:
     def solution(self, *, sensitivities: bool = False) -> Solution:
         """Integrate."""
         if self.after is not None:
-            own = {"sensitivities": sensitivities, "progress": self.progress}
-            return self.integrator.resume(self.system, self.t_end, self.after, **own)
-        own = {"sensitivities": sensitivities, "progress": self.progress}
-        return self._told(self.integrator.integrate(self.system, self.t_end, **own), sensitivities)
+            settings = {"sensitivities": sensitivities, "progress": self.progress}
+            return self.integrator.resume(self.system, self.t_end, self.after, **settings)
+        settings = {"sensitivities": sensitivities, "progress": self.progress}
+        return self._told(
+            self.integrator.integrate(self.system, self.t_end, **settings), sensitivities
+        )
 
     def integrals(
         self, objectives: Sequence[Objective], *, differentiated: bool, sensitivities: bool = False
@@ -176,6 +178,11 @@ class Run:
 
 class GradientMethod(abc.ABC):
     """Frozen settings of a method that differentiates objectives of a run."""
+
+    @property
+    def takes_runs(self) -> bool:
+        """Whether it differentiates a run that is there, `Run.after`, without another."""
+        return True
 
     @abc.abstractmethod
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:

@@ -17,7 +17,7 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.statics.balance import Balance
 from ancfdae.statics.derivatives import Tangent
 from ancfdae.statics.outcome import LoadOutcome
-from ancfdae.statics.search import Found, search
+from ancfdae.statics.search import SearchEnd, search
 
 # Attempted steps of the load.
 MAX_STEPS = 1000
@@ -62,10 +62,10 @@ class Equilibrium:
 
     def __repr__(self) -> str:
         """Return sizes, outcome and design variables."""
-        own = self.solution.sensitivities
+        sensitivities = self.solution.sensitivities
         lines = [f"Equilibrium: {len(self.q)} coordinates, {len(self.lam)} multipliers"]
         lines += [str(self.outcome)]
-        lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
+        lines += [] if sensitivities is None else [f"derivatives in {listed(sensitivities.names)}"]
         return "\n".join(lines)
 
 
@@ -107,27 +107,29 @@ def find_equilibrium(
     q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else (start.q, start.lam)
     balance = Balance.of(system, 0.0, q, lam)
     balance.refuse_motion()
-    found, derivatives = search(balance, max_steps), None
-    if sensitivities and found.outcome.success:
+    end, derivatives = search(balance, max_steps), None
+    if sensitivities and end.outcome.success:
         balance.work.factorisations += 1
-        derivatives = Tangent(system, 0.0, found.q, found.lam).sensitivities()
+        derivatives = Tangent(system, 0.0, end.q, end.lam).sensitivities()
     work, seconds = balance.work, time.perf_counter() - began
     counted = (work.steps, work.iterations, work.factorisations, work.residuals)
     statistics = Statistics(*counted, 0, seconds, work.rejected)
-    solution = _solution(system, found, derivatives, statistics)
-    return Equilibrium(found.q, found.lam, found.outcome, solution, *(derivatives or (None, None)))
+    solution = _solution(system, end, derivatives, statistics)
+    return Equilibrium(end.q, end.lam, end.outcome, solution, *(derivatives or (None, None)))
 
 
 def _solution(
     system: MechanicalSystem,
-    found: Found,
+    end: SearchEnd,
     derivatives: tuple[Array, Array] | None,
     statistics: Statistics,
 ) -> Solution:
-    q, lam, own = found.q[None], found.lam[None], None
+    q, lam, sensitivities = end.q[None], end.lam[None], None
     if derivatives is not None:
         q_b, lam_b = (x[None] for x in derivatives)
         still = np.zeros_like(q_b)
-        own = Sensitivities(system.design_names, system.b, q_b, still, still, lam_b)
-    zero, outcome = np.zeros_like(q), found.outcome.of_run()
-    return Solution(np.zeros(1), q, zero, zero, lam, statistics, outcome, system.naming, own)
+        sensitivities = Sensitivities(system.design_names, system.b, q_b, still, still, lam_b)
+    zero, outcome = np.zeros_like(q), end.outcome.of_run()
+    return Solution(
+        np.zeros(1), q, zero, zero, lam, statistics, outcome, system.naming, sensitivities
+    )

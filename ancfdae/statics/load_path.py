@@ -59,16 +59,16 @@ class LoadPath:
             for _ in range(self._max_steps):
                 before = self.places[-1]
                 s = 1.0 if before.s + size > 1.0 - 0.1 * size else before.s + size
-                found = self._attempt(s)
-                if isinstance(found, Failure):
+                attempt = self._attempt(s)
+                if isinstance(attempt, Failure):
                     self._balance.work.rejected += 1
-                    verdict, self.residual = found.verdict, found.residual
+                    verdict, self.residual = attempt.verdict, attempt.residual
                     size = 0.5 * (s - before.s)
                     if size < _LEAST:
                         return Verdict.LIMIT_POINT if self._ran_away() else verdict
                     continue
                 self._balance.work.steps += 1
-                place, iterations = found
+                place, iterations = attempt
                 self.places.append(place)
                 if s == 1.0:
                     return Verdict.EQUILIBRIUM

@@ -32,10 +32,10 @@ class RestingStart:
         NoEquilibrium
             If there is none under the full load; `FreeMechanism` if nothing holds a motion.
         """
-        found = uninterrupted(find_equilibrium(self._system))
-        if not found.outcome.success:
-            raise NoEquilibrium(found)
-        return found
+        at_rest = uninterrupted(find_equilibrium(self._system))
+        if not at_rest.outcome.success:
+            raise NoEquilibrium(at_rest)
+        return at_rest
 
     @cached_property
     def _tangent(self) -> Tangent:

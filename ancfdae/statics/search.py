@@ -20,15 +20,15 @@ _FAILED = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.SINGULAR)
 
 @final
 @dataclass(frozen=True)
-class Found:
-    """Where a search has come."""
+class SearchEnd:
+    """The state at which a search ends."""
 
     q: Array
     lam: Array
     outcome: LoadOutcome
 
 
-def search(balance: Balance, max_steps: int) -> Found:
+def search(balance: Balance, max_steps: int) -> SearchEnd:
     """Follow the path of loads; where none begins or it cannot be followed, settle.
 
     Raises
@@ -46,45 +46,45 @@ def search(balance: Balance, max_steps: int) -> Found:
     return settled if settled.outcome.success else followed
 
 
-def _followed(balance: Balance, start: Softness, max_steps: int) -> Found:
+def _followed(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
     q, lam = balance.q_0, balance.lam_0
     try:
         factors = balance.factor(balance.tangent(0.0, q, lam), q)
     except SingularMatrix:
-        return Found(q, lam, LoadOutcome(Verdict.SINGULAR, 0.0, 0, 0.0))
+        return SearchEnd(q, lam, LoadOutcome(Verdict.SINGULAR, 0.0, 0, 0.0))
     first = PathPoint(0.0, q, lam, *balance.path_tangent(q, factors), start.stable)
     path = LoadPath(balance, first, max_steps)
     verdict, last = path.follow(), path.places[-1]
     outcome = LoadOutcome(verdict, last.s, len(path.places) - 1, path.residual, path.stable_to())
-    found = Found(last.q, last.lam, outcome)
-    return _polished(balance, found) if outcome.success else found
+    end = SearchEnd(last.q, last.lam, outcome)
+    return _polished(balance, end) if outcome.success else end
 
 
-def _polished(balance: Balance, found: Found) -> Found:
+def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
     """Return an equilibrium with all its digits, or where it has come if it is none."""
-    exact = balance.polished(found.q, found.lam)
+    exact = balance.polished(end.q, end.lam)
     if isinstance(exact, Failure):
-        outcome = replace(found.outcome, verdict=exact.verdict, residual=exact.residual)
-        return replace(found, outcome=outcome)
-    outcome = replace(found.outcome, residual=exact.correction)
-    return Found(exact.q, exact.lam, outcome)
+        outcome = replace(end.outcome, verdict=exact.verdict, residual=exact.residual)
+        return replace(end, outcome=outcome)
+    outcome = replace(end.outcome, residual=exact.correction)
+    return SearchEnd(exact.q, exact.lam, outcome)
 
 
-def _settled(balance: Balance, start: Softness, max_steps: int) -> Found:
+def _settled(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
     downhill = Settling(balance, max_steps)
     verdict = downhill.run()
     q, lam, steps, residual = downhill.q, downhill.lam, downhill.steps, downhill.residual
     if downhill.gone and start.free.shape[1]:
         raise free_mechanism(balance.system.naming, balance.q_0, start.free)
     if verdict is not Verdict.EQUILIBRIUM:
-        return Found(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
+        return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
     end = softest(balance, 1.0, q, lam)
     if end.free.shape[1]:
         raise free_mechanism(balance.system.naming, q, end.free)
-    found = balance.solve(1.0, q, lam)
-    if isinstance(found, Failure):
-        outcome = LoadOutcome(found.verdict, 0.0, steps, found.residual, downhill=True)
-        return Found(q, lam, outcome)
+    solved = balance.solve(1.0, q, lam)
+    if isinstance(solved, Failure):
+        outcome = LoadOutcome(solved.verdict, 0.0, steps, solved.residual, downhill=True)
+        return SearchEnd(q, lam, outcome)
     stable_to = None if end.stable else 0.0
-    outcome = LoadOutcome(verdict, 1.0, steps, found.correction, stable_to, downhill=True)
-    return _polished(balance, Found(found.q, found.lam, outcome))
+    outcome = LoadOutcome(verdict, 1.0, steps, solved.correction, stable_to, downhill=True)
+    return _polished(balance, SearchEnd(solved.q, solved.lam, outcome))

@@ -48,28 +48,28 @@ class Settling:
     def _run(self) -> Verdict:
         balance, mu, failures = self._balance, self._first_mu(), 0
         for _ in range(self._max_steps):
-            found = balance.solve(1.0, self.q, self.lam, mu, self.q)
-            if isinstance(found, Failure):
+            solved = balance.solve(1.0, self.q, self.lam, mu, self.q)
+            if isinstance(solved, Failure):
                 balance.work.rejected += 1
-                self.residual, failures, mu = found.residual, failures + 1, 4.0 * mu
+                self.residual, failures, mu = solved.residual, failures + 1, 4.0 * mu
                 if failures > _FAILURES:
-                    return found.verdict
+                    return solved.verdict
                 continue
-            moved, held = self._share(found.q - self.q), self._held(mu, found.q - self.q)
-            if moved > _SETTLED and not softest(balance, 1.0, found.q, found.lam, mu).stable:
+            moved, held = self._share(solved.q - self.q), self._held(mu, solved.q - self.q)
+            if moved > _SETTLED and not softest(balance, 1.0, solved.q, solved.lam, mu).stable:
                 # A step this long goes uphill.
                 balance.work.rejected += 1
                 mu *= 4.0
                 continue
             balance.work.steps += 1
             self.steps += 1
-            self.q, self.lam, self.residual, failures = found.q, found.lam, moved, 0
+            self.q, self.lam, self.residual, failures = solved.q, solved.lam, moved, 0
             if self._share(self.q - balance.q_0) > _GONE:
                 self.gone = True
                 return Verdict.NO_CONVERGENCE
             if moved <= _SETTLED and held <= _HELD:
                 return Verdict.EQUILIBRIUM
-            mu /= 8.0 if found.iterations <= _EASY else 2.0
+            mu /= 8.0 if solved.iterations <= _EASY else 2.0
         return Verdict.STEP_LIMIT
 
     def _held(self, mu: float, dq: Array) -> float:

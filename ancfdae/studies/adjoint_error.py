@@ -17,7 +17,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput
-from ancfdae.integrators import HHT, Seeds
+from ancfdae.integrators import DefectIntegrator, Integrator, Seeds
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.modes import advice
@@ -56,7 +56,7 @@ def adjoint_error(
     model: Scene | MechanicalSystem,
     objective: Objective,
     t_end: float,
-    integrator: HHT,
+    integrator: Integrator,
     *,
     design: Sequence[str | DesignVariable] | None = None,
     progress: bool = False,
@@ -70,8 +70,8 @@ def adjoint_error(
     ----------
     model, objective, t_end, progress
         As in `gradient`.
-    integrator : HHT
-        With a step that makes four steps or more.
+    integrator : Integrator
+        One that knows the defects of its steps, such as `HHT`; four steps or more.
     design : sequence of str or DesignVariable, optional
         Needed only where the objective contains `design_value`.
 
@@ -80,10 +80,9 @@ def adjoint_error(
     InvalidInput, UnfinishedRun, NonFiniteObjective
         As `gradient`.
     """
-    if not isinstance(integrator, HHT):
-        raise InvalidInput(
-            "adjoint_error", "runs with HHT", repr(integrator), "Use HHT, or error_bars."
-        )
+    if not isinstance(integrator, DefectIntegrator):
+        rule = "needs an integrator that knows the defects of its steps, such as HHT"
+        raise InvalidInput("adjoint_error", rule, repr(integrator), "Use HHT, or error_bars.")
     system = as_system(model, design)
     require_objectives(system, [objective], t_end)
     solution = finished(Run(system, t_end, integrator, progress).solution())

@@ -29,7 +29,7 @@ from ancfdae.errors import (
     uninterrupted,
 )
 from ancfdae.errors.text import columns
-from ancfdae.integrators import HHT, Integrator
+from ancfdae.integrators import Integrator, PartwiseIntegrator
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables import Observable, remembered, states_of
@@ -204,8 +204,9 @@ class _LongRun:
         at: Sequence[float] | Array | None,
     ) -> None:
         require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
-        if not isinstance(integrator, HHT):
-            rule, repair = "must be HHT", "The others keep the instants of their intervals."
+        if not isinstance(integrator, PartwiseIntegrator):
+            rule = "needs one whose runs can be taken part by part, such as HHT"
+            repair = "The others keep the instants of their intervals."
             raise InvalidInput("integrator", rule, repr(integrator), repair)
         if (every is None) == (at is None):
             got = "none" if at is None else "both"

@@ -34,11 +34,11 @@ from ancfdae.errors import (
     require_kind,
     require_text,
 )
-from ancfdae.integrators import HHT, AdjointIntegrator, ControlledSteps, Integrator
+from ancfdae.integrators import AdjointIntegrator, Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity import Adjoint, Direct, GradientMethod
+from ancfdae.sensitivity import Direct, GradientMethod
 from ancfdae.sensitivity.method import Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
@@ -126,7 +126,9 @@ class Responses:
         self._known: dict[bytes, Evaluation] = {}
         self._runs: dict[bytes, tuple[Run, Solution]] = {}
         self._good: list[Array] = []
-        self._asked, self._resumes = False, _resumes(integrator, method)
+        # Whether a run that is there can be differentiated: then values go without derivatives.
+        self._asked = False
+        self._resumes = method.takes_runs and integrator.differentiates_runs
         self._rows: list[SweepRow] = []
         self.names, self.design_names = tuple(functions), tuple(system.design_names)
 
@@ -300,13 +302,6 @@ class Evaluation:
     jacobian: Array | None
     error: AncfdaeError | None = None
     near: Array | None = None
-
-
-def _resumes(integrator: Integrator, method: GradientMethod) -> bool:
-    """Whether a run that is there can be differentiated: then values go without derivatives."""
-    if not isinstance(integrator, HHT) or (isinstance(method, Adjoint) and method.memory):
-        return False
-    return not (isinstance(integrator.steps, ControlledSteps) and integrator.steps.sensitivities)
 
 
 def _scale(scale: object, n_b: int) -> Array:

@@ -20,7 +20,7 @@ import scipy
 from ancfdae.equations import MechanicalSystem, reaction, tables
 from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.errors.text import columns
-from ancfdae.integrators import HHT, ControlledSteps, Integrator, StepControl
+from ancfdae.integrators import Integrator, StepControl
 from ancfdae.numerics.arrays import Array
 from ancfdae.studies.tradeoff_run import Measurement, Results, common_times
 
@@ -74,11 +74,9 @@ class Setting:
     @property
     def family(self) -> str:
         """The integrator without what decides about accuracy, such as ``"HHT fixed"``."""
-        kind = type(self.integrator).__name__
-        if isinstance(self.integrator, HHT):
-            controlled = isinstance(self.integrator.steps, ControlledSteps)
-            kind += " controlled" if controlled else " fixed"
-        return ", ".join([kind, *_chosen(self.integrator)])
+        words = [type(self.integrator).__name__]
+        words += [x.kind for x in vars(self.integrator).values() if isinstance(x, StepControl)]
+        return ", ".join([" ".join(words), *_chosen(self.integrator)])
 
     @property
     def label(self) -> str:

@@ -54,8 +54,8 @@ cases = {
 def errors(n, dimension, choice):
     """Relative errors of deflection and frequency."""
     beam, free, loaded = cantilever(n, dimension, **choice)
-    found = -equilibrium(loaded).solution.position(beam.at_end)[0, 1]
-    return found / sag - 1, modes(free, 1).natural_frequencies[0] / omega - 1
+    computed = -equilibrium(loaded).solution.position(beam.at_end)[0, 1]
+    return computed / sag - 1, modes(free, 1).natural_frequencies[0] / omega - 1
 
 
 # %%
@@ -71,9 +71,9 @@ for dimension in (2, 3):
 
 for what, column in (("deflection", 0), ("first frequency", 1)):
     print(f"\n{what:30s}" + "".join(f"{n:>10d}" for n in counts))
-    for (name, dimension), found in table.items():
+    for (name, dimension), ratios in table.items():
         words = f"{name}, {'plane' if dimension == 2 else 'space'}"
-        print(f"{words:30s}" + "".join(f"{x:10.1e}" for x in found[:, column]))
+        print(f"{words:30s}" + "".join(f"{x:10.1e}" for x in ratios[:, column]))
 
 # %%
 # A law that locks does not improve with the number of elements: it converges to a beam that is

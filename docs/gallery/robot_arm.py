@@ -29,7 +29,7 @@ payload = PointMass(fore.at_end, 0.5, name="payload")
 scene = Scene([upper, fore], joints, (0, 0, -9.81), bodies=[table, payload])
 
 # %%
-# One run with the derivatives in the thickness of the wall and in the payload.
+# One run with the derivatives with respect to the thickness of the wall and the payload.
 
 solution = differentiate(scene, 0.5, HHT(2**-9), design=["fore.thickness", "payload.mass"])
 print(solution.outcome)

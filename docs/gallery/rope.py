@@ -40,5 +40,5 @@ save(snapshots(free, solution, title="Let go"), "rope_free")
 # How low is the end after 0.5 s, and what would a thicker rope, or a stronger pull, change?
 
 end = Terminal(position(rope.at_end, 1))
-found = gradient(free, end, 0.5, HHT(2**-9), design=["rope.radius", "hand.force_x"])
-print(f"{found.value:.4f} m;", *found.names, found.gradient, "m per m, m per N")
+result = gradient(free, end, 0.5, HHT(2**-9), design=["rope.radius", "hand.force_x"])
+print(f"{result.value:.4f} m;", *result.names, result.gradient, "m per m, m per N")

@@ -38,19 +38,19 @@ print(f"{-weight * 0.4**4 / (8 * 5e6 * 0.02**4 / 12):.4f} m by linear theory")
 # to be chosen.
 
 names = ["beam.height", "beam.width", "beam.youngs_modulus", "beam.density"]
-found = static_gradient(scene, position(beam.at_end, 1), design=names)
-for name, slope in zip(names, found.gradient, strict=True):
+result = static_gradient(scene, position(beam.at_end, 1), design=names)
+for name, slope in zip(names, result.gradient, strict=True):
     print(f"d(tip)/d({name}) = {slope: .4e}")
 
 # %%
 # One millimetre more of height should lift the tip by 0.001 times the first number. Does it?
 
 higher = equilibrium(scene.with_values({"beam.height": 0.021})).solution.position(beam.at_end)[0]
-print(f"predicted {0.001 * found.gradient[0]:.4f} m, found {higher[1] - sag[1]:.4f} m")
+print(f"predicted {0.001 * result.gradient[0]:.4f} m, computed {higher[1] - sag[1]:.4f} m")
 
 # %%
-# The width has (almost) no effect: it makes the beam stiffer and heavier alike. What is predicted
-# and what is found differ by the curvature of the function, not by an error of the gradient.
+# The width has (almost) no effect: it makes the beam stiffer and heavier alike. Prediction
+# and result differ by the curvature of the function, not by an error of the gradient.
 #
 # `snapshots` draws a scene at rest or in motion, `save` writes the picture as SVG and PNG.
 

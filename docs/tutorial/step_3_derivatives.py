@@ -41,14 +41,14 @@ save(history(system, solution, bending, percent=10), "step_3")
 # of the tip's deflection from the tangent at the hinge. Observables combine by arithmetic.
 
 bent = np.sqrt(Integral(deflection(beam.at_end, beam.at_start) ** 2) / 0.5)
-found = gradient(scene, bent, 0.5, HHT(2**-9), design=design)
-print(f"bends by {1e3 * found.value:.3f} mm")
-for name, slope in zip(found.names, found.gradient, strict=True):
+result = gradient(scene, bent, 0.5, HHT(2**-9), design=design)
+print(f"bends by {1e3 * result.value:.3f} mm")
+for name, slope in zip(result.names, result.gradient, strict=True):
     print(f"d/d({name}) = {slope: .4e}")
 
 # %%
-# Do not believe a gradient, test it: `taylor_test` compares it with runs at changed designs. What
-# is left must fall with the square of the change; the order is 2.
+# `taylor_test` verifies a gradient by runs at changed designs. The
+# remainder must decrease with the square of the change: its order is 2.
 
 tested = taylor_test(scene, bent, 0.5, HHT(2**-9), design=design)
-print(f"order of what is left: {tested.order:.3f}")
+print(f"order of the remainder: {tested.order:.3f}")

@@ -25,17 +25,17 @@ def pendulum(elements):
 
 
 # %%
-# A step: a vibration wants some twenty steps in its period. `suggest_step` computes the periods
-# and says which step follows the lowest ones.
+# A step: a vibration needs some twenty steps in its period. `suggest_step` computes the periods
+# and the step that follows the lowest ones.
 
 scene, bent = pendulum(4)
 suggested = suggest_step(scene, follow=2)
 print(f"suggested {suggested.step:.2e} s, periods {suggested.fastest:.2e} s and longer")
 
 # %%
-# Is it fine enough? `error_bars` runs at the step and at half of it, and estimates what is left
-# of the error, of the value and of the gradient. Gradients need finer steps than values: a wave
-# that is a little late spoils its derivative first.
+# Is it fine enough? `error_bars` runs at the step and at half of it, and estimates the error
+# that is left in the value and in the gradient. Gradients need finer steps than values: a small
+# phase error of a wave affects its derivative first.
 
 for step in (2**-7, 2**-9):
     bars = error_bars(scene, bent, 0.5, HHT(step), design=["beam.height"])
@@ -50,10 +50,10 @@ for step in (2**-7, 2**-9):
 counts, values, slopes = [1, 2, 3, 4, 6, 8], [], []
 for elements in counts:
     scene, bent = pendulum(elements)
-    found = gradient(scene, bent, 0.5, HHT(2**-9), design=["beam.height"])
-    values.append(found.value)
-    slopes.append(found.gradient[0])
-    print(f"{elements} elements: {found.value:.6f} m, gradient {found.gradient[0]:.4f}")
+    result = gradient(scene, bent, 0.5, HHT(2**-9), design=["beam.height"])
+    values.append(result.value)
+    slopes.append(result.gradient[0])
+    print(f"{elements} elements: {result.value:.6f} m, gradient {result.gradient[0]:.4f}")
 
 lines = [
     Series(name, counts[:-1], np.abs(np.array(x[:-1]) / x[-1] - 1))

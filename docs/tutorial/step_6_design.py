@@ -3,7 +3,7 @@
 =============================
 
 Every number of a mechanism is a design variable by name: sections, materials, lengths, places of
-joints, the motor's speed. One run finds the gradient in all of them.
+joints, the motor's speed. One run gives the gradient with respect to all of them.
 """
 
 import numpy as np
@@ -38,14 +38,14 @@ strays = np.sqrt(Integral((position(rod.at_end, 0) - ideal) ** 2) / 0.105)
 stress = SmoothMaximum(maximum_stress("rod", sharpness=1e-5) / 1e6, sharpness=10.0)  # MPa
 
 design = ["rod.height", "rod.density", "rod.youngs_modulus", "slider.mass", "motor.speed"]
-found = gradients(scene, [strays, stress], 0.105, HHT(5e-4), design=design)
-print(f"strays by {1e3 * found[0].value:.3f} mm; largest stress {found[1].value:.2f} MPa")
+results = gradients(scene, [strays, stress], 0.105, HHT(5e-4), design=design)
+print(f"strays by {1e3 * results[0].value:.3f} mm; largest stress {results[1].value:.2f} MPa")
 
 # %%
 # Numbers of different units are compared by what one per cent of each changes.
 
 values = np.array([0.012, 1150, 2.5e9, 0.1, 60.0])
-for name, value, a, b in zip(design, values, found[0].gradient, found[1].gradient, strict=True):
+for name, value, a, b in zip(design, values, results[0].gradient, results[1].gradient, strict=True):
     print(f"1 % of {name:20s} {1e6 * 0.01 * value * a: .2f} um {0.01 * value * b: .3f} MPa")
 
 # %%

@@ -46,7 +46,7 @@ print("uniform:", *functions, design.values(design.start).round(3))
 # %%
 # SciPy searches. Two constraints, both at most 1.
 
-found = minimize(
+optimum = minimize(
     design["mass"],
     design.start,
     jac=design["mass"].gradient,
@@ -55,17 +55,17 @@ found = minimize(
     constraints=[design.constraint("strays", upper=1.0), design.constraint("stress", upper=1.0)],
     options={"maxiter": 15, "ftol": 1e-4},
 )
-print(found.message, "in", found.nit, "steps")
-print("optimum:", *functions, design.values(found.x).round(3))
-print("heights:", (1e3 * found.x * system.b).round(2), "mm")
-assert design["mass"](found.x) < 0.95 * design["mass"](design.start)
-assert design["strays"](found.x) < 1.01 and design["stress"](found.x) < 1.01
+print(optimum.message, "in", optimum.nit, "steps")
+print("optimum:", *functions, design.values(optimum.x).round(3))
+print("heights:", (1e3 * optimum.x * system.b).round(2), "mm")
+assert design["mass"](optimum.x) < 0.95 * design["mass"](design.start)
+assert design["strays"](optimum.x) < 1.01 and design["stress"](optimum.x) < 1.01
 
 # %%
 # The rod is thick where it bends, in its middle, and thin at its pins. `UpperMaximum` lies above
 # the stress at every instant, so that the limit is kept; `SmoothMaximum` lies below the largest.
 
-heights = {f"rod.height[{k}]": h for k, h in enumerate(found.x * system.b)}
+heights = {f"rod.height[{k}]": h for k, h in enumerate(optimum.x * system.b)}
 best = scene.with_values(heights)
 solution = simulate(best, 0.105, HHT(5e-4))
 largest = observe(maximum_stress("rod", sharpness=5e-5), solution, assemble(best)).max()

@@ -75,8 +75,8 @@ def _one_percent(report: Report, exact: Array, extent: Extent) -> Array:
         title="Error of finite differences against the exact gradient of the same run, step 2⁻⁸ s",
         caption="To the right truncation, to the left round-off.",
     )
-    found: Array = errors["forward difference"][list(extent.perturbations).index(1e-2)]
-    return found
+    computed: Array = errors["forward difference"][list(extent.perturbations).index(1e-2)]
+    return computed
 
 
 def _attribute(report: Report, exact: Array, one_percent: Array, table: Array) -> None:
@@ -116,8 +116,8 @@ def _solver_tolerance(report: Report, extent: Extent) -> None:
 def _square_section(report: Report, extent: Extent) -> None:
     """Show what a change of both sides of the square section would give."""
     system = assemble(crank_slider(), ["crank.height", "crank.width", "rod.height", "rod.width"])
-    found = gradient(system, paper_objective(), extent.t_end, HHT(STEP), method=Adjoint())
-    h_1, w_1, h_2, w_2 = (found.gradient * system.b).tolist()
+    computed = gradient(system, paper_objective(), extent.t_end, HHT(STEP), method=Adjoint())
+    h_1, w_1, h_2, w_2 = (computed.gradient * system.b).tolist()
     report.figure("square.w_1", w_1)
     report.figure("square.w_2", w_2)
     report.text(

@@ -99,8 +99,8 @@ def evaluation(elements: int, steps: int, uniform: bool = False) -> Once:
     @Once
     def evaluate(x: Array) -> tuple[Array, Array]:
         moved = system.with_values(1e-3 * x)
-        found = gradients(moved, asked, t_end, HHT(t_end / steps), method=Adjoint())
-        return np.array([g.value for g in found]), 1e-3 * np.array([g.gradient for g in found])
+        results = gradients(moved, asked, t_end, HHT(t_end / steps), method=Adjoint())
+        return np.array([g.value for g in results]), 1e-3 * np.array([g.gradient for g in results])
 
     return evaluate
 

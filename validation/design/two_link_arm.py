@@ -104,9 +104,9 @@ def evaluation(elements: int, step: float, driven: bool = False) -> Once:
     @Once
     def evaluate(x: Array) -> tuple[Array, Array]:
         moved = system.with_values(unit * x)
-        found = gradients(moved, asked, _INSTANTS[-1], HHT(step), method=Adjoint())
-        values = np.array([g.value for g in found])
-        slopes = unit * np.array([g.gradient for g in found])
+        results = gradients(moved, asked, _INSTANTS[-1], HHT(step), method=Adjoint())
+        values = np.array([g.value for g in results])
+        slopes = unit * np.array([g.gradient for g in results])
         # The tip may miss to either side.
         return np.append(values, -values[3:]), np.vstack([slopes, -slopes[3:]])
 

@@ -59,8 +59,10 @@ def evaluation(elements: int, steps: int) -> Once:
     @Once
     def evaluate(x: Array) -> tuple[Array, Array]:
         moved = system.with_values(_HEIGHT * x)
-        found = gradients(moved, asked, _DURATION, HHT(_DURATION / steps), method=Adjoint())
-        return np.array([g.value for g in found]), _HEIGHT * np.array([g.gradient for g in found])
+        results = gradients(moved, asked, _DURATION, HHT(_DURATION / steps), method=Adjoint())
+        return np.array([g.value for g in results]), _HEIGHT * np.array(
+            [g.gradient for g in results]
+        )
 
     return evaluate
 

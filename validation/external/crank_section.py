@@ -196,30 +196,30 @@ def _published(report: Report, runs: Sequence[_Run]) -> None:
     run = [r for r in runs if isinstance(r.integrator, IDA)][-1]
     value = run.attempt.value
     assert value is not None
-    for name, printed, found in zip(_NAMES, published.CRANK_G_PUBLISHED, value, strict=True):
-        difference = float(abs(found - printed))
+    for name, printed, ours in zip(_NAMES, published.CRANK_G_PUBLISHED, value, strict=True):
+        difference = float(abs(ours - printed))
         report.claim(
             f"Slider-crank, {name}",
             f"{printed:.8g} (SUNDIALS example, 5 digits)",
-            f"{found:.9g}: {difference:.1e} apart, 1e-4 allowed (IDA, {setting(run.integrator)})",
+            f"{ours:.9g}: {difference:.1e} apart, 1e-4 allowed (IDA, {setting(run.integrator)})",
             Agreement.AGREES if difference <= 1e-4 else Agreement.DISAGREES,
         )
 
 
 def _required(runs: Sequence[_Run], rtol: float) -> list[Requirement]:
-    found = []
+    requirements = []
     for run in runs:
         if not isinstance(run.integrator, IDA | IDAS) or run.integrator.rtol != rtol:
             continue
         what = f"slider-crank, {type(run.integrator).__name__} {run.method}, rtol {rtol:.0e}"
         error = None if run.errors is None else float(np.max(np.abs(run.errors)))
-        found.append(Requirement(f"{what}: G, dG/dk, dG/dc", 1e-6, error))
+        requirements.append(Requirement(f"{what}: G, dG/dk, dG/dc", 1e-6, error))
         solution = run.attempt.solution
         end = None if solution is None else _end_error(solution)
         if end is not None and solution is not None:
             worst = max(end, _path_error(solution))
-            found.append(Requirement(f"{what}: crank at t = 10, path", 1e-4, worst))
-    return found
+            requirements.append(Requirement(f"{what}: crank at t = 10, path", 1e-4, worst))
+    return requirements
 
 
 def _required_of_hht(orders: Sequence[float], extrapolated: float) -> list[Requirement]:

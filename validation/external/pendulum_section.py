@@ -184,14 +184,14 @@ def _plots(report: Report, runs: Sequence[_Run], table: Array) -> None:
 
 def _verdict(report: Report, runs: Sequence[_Run], orders: Array) -> list[Requirement]:
     tightest = {type(each.integrator): each for each in runs}
-    found = []
+    requirements = []
     for kind in (IDA, IDAS, Explicit):
         each = tightest[kind]
         what = f"pendulum, {kind.__name__}, {setting(each.integrator)}: every column of the table"
         missing = "not installed" in each.attempt.note
         worst = float("inf") if each.errors is None else float(np.max(each.errors))
-        found.append(Requirement(what, _LIMIT, None if missing else worst))
-    first = found[0].found
+        requirements.append(Requirement(what, _LIMIT, None if missing else worst))
+    first = requirements[0].found
     assert first is not None
     report.claim(
         "Cartesian pendulum, states and sensitivities",
@@ -200,7 +200,10 @@ def _verdict(report: Report, runs: Sequence[_Run], orders: Array) -> list[Requir
         Agreement.AGREES if first <= _LIMIT else Agreement.DISAGREES,
     )
     distance = float(np.max(np.abs(orders - 2)))
-    return [*found, Requirement("pendulum, HHT: distance of the order from 2", 0.1, distance)]
+    return [
+        *requirements,
+        Requirement("pendulum, HHT: distance of the order from 2", 0.1, distance),
+    ]
 
 
 _TEXT = """

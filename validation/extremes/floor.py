@@ -87,9 +87,9 @@ def _add_derivatives(report: Report, exponents: Sequence[int], steps: int) -> No
     report.text(_DERIVATIVES)
     rows: list[list[object]] = []
     for alpha in _ALPHAS:
-        found = [_derivatives(10.0**-k, alpha, steps) for k in exponents]
+        by_step = [_derivatives(10.0**-k, alpha, steps) for k in exponents]
         for name in _QUANTITIES:
-            values = [errors[name] for errors in found]
+            values = [errors[name] for errors in by_step]
             for k, value in zip(exponents, values, strict=True):
                 report.figure(f"floor.derivatives.alpha{alpha:g}.{name}.1e-{k}", value)
             rows.append([f"{name}, hht_alpha = {alpha:g}", *(f"{value:.0e}" for value in values)])

@@ -18,9 +18,9 @@ def run(report: Report, quick: bool) -> None:
     for group in GROUPS:
         report.heading(group.title)
         report.text(group.text)
-        found = [measure(case) for case in group.cases(quick)]
-        add_table(report, group.name, found)
-        rows += found
+        measured = [measure(case) for case in group.cases(quick)]
+        add_table(report, group.name, measured)
+        rows += measured
     _judge(report, rows)
     largest = scaling(report, quick)
     report.claim(

@@ -39,8 +39,8 @@ def scaling(report: Report, quick: bool) -> float:
         for unit in ("length", "mass", "time"):
             table, others = [], 0
             for k in exponents:
-                found, count = _dimensionless(rod, Units(**{unit: 10.0**k}), steps)
-                table.append([_difference(x, y) for x, y in zip(found, base, strict=True)])
+                scaled, count = _dimensionless(rod, Units(**{unit: 10.0**k}), steps)
+                table.append([_difference(x, y) for x, y in zip(scaled, base, strict=True)])
                 others += count != iterations
             errors = np.array(table)
             worst = max(worst, float(np.max(errors)))

@@ -73,12 +73,12 @@ def arch(report: Report, quick: bool) -> list[Requirement]:
         f"Reference: P R²/(E I) = {reference.load:.6f} at a crown {reference.down:.4f} R down, "
         "with the extension and the shear of this arch."
     )
-    found = {n: _limit(n) for n in counts}
-    values = [[x.load] for x in found.values()]
+    limits = {n: _limit(n) for n in counts}
+    values = [[x.load] for x in limits.values()]
     error = float(convergence(report, "arch", _NAMES, counts, values, [reference.load])[-1, 0])
-    apart = _derivatives(report, counts[-1], found[counts[-1]].down, reference)
-    _plot(report, found[counts[-1]].path, reference.path)
-    load = found[counts[-1]].load
+    apart = _derivatives(report, counts[-1], limits[counts[-1]].down, reference)
+    _plot(report, limits[counts[-1]].path, reference.path)
+    load = limits[counts[-1]].load
     report.claim(
         "Deep circular arch: limit load over E I/R²",
         "8.97 (DaDeppo & Schmidt 1975); 9.0528 (Simo & Vu-Quoc 1986, 40 elements)",
@@ -106,9 +106,9 @@ def _scene(n: int, down: float) -> Scene:
 
 
 def _at(n: int, down: float, start: Equilibrium | None, design: tuple[str, ...]) -> Equilibrium:
-    found = equilibrium(_scene(n, down), design=design, start=start)
-    assert found.outcome.success, found.outcome
-    return found
+    bent = equilibrium(_scene(n, down), design=design, start=start)
+    assert bent.outcome.success, bent.outcome
+    return bent
 
 
 def _limit(n: int) -> _Limit:
@@ -134,9 +134,9 @@ def _limit(n: int) -> _Limit:
     return _Limit(_load(best), peak, np.array(path))
 
 
-def _load(found: Equilibrium) -> float:
+def _load(bent: Equilibrium) -> float:
     """Return P R^2/(E I): the crown's equation is the last one."""
-    return float(found.lam[-1]) * _R**2 / _EI
+    return float(bent.lam[-1]) * _R**2 / _EI
 
 
 def _turning_point(growth: Callable[[float], float]) -> float:
@@ -215,7 +215,7 @@ def _derivatives(report: Report, n: int, down: float, reference: _Limit) -> floa
     assert last is not None
     assert last.lam_b is not None
     values = np.array([_E, _H, _R * _SPAN])
-    found = last.lam_b[-1, 1:] * values / last.lam[-1]
+    computed = last.lam_b[-1, 1:] * values / last.lam[-1]
 
     def quantity(x: Array, b: Array) -> tuple[Array, Array]:
         left = _path(x[None], reference.down * _R, *b)[0][0]
@@ -225,7 +225,7 @@ def _derivatives(report: Report, n: int, down: float, reference: _Limit) -> floa
     load, load_b = derivatives(quantity, reference.z, b)
     rows = [
         ("ln P", f"ln {name}", float(x), float(e))
-        for name, x, e in zip("EhR", found, load_b[0] * b / load[0], strict=True)
+        for name, x, e in zip("EhR", computed, load_b[0] * b / load[0], strict=True)
     ]
     return derivative_table(report, "arch", rows, (f"direct, {n} elements", "reference"))
 

@@ -29,8 +29,8 @@ def log_derivatives(
     """
     system = assemble(scene, design)
     direct = static_gradient(system, observable, method=Direct())
-    found: Array = direct.gradient * system.b.real / direct.value
+    computed: Array = direct.gradient * system.b.real / direct.value
     if not adjoint:
-        return found, 0.0
+        return computed, 0.0
     other = static_gradient(system, observable, method=Adjoint()).gradient
-    return found, float(np.max(relative(other, direct.gradient)))
+    return computed, float(np.max(relative(other, direct.gradient)))

@@ -106,11 +106,11 @@ def _derivatives(report: Report, n: int) -> float:
     design = ["bend.youngs_modulus", "bend.height", "load.force_z"]
     for axis, name in enumerate("xyz"):
         tip = position(scene.beams[0].at_end, axis)
-        found, apart = log_derivatives(scene, tip, design, adjoint=name == "z")
+        computed, apart = log_derivatives(scene, tip, design, adjoint=name == "z")
         exact, off = place_b[axis] * b / place[axis], max(off, apart)
         rows += [
             (f"ln {name}", f"ln {parameter}", float(x), float(e))
-            for parameter, x, e in zip("EhP", found, exact, strict=True)
+            for parameter, x, e in zip("EhP", computed, exact, strict=True)
         ]
     worst = derivative_table(report, "bend", rows, (f"direct, {n} elements", "reference"))
     report.text(f"Direct differentiation and adjoint are {off:.0e} apart.")
@@ -120,7 +120,7 @@ def _derivatives(report: Report, n: int) -> float:
 def _plot(report: Report, n: int, loads: tuple[int, ...]) -> None:
     fine = np.linspace(50, 600, 12)
     curve = np.array([_rod_tip(load) for load in fine])
-    found = _tip_place() + np.array([_elements(n, load) for load in loads])[:, [2, 0, 1]] * [
+    computed = _tip_place() + np.array([_elements(n, load) for load in loads])[:, [2, 0, 1]] * [
         -1,
         -1,
         1,
@@ -129,7 +129,7 @@ def _plot(report: Report, n: int, loads: tuple[int, ...]) -> None:
     for name, axis, printed in (("y", 1, 0), ("z", 2, 1), ("x", 0, 2)):
         series = [
             Series("reference", fine, curve[:, axis]),
-            Series(f"{n} elements", loads, found[:, axis], line=False, marker=True),
+            Series(f"{n} elements", loads, computed[:, axis], line=False, marker=True),
         ]
         series += [
             Series(

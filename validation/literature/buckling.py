@@ -45,19 +45,19 @@ def buckling(report: Report, quick: bool) -> list[Requirement]:
         f"Reference: {exact / unit:.5f}; for a section ten times as high, which bends little "
         f"before it buckles, {narrow:.5f} (closed form {_PUBLISHED})."
     )
-    found = {n: _critical(n) for n in counts}
+    loads = {n: _critical(n) for n in counts}
     error = float(
         convergence(
-            report, "buckling", _NAMES, counts, [[P / unit] for P in found.values()], [exact / unit]
+            report, "buckling", _NAMES, counts, [[P / unit] for P in loads.values()], [exact / unit]
         )[-1, 0]
     )
     n = counts[-1]
-    apart = _derivatives(report, n, found[n], b, exact)
+    apart = _derivatives(report, n, loads[n], b, exact)
     _plot(report, n, unit, exact)
     report.claim(
         "Lateral buckling of a narrow cantilever",
         f"P L²/sqrt(E I G J) = {_PUBLISHED} (rigid in its plane); Timoshenko & Gere 1961",
-        f"{found[n] / unit:.4f} at h/w = {_H / _W:g}, {n} elements; {narrow:.4f} by the reference "
+        f"{loads[n] / unit:.4f} at h/w = {_H / _W:g}, {n} elements; {narrow:.4f} by the reference "
         f"at h/w = {10 * _H / _W:g}",
         Agreement.AGREES if abs(narrow / _PUBLISHED - 1) < 2e-3 else Agreement.DISAGREES,
     )
@@ -136,9 +136,9 @@ def _critical(n: int) -> float:
 def _derivatives(report: Report, n: int, load: float, b: Array, exact: float) -> float:
     """Where omega^2(P, b) = 0, P_b = -omega^2_b/omega^2_P."""
     # A little below, where the mode vibrates.
-    found = _lowest(n, load * (1 - 1e-6), _DESIGN)
-    assert found.derivatives is not None
-    slopes = -2 * (found.exponents[0] * found.derivatives.exponents_b[0]).real
+    lowest = _lowest(n, load * (1 - 1e-6), _DESIGN)
+    assert lowest.derivatives is not None
+    slopes = -2 * (lowest.exponents[0] * lowest.derivatives.exponents_b[0]).real
     # The force points down: force_y = -P.
     ours = slopes[1:] / slopes[0] * b / load
     rows = []

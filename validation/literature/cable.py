@@ -55,15 +55,15 @@ def cable(report: Report, quick: bool) -> list[Requirement]:
         "1.3e-3 is "
         f"{np.max(relative(exact, catenary)):.1e} away from Hooke's."
     )
-    found = [(_elements(n, _LOAD) - _elements(n, 0.0))[::-1] for n in counts]
-    error = float(np.max(convergence(report, "cable", _NAMES, counts, found, exact)[-1]))
+    computed = [(_elements(n, _LOAD) - _elements(n, 0.0))[::-1] for n in counts]
+    error = float(np.max(convergence(report, "cable", _NAMES, counts, computed, exact)[-1]))
     apart = _derivatives(report, counts[-1], b)
     _plot(report, counts[-1], exact)
-    off = float(np.max(relative(found[-1], _PUBLISHED["Jayaraman & Knudson 1981"])))
+    off = float(np.max(relative(computed[-1], _PUBLISHED["Jayaraman & Knudson 1981"])))
     report.claim(
         "Cable under a point load: displacement of the loaded point",
         "(-5.626, -0.859) m (Jayaraman & Knudson 1981, elastic catenary)",
-        "({:.4f}, {:.4f}) m, {} elements a part".format(*found[-1], counts[-1]),
+        "({:.4f}, {:.4f}) m, {} elements a part".format(*computed[-1], counts[-1]),
         Agreement.AGREES if off < 2e-3 else Agreement.DISAGREES,
     )
     return [
@@ -138,9 +138,9 @@ def _apex() -> tuple[float, float]:
 def _elements(n: int, load: float) -> Array:
     """Return the place of the loaded point."""
     scene = _scene(n, load)
-    found = equilibrium(scene)
-    assert found.outcome.success, found.outcome
-    place: Array = found.solution.position(scene.beams[0].at_end)[0]
+    bent = equilibrium(scene)
+    assert bent.outcome.success, bent.outcome
+    place: Array = bent.solution.position(scene.beams[0].at_end)[0]
     return place
 
 
@@ -157,12 +157,12 @@ def _derivatives(report: Report, n: int, b: Array) -> float:
     scene, rows, off = _scene(n, _LOAD), [], 0.0
     for axis, name in enumerate("xy"):
         place = position(scene.beams[0].at_end, axis)
-        found, apart = log_derivatives(scene, place, [modulus, density, "load.force_y"])
+        computed, apart = log_derivatives(scene, place, [modulus, density, "load.force_y"])
         off = max(off, apart)
         rows += [
             (f"ln {name}", f"ln {parameter}", float(x), float(e))
             for parameter, x, e in zip(
-                ("E", "weight", "P"), found, node_b[axis] * b / node[axis], strict=True
+                ("E", "weight", "P"), computed, node_b[axis] * b / node[axis], strict=True
             )
         ]
     worst = derivative_table(report, "cable", rows, (f"direct, {n} elements", "reference"))

@@ -113,11 +113,11 @@ def _derivatives(report: Report, n: int) -> float:
     scene, rows, off = _scene(n, 0.3), [], 0.0
     for axis, name in enumerate(("u_x", "u_y")):
         tip = position(scene.beams[0].at_end, axis) - (_L if not axis else 0.0)
-        found, apart = log_derivatives(scene, tip, _DESIGN)
+        computed, apart = log_derivatives(scene, tip, _DESIGN)
         exact, off = u_b[axis] * b / u[axis], max(off, apart)
         rows += [
             (f"ln {name}", f"ln {parameter}", float(x), float(e))
-            for parameter, x, e in zip("EhP", found, exact, strict=True)
+            for parameter, x, e in zip("EhP", computed, exact, strict=True)
         ]
     worst = derivative_table(report, "cantilever", rows, (f"direct, {n} elements", "reference"))
     report.text(f"Direct differentiation and adjoint are {off:.0e} apart.")

@@ -62,8 +62,8 @@ def elastica(report: Report, quick: bool) -> list[Requirement]:
     )
     tip = _rod_tip(_ALPHA)
     convergence(report, "elastica", _NAMES, counts, [_tip(n, _ALPHA) for n in counts], tip)
-    found = np.array([_tip(counts[-1], a) for a in loads])
-    error = float(np.max(relative(found, exact)))
+    computed = np.array([_tip(counts[-1], a) for a in loads])
+    error = float(np.max(relative(computed, exact)))
     report.figure("elastica.error", error)
     report.text(
         f"Against the elastica itself, {counts[-1]} elements, largest error of w/L and u/L over "
@@ -71,7 +71,7 @@ def elastica(report: Report, quick: bool) -> list[Requirement]:
         f"{np.max(relative(tip, closed_form(_ALPHA)[:2])):.1e} of it at alpha = {_ALPHA:g}."
     )
     apart = _derivatives(report, counts[-1])
-    _plot(report, loads, found)
+    _plot(report, loads, computed)
     report.claim(
         "Elastica: tip of a cantilever",
         "w/L = 0.49346, u/L = 0.16064 at alpha = 2 (Mattiasson 1981)",
@@ -166,18 +166,18 @@ def _derivatives(report: Report, n: int) -> float:
     for name, observable, rate in zip(
         ("w", "u"), (position(tip, 1), shortening), growth, strict=True
     ):
-        found, apart = log_derivatives(scene, observable, _DESIGN)
+        computed, apart = log_derivatives(scene, observable, _DESIGN)
         exact, off = powers * rate + of_length, max(off, apart)
         rows += [
             (f"ln {name}", f"ln {parameter}", float(a), float(b))
-            for parameter, a, b in zip("EhLP", found, exact, strict=True)
+            for parameter, a, b in zip("EhLP", computed, exact, strict=True)
         ]
     worst = derivative_table(report, "elastica", rows, (f"direct, {n} elements", "closed form"))
     report.text(f"Direct differentiation and adjoint are {off:.0e} apart.")
     return worst
 
 
-def _plot(report: Report, loads: Array, found: Array) -> None:
+def _plot(report: Report, loads: Array, computed: Array) -> None:
     fine = np.linspace(0.02, 10, 80)
     curve = np.array([closed_form(a) for a in fine])
     series = [
@@ -185,8 +185,8 @@ def _plot(report: Report, loads: Array, found: Array) -> None:
         Series("u/L, closed form", fine, curve[:, 1]),
         Series("w/L, Mattiasson 1981", _PUBLISHED[:, 0], _PUBLISHED[:, 1], line=False, marker=True),
         Series("u/L, Mattiasson 1981", _PUBLISHED[:, 0], _PUBLISHED[:, 2], line=False, marker=True),
-        Series("w/L, elements", loads, found[:, 0], line=False, marker=True),
-        Series("u/L, elements", loads, found[:, 1], line=False, marker=True),
+        Series("w/L, elements", loads, computed[:, 0], line=False, marker=True),
+        Series("u/L, elements", loads, computed[:, 1], line=False, marker=True),
     ]
     panel = Panel("Tip of a cantilever", "alpha = P L²/(E I) [-]", "w/L, u/L [-]", series)
     report.plot("elastica", [panel])

@@ -87,10 +87,10 @@ def princeton(report: Report, quick: bool) -> list[Requirement]:
         report, "princeton", _NAMES, counts, [_tip(n, load, 45.0) for n in counts], exact
     )
     n = counts[-1]
-    found = {P: np.array([_tip(n, P, angle) for angle in angles]) for P in _LOADS}
-    principal, oblique = _against_print(report, n, found, angles)
+    computed = {P: np.array([_tip(n, P, angle) for angle in angles]) for P in _LOADS}
+    principal, oblique = _against_print(report, n, computed, angles)
     apart = _derivatives(report, n)
-    _plot(report, angles, found)
+    _plot(report, angles, computed)
     report.claim(
         "Princeton beam, 45°, 13.345 N: displacement in the stiff and in the soft direction",
         "15.186, 156.467 mm (beam elements), 14.851, 153.554 mm (solid elements of ANSYS; Obrezkov "
@@ -109,12 +109,12 @@ def princeton(report: Report, quick: bool) -> list[Requirement]:
 
 
 def _against_print(
-    report: Report, n: int, found: dict[float, Array], angles: Array
+    report: Report, n: int, computed: dict[float, Array], angles: Array
 ) -> tuple[float, float]:
     """Tabulate what is printed; return the errors in principal directions and at 45°."""
     rows: list[list[object]] = []
     principal, oblique = [], []
-    for P, tips in found.items():
+    for P, tips in computed.items():
         for angle, tip in zip(angles, tips, strict=True):
             k = int(np.flatnonzero(angle == _ANGLES)[0])
             beam, solid = (np.array(table[P])[:, k] for table in (_BEAM, _SOLID))
@@ -182,19 +182,19 @@ def _derivatives(report: Report, n: int) -> float:
     scene, rows = _scene(n, load, 45.0), []
     design = ["beam.youngs_modulus", "beam.height", "beam.width"]
     for axis, name in ((1, "stiff"), (2, "soft")):
-        found, _ = log_derivatives(
+        computed, _ = log_derivatives(
             scene, position(scene.beams[0].at_end, axis), design, adjoint=axis == 2
         )
         rows += [
             (f"ln {name} displacement", f"ln {parameter}", float(x), float(e))
             for parameter, x, e in zip(
-                "Ehw", found, tip_b[axis - 1] * b / tip[axis - 1], strict=True
+                "Ehw", computed, tip_b[axis - 1] * b / tip[axis - 1], strict=True
             )
         ]
     return derivative_table(report, "princeton", rows, (f"direct, {n} elements", "reference"))
 
 
-def _plot(report: Report, angles: Array, found: dict[float, Array]) -> None:
+def _plot(report: Report, angles: Array, computed: dict[float, Array]) -> None:
     fine = np.linspace(0, 90, 19)
     curves = {P: 1e3 * np.array([_rod_tip(P, angle) for angle in fine]) for P in _LOADS}
     panels = []
@@ -218,7 +218,7 @@ def _plot(report: Report, angles: Array, found: dict[float, Array]) -> None:
                     marker=True,
                 ),
                 Series(
-                    f"elements, {P:g} N", angles, 1e3 * found[P][:, way], line=False, marker=True
+                    f"elements, {P:g} N", angles, 1e3 * computed[P][:, way], line=False, marker=True
                 ),
             ]
         panels.append(Panel(f"Tip, {name} direction", "angle of the load [°]", "w [mm]", series))

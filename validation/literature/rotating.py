@@ -59,14 +59,14 @@ def rotating(report: Report, quick: bool) -> list[Requirement]:
         f"Convergence at the speed {_FAST:g}:"
     )
     convergence(report, "rotating", _NAMES, counts, [_flap(n, _FAST) for n in counts], exact[-1])
-    found = np.array([_flap(counts[-1], row[0]) for row in speeds])
-    error = float(np.max(relative(found, speeds[:, 1:])))
+    computed = np.array([_flap(counts[-1], row[0]) for row in speeds])
+    error = float(np.max(relative(computed, speeds[:, 1:])))
     apart = _derivatives(report, counts[-1])
-    _plot(report, speeds[:, 0], found, exact)
+    _plot(report, speeds[:, 0], computed, exact)
     report.claim(
         "Rotating cantilever: flap frequencies at the speed 12",
         "13.1702, 37.6031, 79.6145 (Wright et al. 1982; Hodges & Rutkowski 1981)",
-        "{:.4f}, {:.4f}, {:.4f}; all speeds within {:.0e}".format(*found[-1], error),
+        "{:.4f}, {:.4f}, {:.4f}; all speeds within {:.0e}".format(*computed[-1], error),
         Agreement.AGREES if error < 2e-3 else Agreement.DISAGREES,
     )
     return [
@@ -146,11 +146,11 @@ def _derivatives(report: Report, n: int) -> float:
     rows = []
     for k, (name, power) in enumerate(zip(("E", "w", "L"), (0.5, 1.0, -2.0), strict=True)):
         ends = [_flap(n, _FAST, system.with_values(system.b * _grown(k, s * d))) for s in (1, -1)]
-        found = np.log(ends[0] / ends[1]) / (2 * d)
+        computed = np.log(ends[0] / ends[1]) / (2 * d)
         exact = power * (1 - f / value)
         rows += [
             (f"ln {mode}", f"ln {name}", float(x), float(e))
-            for mode, x, e in zip(_NAMES[:2], found, exact, strict=False)
+            for mode, x, e in zip(_NAMES[:2], computed, exact, strict=False)
         ]
     return derivative_table(report, "rotating", rows, (f"differences, {n} elements", "reference"))
 
@@ -161,7 +161,7 @@ def _grown(k: int, by: float) -> Array:
     return factors
 
 
-def _plot(report: Report, speeds: Array, found: Array, exact: Array) -> None:
+def _plot(report: Report, speeds: Array, computed: Array, exact: Array) -> None:
     panels = []
     for mode, name in enumerate(_NAMES):
         series = [
@@ -173,7 +173,7 @@ def _plot(report: Report, speeds: Array, found: Array, exact: Array) -> None:
                 line=False,
                 marker=True,
             ),
-            Series("elements", speeds, found[:, mode], line=False, marker=True),
+            Series("elements", speeds, computed[:, mode], line=False, marker=True),
         ]
         panels.append(Panel(name, "speed [-]", "frequency [-]", series))
     report.plot("rotating", panels, 3, "Rotating cantilever: flap frequencies")

@@ -73,8 +73,8 @@ def spin_up(report: Report, quick: bool) -> list[Requirement]:
     middle = int(np.searchsorted(times, _MIDDLE))
     late = times >= _DURATION
     wanted = [exact[1, middle], exact[0, late].mean()]
-    found = [[tip[1, middle], tip[0, late].mean()] for tip in tips.values()]
-    errors = convergence(report, "spin-up", _NAMES, counts, found, wanted)
+    computed = [[tip[1, middle], tip[0, late].mean()] for tip in tips.values()]
+    errors = convergence(report, "spin-up", _NAMES, counts, computed, wanted)
     half = _tip(counts[-2], step / 2, times[: middle + 1])[1, -1]
     left = float(relative(half, wanted[0]))
     report.text(
@@ -83,7 +83,7 @@ def spin_up(report: Report, quick: bool) -> list[Requirement]:
     )
     apart = _derivatives(report, counts[-2], step, rod, exact[1, middle])
     _plot(report, times, tips, exact)
-    return _verdict(report, float(np.max(errors[-1])), found[-1][1], apart)
+    return _verdict(report, float(np.max(errors[-1])), computed[-1][1], apart)
 
 
 def _turning(t: float) -> tuple[float, float, float]:
@@ -128,11 +128,11 @@ def _derivatives(report: Report, n: int, step: float, rod: HubRod, deflection: f
         for m in (Direct(), Adjoint())
     )
     values = assemble(_scene(n), design).b
-    found = direct.gradient * values / direct.value
+    computed = direct.gradient * values / direct.value
     exact = [_reference_derivative(rod, part) / deflection for part in ("stiffness", "mass")]
     rows = [
         ("ln deflection at 7.5 s", name, float(x), float(e))
-        for name, x, e in zip(("ln E", "ln rho"), found, exact, strict=True)
+        for name, x, e in zip(("ln E", "ln rho"), computed, exact, strict=True)
     ]
     apart = derivative_table(report, "spin-up", rows, (f"direct, {n} elements", "reference"))
     round_off = float(np.max(relative(adjoint.gradient, direct.gradient)))

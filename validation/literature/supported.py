@@ -35,8 +35,8 @@ def supported(report: Report, quick: bool) -> list[Requirement]:
         f"The closed forms and the published values are {np.max(relative(exact, _PUBLISHED)):.0e} "
         "apart."
     )
-    found = [np.append(_planar(n)[0], _torsion(n)) for n in counts]
-    errors = convergence(report, "supported", _NAMES, counts, found, exact)
+    computed = [np.append(_planar(n)[0], _torsion(n)) for n in counts]
+    errors = convergence(report, "supported", _NAMES, counts, computed, exact)
     poisson = _reference_poisson()
     off = float(np.max(relative(poisson, _PUBLISHED_POISSON)))
     report.text(
@@ -63,7 +63,7 @@ def supported(report: Report, quick: bool) -> list[Requirement]:
     report.claim(
         "Simply supported thick beam: frequencies",
         "97.1015, 347.580, 683.991 (bending), 280.321 (axial), 396.433 (torsion) rad/s",
-        "{:.4f}, {:.3f}, {:.3f}, {:.3f}, {:.3f} rad/s".format(*found[-1]),
+        "{:.4f}, {:.3f}, {:.3f}, {:.3f}, {:.3f} rad/s".format(*computed[-1]),
         Agreement.AGREES if worst < 1.5e-3 else Agreement.DISAGREES,
     )
     return [
@@ -109,17 +109,17 @@ def _planar(n: int, design: Sequence[str] = (), nu: float = 0.0) -> tuple[Array,
     section = Rectangle(_H, _H) if nu else _SECTION
     beam = Beam("beam", (0, 0), (_L, 0), n, section, Material(_RHO, _E, nu))
     scene = Scene([beam], [Pin(beam.at_start), PointOnLine(beam.at_end, (1, 0))])
-    found = modes(scene, 4, design=design)
+    lowest = modes(scene, 4, design=design)
     # In the order of frequencies the axial mode is the second.
     order = [0, 2, 3, 1]
-    return found.frequencies[order], found.frequencies_b[order] if design else None
+    return lowest.frequencies[order], lowest.frequencies_b[order] if design else None
 
 
 def _torsion(n: int) -> float:
     """Return the first frequency of torsion between clamps, the one nearest to theory."""
     beam = Beam("beam", (0, 0, 0), (_L, 0, 0), n, _SECTION, Material(_RHO, _E, 0.0))
-    found = modes(Scene([beam], [Clamp(beam.at_start), Clamp(beam.at_end)]), 6).frequencies
-    return float(found[np.argmin(np.abs(found - _PUBLISHED[-1]))])
+    frequencies = modes(Scene([beam], [Clamp(beam.at_start), Clamp(beam.at_end)]), 6).frequencies
+    return float(frequencies[np.argmin(np.abs(frequencies - _PUBLISHED[-1]))])
 
 
 def _derivatives(report: Report, n: int) -> float:
@@ -131,10 +131,10 @@ def _derivatives(report: Report, n: int) -> float:
         step = np.zeros(4)
         step[k] = 1e-30
         slope = reference(b * (1 + 1j * step)).imag / 1e-30 / exact
-        found = value_b[:, k] * b[k] / value
+        computed = value_b[:, k] * b[k] / value
         rows += [
             (f"ln {mode}", f"ln {name}", float(x), float(e))
-            for mode, x, e in zip(_NAMES[:4], found, slope[:4], strict=True)
+            for mode, x, e in zip(_NAMES[:4], computed, slope[:4], strict=True)
             # The axial frequency does not depend on h.
             if abs(e) > 1e-9
         ]

@@ -16,10 +16,10 @@ Array = npt.NDArray[np.float64]
 _FLOOR: Final = 1e-9
 
 
-def relative(found: npt.ArrayLike, exact: npt.ArrayLike) -> Array:
+def relative(computed: npt.ArrayLike, exact: npt.ArrayLike) -> Array:
     """Return |found - exact| / |exact|."""
     e = np.asarray(exact, dtype=float)
-    apart: Array = np.abs(np.asarray(found, dtype=float) - e) / np.abs(e)
+    apart: Array = np.abs(np.asarray(computed, dtype=float) - e) / np.abs(e)
     return apart
 
 
@@ -50,15 +50,15 @@ def convergence(
     array, shape (k, m)
         Relative errors.
     """
-    found, e = np.asarray(values, dtype=float), np.asarray(exact, dtype=float)
-    errors = relative(found, e)
+    computed, e = np.asarray(values, dtype=float), np.asarray(exact, dtype=float)
+    errors = relative(computed, e)
     orders = _orders(counts, errors)
     rows: list[list[object]] = []
     for i, count in enumerate(counts):
         row: list[object] = [count]
         for j in range(len(names)):
             order = "" if not i or np.isnan(orders[i - 1, j]) else f"{orders[i - 1, j]:.2f}"
-            row += [f"{found[i, j]:.9g}", f"{errors[i, j]:.1e}", order]
+            row += [f"{computed[i, j]:.9g}", f"{errors[i, j]:.1e}", order]
             report.figure(f"{key}.{_word(names[j])}.n{count}.error", errors[i, j])
         rows.append(row)
     rows.append(["reference", *[x for value in e for x in (f"{value:.9g}", "", "")]])
@@ -82,12 +82,12 @@ def derivative_table(
     ways : (str, str)
         What they are.
     """
-    apart = [float(relative(found, exact)) for _, _, found, exact in rows]
+    apart = [float(relative(computed, exact)) for _, _, computed, exact in rows]
     report.table(
         ["derivative of", "in", *ways, "apart"],
         [
-            [what, of, f"{found:.7g}", f"{exact:.7g}", f"{x:.1e}"]
-            for (what, of, found, exact), x in zip(rows, apart, strict=True)
+            [what, of, f"{computed:.7g}", f"{exact:.7g}", f"{x:.1e}"]
+            for (what, of, computed, exact), x in zip(rows, apart, strict=True)
         ],
     )
     return report.figure(f"{key}.derivatives.apart", max(apart))

@@ -4,7 +4,17 @@ import re
 from collections.abc import Callable
 
 from ancfdae.plotting import Panel, Series
-from validation.performance import explicit_path, long_run, memory, scale, start, steps, sweep, unit
+from validation.performance import (
+    explicit_path,
+    long_run,
+    mechanisms,
+    memory,
+    scale,
+    start,
+    steps,
+    sweep,
+    unit,
+)
 from validation.performance.row import Row
 from validation.report import Agreement, Report
 
@@ -33,6 +43,10 @@ def _subjects(quick: bool) -> list[tuple[str, list[Row]]]:
     few = {"repeats": 1} if quick else {}
     subjects: list[tuple[str, Callable[[], list[Row]]]] = [
         (_STEPS, lambda: steps.measure(**({"steps": 8} | few if quick else few))),
+        (
+            "Small mechanisms",
+            lambda: mechanisms.measure(**({"steps": 8} | few if quick else few)),
+        ),
         ("Start", lambda: start.measure(**few)),
     ]
     if not quick:

@@ -1,12 +1,13 @@
-"""Steps taken by a kernel, for a system that is a plan of arrays (`march.h`).
+"""Steps taken by kernels, for a system that is a plan of arrays (`march.h`, `passes.h`).
 
-The kernel solves the equations of `newton.py` by the same rules. What it does not solve it leaves
-to that, which finds out why, so that failures, hard steps and singular matrices are as ever.
+The kernels solve the equations of `newton.py` and `linear_passes.py` by the same rules. What they
+do not solve they leave to these, which find out why, so that failures, hard steps and singular
+matrices are as ever.
 """
 
 from __future__ import annotations
 
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 
@@ -14,36 +15,107 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.integrators.hht.equations import Node
 from ancfdae.integrators.hht.small_steps import PLACES
 from ancfdae.integrators.recorder import Recorder, Rows
-from ancfdae.kernels import INDEFINITE, NEEDS_GAUSS, Layout, Plan, march, prepare
+from ancfdae.kernels import (
+    INDEFINITE,
+    NEEDS_GAUSS,
+    RULES,
+    Layout,
+    Plan,
+    differentiate_steps,
+    march,
+    prepare,
+    pull_back_steps,
+)
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
 
 # Seconds after which a packet ends, so that interrupts and progress come through.
 _PATIENCE = 0.1
+# Sizes of steps, values of f_q, f_v and Phi_q, and matrices of the recurrence, one for each step.
+Linear: TypeAlias = tuple[Array, Array, Array | None, Array, Array]
+# Covectors of an objective on q, v and lam.
+OnStates: TypeAlias = tuple[Array | None, Array | None, Array | None]
+
+
+@final
+class Prepared:
+    """A plan and the matrices of a run as kernels take them; the rules are `StepSolver.rules`."""
+
+    def __init__(self, plan: Plan, layout: Layout, matrices: SaddlePoint, rules: Array) -> None:
+        self.plan, self._matrices, self._rules = plan, matrices, rules
+        self.arrays = prepare(plan, layout, rules)
+
+    @classmethod
+    def of(cls, system: MechanicalSystem, matrices: SaddlePoint, rules: Array) -> Prepared | None:
+        """Return None for a system that is no plan, or whose matrices need another solver."""
+        plan, layout = system.plan, matrices.layout(band=False)
+        return plan and layout and cls(plan, layout, matrices, rules)
+
+    def add_band(self) -> None:
+        """Prepare for matrices that are not positive definite, too."""
+        layout = self._matrices.layout(band=True)
+        assert layout is not None
+        self.arrays = prepare(self.plan, layout, self._rules)
+
+
+@final
+class CompiledPasses:
+    """Takes linearised steps of a pass over a run, as many as are factorised."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        self._kernel = prepared
+
+    @classmethod
+    def of(
+        cls, system: MechanicalSystem, matrices: SaddlePoint, alpha: float
+    ) -> CompiledPasses | None:
+        """Return None for a system that is no plan; of the rules only alpha matters."""
+        rules = np.zeros(RULES)
+        rules[0] = alpha
+        prepared = Prepared.of(system, matrices, rules)
+        return prepared and cls(prepared)
+
+    def forward(self, linear: Linear, right: Array, z: Array, states: Array, lam_b: Array) -> int:
+        """Take steps of direct differentiation; see `differentiate_steps`."""
+        arrays = self._kernel.arrays
+        taken, why = differentiate_steps(arrays, linear, right, z, states, lam_b)
+        if why != INDEFINITE:
+            return taken
+        self._kernel.add_band()
+        rest = slice(taken, None)
+        return taken + self.forward(_part(linear, rest), right[rest], z, states[rest], lam_b[rest])
+
+    def backward(self, linear: Linear, seeds: OnStates, on: Array, mu: Array, zeta: Array) -> int:
+        """Take transposed steps back from the last; see `pull_back_steps`."""
+        taken, why = pull_back_steps(self._kernel.arrays, linear, seeds, on, mu, zeta)
+        if why != INDEFINITE:
+            return taken
+        self._kernel.add_band()
+        rest = slice(len(mu) - taken)
+        q, v, lam = (x if x is None else x[rest] for x in seeds)
+        return taken + self.backward(_part(linear, rest), (q, v, lam), on, mu[rest], zeta[rest])
+
+
+def _part(linear: Linear, part: slice) -> Linear:
+    h, f_q, f_v, Phi_q, matrices = linear
+    f_v = None if f_v is None else f_v[part]
+    return h[part], f_q[part], f_v, Phi_q[part], matrices[part]
 
 
 @final
 class CompiledSteps:
     """Takes steps of one run, which the recorder counts."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        layout: Layout,
-        matrices: SaddlePoint,
-        rules: Array,
-        recorder: Recorder,
-    ) -> None:
-        self._plan, self._matrices, self._rules, self._recorder = plan, matrices, rules, recorder
-        self._prepared, self._small = prepare(plan, layout, rules), False
+    def __init__(self, prepared: Prepared, recorder: Recorder) -> None:
+        self._kernel, self._recorder, self._small = prepared, recorder, False
 
     @classmethod
     def of(
         cls, system: MechanicalSystem, matrices: SaddlePoint, rules: Array, recorder: Recorder
     ) -> CompiledSteps | None:
-        """Return None for a system that is no plan, or whose matrices need another solver."""
-        plan, layout = system.plan, matrices.layout(band=False)
-        return plan and layout and cls(plan, layout, matrices, rules, recorder)
+        """Return None for a system that is no plan."""
+        prepared = Prepared.of(system, matrices, rules)
+        return prepared and cls(prepared, recorder)
 
     def march(self, before: Node, h: Array, ends: Array, rows: Rows) -> tuple[int, Node]:
         """Take as many steps as go; states are written to rows of q, v, A and lam."""
@@ -51,12 +123,12 @@ class CompiledSteps:
         starts = np.concatenate([[t], ends[:-1]])
         tables = self._joint_factors(starts, ends, h), self._load_factors(starts, ends)
         taken, why, motion, a, counts = march(
-            self._prepared, (q, v, a, lam, A), motion, h, *tables, _PATIENCE, rows
+            self._kernel.arrays, (q, v, a, lam, A), motion, h, *tables, _PATIENCE, rows
         )
         if why == NEEDS_GAUSS:
             self._small = True
-        elif why == INDEFINITE and (layout := self._matrices.layout(band=True)):
-            self._prepared = prepare(self._plan, layout, self._rules)
+        elif why == INDEFINITE:
+            self._kernel.add_band()
         self._count(counts)
         if taken:
             q, v, A, lam = (row[taken - 1] for row in rows)
@@ -74,7 +146,7 @@ class CompiledSteps:
 
     def _joint_factors(self, starts: Array, ends: Array, h: Array) -> Array:
         """Factors at ends and beginnings of steps, and where they are small at Gauss points."""
-        of = self._plan.joint_factors
+        of = self._kernel.plan.joint_factors
         if of is None:
             return np.ones((1, 2, 1))
         instants = [ends, starts]
@@ -86,5 +158,5 @@ class CompiledSteps:
         return np.concatenate(tables, axis=1)
 
     def _load_factors(self, starts: Array, ends: Array) -> Array:
-        of = self._plan.load_factors
+        of = self._kernel.plan.load_factors
         return np.stack([of(ends), of(starts)], axis=1)

@@ -34,6 +34,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from ancfdae.equations import Linearisation, MechanicalSystem
+from ancfdae.errors import InvalidInput, require_finite
 from ancfdae.kernels import add_scaled, balance
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint, Terms
@@ -63,6 +64,14 @@ class Coefficients:
             ("in_A", 1 / (1 + self.alpha)),
         ):
             object.__setattr__(self, name, value)
+
+
+def require_alpha(where: str, alpha: float) -> None:
+    """Refuse a numerical damping that makes HHT-I3 unstable."""
+    require_finite(where, alpha)
+    if not -1 / 3 <= alpha <= 0:
+        repair = "-0.3 damps fast motion strongly, -0.05 hardly."
+        raise InvalidInput(where, "must lie in [-1/3, 0]", alpha, repair)
 
 
 @final

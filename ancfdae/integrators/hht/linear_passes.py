@@ -23,12 +23,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations import DesignPartials, Linearisation, MechanicalSystem
 from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.integrators.hht.compiled import CompiledPasses, Linear
 from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import (
     Coefficients,
@@ -60,20 +62,30 @@ class LinearSteps:
 
     One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
     (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The pass back takes the transposes
-    of both. `constraints_q` is Phi_q / (beta h^2).
+    of both.
     """
 
     system: MechanicalSystem
     c: Coefficients
     q: Array
     local: Linearisation
-    constraints_q: Array
 
     @staticmethod
     def of(system: MechanicalSystem, c: Coefficients, t: Array, states: States) -> LinearSteps:
         """Linearise at states (q, v, A, lam), instants as rows."""
-        local = system.linearise(t, *states)
-        return LinearSteps(system, c, states[0], local, local.Phi_q / (c.beta * c.h**2))
+        return LinearSteps(system, c, states[0], system.linearise(t, *states))
+
+    @cached_property
+    def constraints_q(self) -> Array:
+        """Phi_q / (beta h^2)."""
+        return np.asarray(self.local.Phi_q / (self.c.beta * self.c.h**2))
+
+    def arrays(self, part: slice, matrices: Array) -> Linear:
+        """Return what kernels take, of some steps; the matrices are theirs."""
+        local, h = self.local, np.array(self.c.h[part, 0])
+        f_v = None if local.f_v is None else np.ascontiguousarray(local.f_v[part])
+        f_q, Phi_q = (np.ascontiguousarray(x[part]) for x in (local.f_q, local.Phi_q))
+        return h, f_q, f_v, Phi_q, matrices
 
     def factorised(self, matrices: SaddlePoint, order: range) -> Iterator[Factorization]:
         """Factorise eq. (6) step by step, forward or backward."""
@@ -154,8 +166,10 @@ def differentiate(
     done, verdict = 1, Verdict.FINISHED
     try:
         steps = _advance(nodes, start, states, lam_b)
-        for _ in tqdm(steps, "derivatives", n_t - 1, disable=not progress, unit="step"):
-            done += 1
+        with tqdm(None, "derivatives", n_t - 1, disable=not progress, unit="step") as bar:
+            for taken in steps:
+                done += taken
+                bar.update(taken)
     except SingularMatrix:
         verdict = Verdict.SINGULAR
     except KeyboardInterrupt:
@@ -164,22 +178,36 @@ def differentiate(
     return [array.transpose(0, 2, 1) for array in arrays], verdict
 
 
-def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) -> Iterator[None]:
-    """Fill the rows of the arrays one by one and yield after each.
+def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) -> Iterator[int]:
+    """Fill the rows of the arrays and yield how many were filled at once.
 
     States are q_b, v_b, A_b with design variables as rows, (n_t, 3, n_b, n_q), and so is lam_b:
     right-hand sides then stand in memory as LAPACK wants them.
     """
     n_t, _, n_b, n_q = states.shape
     system, all_steps, maybe_small = nodes.problem.system, nodes.steps, nodes.maybe_small()
+    matrices = nodes.problem.matrices
+    compiled = CompiledPasses.of(system, matrices, all_steps.alpha)
     z = np.zeros((4, n_b, n_q))  # q~_b, v~_b, A~_b, a_b of a step
     z[:3] = _predicted(all_steps.first, start)
     matrix = step_matrices(all_steps)
     for steps in _chunks(system, n_t, 2 * n_b * (n_q + system.n_lam)):
         t, rows, linear = _linearised(nodes, steps)
         given = linear.given(system.design_partials(t, *rows))
-        for k, jacobian in enumerate(linear.factorised(nodes.problem.matrices, range(len(t)))):
+        k = 0
+        while k < len(t):
             n = steps.start + k
+            part = slice(k, k + _until(maybe_small[n : steps.stop]))
+            if compiled and part.stop > k:
+                at = slice(n, steps.start + part.stop)
+                packet = linear.arrays(part, matrix[n - 1 : at.stop - 1])
+                taken = compiled.forward(packet, given[part], z, states[at], lam_b[at])
+                k += taken
+                yield taken
+                if k == part.stop:
+                    continue
+                n = steps.start + k
+            (jacobian,) = linear.factorised(matrices, range(k, k + 1))
             row = nodes.row(n) if maybe_small[n] else None
             side = None
             if row is not None:
@@ -187,7 +215,13 @@ def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) 
                 side = _small_side(system, all_steps.of(n), Phi_q, row, before, z[1])
             z[3], lam_b[n] = linear.solve(k, jacobian, given[k], z, side)
             recombine(matrix[n - 1], z, states[n], z[:3])
-            yield
+            k += 1
+            yield 1
+
+
+def _until(small: Array) -> int:
+    """Return the number of steps before the first small one."""
+    return int(np.argmax(small)) if np.any(small) else len(small)
 
 
 def advance(
@@ -247,16 +281,27 @@ def pull_back_part(
     n_t, n_q = len(nodes.run.t), system.n_q
     gradient, change = np.zeros(system.n_b), 0.0
     still, nothing = np.zeros((3, n_q)), np.zeros(system.n_lam)
+    compiled = None
+    if defects is None:
+        compiled = CompiledPasses.of(system, nodes.problem.matrices, all_steps.alpha)
+        on = on.copy()
     from tqdm import tqdm
 
     chunks = _chunks(system, n_t, 0)
     for steps in tqdm(chunks[::-1], "adjoint", disable=not progress, unit="chunk"):
         t, rows, linear = _linearised(nodes, steps)
         mu, zeta = np.zeros_like(rows[0]), np.zeros_like(rows[3])
-        order = range(len(t) - 1, -1, -1)
-        for k, jacobian in zip(
-            order, linear.factorised(nodes.problem.matrices, order), strict=True
-        ):
+        k = len(t)
+        while k > 0:
+            first = k - _until(maybe_small[steps.start : steps.start + k][::-1])
+            if compiled and first < k:
+                part, at = slice(first, k), slice(steps.start + first, steps.start + k)
+                packet = linear.arrays(part, matrix[at.start - 1 : at.stop - 1])
+                k -= compiled.backward(packet, seeds.rows(at), on, mu[part], zeta[part])
+                if k == first:
+                    continue
+            k -= 1
+            (jacobian,) = linear.factorised(nodes.problem.matrices, range(k, k + 1))
             n = steps.start + k
             if seeds.q is not None:
                 on[0] += seeds.q[n]

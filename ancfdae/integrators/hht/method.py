@@ -17,17 +17,16 @@ from ancfdae.errors import (
     StabilityWarning,
     Verdict,
     require_count,
-    require_finite,
     require_positive,
 )
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
-from ancfdae.integrators.hht.equations import Coefficients, Steps, constraint_error
+from ancfdae.integrators.hht.equations import Coefficients, Steps, constraint_error, require_alpha
 from ancfdae.integrators.hht.replay import Replay, through_start
 from ancfdae.integrators.hht.small_steps import Nodes, node_after
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
-from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
+from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, Seeds
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
@@ -47,7 +46,7 @@ _EXACT = 1e-14
 
 @final
 @dataclass(frozen=True, init=False)
-class HHT(AdjointIntegrator):
+class HHT(DefectIntegrator, PartwiseIntegrator):
     """HHT-I3 (Negrut, Rampalli, Ottarsson & Sajdak 2007) at a fixed step, or with error control.
 
     Exactly one of `steps`, `step` and `rtol` is given.
@@ -94,14 +93,7 @@ class HHT(AdjointIntegrator):
         rtol: float | None = None,
     ) -> None:
         control = _control(steps, step, rtol)
-        require_finite("HHT.hht_alpha", hht_alpha)
-        if not -1 / 3 <= hht_alpha <= 0:
-            raise InvalidInput(
-                "HHT.hht_alpha",
-                "must lie in [-1/3, 0]",
-                hht_alpha,
-                "-0.3 damps fast motion strongly, -0.05 hardly.",
-            )
+        require_alpha("HHT.hht_alpha", hht_alpha)
         if newton_tolerance is None:
             asked = _SHARE * control.rtol if isinstance(control, ControlledSteps) else _EXACT
             newton_tolerance = max(_EXACT, min(asked, _LOOSEST))
@@ -119,6 +111,11 @@ class HHT(AdjointIntegrator):
                 StabilityWarning,
                 stacklevel=2,
             )
+
+    @property
+    def differentiates_runs(self) -> bool:
+        """Not where derivatives are controlled along with the motion."""
+        return not (isinstance(self.steps, ControlledSteps) and self.steps.sensitivities)
 
     def frozen(self, solution: Solution) -> HHT:
         """Return the integrator that repeats the steps of a run, whatever the design.
@@ -211,7 +208,7 @@ class HHT(AdjointIntegrator):
 
     def _derivatives_along(self, system: MechanicalSystem) -> bool:
         """Whether derivatives are integrated with the motion and controlled."""
-        if not (isinstance(self.steps, ControlledSteps) and self.steps.sensitivities):
+        if self.differentiates_runs:
             return False
         if np.iscomplexobj(system.b):
             raise InvalidInput(
@@ -281,6 +278,10 @@ class HHT(AdjointIntegrator):
         gradient, back, _ = linear_passes.pull_back(nodes, seeds, progress=progress)
         return through_start(nodes.problem, first, back, seeds, gradient)
 
+    def back_factorisations(self, solution: Solution) -> int:
+        """Return the steps: one matrix each."""
+        return solution.statistics.steps
+
     def replay(self, system: MechanicalSystem, t_end: float) -> Replay:
         """Return the run to `t_end` part by part; its steps must be known before."""
         if not isinstance(self.steps, FixedSteps | GivenSteps):
@@ -295,10 +296,7 @@ class HHT(AdjointIntegrator):
     def discretisation_error(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds
     ) -> float:
-        """Return what an objective would change without the defects of the steps.
-
-        The arguments are those of `pull_back`; there are three instants at least.
-        """
+        """Return what an objective would change without the defects; `Defects` has them."""
         first, nodes = self._opened(system, solution)
         defects = Defects.of(solution.t, solution.a, nodes.steps)
         _, back, change = linear_passes.pull_back(nodes, seeds, defects)

@@ -1,7 +1,7 @@
 """A run at known steps, taken part by part, forward and backward.
 
-A part begins with the node that the one before ends with, which is all that Newton's method needs,
-so that a part is the same whenever it is taken.
+The node that a part begins with is all that Newton's method needs, so that a part is the same
+whenever it is taken.
 """
 
 from __future__ import annotations
@@ -9,13 +9,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import final
 
+import numpy as np
+
 from ancfdae.equations.solution import Solution
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.equations import Node, NodeSensitivity, Steps, rescaled
 from ancfdae.integrators.hht.small_steps import Nodes
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
-from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.integrator import RunInParts, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import Covectors, pull_back_start
@@ -25,11 +27,8 @@ from ancfdae.numerics.arrays import Array
 
 
 @final
-class Replay:
-    """Takes parts of a run, from instant `first` to instant `last` of the times `t`.
-
-    `taken` counts the steps, repeated ones included.
-    """
+class Replay(RunInParts):
+    """A run of HHT-I3 at known steps."""
 
     def __init__(self, problem: Problem, steps: Steps, t: Array, newton: tuple[float, int]) -> None:
         self._problem, self._steps, self.t, self._newton = problem, steps, t, newton
@@ -37,14 +36,11 @@ class Replay:
         self.taken = 0
 
     def start(self) -> Node:
-        """Return the node before the first step."""
+        """Return the node of the start."""
         return self._first.node
 
     def part(self, node: Node, first: int, last: int) -> tuple[Solution, Node]:
-        """Step from a node at `first` to `last`; return the states there and between, and the end.
-
-        A part that fails or is interrupted holds the steps so far; its outcome says so.
-        """
+        """March over a plan of the known steps."""
         recorder, h = Recorder(self._problem.system, last - first + 1), self._steps.h
         stepper = Stepper(self._problem, self._steps.alpha, self._newton, None, recorder)
         recorder.record(*(stepper.recorded((node, None)) if first else stepper.consistent()))
@@ -58,11 +54,7 @@ class Replay:
     def pull_back(
         self, run: Solution, node: Node, first: int, seeds: Seeds, on: Array
     ) -> tuple[Array, Array]:
-        """Run the transposed recurrence back over a part that begins with a node.
-
-        `on` holds covectors on the states after it (`linear_passes.pull_back_part`). Returns the
-        gradient of the part, (n_b,), and covectors on the states before it.
-        """
+        """Pull back as `linear_passes.pull_back_part`."""
         h, alpha, last = self._steps.h, self._steps.alpha, first + len(run.t) - 1
         # The last step of the part hands on to a step of the size of the next.
         matrix = linear_passes.step_matrices(Steps(h[first : last + 1], alpha))[: last - first]
@@ -72,9 +64,13 @@ class Replay:
         return gradient, on
 
     def close(self, on: Array, seeds: Seeds, gradient: Array) -> Array:
-        """Pull covectors on the states before the first step back through the start."""
+        """Pull back through the start of the recurrence."""
         back = linear_passes.start_covectors(self._steps.first, on)
         return through_start(self._problem, self._first, back, seeds, gradient)
+
+    def no_covectors(self) -> Array:
+        """Six for each coordinate."""
+        return np.zeros((6, self._problem.system.n_q))
 
     def _ahead(self, node: Node, n: int) -> Node:
         """Return a node for the size of the step that begins there."""

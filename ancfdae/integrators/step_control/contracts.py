@@ -99,7 +99,9 @@ class Controller(abc.ABC):
 
 
 class StepControl(abc.ABC):
-    """Frozen settings of how the steps of a run are chosen."""
+    """Frozen settings of how the steps of a run are chosen; `kind` says it in a word."""
+
+    kind: ClassVar[str] = "fixed"
 
     @abc.abstractmethod
     def count(self, t_end: float) -> int:

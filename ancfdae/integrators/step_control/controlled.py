@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -81,6 +81,8 @@ class ControlledSteps(StepControl):
     InvalidInput
         If a setting is out of range.
     """
+
+    kind: ClassVar[str] = "controlled"
 
     rtol: float
     atol: float | None = None

@@ -24,9 +24,10 @@ class Moment(Load):
     It does the work M . dphi on a turn dphi of the section. The section turns as its plane does,
     and in this plane with the mean of its slopes: with n across r_y and r_z and r^y, r^z dual to
     them in the plane, the force on r_k is (M - (M . n) n / 2) x r^k. In the plane of a planar
-    scene the section turns with r_y (a cable, which has none, with its tangent; one in space is refused), and
-    the force is M x r_y / |r_y|^2 (docs/theory/03-joints-and-loads.md). Design targets: ``moment``
-    in the plane; ``moment_x``, ``moment_y``, ``moment_z`` in space.
+    scene the section turns with r_y (a cable, which has none, with its tangent), and
+    the force is M x r_y / |r_y|^2 (docs/theory/03-joints-and-loads.md). Cables in space have no
+    section to take it. Design targets: ``moment`` in the plane; ``moment_x``, ``moment_y``,
+    ``moment_z`` in space.
 
     Parameters
     ----------

@@ -155,9 +155,9 @@ class Combination(Operation, Objective):
             b = b + weight * part.b
             densities += [(float(weight) * w, density) for w, density in part.densities]
             for name, so_far in total.items():
-                own: Array | None = getattr(part, name)
-                if own is not None:
-                    total[name] = weight * own if so_far is None else so_far + weight * own
+                partial: Array | None = getattr(part, name)
+                if partial is not None:
+                    total[name] = weight * partial if so_far is None else so_far + weight * partial
         rows = (total["q"], total["v"], total["lam"])
         return ObjectivePartials(float(value), *rows, b, tuple(densities))
 

@@ -127,8 +127,10 @@ def totals_of(
     Not for one of an observable that remembers: points between the instants are visited in no
     order, and a state does not tell its turns.
     """
-    found = [leaf for objective in objectives for leaf in leaves(objective)]
-    integrals = (x for x in found if isinstance(x, OverTime) and not x.observable.remembers_any)
+    all_leaves = [leaf for objective in objectives for leaf in leaves(objective)]
+    integrals = (
+        x for x in all_leaves if isinstance(x, OverTime) and not x.observable.remembers_any
+    )
     return {x: Total(system, x, differentiated) for x in integrals}
 
 

@@ -63,8 +63,8 @@ class LoadPower(Leaf):
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Differentiate in q, v and b."""
-        own = known_scene(system).works.of_load(self.load)
-        q, v, b = own.partials(states.t, states.q, states.v)
+        work = known_scene(system).works.of_load(self.load)
+        q, v, b = work.partials(states.t, states.q, states.v)
         return LeafGradient(q=Rows(slice(None), q), v=Rows(slice(None), v), b=b)
 
 
@@ -87,12 +87,12 @@ class Work(Leaf):
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Return lam . Phi_t."""
-        own = known_scene(system).works.of_joint(self.joint, self.unit_rate)
-        return own.value(states.t, states.q, states.lam)
+        work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
+        return work.value(states.t, states.q, states.lam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Differentiate in q, the multipliers of the joint and b."""
-        own = known_scene(system).works.of_joint(self.joint, self.unit_rate)
-        q, lam, b = own.partials(states.t, states.q, states.lam)
-        columns = np.arange(own.rows.start, own.rows.stop)
+        work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
+        q, lam, b = work.partials(states.t, states.q, states.lam)
+        columns = np.arange(work.rows.start, work.rows.stop)
         return LeafGradient(q=Rows(slice(None), q), lam=Rows(columns, lam), b=b)

@@ -54,14 +54,14 @@ _REPAIRS = {
 class Function:
     """A function of arrays, element by element.
 
-    `edged` if it may be real on a part of the real line only; `own` if a user wrote it, so that
+    `edged` if it may be real on a part of the real line only; `by_user` if a user wrote it, so that
     its derivative is checked.
     """
 
     name: str
     call: Callable[..., Array]
     edged: bool
-    own: bool = False
+    by_user: bool = False
 
     def __call__(self, operands: Sequence[Array]) -> Array:
         """Return the value; NaN where complex operands meet the edge of the real domain."""

@@ -151,8 +151,8 @@ class MassIntegral(Leaf):
                 along = _spread(momenta.reshape(len(momenta), -1, d)[..., 0], factor, d)
                 parts[name] = parts[name] + along if name in parts else along
         rows = {name: Rows(slice(None), part) for name, part in parts.items()}
-        both, own, others = (scene.energies.kinetic_b(x, self.beam) for x in (a + b, a, b))
-        gradient = np.broadcast_to(both - own - others, (len(states.t), system.n_b))
+        both, first, second = (scene.energies.kinetic_b(x, self.beam) for x in (a + b, a, b))
+        gradient = np.broadcast_to(both - first - second, (len(states.t), system.n_b))
         return LeafGradient(q=rows.get("q"), v=rows.get("v"), b=gradient)
 
     def _factors(self, scene: AncfSystem, states: States) -> tuple[Array, Array]:

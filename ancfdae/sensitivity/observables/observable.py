@@ -193,8 +193,8 @@ class Composite(Operation, Observable):
 
 def remembered(nodes: Mapping[object, Array]) -> dict[object, float]:
     """Return the last values of leaves that remember: the past of what follows these instants."""
-    own = ((node, x) for node, x in nodes.items() if isinstance(node, Leaf) and node.remembers)
-    return {node: float(x[-1]) for node, x in own}
+    last = ((node, x) for node, x in nodes.items() if isinstance(node, Leaf) and node.remembers)
+    return {node: float(x[-1]) for node, x in last}
 
 
 def observe(
@@ -231,17 +231,19 @@ def observe(
 
 
 def _require_same_sizes(system: MechanicalSystem, solution: Solution) -> None:
-    own, got = (system.n_q, system.n_lam), (solution.q.shape[1], solution.lam.shape[1])
-    if own != got:
+    sizes, got = (system.n_q, system.n_lam), (solution.q.shape[1], solution.lam.shape[1])
+    if sizes != got:
         rule, repair = "must be that of the solution", "Pass the system that was integrated."
-        counts = f"{own[0]} coordinates and {own[1]} multipliers where that has {got[0]}, {got[1]}"
+        counts = (
+            f"{sizes[0]} coordinates and {sizes[1]} multipliers where that has {got[0]}, {got[1]}"
+        )
         raise InvalidInput("observe, system", rule, counts, repair)
 
 
 def _require_derivatives(values: dict[object, Array]) -> None:
     """Try the user's functions at the first, middle and last instant."""
     for node in values:
-        if isinstance(node, Operation) and node.function.own:
+        if isinstance(node, Operation) and node.function.by_user:
             x = [a[[0, len(a) // 2, -1]] for a in operands_of(node, values)]
             dx = [np.where(a == 0, 1.0, a) for a in x]
             require_derivative(node.function.name, node.function.call, x, dx)

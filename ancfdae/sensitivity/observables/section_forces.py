@@ -112,10 +112,10 @@ class Section(Leaf):
 
     def leaf_value(self, system: Named, states: States) -> Array:
         """Integral over the section."""
-        own = known_scene(system).sections.forces(self.point)
-        return own.value(self.component, states.q, states.v)
+        forces = known_scene(system).sections.forces(self.point)
+        return forces.value(self.component, states.q, states.v)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Complex steps of the element's coordinates and parameters."""
-        own = known_scene(system).sections.forces(self.point)
-        return LeafGradient.of(own.partials(self.component, states.q, states.v, system.n_b))
+        forces = known_scene(system).sections.forces(self.point)
+        return LeafGradient.of(forces.partials(self.component, states.q, states.v, system.n_b))

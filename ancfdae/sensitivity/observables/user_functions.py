@@ -41,13 +41,13 @@ def apply(function: Callable[..., Array], *observables: Observable) -> Observabl
         raise InvalidInput(
             f"apply({name})", "needs observables", observables, "Pass one or more, and no numbers."
         )
-    own = Function(name, function, edged=True, own=True)
+    checked = Function(name, function, edged=True, by_user=True)
     base = np.array([-1.7, -0.6, 0.3, 0.9, 2.3])
     tried = [np.roll(base, j) * (1 + 0.1 * j) for j in range(len(observables))]
     with np.errstate(all="ignore"):
         require_vectorised(name, lambda rows: function(*(x[rows] for x in tried)), len(base))
         require_derivative(name, function, tried, [np.ones_like(x) for x in tried])
-    return observables[0].combined(own, observables)
+    return observables[0].combined(checked, observables)
 
 
 def custom(function: Callable[..., Array], name: str = "custom") -> Observable:

@@ -1,0 +1,49 @@
+"""An element: a strand of loose wires, which bends a quarter as stiffly as a solid cable."""
+
+from ancfdae import CABLE_2D, HHT, Beam, Clamp, Material, Rectangle, Scene, position
+from ancfdae.model.elements import BeamElement
+from ancfdae.model.elements.element import Integrals
+
+LOOSE = 0.25
+
+
+class StrandIntegrals(Integrals):
+    """Quadratic invariant, mass and linear invariant of the cable, a quarter of the last one."""
+
+    def __init__(self, own, owners):
+        self._cable = CABLE_2D.integrals(own, owners)
+        self.powers = self._cable.powers
+        self.values = self._loosened(self._cable.values)
+
+    def partial(self, which):
+        return self._loosened(self._cable.partial(which))
+
+    def _loosened(self, values):
+        A, m, bending = values
+        return A, m, LOOSE * bending
+
+
+class Strand(BeamElement):
+    name, d = "STRAND_2D", 2
+    quantities, default_energy = CABLE_2D.quantities, None
+
+    def vector_weights(self, quantity, xi, y, z):
+        return CABLE_2D.vector_weights(quantity, xi, y, z)
+
+    def integrals(self, own, owners):
+        return StrandIntegrals(own, owners)
+
+    def section_law(self, own, xi):
+        return CABLE_2D.section_law(own, xi)
+
+    def stress_law(self, own, xi, places):
+        return CABLE_2D.stress_law(own, xi, places)
+
+
+STRAND = Strand()
+rope = Beam(
+    "rope", (0, 0), (1, 0.2), 4, Rectangle(0.02, 0.02), Material(3000, 1e8, 0.3), element=STRAND
+)
+SCENE = Scene([rope], [Clamp(rope.at_start)], (0, -9.81))
+DESIGN = ["rope.height", "rope.length", "rope.youngs_modulus", "rope.density"]
+OBSERVABLE, END, INTEGRATOR = position(rope.at_end, 1), 0.125, HHT(2.0**-7)

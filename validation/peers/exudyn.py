@@ -1,0 +1,128 @@
+"""Exudyn: settings, runs, and the time that they take."""
+
+import importlib
+import importlib.util
+import itertools
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ancfdae.errors import MissingPackage
+from ancfdae.numerics.arrays import Array
+from validation.peers.pair import Pair
+
+INSTALL = "Report peers needs Exudyn and JAX: .venv/bin/python -m pip install -e '.[peers]'"
+
+__all__ = ["INSTALL", "SPECTRAL_RADIUS", "Exudyn", "Way", "require_exudyn"]
+
+# Of generalised-alpha with the numerical damping of HHT at alpha = -0.3: (1 + alpha)/(1 - alpha).
+SPECTRAL_RADIUS = 0.7 / 1.3
+
+
+class Way(NamedTuple):
+    """What may be chosen: the linear solver, and how often the matrix is made new."""
+
+    linear_solver: str
+    modified_newton: bool
+
+    @property
+    def title(self) -> str:
+        """Name in tables."""
+        return f"{self.linear_solver}, {'modified' if self.modified_newton else 'full'} Newton"
+
+    @staticmethod
+    def all() -> list["Way"]:
+        """Return every way; the fastest counts."""
+        return list(
+            itertools.starmap(Way, itertools.product(("EXUdense", "EigenSparse"), (True, False)))
+        )
+
+
+def require_exudyn() -> None:
+    """Refuse where Exudyn is not installed."""
+    if importlib.util.find_spec("exudyn") is None:
+        raise MissingPackage(INSTALL)
+
+
+@final
+class Exudyn:
+    """A pair's model in Exudyn."""
+
+    def __init__(self, pair: Pair) -> None:
+        require_exudyn()
+        # Asked for before the import: the version without checks of ranges, which is faster.
+        sys.exudynFast = True  # type: ignore[attr-defined]
+        self._exu: Any = importlib.import_module("exudyn")
+        self._container = self._exu.SystemContainer()
+        self._mbs = self._container.AddSystem()
+        self._model = pair.build(self._exu, importlib.import_module("exudyn.utilities"), self._mbs)
+        self._mbs.Assemble()
+
+    def end(self, step: float, steps: int, newton: float, way: Way) -> Array:
+        """Integrate; return where the point is at the end, NaN if the run fails."""
+        asked = self._quiet()
+        asked.linearSolver.solverType = getattr(self._exu.LinearSolverType, way.linear_solver)
+        integration = asked.timeIntegration
+        integration.numberOfSteps, integration.endTime = steps, steps * step
+        integration.generalizedAlpha.spectralRadius = SPECTRAL_RADIUS
+        integration.newton.relativeTolerance = newton
+        integration.newton.useModifiedNewton = way.modified_newton
+        done = self._mbs.SolveDynamic(asked, storeSolver=False, autoAssemble=False)
+        return np.asarray(self._model.read()) if done else np.full(3, np.nan)
+
+    def fastest(self, step: float, steps: int, newton: float) -> Way:
+        """Return the way whose run is fastest."""
+
+        def seconds(way: Way) -> float:
+            clock = time.process_time()
+            done = np.all(np.isfinite(self.end(step, steps, newton, way)))
+            return time.process_time() - clock if done else np.inf
+
+        return min(Way.all(), key=seconds)
+
+    def at_rest(self, load_steps: int) -> Array:
+        """Solve for equilibrium; return where the point is, NaN if that fails."""
+        asked = self._quiet()
+        asked.linearSolver.solverType = self._exu.LinearSolverType.EigenSparse
+        asked.staticSolver.numberOfLoadSteps = load_steps
+        asked.staticSolver.newton.relativeTolerance = 1e-8
+        done = self._mbs.SolveStatic(asked, storeSolver=False, autoAssemble=False)
+        return np.asarray(self._model.read()) if done else np.full(3, np.nan)
+
+    def differences(self, run: Callable[[], Array], number: int, step: float) -> Array:
+        """Return central differences of what a run returns in the logarithms of variables.
+
+        Shape (number, d), at factors 1 + step and 1 - step.
+        """
+        rows = []
+        for i in range(number):
+            ends = []
+            for factor in (1 + step, 1 - step):
+                self._model.vary(i, factor)
+                ends.append(run())
+            self._model.vary(i, 1.0)
+            rows.append((ends[0] - ends[1]) / (2 * step))
+        return np.array(rows)
+
+    def frequencies(self, number: int, held: Sequence[int]) -> Array:
+        """Return the lowest natural frequencies, rad/s, where some coordinates are held."""
+        values, _ = self._mbs.ComputeODE2Eigenvalues(
+            self._quiet(),
+            useSparseSolver=False,
+            constrainedCoordinates=list(held),
+            ignoreAlgebraicEquations=True,
+            autoAssemble=False,
+        )
+        frequencies: Array = np.sqrt(np.abs(np.asarray(values)[:number]))
+        return frequencies
+
+    def _quiet(self) -> Any:
+        asked = self._exu.SimulationSettings()
+        asked.solution.file.write = False
+        asked.solution.sensors.writePeriod = 1e10
+        asked.timeIntegration.verboseMode = asked.staticSolver.verboseMode = 0
+        asked.parallel.numberOfThreads = 1
+        return asked

@@ -1,0 +1,62 @@
+"""One scene for both codes."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
+
+from ancfdae import Integrator, Point, Scene, simulate
+from ancfdae.numerics.arrays import Array
+
+__all__ = ["GRAVITY", "Model", "Pair"]
+
+GRAVITY = 9.81
+
+
+class Model(NamedTuple):
+    """What a main system of Exudyn is asked for.
+
+    ``read()`` is where the compared point is, ``vary(i, factor)`` multiplies design variable i.
+    """
+
+    read: Callable[[], Any]
+    vary: Callable[[int, float], None] = lambda i, factor: None
+
+
+class Pair(ABC):
+    """A scene in this package and in Exudyn, compared where a point of it is.
+
+    `asked` is the largest ratio of this package's time to Exudyn's that is wanted.
+    """
+
+    asked: ClassVar[float] = 1.0
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """Name in tables."""
+
+    @abstractmethod
+    def scene(self) -> Scene:
+        """Return the scene."""
+
+    @property
+    @abstractmethod
+    def point(self) -> Point:
+        """The point that is compared."""
+
+    @abstractmethod
+    def build(self, exu: Any, items: Any, mbs: Any) -> Model:
+        """Add the items to a main system of Exudyn.
+
+        `exu` is the module ``exudyn``, `items` its ``utilities``.
+        """
+
+    def design(self) -> list[str]:
+        """Return the design variables, in the order of `Model.vary`."""
+        return []
+
+    def end(self, t_end: float, integrator: Integrator) -> Array:
+        """Return where this package finds the point at the end."""
+        solution = simulate(self.scene(), t_end, integrator)
+        place: Array = solution.position(self.point)[-1]
+        return place

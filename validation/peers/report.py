@@ -1,0 +1,143 @@
+"""Report on peers: first that both sides agree, then what each costs."""
+
+import importlib.metadata
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ancfdae import HHT, assemble, simulate
+from ancfdae.numerics.arrays import Array
+from ancfdae.plotting import Panel, Series
+from validation.peers import gradients, jax_runs, rest
+from validation.peers.cables import CablePendulum, FlexibleSlider
+from validation.peers.exudyn import Exudyn, require_exudyn
+from validation.peers.pair import Pair
+from validation.peers.rigid import Chain, RigidSlider
+from validation.performance.steps import medians
+from validation.report import Agreement, Report
+
+__all__ = ["run"]
+
+_STEP, _NEWTON = 2.0**-10, 1e-8
+# End of the runs that are compared, s: chains of many bodies have not become chaotic by then.
+_COMPARED = 0.125
+
+
+def run(report: Report, quick: bool) -> None:
+    """Fill the report."""
+    require_exudyn()
+    report.heading("Method")
+    report.text(_METHOD.format(version=importlib.metadata.version("exudyn")))
+    _motion(report, _quick_pairs() if quick else _pairs(), 32 if quick else 512, 1 if quick else 5)
+    rest.fill(report, (8,) if quick else (8, 64, 256), 1 if quick else 7)
+    gradients.fill(report, quick)
+    jax_runs.fill(report, 8 if quick else 512, 1 if quick else 5)
+    report.heading("Limits")
+    report.text(_LIMITS)
+
+
+def _quick_pairs() -> list[Pair]:
+    return [Chain(1, revolute=False), RigidSlider(), FlexibleSlider(4), CablePendulum(4)]
+
+
+def _pairs() -> list[Pair]:
+    return [
+        Chain(1, revolute=False),
+        Chain(1, revolute=True),
+        RigidSlider(),
+        *(Chain(n, revolute) for revolute in (False, True) for n in (5, 20, 100)),
+        *(FlexibleSlider(n) for n in (4, 8, 32)),
+        *(CablePendulum(n) for n in (4, 10, 30, 100, 1000)),
+    ]
+
+
+def _motion(report: Report, pairs: Sequence[Pair], steps: int, repeats: int) -> None:
+    report.heading("Motion")
+    rows, ratios = [], []
+    for i, pair in enumerate(pairs):
+        here, there, way = _times(pair, steps, repeats)
+        apart = report.figure(f"motion.{i}.apart", _apart(pair))
+        ratios.append(report.figure(f"motion.{i}.ratio", here / there))
+        us = [
+            report.figure(f"motion.{i}.{side}_us", 1e6 * x / steps)
+            for side, x in (("here", here), ("exudyn", there))
+        ]
+        rows.append(
+            [pair.title, f"{apart:.1e}", *(f"{x:.3g}" for x in us), way, f"{ratios[-1]:.2f}"]
+        )
+    report.table(
+        ["scene", "apart, m", "here, us a step", "Exudyn, us a step", "its setting", "ratio"], rows
+    )
+    worst = max(ratios)
+    report.claim(
+        "A step of any scene costs no more than Exudyn's in its best setting: largest ratio",
+        "at most 1",
+        f"{worst:.2f} ({pairs[int(np.argmax(ratios))].title})",
+        Agreement.AGREES if worst <= 1 else Agreement.DISAGREES,
+    )
+    number = np.arange(1.0, len(ratios) + 1)
+    series = [
+        Series("measured", number, np.array(ratios), line=False, marker=True),
+        Series("equal", number, np.ones(len(ratios)), dashed=True),
+    ]
+    panel = Panel(
+        "Time of a step, here / Exudyn",
+        "row of the table [-]",
+        "ratio [-]",
+        series,
+        "linear",
+        "log",
+    )
+    report.plot("motion", [panel], caption="Below the line this package is faster.")
+
+
+def _times(pair: Pair, steps: int, repeats: int) -> tuple[float, float, str]:
+    """Return median processor seconds of runs that take turns, and Exudyn's best setting."""
+    exudyn, system = Exudyn(pair), assemble(pair.scene())
+    way = exudyn.fastest(_STEP, max(8, steps // 8), _NEWTON)
+    hht = HHT(step=_STEP, newton_tolerance=_NEWTON)
+    calls: list[Callable[[], object]] = [
+        lambda: simulate(system, steps * _STEP, hht),
+        lambda: exudyn.end(_STEP, steps, _NEWTON, way),
+    ]
+    here, there = medians(calls, repeats)
+    return here, there, way.title
+
+
+def _apart(pair: Pair) -> float:
+    """Return how far apart both codes are, each extrapolated from two steps; m."""
+    exudyn = Exudyn(pair)
+    way = exudyn.fastest(_STEP, 8, _NEWTON)
+    limits = []
+
+    def ours(h: float) -> Array:
+        return pair.end(_COMPARED, HHT(step=h, newton_tolerance=1e-12))
+
+    def theirs(h: float) -> Array:
+        return exudyn.end(h, round(_COMPARED / h), 1e-10, way)
+
+    for end in (ours, theirs):
+        coarse, fine = end(_STEP / 2), end(_STEP / 4)
+        limits.append(fine + (fine - coarse) / 3)
+    here, there = limits
+    return float(np.linalg.norm(here - there[: len(here)]))
+
+
+_METHOD = """\
+The same scenes are written for this package and for Exudyn {version}, a multibody code in C++
+(`validation/peers/`). Each row first compares where a point is at t = 0.125 s, both codes
+extrapolated to steps of length zero: what is left are differences of the models (the curvature of
+cables is measured in ways that differ by the axial strain) and of their meshes. Then runs take
+turns, one thread, steps of 2^-10 s, Newton's method to 1e-8; the medians of processor time count.
+Exudyn integrates by generalised-alpha with the numerical damping of HHT at alpha = -0.3, in its
+version without checks of ranges, without files, with the faster of its two linear solvers and of
+full and modified Newton iteration. Gradients are those of the height of the end in the logarithms
+of variables: here direct and adjoint, there central differences at the best change.
+"""
+
+_LIMITS = """\
+- One thread, one machine; ratios of small scenes move by a fifth from run to run.
+- Exudyn's models are ours: an expert of it may find a faster one.
+- The pendulum in JAX is the plainest way, quadrature at every point in every iteration: constant
+  invariants, which this package is built on, make it faster and longer.
+"""
