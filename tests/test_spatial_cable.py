@@ -1,5 +1,6 @@
 """The cable of space: the plane's cable in a plane, Irvine's catenary and frequencies, nets."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -428,3 +429,18 @@ def test_a_cable_in_space_has_no_axes_across_it():
     for component in (torque(rod.at_start), bending_moment(rod.at_start, 1)):
         with pytest.raises(InvalidInput, match="a cable"):
             component.check(assemble(scene))
+
+
+def test_a_file_of_one_element_for_all_is_still_read(tmp_path):
+    """Format 7 had the element beside the beams."""
+    solution = simulate(chain(), 2.0**-6, HHT(2.0**-7))
+    path = solution.save(tmp_path / "chain.npz")
+    with np.load(path) as file:
+        arrays = dict(file)
+    meta = json.loads(str(arrays["meta"]))
+    layout = meta["layout"]
+    del layout["d"]
+    layout["element_name"] = {beam.pop("element") for beam in layout["beams"]}.pop()
+    meta["format"] = "ancfdae solution 7"
+    np.savez(path, **arrays | {"meta": np.array(json.dumps(meta))})
+    assert Solution.load(path).naming.layout == solution.naming.layout

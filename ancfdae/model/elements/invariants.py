@@ -134,7 +134,7 @@ def widened(own: Invariants, element: BeamElement, wider: BeamElement) -> Invari
 
     def placed(x: Array, places: Array, size: int) -> Array:
         wide = np.zeros((len(x), *[size] * (x.ndim - 1)), dtype=x.dtype)
-        wide[(slice(None), *np.ix_(*[places] * (x.ndim - 1)))] = x
+        wide[np.ix_(np.arange(len(x)), *[places] * (x.ndim - 1))] = x
         return wide
 
     def fields(part: Invariants | InvariantPartial, *names: str) -> dict[str, Array]:
