@@ -50,7 +50,7 @@ class Slot:
         return np.array([np.concatenate(row) for row in rows])
 
     def partials(self, i: int) -> tuple[Array, Array, Array]:
-        """Return parts, entries and values of the partials in a design variable."""
+        """Return parts, entries and values of the partial derivatives by a design variable."""
         change = self.coefficients(self.item.moved(i)) - self.coefficients(self.item)
         part, at = np.nonzero(change.imag)
         # The first part is that of all joints.

@@ -41,7 +41,7 @@ class JointWork:
         return self._constraints.works(q, lam[:, self.rows], t)
 
     def partials(self, t: Array, q: Array, lam: Array) -> tuple[Array, Array, Array]:
-        """Return partials in q, the multipliers of `rows` and b; shape (k, n) each."""
+        """Return partial derivatives by q, the multipliers of `rows` and b; shape (k, n) each."""
         return self._constraints.works_partials(q, lam[:, self.rows], t)
 
 

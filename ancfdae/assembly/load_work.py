@@ -24,7 +24,7 @@ class LoadWork:
         return self._power(self.item, t, q, v)
 
     def partials(self, t: Array, q: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return partials in q, v and b; shape (k, n) each."""
+        """Return partial derivatives with respect to q, v and b; shape (k, n) each."""
         item, b = self.item, np.zeros((len(t), self.n_b))
         U, V = item.vectors.of(q), item.vectors.of(v)
         shape = U.shape[1:]

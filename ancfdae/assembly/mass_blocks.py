@@ -95,7 +95,7 @@ def other_masses(
 @final
 @dataclass(frozen=True)
 class _Single:
-    """One block, with its derivatives in all design variables, shape (n_b, k, k)."""
+    """One block, with its derivatives with respect to all design variables, shape (n_b, k, k)."""
 
     vectors: Array
     owner: int

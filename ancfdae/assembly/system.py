@@ -80,7 +80,7 @@ class AncfSystem(MechanicalSystem):
     Attributes
     ----------
     naming : Naming
-        Where beams and joints stand in q and lam, and the element lengths.
+        Positions of beams and joints in q and lam, and the element lengths.
     energies : Energies
     sections : BeamSections
         Forces and stresses of beams.

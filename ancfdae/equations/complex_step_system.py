@@ -116,7 +116,7 @@ class Differentiator:
     def gradient(
         self, kernel: Kernel, m: Motion, radii: tuple[float, ...] = (), order: int = 1
     ) -> Array:
-        """Differentiate in every coordinate; shape (n, n_q).
+        """Differentiate with respect to every coordinate; shape (n, n_q).
 
         The kernel takes rows of changes of q as its last argument, and returns a row for each.
         """
@@ -182,7 +182,7 @@ class ComplexStepSystem(MechanicalSystem):
     `position_constraint`, `start` and `with_values`, and call ``super().__init__(b)`` at the end
     of their own constructor. All of it must be analytic in q, v, t and ``self.b`` and accept
     complex numbers: no ``abs``, no comparison, no writing into an array of floats. Any partial may
-    be overridden by a formula of one's own; `check_system` compares.
+    be overridden by a formula of the user; `check_system` compares.
 
     Parameters
     ----------
@@ -318,9 +318,9 @@ class ComplexStepSystem(MechanicalSystem):
         curvature = np.zeros((n, n))
         second = derivative(moved, (1.0,), 2, lambda: self._d.terms(_constraint_at, m, (0.0,)))
         curvature[i, j] = second @ m.lam
-        own = np.diag(curvature)
-        mixed = np.triu(0.5 * (curvature - own[:, None] - own), 1)
-        result = (mixed + mixed.T + np.diag(own)) / np.outer(reach, reach)
+        pure = np.diag(curvature)
+        mixed = np.triu(0.5 * (curvature - pure[:, None] - pure), 1)
+        result = (mixed + mixed.T + np.diag(pure)) / np.outer(reach, reach)
         return np.asarray(result.ravel())
 
     @cached_property

@@ -117,11 +117,11 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
     if np.asarray(system.b).dtype.kind != "f":
         raise InvalidInput("system.b", "must be real", system.b.dtype, "Check with real values.")
     rng = np.random.default_rng(seed)
-    found, system = dict[str, Finding](), _inside(system)
+    findings, system = dict[str, Finding](), _inside(system)
 
     def add(name: str, error: float, tolerance: float) -> None:
-        before = found[name].error if name in found else 0.0
-        found[name] = Finding(name, max(before, float(error)), tolerance)
+        before = findings[name].error if name in findings else 0.0
+        findings[name] = Finding(name, max(before, float(error)), tolerance)
 
     with np.errstate(all="ignore"):
         for _ in range(samples):
@@ -129,9 +129,9 @@ def check_system(system: MechanicalSystem, *, samples: int = 2, seed: int = 0) -
             for check in (shapes, refusals, start, other_values, declarations, prove):
                 check(add, probe)
                 # What has the wrong shape or cannot be derived makes nonsense of what follows.
-                if check in (shapes, refusals) and not all(x.passed for x in found.values()):
-                    return Conformance(type(system).__name__, tuple(found.values()))
-    return Conformance(type(system).__name__, tuple(found.values()))
+                if check in (shapes, refusals) and not all(x.passed for x in findings.values()):
+                    return Conformance(type(system).__name__, tuple(findings.values()))
+    return Conformance(type(system).__name__, tuple(findings.values()))
 
 
 def _inside(system: MechanicalSystem) -> MechanicalSystem:

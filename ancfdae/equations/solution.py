@@ -188,12 +188,14 @@ class Solution:
                 repr(times),
                 "For example np.linspace(0, solution.t[-1], 101).",
             )
-        own = self.sensitivities
-        if own is not None:
-            q_b, v_b, a_b, lam_b = self._sampled(asked, own.q_b, own.v_b, own.a_b, own.lam_b)
-            own = replace(own, q_b=q_b, v_b=v_b, a_b=a_b, lam_b=lam_b)
+        sensitivities = self.sensitivities
+        if sensitivities is not None:
+            q_b, v_b, a_b, lam_b = self._sampled(
+                asked, sensitivities.q_b, sensitivities.v_b, sensitivities.a_b, sensitivities.lam_b
+            )
+            sensitivities = replace(sensitivities, q_b=q_b, v_b=v_b, a_b=a_b, lam_b=lam_b)
         q, v, a, lam = self._sampled(asked, self.q, self.v, self.a, self.lam)
-        full = replace(self, sensitivities=own, degree=1, control=())
+        full = replace(self, sensitivities=sensitivities, degree=1, control=())
         return replace(full, t=asked, q=q, v=v, a=a, lam=lam)
 
     def _sampled(self, times: Array, q: Array, v: Array, a: Array, lam: Array) -> list[Array]:
@@ -247,7 +249,7 @@ class Solution:
         return self.sensitivities
 
     def with_sensitivities(
-        self, own: Sensitivities, verdict: Verdict, steps: int, seconds: float
+        self, sensitivities: Sensitivities, verdict: Verdict, steps: int, seconds: float
     ) -> Solution:
         """Return the solution with derivatives, cut to the `steps` that have them.
 
@@ -259,7 +261,7 @@ class Solution:
         kept = {x: getattr(self, x)[: steps + 1] for x in ("t", "q", "v", "a", "lam")}
         full = self.with_pass(steps, seconds)
         control = self.control if steps == len(self.t) - 1 else ()
-        return replace(full, **kept, outcome=outcome, sensitivities=own, control=control)
+        return replace(full, **kept, outcome=outcome, sensitivities=sensitivities, control=control)
 
     def with_pass(self, factorisations: int, seconds: float) -> Solution:
         """Return the solution with the cost of a pass over it added to the statistics."""
@@ -316,17 +318,19 @@ class Solution:
             derivatives.
         """
         require_flag("to_dataframe, derivatives", derivatives)
-        own = self._known_sensitivities() if derivatives else None
-        q_b, variables = (None, ()) if own is None else (own.q_b, own.names)
+        sensitivities = self._known_sensitivities() if derivatives else None
+        q_b, variables = (
+            (None, ()) if sensitivities is None else (sensitivities.q_b, sensitivities.names)
+        )
         names = tables.coordinate_names(self.naming, self.q.shape[1])
         return tables.states_table(self.t, self.q, q_b, names, variables, columns)
 
     def __repr__(self) -> str:
-        own, errors = self.sensitivities, self.estimated_errors
+        sensitivities, errors = self.sensitivities, self.estimated_errors
         span = f"{len(self.t)} instants from t = {self.t[0]:.6g} to {self.t[-1]:.6g}"
         sizes = f"{self.q.shape[1]} coordinates, {self.lam.shape[1]} multipliers"
         lines = [f"Solution: {span}, {sizes}", str(self.outcome)]
-        lines += [] if own is None else [f"derivatives in {listed(own.names)}"]
+        lines += [] if sensitivities is None else [f"derivatives in {listed(sensitivities.names)}"]
         lines += [] if errors is None else [repr(errors)]
         return "\n".join(lines)
 
@@ -335,7 +339,7 @@ class Solution:
         spans = (("instants", self.t), ("coordinates", self.q[0]), ("multipliers", self.lam[0]))
         rows = [("Solution", ""), *((name, str(len(x))) for name, x in spans)]
         rows += [("from, to", f"{self.t[0]:.6g} s, {self.t[-1]:.6g} s")]
-        own, errors = self.sensitivities, self.estimated_errors
+        sensitivities, errors = self.sensitivities, self.estimated_errors
         rows += [] if errors is None else [("estimated error", f"{errors.motion:.3g}")]
         told = page("", rows, str(self.outcome))
-        return told if own is None else told + own._repr_html_()
+        return told if sensitivities is None else told + sensitivities._repr_html_()

@@ -138,7 +138,9 @@ def _require_version(path: Path, told: str) -> None:
 def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]]:
     """Return the arrays and everything else."""
     arrays = {name: fields[name] for name in _STATES}
-    naming, own, errors = (fields[x] for x in ("naming", "sensitivities", "estimated_errors"))
+    naming, sensitivities, errors = (
+        fields[x] for x in ("naming", "sensitivities", "estimated_errors")
+    )
     outcome = fields["outcome"]
     meta = {
         "format": f"{_FORMAT} {_VERSION}",
@@ -148,12 +150,12 @@ def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]
         "degree": fields["degree"],
         "estimated_errors": errors and asdict(errors),
         "layout": naming and _written(naming.layout),
-        "names": own and list(own.names),
+        "names": sensitivities and list(sensitivities.names),
     }
     if naming is not None:
         arrays |= {"lengths": naming.lengths, "lengths_b": naming.lengths_b}
-    if own is not None:
-        arrays |= {f"sensitivity_{name}": getattr(own, name) for name in _DERIVATIVES}
+    if sensitivities is not None:
+        arrays |= {f"sensitivity_{name}": getattr(sensitivities, name) for name in _DERIVATIVES}
     return arrays, meta
 
 
@@ -172,8 +174,8 @@ def _unpacked(
         layout = _layout(meta["layout"], elements)
         fields["naming"] = Naming(layout, arrays["lengths"], arrays["lengths_b"])
     if meta["names"] is not None:
-        own = (arrays[f"sensitivity_{name}"] for name in _DERIVATIVES)
-        fields["sensitivities"] = Sensitivities(tuple(meta["names"]), *own)
+        sensitivities = (arrays[f"sensitivity_{name}"] for name in _DERIVATIVES)
+        fields["sensitivities"] = Sensitivities(tuple(meta["names"]), *sensitivities)
     if meta["estimated_errors"] is not None:
         motion, derivatives = (meta["estimated_errors"][x] for x in ("motion", "derivatives"))
         derivatives = None if derivatives is None else tuple(derivatives)

@@ -70,18 +70,18 @@ class EstimatedErrors:
     derivatives: tuple[float, ...] | None = None
 
     def __repr__(self) -> str:
-        own = (
+        derivatives = (
             "not computed"
             if self.derivatives is None
             else listed(f"{x:.3g}" for x in self.derivatives)
         )
-        return f"estimated errors: motion {self.motion:.3g}; derivatives {own}"
+        return f"estimated errors: motion {self.motion:.3g}; derivatives {derivatives}"
 
 
 @final
 @dataclass(frozen=True)
 class Sensitivities:
-    """Total derivatives of a trajectory in the design variables of given values.
+    """Total derivatives of a trajectory with respect to design variables of given values.
 
     q_b, v_b, a_b have the shape (n_t, n_q, n_b), lam_b (n_t, n_lam, n_b).
     """

@@ -247,7 +247,7 @@ class MechanicalSystem(ComplexSteps):
         return np.concatenate([self.force(t, q_rows[0], v_rows[0])[None], total.T])
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Return the loads in Q that turn with the motion, at rest, and their partial in q.
+        """Return the loads in Q that turn with the motion, at rest, and their Jacobian in q.
 
         Shape (n_q,), and values on `pattern`. A search for an equilibrium scales them; other loads
         it takes as they are at its start.

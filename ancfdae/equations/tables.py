@@ -56,8 +56,8 @@ def states_table(
     table = dict(zip(names, q.T, strict=True))
     if q_b is not None:
         for i, variable in enumerate(variables):
-            own = (f"d {name}/d {variable}" for name in names)
-            table |= dict(zip(own, q_b[..., i].T, strict=True))
+            derivative_names = (f"d {name}/d {variable}" for name in names)
+            table |= dict(zip(derivative_names, q_b[..., i].T, strict=True))
     more = {} if more is None else more
     require_kind("to_dataframe, columns", more, (Mapping,), "For example {'tip [m]': values}.")
     assert isinstance(more, Mapping)

@@ -14,7 +14,7 @@ _LONGEST = 100
 
 
 class AncfdaeError(Exception):
-    """Base class of every error that this package raises on purpose.
+    """Base class of all errors raised by this package.
 
     All of them pickle, so that they arrive from worker processes.
     """
@@ -95,7 +95,7 @@ class StabilityWarning(UserWarning):
 
 @final
 class ManySteps(UserWarning):
-    """A run that will take many more steps than a method that suits the scene; it goes on."""
+    """A run that will take many more steps than a method that suits the scene; it continues."""
 
 
 @final

@@ -50,7 +50,7 @@ class Outcome:
     load : float or None
         Part of the load that was reached, of a search for an equilibrium; None for a motion.
     advice : str
-        What may help, in words.
+        Advice, as text.
     """
 
     verdict: Verdict
@@ -81,7 +81,7 @@ class Outcome:
 
 @final
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C came; no loop goes on, and nothing is lost.
+    """Ctrl-C was pressed: the computation ends, and what it has computed is kept.
 
     Every call raises it, also in worker processes. It is a KeyboardInterrupt, so that
     ``except Exception`` lets it pass.

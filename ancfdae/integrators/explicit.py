@@ -252,5 +252,5 @@ def _mean(x: Array) -> float:
 
 def _points(rule: Rule, h: Array, t: Array, states: Array) -> Points:
     q, v = states[:, 0], states[:, 1]
-    own = (q[:, 1:].swapaxes(1, 2), v[:, 1:].swapaxes(1, 2)) if q.shape[1] > 1 else ()
-    return Points(rule, h, t, q[:, 0], v[:, 0], *own)
+    derivatives = (q[:, 1:].swapaxes(1, 2), v[:, 1:].swapaxes(1, 2)) if q.shape[1] > 1 else ()
+    return Points(rule, h, t, q[:, 0], v[:, 0], *derivatives)

@@ -239,5 +239,5 @@ def _record(problem: Problem, recorder: Recorder, t: float, state: Array) -> Non
     if not finite(x):
         raise NotFinite
     a, lam = x[:, :n], x[:, n:]
-    own = () if len(q) == 1 else (q[1:].T, v[1:].T, a[1:].T, lam[1:].T)
-    recorder.record(t, q[0], v[0], a[0], lam[0], own)
+    derivatives = () if len(q) == 1 else (q[1:].T, v[1:].T, a[1:].T, lam[1:].T)
+    recorder.record(t, q[0], v[0], a[0], lam[0], derivatives)

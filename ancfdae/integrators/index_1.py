@@ -37,10 +37,10 @@ Solve: TypeAlias = Callable[[Array | None, Array | None], Array]
 
 def stacked(q: Array, v: Array, q_b: Array | None = None, v_b: Array | None = None) -> Array:
     """Return a state and its design derivatives as rows, (2, 1 + n_b, n_q): q, q_b; v, v_b."""
-    own = np.stack([q, v])[:, None]
+    states = np.stack([q, v])[:, None]
     if q_b is None or v_b is None:
-        return own
-    return np.concatenate([own, np.stack([q_b.T, v_b.T])], axis=1)
+        return states
+    return np.concatenate([states, np.stack([q_b.T, v_b.T])], axis=1)
 
 
 @final

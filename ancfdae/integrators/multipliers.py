@@ -121,15 +121,17 @@ class Multipliers:
 
     def _solve(self, motion: Motion) -> tuple[Array, Array]:
         """Return multipliers and accelerations, one instant after the other."""
-        found, rates = list[Array](), list[Array]()
+        multipliers, rates = list[Array](), list[Array]()
         for k, t in enumerate(motion.t):
             if k and t == motion.t[k - 1]:  # Where two panels meet.
-                found.append(found[-1])
+                multipliers.append(multipliers[-1])
                 rates.append(rates[-1])
                 continue
-            own = () if motion.q_b is None or motion.v_b is None else (motion.q_b[k], motion.v_b[k])
-            x = self._accelerations.rows(float(t), *stacked(motion.q[k], motion.v[k], *own))
+            derivatives = (
+                () if motion.q_b is None or motion.v_b is None else (motion.q_b[k], motion.v_b[k])
+            )
+            x = self._accelerations.rows(float(t), *stacked(motion.q[k], motion.v[k], *derivatives))
             n_q = motion.q.shape[1]
-            found.append(x[:, n_q:].T)
+            multipliers.append(x[:, n_q:].T)
             rates.append(x[0, :n_q])
-        return np.array(found), np.array(rates)
+        return np.array(multipliers), np.array(rates)

@@ -84,6 +84,8 @@ class Quadrature:
         """Add multipliers where there are none."""
         if points.lam is not None:
             return points
-        found = self._multipliers.at(Motion(points.t, points.q, points.v, points.q_b, points.v_b))
-        lam_b = None if points.q_b is None else found[..., 1:]
-        return replace(points, lam=found[..., 0], lam_b=lam_b)
+        multipliers = self._multipliers.at(
+            Motion(points.t, points.q, points.v, points.q_b, points.v_b)
+        )
+        lam_b = None if points.q_b is None else multipliers[..., 1:]
+        return replace(points, lam=multipliers[..., 0], lam_b=lam_b)

@@ -129,7 +129,7 @@ class Recorder:
     def solution(self, outcome: Outcome) -> Solution:
         """Return what was recorded."""
         system = self._system
-        t, q, v, a, lam, *own = (array[: self._rows] for array in self._arrays)
+        t, q, v, a, lam, *derivatives = (array[: self._rows] for array in self._arrays)
         return Solution(
             t=t,
             q=q,
@@ -148,7 +148,9 @@ class Recorder:
             ),
             outcome=self._advised(outcome),
             naming=system.naming,
-            sensitivities=Sensitivities(system.design_names, system.b, *own) if own else None,
+            sensitivities=Sensitivities(system.design_names, system.b, *derivatives)
+            if derivatives
+            else None,
             degree=self._degree,
             control=self._control,
         )

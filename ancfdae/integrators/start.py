@@ -193,7 +193,8 @@ def pull_back_start(
     """Return the design derivative of a number through the start, shape (n_b,).
 
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
-    and 1, whatever the number of design variables. With Phi' = Phi_q v - nu, (Phi')_q = Phi_q'.
+    and 1, independent of the number of design variables. With Phi' = Phi_q v - nu, (Phi')_q =
+    Phi_q'.
     """
     t, q, v, _, lam = state
     q_start, v_start = system.start()
@@ -258,15 +259,15 @@ def _project_position(
     """
     gap = system.constraint(t, q_start)
     for stages in _STAGES:
-        found = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
+        reached = q_start, np.zeros(system.n_lam, dtype=q_start.dtype)
         for stage in range(1, stages + 1):
             left = gap * (1 - stage / stages)
-            moved = _close_gap(system, matrices, q_start, t, found, left)
+            moved = _close_gap(system, matrices, q_start, t, reached, left)
             if moved is None:
                 break
-            found = moved
+            reached = moved
         else:
-            return found
+            return reached
     raise InconsistentStart(
         "start",
         "must be close enough to the constraints to be projected",

@@ -47,7 +47,7 @@ class Scene(SceneDesign):
         `AtRest` everything starts from an equilibrium.
     assemble : bool
         Whether bodies that do not meet their joints as declared are moved onto them by rigid
-        motions, with the least turns, instead of being refused; velocities likewise. Where the
+        motions, with the least rotations, instead of being refused; velocities likewise. Where the
         design is not that of the declaration they always are.
     lead : sequence of str
         Beams that keep their orientation when bodies are assembled: others turn.

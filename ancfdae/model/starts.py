@@ -94,13 +94,13 @@ class AtRest:
     """Start from an equilibrium: a mechanism that hangs, or is pre-stressed, at rest.
 
     The search for it starts from the reference configuration, or from the `NodeState` of a beam.
-    Its design derivatives are part of those of the motion.
+    Its derivatives with respect to the design are part of those of the motion.
 
     Parameters
     ----------
     loads : sequence of Load, optional
-        What it carries; by default the loads of the scene. A load that acts during the motion too
-        must be the very same object; the numbers of the others are design targets as well.
+        Loads that it carries; by default the loads of the scene. A load that acts during the motion
+        too must be the very same object; the numbers of the others are design targets as well.
     gravity : sequence of float, optional
         By default that of the scene; m/s^2.
     """

@@ -23,7 +23,7 @@ class Configuration:
     q_b, lam_b : array, shape (n_q, n_b) and (n_lam, n_b), or None
         Design derivatives of both; None where q and lam stay as the design changes.
     t : float
-        Time at which prescribed motions stand.
+        Time at which prescribed motions are evaluated.
     v : array, shape (n_q,), or None
         Velocities there, which must be small; None for rest.
     """

@@ -15,7 +15,7 @@ from ancfdae.numerics.arrays import Array
 
 
 class MotionKind(Enum):
-    """What a mode does; the value is the word that a reader sees."""
+    """Kind of a mode; the value is the word shown to a reader."""
 
     RIGID = "free to move"
     VIBRATION = "vibrates"
@@ -66,12 +66,12 @@ class Modes:
         Reactions mu that belong to the shapes.
     kinds : tuple of MotionKind
     coincide : tuple of tuple of int
-        Modes that round-off cannot tell apart, in groups of two or more.
+        Modes that round-off does not separate, in groups of two or more.
     configuration : Configuration
     unbalanced : float
         Unbalanced force relative to all forces; zero in an equilibrium.
     free : str
-        What rigid modes do, in words; empty if there are none.
+        Description of the rigid modes; empty if there are none.
     derivatives : ModeDerivatives or None
         None without design variables.
     """

@@ -27,7 +27,7 @@ _RAISES, _LOWERS = "#b2182b", "#2166ac"
 def gradient_bars(
     scene: Scene, gradient: Gradient, target: str, time: float | None = None, title: str = ""
 ) -> Figure:
-    """Draw the derivatives in a distribution over a beam as bars on its elements.
+    """Draw the derivatives with respect to a distribution as bars on the elements of a beam.
 
     A bar on the side of the section's height axis says that the objective rises with the variable
     of the element, one on the other side that it falls; lengths are in proportion.

@@ -54,7 +54,7 @@ class Gradient:
     ----------
     value : float
     gradient : array, shape (n_b,)
-        Total derivatives in the design variables.
+        Total derivatives with respect to the design variables.
     names : tuple of str
         Names of the design variables.
     method : GradientMethod

@@ -26,7 +26,7 @@ MAX_STEPS = 1000
 @final
 @dataclass(frozen=True)
 class Equilibrium:
-    """A state of rest under load, or how far a search for one has come.
+    """A state of rest under load, or the state at which the search for one ended.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Equilibrium:
 
 @final
 class NoEquilibrium(AncfdaeError):
-    """A motion was to start from an equilibrium that was not found.
+    """No equilibrium was found from which a motion was to start.
 
     Attributes
     ----------

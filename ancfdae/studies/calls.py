@@ -93,14 +93,14 @@ def differentiate(
     after: Solution | None = None,
     progress: bool = False,
 ) -> Solution:
-    """Integrate and differentiate the whole trajectory in the design variables.
+    """Integrate and differentiate the trajectory with respect to the design variables.
 
     Parameters
     ----------
     model, t_end, integrator, after, progress
         As in `simulate`.
     design : sequence of str or DesignVariable
-        For a scene: targets such as ``"pendulum.youngs_modulus"``. A mechanical system brings its
+        For a scene: targets such as ``"pendulum.youngs_modulus"``. A mechanical system has its
         own design variables, so leave it out there.
     method : Method
         `Direct` (default), `FiniteDifference` or `ComplexStep`.

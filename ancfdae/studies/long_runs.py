@@ -43,7 +43,7 @@ _ARRAYS = ("t", "q", "v", "a", "lam")
 @final
 @dataclass(frozen=True)
 class Observations:
-    """What was observed during a run.
+    """Values observed during a run.
 
     Attributes
     ----------

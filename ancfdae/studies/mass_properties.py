@@ -52,7 +52,7 @@ def mass_properties(
     Parameters
     ----------
     model : Scene or AncfSystem
-        An assembled system brings its own design variables.
+        An assembled system has its own design variables.
     beam : str, optional
         Name of a beam, a body or a point mass; by default the whole scene.
     design : sequence of str or DesignVariable, optional

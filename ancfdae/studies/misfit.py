@@ -136,7 +136,7 @@ class Fit:
 
     ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac",
     gtol=None)`` finds the design values. Without ``gtol=None`` it may stop at the start and report
-    success: SciPy compares J^T r with 1e-8, whatever the units, and in moduli in Pa that is small.
+    success: SciPy compares J^T r with 1e-8 in any units, and in moduli in Pa that is small.
     Both functions come from one run with direct differentiation per design, which is kept for the
     other. A later design than the first whose run ends early, or which cannot be put together, is
     warned about (`FailedDesign`); its residuals are infinite, so that SciPy steps back.

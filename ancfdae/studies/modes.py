@@ -41,14 +41,14 @@ def modes(
         start of the model, at rest, with the multipliers that hold it best; if forces there are
         not in balance these are the modes of a motion that is held there, and the result says so.
     design : sequence of str or DesignVariable, optional
-        Design variables of a scene to differentiate in; a mechanical system brings its own.
+        Design variables of a scene to differentiate in; a mechanical system has its own.
     damped : bool, optional
         Whether velocity forces count; by default if there are any.
     highest : bool
         Whether the highest modes are wanted instead of the lowest.
     method : Direct or Adjoint, optional
         How frequencies are differentiated: `Direct` (default) with the shapes, `Adjoint` by one
-        transposed solve for each mode, whatever the number of design variables.
+        transposed solve for each mode, independent of the number of design variables.
 
     Returns
     -------

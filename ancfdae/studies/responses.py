@@ -55,8 +55,8 @@ class Responses:
 
     ``r["mass"]`` is a function for SciPy's optimisers, ``r["mass"].gradient`` its gradient,
     ``r.constraint("miss", upper=1.0)`` a `NonlinearConstraint`, and `values` and `jacobian` are
-    those of all functions, for `least_squares`. Whatever is asked for first runs the design; the
-    rest is remembered. Values alone cost the run alone, so that searches without derivatives pay
+    those of all functions, for `least_squares`. The first evaluation runs the design; further ones
+    use its results. Values alone cost the run alone, so that searches without derivatives pay
     for none: `HHT` differentiates the run when a gradient is asked for; other integrators, and
     `Adjoint(memory)`, which take both at once, do so in every run after the first such question.
 
@@ -73,10 +73,10 @@ class Responses:
     method : GradientMethod, optional
         As in `gradients`.
     scale : float or array, shape (n_b,)
-        Functions take x = b / scale, the design values over it. Optimisers want variables of one
-        size: the values at the start are a good scale.
+        Functions take x = b / scale, the design values over it. Optimisers require variables of
+        similar size: the values at the start are a good scale.
     strict : bool
-        Whether a design without values, whose run ends early or which cannot be put together,
+        Whether a design without values, whose run ends early or which cannot be assembled,
         raises its error. By default a later one than the first is warned about (`FailedDesign`)
         and made unattractive, so that the optimiser steps back: functions rise towards it,
         constraints turn to what they forbid, `values` are infinite. Ask for `solution` at the
@@ -85,7 +85,7 @@ class Responses:
     Raises
     ------
     InvalidInput, UnknownName
-        If the input makes no sense.
+        If the input is invalid.
 
     Attributes
     ----------

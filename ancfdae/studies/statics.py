@@ -36,16 +36,16 @@ def equilibrium(
     model : Scene or MechanicalSystem
     design : sequence of str or DesignVariable, optional
         For a scene: what to differentiate in; `q_b` and `lam_b` of the result. A mechanical
-        system brings its own design variables.
+        system has its own design variables.
     start : Equilibrium, optional
-        Of the same model under other loads or at another design: the search goes on from there.
+        Of the same model under other loads or at another design: the search starts from there.
     max_steps : int
         Attempted steps of the load.
 
     Returns
     -------
     Equilibrium
-        A load that cannot be carried is told by `outcome`, and what was carried is kept.
+        A load that cannot be carried is reported by `outcome`, and what was carried is kept.
 
     Raises
     ------
@@ -101,9 +101,9 @@ def static_gradient(
     FreeMechanism
         If nothing holds a motion.
     UnfinishedRun
-        If there is no equilibrium under the full load; the error tells why and keeps the rest.
+        If there is no equilibrium under the full load; the error states why and keeps the rest.
     InvalidInput
-        If the input makes no sense.
+        If the input is invalid.
     """
     require_count("max_steps", max_steps, _STEPS)
     system = differentiable(model, design)

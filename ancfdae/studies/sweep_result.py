@@ -44,7 +44,7 @@ class Sweep:
     Attributes
     ----------
     rows : tuple of SweepRow
-        Those that Ctrl-C left out say so.
+        Those that Ctrl-C left out are marked.
     """
 
     rows: tuple[SweepRow, ...]

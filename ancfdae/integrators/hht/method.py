@@ -57,7 +57,7 @@ class HHT(DefectIntegrator, PartwiseIntegrator):
         `FixedSteps`, `ControlledSteps` or `GivenSteps`; a number is the step of `FixedSteps`.
     hht_alpha : float
         Numerical damping, in [-1/3, 0]. Second order throughout; -1/3 damps frequencies above
-        1/h most. At 0 the multipliers oscillate and do not converge, which is warned about.
+        1/h most. At 0 the multipliers oscillate and do not converge, and a warning is given.
     newton_tolerance : float, optional
         Estimated error of a and lam after the last iteration, relative to the forces of the
         motion; free of units. By default 1e-14, with error control rtol/1000 but at most 1e-9.

@@ -72,8 +72,8 @@ class ControlledSteps(StepControl):
         Steps, repeated ones included, before a run ends with an outcome.
     sensitivities : bool
         Whether the tolerance also bounds the errors of the design derivatives q_b, each relative
-        to its largest size in the run. They are then integrated with the motion, whatever is
-        asked for, after a run that tells their sizes. Without it gradients of undamped waves can
+        to its largest size in the run. They are then always integrated with the
+        motion, after a run that determines their sizes. Without it gradients of undamped waves can
         be wrong by any factor of the tolerance (docs/reports/work-precision).
 
     Raises

@@ -30,14 +30,14 @@ def with_own_sizes(rough: Solution, run: Callable[[Array], Solution], scales: Sc
     solution, sizes_b = rough, None
     while solution.outcome.verdict is not Verdict.INTERRUPTED:
         assert solution.sensitivities is not None
-        found = derivative_sizes(scales, solution.sensitivities.q_b)
+        shown = derivative_sizes(scales, solution.sensitivities.q_b)
         if sizes_b is None:
             # A rough run that broke off may have seen the beginning of a derivative only.
-            sizes_b = found if solution.outcome.success else np.full(len(found), np.inf)
-        elif not solution.outcome.success or sizes_hold(sizes_b, found):
+            sizes_b = shown if solution.outcome.success else np.full(len(shown), np.inf)
+        elif not solution.outcome.success or sizes_hold(sizes_b, shown):
             break
         else:
-            sizes_b = smaller_sizes(sizes_b, found)
+            sizes_b = smaller_sizes(sizes_b, shown)
         solution = run(sizes_b)
     return solution
 
@@ -59,19 +59,19 @@ def mean_squares(x: Array, sizes: Array) -> Array:
     return np.asarray(np.square(np.moveaxis(x, 1, -1)) @ (1 / (sizes**2 * x.shape[1])))
 
 
-def sizes_hold(assumed: Array, found: Array) -> bool:
+def sizes_hold(assumed: Array, shown: Array) -> bool:
     """Whether sizes under which a run was controlled are at most twice those it shows.
 
     Round-off has no size to compare with, and no error either.
     """
-    return bool(np.all((found == 0) | ((assumed > 0) & (assumed <= _TWICE * found))))
+    return bool(np.all((shown == 0) | ((assumed > 0) & (assumed <= _TWICE * shown))))
 
 
-def smaller_sizes(assumed: Array, found: Array) -> Array:
+def smaller_sizes(assumed: Array, shown: Array) -> Array:
     """Return the smaller ones; zero, which bounds nothing, counts as none.
 
     Where `sizes_hold` is false one of them at least falls to half or stops being zero, which none
     becomes again, so that repeating a run ends.
     """
-    smaller = np.where(assumed > 0, np.minimum(assumed, found), found)
-    return np.where(found > 0, smaller, assumed)
+    smaller = np.where(assumed > 0, np.minimum(assumed, shown), shown)
+    return np.where(shown > 0, smaller, assumed)

@@ -203,18 +203,18 @@ class _IdaMarch(March):
     def _fill_jacobian(self, t: float, y: Array, yp: Array, R: Array, c_j: float, J: Array) -> None:
         self.factorisations += 1
         (x, Y), (xp, Yp) = self._split(y), self._split(yp)
-        own = self._form.jacobian(t, x, xp, c_j)
+        jacobian = self._form.jacobian(t, x, xp, c_j)
         below = [
             (
                 self._form.jacobian(
                     t, x + _CHANGE * Y[:, i], xp + _CHANGE * Yp[:, i], c_j, self._moved[i]
                 )
-                - own
+                - jacobian
             )
             / _CHANGE
             for i in range(self._m)
         ]
-        values = self._storage.values(own, below)
+        values = self._storage.values(jacobian, below)
         if not finite(values):
             raise NotFinite
         if J.ndim == 1:

@@ -65,8 +65,8 @@ class AdjointSeeds:
         """H_q, H_v and H_lam at states, one row each."""
         total = [np.zeros((len(t), x.shape[1])) for x in self.rows]
         for weight, density in self._densities:
-            for H, own in zip(total, density.partials(t, q, v, lam), strict=True):
-                H += weight * own
+            for H, partial in zip(total, density.partials(t, q, v, lam), strict=True):
+                H += weight * partial
         return total
 
 

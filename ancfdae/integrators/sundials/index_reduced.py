@@ -155,8 +155,8 @@ class IndexReduced(abc.ABC):
         one, rates = np.ones(at.system.n_q), c_j * local.M[0]
         if local.f_v is not None:
             rates = rates + local.f_v[0]
-        own = self._entries(at, c_j)
-        entries = np.concatenate([c_j * one, -one, local.f_q[0], rates, at.Phi_q, *own])
+        form_entries = self._entries(at, c_j)
+        entries = np.concatenate([c_j * one, -one, local.f_q[0], rates, at.Phi_q, *form_entries])
         return np.asarray(entries * self._factors)
 
     @final
@@ -187,7 +187,7 @@ class IndexReduced(abc.ABC):
 
     @final
     def per_design(self, x: Array) -> Array:
-        """Return derivatives in b, shape (..., n_q, n_b), of those in ln b, (..., n_b, n_q)."""
+        """Turn derivatives by ln b, (..., n_b, n_q), into derivatives by b, (..., n_q, n_b)."""
         return np.asarray(np.swapaxes(x, -1, -2) / self._scales.b)
 
     def _vectors(self, q: Array, v: Array, a: Array, lam: Array) -> tuple[Array, Array]:
@@ -300,10 +300,10 @@ class ColumnStorage:
 
     def __init__(self, form: IndexReduced, m: int) -> None:
         n = form.n
-        own = [(form.rows, form.columns)]
+        corner = [(form.rows, form.columns)]
         below = [(n * (i + 1) + form.rows, form.columns) for i in range(m)]
         diagonal = [(n * (i + 1) + form.rows, n * (i + 1) + form.columns) for i in range(m)]
-        blocks = own + below + diagonal
+        blocks = corner + below + diagonal
         rows = np.concatenate([r for r, _ in blocks])
         columns = np.concatenate([c for _, c in blocks])
         # A pattern sorts by rows; that of the transposed matrix by columns of the matrix.

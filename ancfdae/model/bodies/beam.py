@@ -33,7 +33,7 @@ class Beam(BeamBody):
     start, end : sequence of float
         End points of the centre line, two components for a planar and three for a spatial
         scene; m. With a point of another beam as the start, such as ``crank.at_end``, the beam
-        stands there whatever the design, and `end` is taken from there.
+        starts there at every design, and `end` is relative to that point.
     elements : int
         Number of equal elements.
     section : Section or sequence of Section
@@ -49,14 +49,14 @@ class Beam(BeamBody):
     energy : StrainEnergy, optional
         By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
     turn : float or sequence of float, optional
-        Turn of the whole beam about its start, a number in the plane and in space a vector along
-        the axis; rad. Design targets: ``turn``, in space ``turn_x`` ..., and ``start_x`` ...
+        Rotation of the whole beam about its start, a number in the plane and in space a vector
+        along the axis; rad. Design targets: ``turn``, in space ``turn_x`` ..., and ``start_x`` ...
     rigid : bool, optional
         Whether it does not deform: the scene then pays for a rigid body of the same mass only.
     kinks : sequence of float, optional
         Fractions of inner nodes where the slope along the beam may jump: it has one on either side,
-        while place and section are shared. Nodes that a joint, load or point mass acts on have that
-        anyway: shear and axial forces jump there, and the deflection is of second order in the
+        while position and section are shared. Nodes that a joint, load or point mass acts on have
+        that anyway: shear and axial forces jump there, and the deflection is of second order in the
         element length or better. Declare more where sections or materials change from one element
         to the next, or to have the same coordinates with and without such a load. Forces between
         nodes are smeared over elements, and the deflection under them is of first order. Not of a

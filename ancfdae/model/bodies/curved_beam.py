@@ -41,7 +41,7 @@ class CurvedBeam(BeamBody):
     section, material, element, energy, rigid, kinks
         As in `Beam`.
     turn : float or sequence of float, optional
-        Turn of the whole beam about its first node, as in `Beam`.
+        Rotation of the whole beam about its first node, as in `Beam`.
 
     Raises
     ------

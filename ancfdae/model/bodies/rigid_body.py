@@ -37,9 +37,9 @@ def _require_inertia(where: str, value: object) -> None:
 @final
 @dataclass(frozen=True)
 class RigidBody(Placed, Designable):
-    """A body that does not deform, with axes of its own through a reference point.
+    """A body that does not deform, with its own axes through a reference point.
 
-    Its coordinates are the reference point r and its directions d_1, d_2(, d_3); a place x, y, z
+    Its coordinates are the reference point r and its directions d_1, d_2(, d_3); a point x, y, z
     of it is at r + x d_1 + y d_2 + z d_3. Give either its mass and inertia or a shape with its
     density. Design targets: ``mass``, ``centre_x`` ..., ``inertia`` in the plane, ``inertia_x``
     ... or ``inertia_xx`` ... in space; ``density`` and the sizes of the shape.
@@ -66,8 +66,8 @@ class RigidBody(Placed, Designable):
     frame : sequence of sequence of float, optional
         Directions of the axes in the reference configuration as rows; by default those of space.
     turn : float or sequence of float, optional
-        Turn of the body about its reference point, in space a vector along the axis; rad. Design
-        targets: ``turn``, in space ``turn_x`` ..., and ``position_x`` ...
+        Rotation of the body about its reference point, in space a vector along the axis; rad.
+        Design targets: ``turn``, in space ``turn_x`` ..., and ``position_x`` ...
 
     Raises
     ------

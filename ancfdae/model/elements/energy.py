@@ -62,9 +62,9 @@ class StrainEnergy(abc.ABC):
 class SaintVenantKirchhoff(StrainEnergy):
     """Full three-dimensional elasticity; plane strain in the plane (the source paper's).
 
-    Sections stay flat, but Poisson's effect wants them curved in bending: a beam of Poisson's ratio
-    0.3 bends 1.35 times too stiffly however many elements it has. Right at nu = 0. Parameters are
-    those of `StrainEnergy`.
+    Sections stay flat, but Poisson's effect requires them to be curved in bending: a beam of
+    Poisson's ratio 0.3 bends 1.35 times too stiffly however many elements it has. Right at nu = 0.
+    Parameters are those of `StrainEnergy`.
     """
 
     def stress_across(self, d: int, nu: Array) -> Array:

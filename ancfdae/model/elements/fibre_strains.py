@@ -36,7 +36,7 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Fibres:
-    """Fibres of n elements, or their derivative in a parameter.
+    """Fibres of n elements, or their derivative with respect to a parameter.
 
     Attributes
     ----------

@@ -47,7 +47,7 @@ class AxisJoint(Joint):
         Point of another beam, whose section carries the axis along; without it the axis is fixed
         to ground.
     ground : sequence of float, optional
-        Place on the ground, not with `other`; by default where the point is in the reference
+        Position on the ground, not with `other`; by default where the point is in the reference
         configuration, see `Pin`.
     name : str, optional
         By default ``kind(beam@fraction)``.

@@ -23,7 +23,7 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Clamp(Joint):
-    """Hold a section of a beam to ground where and as it stands in the reference configuration.
+    """Hold a section of a beam to ground where and as it is in the reference configuration.
 
     The section neither moves nor turns nor shears in its plane. It may still contract, and the
     centre line may leave it obliquely: a beam that is stretched contracts there, and one that is
@@ -40,8 +40,8 @@ class Clamp(Joint):
     name : str, optional
         By default ``clamp(beam@fraction)``.
     ground : sequence of float, optional
-        Place on the ground, with design targets ``ground_x`` ...; by default where the point is in
-        the reference configuration.
+        Position on the ground, with design targets ``ground_x`` ...; by default where the point is
+        in the reference configuration.
     """
 
     point: Point

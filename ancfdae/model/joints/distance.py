@@ -29,7 +29,7 @@ class Distance(Joint):
         Length L of the link; positive.
     other : Point, optional
     ground : sequence of float, optional
-        Place on the ground; just one of `other` and `ground` must be given.
+        Position on the ground; just one of `other` and `ground` must be given.
     name : str, optional
         By default ``link(beam@fraction)``.
     """

@@ -26,7 +26,7 @@ class Pin(Joint):
     other : Point, optional
         Point of another beam; without it the joint holds to ground.
     ground : sequence of float, optional
-        Place on the ground; by default where the point is in the reference configuration, also
+        Position on the ground; by default where the point is in the reference configuration, also
         where other design variables move it, until a target such as ``ground_x`` writes it.
     name : str, optional
         By default ``pin(beam@fraction)``.

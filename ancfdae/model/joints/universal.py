@@ -42,7 +42,7 @@ class Universal(Joint):
         Axis of the cross that `other` or the ground carries, in the reference; not zero.
     other : Point, optional
     ground : sequence of float, optional
-        Place on the ground, not with `other`, with design targets ``ground_x`` ...; by default
+        Position on the ground, not with `other`, with design targets ``ground_x`` ...; by default
         where the point is in the reference configuration.
     name : str, optional
         By default ``universal(beam@fraction)``.

@@ -40,11 +40,11 @@ class Bushing(Load):
     turn_stiffness, turn_damping : float or sequence of float, optional
         A number in the plane, three in space; N m/rad and N m s/rad.
     other : Point, optional
-        What the bearing is fixed to; the ground by default.
+        Body to which the bearing is fixed; the ground by default.
     name : str, optional
         By default ``bushing(beam@fraction)``.
     law : Law, optional
-        What multiplies all of it over time; its parameters are design targets, too.
+        Factor of all of it over time; its parameters are design targets, too.
     """
 
     point: Point

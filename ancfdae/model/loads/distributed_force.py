@@ -28,7 +28,7 @@ class DistributedForce(ConstantLoad):
     name : str, optional
         By default ``line-load(beam)``.
     law : Law, optional
-        What multiplies the force over time; its parameters are design targets, too.
+        Factor of the force over time; its parameters are design targets, too.
     """
 
     beam: str

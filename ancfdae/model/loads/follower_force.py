@@ -31,7 +31,7 @@ class FollowerForce(Load):
     name : str, optional
         By default ``follower(beam@fraction)``.
     law : Law, optional
-        What multiplies the force over time; its parameters are design targets, too.
+        Factor of the force over time; its parameters are design targets, too.
     """
 
     point: Point

@@ -45,7 +45,7 @@ class JointFriction(Load):
     name : str, optional
         By default ``friction(beam@fraction)``.
     law : Law, optional
-        What multiplies the torque over time; its parameters are design targets, too.
+        Factor of the torque over time; its parameters are design targets, too.
     """
 
     point: Point

@@ -31,7 +31,7 @@ class Load(Part):
     Attributes
     ----------
     law : Law or None
-        What multiplies the force over time; its parameters are targets of the load.
+        Factor of the force over time; its parameters are targets of the load.
     constant : bool
         Whether the force depends neither on positions nor on velocities.
     elastic : bool

@@ -40,7 +40,7 @@ class Moment(Load):
     name : str, optional
         By default ``moment(beam@fraction)``.
     law : Law, optional
-        What multiplies the moment over time; its parameters are design targets, too.
+        Factor of the moment over time; its parameters are design targets, too.
     """
 
     point: Point

@@ -28,7 +28,7 @@ class PointForce(ConstantLoad):
     name : str, optional
         By default ``force(beam@fraction)``.
     law : Law, optional
-        What multiplies the force over time; its parameters are design targets, too.
+        Factor of the force over time; its parameters are design targets, too.
     """
 
     point: Point

@@ -53,7 +53,7 @@ class Carrier:
         return rows if self.ground else self._weights(rows) @ _basis(self.U)
 
     def pull_back(self, rows: Array, G: Any) -> Any:
-        """Return the gradient in U of something with the gradient G in the directions."""
+        """Return the gradient with respect to U of what has the gradient G in the directions."""
         return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
 
     def _weights(self, rows: Array) -> Array:

@@ -44,7 +44,7 @@ class SlideFriction(Load):
     name : str, optional
         By default ``slide-friction(beam@fraction)``.
     law : Law, optional
-        What multiplies the force over time; its parameters are design targets, too.
+        Factor of the force over time; its parameters are design targets, too.
     """
 
     point: Point

@@ -40,7 +40,7 @@ class SpringDamper(Load):
     name : str, optional
         By default ``spring(beam@fraction)``.
     law : Law, optional
-        What multiplies the force over time; its parameters are design targets, too.
+        Factor of the force over time; its parameters are design targets, too.
     """
 
     point: Point

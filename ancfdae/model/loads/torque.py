@@ -33,11 +33,11 @@ class Torque(Load):
     axis : sequence of float, optional
         In space, in the reference configuration; it turns with the other section. z by default.
     other : Point, optional
-        What the motor stands on; the ground by default.
+        Body that carries the motor; the ground by default.
     name : str, optional
         By default ``torque(beam@fraction)``.
     law : Law, optional
-        What multiplies the torque over time; its parameters are design targets, too.
+        Factor of the torque over time; its parameters are design targets, too.
     """
 
     point: Point

@@ -42,7 +42,7 @@ class TorsionSpring(Load):
     name : str, optional
         By default ``torsion-spring(beam@fraction)``.
     law : Law, optional
-        What multiplies the torque over time; its parameters are design targets, too.
+        Factor of the torque over time; its parameters are design targets, too.
     """
 
     point: Point

@@ -62,7 +62,7 @@ class LoadPower(Leaf):
         return known_scene(system).works.of_load(self.load).value(states.t, states.q, states.v)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate in q, v and b."""
+        """Differentiate with respect to q, v and b."""
         work = known_scene(system).works.of_load(self.load)
         q, v, b = work.partials(states.t, states.q, states.v)
         return LeafGradient(q=Rows(slice(None), q), v=Rows(slice(None), v), b=b)
@@ -91,7 +91,7 @@ class Work(Leaf):
         return work.value(states.t, states.q, states.lam)
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
-        """Differentiate in q, the multipliers of the joint and b."""
+        """Differentiate with respect to q, the joint's multipliers and b."""
         work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
         q, lam, b = work.partials(states.t, states.q, states.lam)
         columns = np.arange(work.rows.start, work.rows.stop)
