@@ -46,6 +46,7 @@ from ancfdae import (
     torque,
     von_mises,
 )
+from ancfdae.plotting.mechanism import mechanism
 from ancfdae.statics.mobility import motions_in_words
 
 STEP = 1e-30
@@ -444,3 +445,18 @@ def test_a_file_of_one_element_for_all_is_still_read(tmp_path):
     meta["format"] = "ancfdae solution 7"
     np.savez(path, **arrays | {"meta": np.array(json.dumps(meta))})
     assert Solution.load(path).naming.layout == solution.naming.layout
+
+
+def test_the_surface_of_a_cable_lies_around_its_line():
+    """Every point at the radius, across the tangent, in any state; also after half a turn."""
+    rod, scene = stressed(3)
+    system = assemble(scene)
+    own = mechanism(scene, equilibrium(scene).solution, None, None)
+    (mesh,) = own.meshes
+    X = system.start()[0].reshape(-1, 3)
+    for matrix in (np.diag([-1.0, 1.0, 1.0]), np.diag([-1.0, -1.0, 1.0]), np.eye(3)[[1, 2, 0]]):
+        places = mesh.places((X @ matrix).reshape(1, -1)).reshape(*mesh.shape, 3)
+        line = places.mean(axis=2)
+        arms = places - line[:, :, None]
+        assert np.linalg.norm(arms, axis=-1) == pytest.approx(np.full(mesh.shape, 0.01), rel=1e-9)
+        assert arms @ matrix[0] == pytest.approx(np.zeros(mesh.shape), abs=1e-12)
