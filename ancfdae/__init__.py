@@ -38,6 +38,7 @@ from ancfdae.integrators import (
     GivenSteps,
     IndexReduction,
     Integrator,
+    Radau,
 )
 from ancfdae.model.bodies import (
     Beam,
@@ -288,6 +289,7 @@ __all__ = [
     "PointOnLine",
     "PointSection",
     "Prismatic",
+    "Radau",
     "Ramp",
     "Rectangle",
     "RedundantConstraints",

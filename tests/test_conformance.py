@@ -43,7 +43,8 @@ class Flipped(MechanicalSystem):
         # Attributes shadow the properties of the class.
         for name in (*dir(MechanicalSystem), "n_q", "n_lam", "design_names", "b"):
             value = None if name.startswith("_") else getattr(right, name)
-            if not (value is None or callable(value)):
+            # A kernel that takes the plan would not ask the members.
+            if not (value is None or callable(value) or name == "plan"):
                 setattr(self, name, value)
 
     def with_values(self, b):

@@ -23,6 +23,7 @@ from ancfdae import (
     Universal,
     Weld,
 )
+from ancfdae.model.parts import Elements
 
 from examples import coefficients_of
 
@@ -121,8 +122,7 @@ class Pose:
     def __init__(self, case, frame, other, seed=3):
         self.joint = case.joint
         rng = np.random.default_rng(seed)
-        element = SpaceElement()
-        self.kinds = self.joint.vectors(element)
+        self.kinds = self.joint.vectors(Elements(3, {}))
         place = rng.uniform(-1, 1, 3)
         relative = getattr(self.joint, "other", None) is not None
         # The reference: both points at the same place.
@@ -180,12 +180,6 @@ class Pose:
             )
         ]
         return np.array([self.rate(motion) for motion in motions]).T
-
-
-class SpaceElement:
-    from ancfdae.model.elements import Quantity
-
-    d, quantities = 3, tuple(Quantity)
 
 
 every_case = pytest.mark.parametrize(("case", "frame", "other"), SPACE)

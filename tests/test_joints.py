@@ -49,7 +49,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.model import joints
 from ancfdae.model.joints import DrivenJoint, Joint
 from ancfdae.model.joints.frames import Section, across, unit
-from ancfdae.model.parts import Normal
+from ancfdae.model.parts import Elements, Normal
 
 from by_hand import turns_by_hand, vector_by_hand
 from curves import CURVE, rates_of
@@ -748,7 +748,7 @@ def test_points_take_part_by_position_or_slope_as_each_joint_says():
     # The vectors that enter are those of the joint's own points.
     for name, joint in VARIANTS.items():
         element = ELEMENT_BEAMS[name.split()[0]][0].element
-        vectors = joint.vectors(element)
+        vectors = joint.vectors(Elements(element.d, dict.fromkeys(("rod", "arm"), element)))
         taken = {
             (x.point, element.quantities[1]) if isinstance(x, Normal) else (x[0], x[1])
             for x in vectors

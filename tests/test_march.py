@@ -47,8 +47,9 @@ from ancfdae.errors import RedundantConstraints
 from ancfdae.integrators.hht.compiled import CompiledPasses, CompiledSteps
 from ancfdae.integrators.hht.linear_passes import LinearSteps
 from ancfdae.integrators.hht.newton import StepSolver
-from ancfdae.model import joints
+from ancfdae.model import joints, loads
 from ancfdae.model.joints import Joint
+from ancfdae.model.loads import Load
 from ancfdae.numerics.linear_solvers import SaddlePoint
 from validation.scenes import crank_slider, pendulum
 
@@ -127,8 +128,17 @@ def test_every_joint_is_the_same_in_the_kernel(kind):
 def test_every_law_is_the_same_in_the_kernel(law):
     rod, arm = KINDS["planar"]
     held = [Pin(rod.at_start), Pin(rod.at_end, arm.at_start), Guide(arm.at_end, (0.6, 0.8), law)]
-    loads = [PointForce(rod.at_end, (3.0, -2.0), law=law), PointForce(arm.at_end, (1.0, 1.0))]
-    compared(Scene([rod, arm], held, (0, -9.81), loads=loads, project_start=True))
+    pulled = [PointForce(rod.at_end, (3.0, -2.0), law=law), PointForce(arm.at_end, (1.0, 1.0))]
+    compared(Scene([rod, arm], held, (0, -9.81), loads=pulled, project_start=True))
+
+
+@pytest.mark.parametrize("kind", ["planar", "spatial"])
+def test_every_load_is_the_same_in_the_kernel(kind):
+    members = KINDS[kind]
+    points = members[1].at(0.4), members[0].at(0.8)
+    for load in all_examples(loads, Load, members, points).values():
+        scene = replace(scene_of(members, load), joints=[Clamp(members[0].at_start)])
+        compared(replace(scene, project_start=True), t_end=2 * STEP)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-3])

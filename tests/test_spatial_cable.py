@@ -449,7 +449,7 @@ def test_a_file_of_one_element_for_all_is_still_read(tmp_path):
 
 def test_the_surface_of_a_cable_lies_around_its_line():
     """Every point at the radius, across the tangent, in any state; also after half a turn."""
-    rod, scene = stressed(3)
+    _, scene = stressed(3)
     system = assemble(scene)
     own = mechanism(scene, equilibrium(scene).solution, None, None)
     (mesh,) = own.meshes

@@ -240,6 +240,8 @@ def test_the_error_of_a_step_is_that_from_the_state_it_began_with(monkeypatch):
 class NumbersOnly:
     """All that a controller reads of a method."""
 
+    bears_jumps = False
+
     def __init__(self, order, e):
         self.order, self.e = order, e
 

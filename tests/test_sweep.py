@@ -221,12 +221,11 @@ MANY = np.linspace(1.0, 2.0, 400)[:, None]
 SYSTEM = CartesianPendulum()
 
 
-def test_short_calls_travel_together():
+def test_short_calls_travel_in_chunks():
     with Counting(2) as executor:
-        done = sweep(SYSTEM, MANY, length, design=["L"], executor=executor)
+        done = sweep(SYSTEM, MANY, length, design=["L"], executor=executor, chunk=9)
     assert done == sweep(SYSTEM, MANY, length, design=["L"])
-    # One by one 16, the others by 24 if calls take less than 4 ms, which these do by far.
-    assert 30 < executor.count < 200
+    assert executor.count == 45  # 44 chunks of 9, and one of 4
 
 
 def length_until_interrupted(system):
@@ -246,7 +245,7 @@ class Immediate(Executor):
 
 def test_an_interrupt_keeps_what_workers_have_done():
     with pytest.raises(Interrupted) as stopped:
-        sweep(SYSTEM, MANY, length_until_interrupted, design=["L"], executor=Immediate())
+        sweep(SYSTEM, MANY, length_until_interrupted, design=["L"], executor=Immediate(), chunk=8)
     done = stopped.value.result
     # The one that was interrupted, and what travelled with it and was not begun.
     assert list(done.failed) == [*range(200, 208)]
@@ -291,7 +290,8 @@ def test_a_dask_cluster_gives_the_same_rows():
     ):
         assert sweep(SCENE, DESIGNS, VALUE, executor=executor) == sweep(SCENE, DESIGNS, VALUE)
         many = SYSTEM, MANY, length
-        assert sweep(*many, design=["L"], executor=executor) == sweep(*many, design=["L"])
+        found = sweep(*many, design=["L"], executor=executor, chunk=50)
+        assert found == sweep(*many, design=["L"])
 
 
 # ---- interrupts and files

@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.load_forces import LoadInput
+from ancfdae.assembly.load_input import LoadInput
 from ancfdae.numerics.arrays import STEP, Array
 
 
@@ -44,4 +44,5 @@ class LoadWork:
 
 def _product(item: LoadInput, U: Array, V: Array, t: Array) -> Array:
     """F . V over the leading axes."""
-    return np.asarray(np.sum(item.force(U, V, np.broadcast_to(t, U.shape[:-2])) * V, axis=(-2, -1)))
+    factor = np.broadcast_to(item.factor(t, 0), U.shape[:-2])
+    return np.asarray(factor * np.sum(item.force(U, V) * V, axis=(-2, -1)))

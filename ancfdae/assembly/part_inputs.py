@@ -10,7 +10,7 @@ import numpy as np
 from ancfdae.assembly.held_angles import HeldAngles
 from ancfdae.assembly.joint_input import JointInput
 from ancfdae.assembly.joint_structure import JointStructure
-from ancfdae.assembly.load_forces import LoadForces, LoadInput
+from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
@@ -49,10 +49,9 @@ class PartInputs:
             points += own
         return JointStructure.of(inputs, self._vectors(points))
 
-    def forces(self) -> LoadForces:
-        """Return the forces of all loads."""
-        inputs = [self.load(load) for load in self.scene.loads]
-        return LoadForces(inputs, self.numbering.n_q, len(self.b), self.numbering.d)
+    def loads(self) -> list[LoadInput]:
+        """Return all loads."""
+        return [self.load(load) for load in self.scene.loads]
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
         """Return one joint as it stands alone, with its vectors."""

@@ -17,6 +17,8 @@ from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
 from ancfdae.assembly.inertia import Inertia
 from ancfdae.assembly.joint_structure import JointStructure
+from ancfdae.assembly.load_forces import LoadForces
+from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.mass_blocks import element_masses, other_masses
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
@@ -112,10 +114,10 @@ class AncfSystem(MechanicalSystem):
         self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
         inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
-        joints, self._loads = inputs.joints(), inputs.forces()
-        self.pattern = self._whole_pattern(joints)
+        joints, loads = inputs.joints(), inputs.loads()
+        self.pattern = self._whole_pattern(joints, loads)
         self._constraints = JointConstraints.on(self.pattern, joints, self.n_b)
-        self._loads.place(self.pattern)
+        self._loads = LoadForces(loads, self.pattern, self.n_b)
         soft = mapping.only(self._numbering.elements)
         beams = [beam for beam in scene.beams if not beam.rigid]
         block = element_block(numbering.widest, beams, soft, soft.values(self.b))
@@ -142,10 +144,10 @@ class AncfSystem(MechanicalSystem):
         d = self._numbering.d
         return (g, g_b) if len(g) else (np.zeros(d), np.zeros((d, self.n_b)))
 
-    def _whole_pattern(self, structure: JointStructure) -> Pattern:
+    def _whole_pattern(self, structure: JointStructure, loads: Sequence[LoadInput]) -> Pattern:
         """Pattern of everything: elements, rigid bodies, curvature of joints, tangents of loads."""
-        joints, loads = structure.couplings, self._loads.couplings()
-        parts = zip(self._numbering.couplings(), joints, loads, strict=True)
+        moving = [item.couplings for item in loads if not item.load.constant]
+        parts = zip(self._numbering.couplings(), structure.couplings, *moving, strict=True)
         rows, columns = (np.concatenate(part) for part in parts)
         return Pattern((self.n_q, self.n_q), rows, columns)
 
@@ -171,8 +173,8 @@ class AncfSystem(MechanicalSystem):
 
     @property
     def plan(self) -> Plan | None:
-        """What a kernel marches with: real numbers, and no load that moves."""
-        if np.iscomplexobj(self.b) or self._loads.moving:
+        """What a kernel marches with: real numbers."""
+        if np.iscomplexobj(self.b):
             return None
         steady, rows = self._loads.timed()
         inertia, weights = self._inertia, self.weights
@@ -188,6 +190,7 @@ class AncfSystem(MechanicalSystem):
             self._constraints.pattern.rows_of(np.zeros(self._constraints.pattern.size)),
             self._constraints.factors.table,
             self._loads.factors,
+            self._loads.plans(),
         )
 
     # -- the protocol --------------------------------------------------------------------------

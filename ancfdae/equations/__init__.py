@@ -2,7 +2,7 @@
 
 `system` states the contract: eleven values, and all that follows from them. `complex_step_system`
 takes derivatives of a system that a user writes by M, Q and Phi; `conformance` and `proof` compare
-whatever a system overrides with what it overrides. It knows no beam and no joint.
+every override of a system with what it overrides. It knows no beam and no joint.
 """
 
 from ancfdae.equations.complex_step_system import ComplexStepSystem

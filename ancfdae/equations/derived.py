@@ -2,7 +2,7 @@
 
 A system is its values: M, Q, Phi and the start, the derivatives of M and Q along a direction, and
 those of Phi in time and in q. Every other member is a formula of `MechanicalSystem` in them with
-one derivative. `Derived` runs these very formulas, whatever the system overrides, and takes the
+one derivative. `Derived` runs these formulas even where the system overrides them, and takes the
 derivative from real values; `Related` derives the values from M, Q and Phi.
 """
 
@@ -30,13 +30,13 @@ def members() -> dict[str, FunctionType]:
 
 
 def is_written(name: str) -> bool:
-    """Tell whether every system writes a member."""
+    """Whether every system writes a member."""
     abstract: frozenset[str] = MechanicalSystem.__abstractmethods__
     return name in abstract
 
 
 def is_value(name: str) -> bool:
-    """Tell whether a member is no formula in others."""
+    """Whether a member is no formula in others."""
     return is_written(name) or name in vars(Related)
 
 
@@ -99,7 +99,7 @@ class Related(Derived):
         return self._by_number(lambda e: self.system.force(t + e * dt, q + e * dq, v + e * dv))
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Nothing tells which loads turn; their partial."""
+        """No load is known to turn: zero, and its Jacobian."""
         s = self.system
         tangent = self._by_coordinate(lambda x: s.following_load(t, x)[0], q, s.pattern)
         return s.following_load(t, q)[0], tangent

@@ -9,10 +9,15 @@ from ancfdae.equations.system import MechanicalSystem
 from ancfdae.errors import RedundantConstraints
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.patterns import Pattern
 
 # Singular-value ratio under which scaled constraint rows count as dependent; round-off leaves
 # dependent rows at 1e-16 times their number.
 _DEPENDENT = 1e-11
+
+
+# Entries of a Phi_q up to which one dense decomposition is cheaper than its graph.
+_SMALL = 10_000
 
 
 def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> SaddlePoint:
@@ -43,7 +48,10 @@ def refuse_redundant(system: MechanicalSystem, values: Array) -> None:
     if system.n_lam == 0:
         return
     pattern = system.constraint_pattern
-    matrix = pattern.csr(values.real / np.sqrt(system.weights[pattern.columns])).tocsr()
+    scaled = values.real / np.sqrt(system.weights[pattern.columns])
+    if system.n_lam * system.n_q <= _SMALL and _independent(pattern, scaled):
+        return
+    matrix = pattern.csr(scaled).tocsr()
     length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
     empty = np.flatnonzero(length == 0)
     if len(empty):
@@ -78,3 +86,14 @@ def refuse_redundant(system: MechanicalSystem, values: Array) -> None:
             "Remove a joint, or replace it by one that holds fewer directions; if this is a dead "
             "point, where the mechanism could branch, start beside it.",
         )
+
+
+def _independent(pattern: Pattern, scaled: Array) -> bool:
+    """Whether rows are independent, of all components of the graph together."""
+    A = np.zeros(pattern.shape)
+    A[pattern.rows, pattern.columns] = scaled
+    length = np.sqrt(np.sum(A * A, axis=1))
+    if len(A) > A.shape[1] or not np.all(length > 0):
+        return False
+    s = np.linalg.svd(A / length[:, None], compute_uv=False)
+    return bool(s[-1] > _DEPENDENT * s[0])

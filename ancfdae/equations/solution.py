@@ -249,18 +249,19 @@ class Solution:
         return self.sensitivities
 
     def with_sensitivities(
-        self, sensitivities: Sensitivities, verdict: Verdict, steps: int, seconds: float
+        self, sensitivities: Sensitivities, verdict: Verdict, seconds: float
     ) -> Solution:
-        """Return the solution with derivatives, cut to the `steps` that have them.
+        """Return the solution with derivatives, cut to the instants that have them.
 
-        The verdict tells how the pass ended, its seconds are added to the statistics.
+        The verdict is how the pass ended, its seconds are added to the statistics.
         """
-        outcome = self.outcome
+        rows, outcome = len(sensitivities.q_b), self.outcome
+        steps = (rows - 1) // self.degree
         if verdict is not Verdict.FINISHED:
-            outcome = Outcome(verdict, float(self.t[steps]), steps, 0.0)
-        kept = {x: getattr(self, x)[: steps + 1] for x in ("t", "q", "v", "a", "lam")}
+            outcome = Outcome(verdict, float(self.t[rows - 1]), steps, 0.0)
+        kept = {x: getattr(self, x)[:rows] for x in ("t", "q", "v", "a", "lam")}
         full = self.with_pass(steps, seconds)
-        control = self.control if steps == len(self.t) - 1 else ()
+        control = self.control if rows == len(self.t) else ()
         return replace(full, **kept, outcome=outcome, sensitivities=sensitivities, control=control)
 
     def with_pass(self, factorisations: int, seconds: float) -> Solution:

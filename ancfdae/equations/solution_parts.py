@@ -25,7 +25,8 @@ class Statistics:
     iterations, residuals : int
         Newton iterations, and evaluations of the residual.
     factorisations : int
-        Those of passes for derivatives too, but for the pass back of IDAS, which does not tell.
+        Those of passes for derivatives too, except the backward pass of IDAS, which does not report
+        them.
     round_off_steps : int
         Steps of `HHT` whose Newton corrections stopped shrinking, at round-off, above the
         tolerance, or that round-off of the elastic forces leaves less than seven digits.

@@ -1,4 +1,4 @@
-"""What is refused, and how runs end, in words.
+"""Errors, warnings and outcomes of runs, with their messages.
 
 It knows no mechanics: rules for arguments, the kinds of errors, outcomes, and the wording of lists.
 """

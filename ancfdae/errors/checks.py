@@ -106,7 +106,7 @@ def require_function(where: str, value: object) -> None:
 
 
 def require_name(where: str, value: object) -> None:
-    """Raise InvalidInput for what cannot stand before the parameter of a design target."""
+    """Raise InvalidInput for what cannot precede the parameter of a design target."""
     if not isinstance(value, str) or not value or "." in value or "[" in value:
         raise InvalidInput(
             where,

@@ -1,4 +1,4 @@
-"""Outcomes of a run in words: what was computed stays usable."""
+"""Outcomes of a run: what was computed stays usable."""
 
 from __future__ import annotations
 

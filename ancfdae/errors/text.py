@@ -1,4 +1,4 @@
-"""Plain text for people: lists that end, and columns that stand below each other."""
+"""Plain text for readers: shortened lists, aligned columns."""
 
 from __future__ import annotations
 

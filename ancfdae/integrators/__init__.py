@@ -12,6 +12,7 @@ from ancfdae.integrators.integrator import (
     RunInParts,
     Seeds,
 )
+from ancfdae.integrators.radau.method import Radau
 from ancfdae.integrators.static import Static
 from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
 from ancfdae.integrators.sundials.ida import IDA

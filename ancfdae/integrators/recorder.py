@@ -81,7 +81,7 @@ class Recorder:
     @property
     def steps(self) -> int:
         """Accepted steps so far."""
-        return max(self._rows - 1, 0) if self.accepted is None else self.accepted
+        return max(self._rows - 1, 0) // self._degree if self.accepted is None else self.accepted
 
     @property
     def time(self) -> float:
@@ -90,7 +90,7 @@ class Recorder:
 
     def record(
         self,
-        t: float,
+        t: float | Array,
         q: Array,
         v: Array,
         a: Array,
@@ -101,14 +101,15 @@ class Recorder:
     ) -> None:
         """Store a state, its design derivatives (q_b, v_b, a_b, lam_b), and that of step control.
 
-        The row counts only when all of it is stored, so that an interrupt leaves whole rows.
+        Or rows of several instants. They count only when all of it is stored, so that an interrupt
+        leaves whole rows.
         """
-        row = self._rows
-        if row == len(self._arrays[0]):
+        rows = slice(self._rows, self._rows + np.size(t))
+        while rows.stop > len(self._arrays[0]):
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]
         for array, value in zip(self._arrays, (t, q, v, a, lam, *derivatives), strict=True):
-            array[row] = value
-        self._rows, self._control = row + 1, control
+            array[rows] = value
+        self._rows, self._control = rows.stop, control
 
     def room(self, count: int) -> Rows:
         """Return the next rows of q, v, a and lam, for states that `take` counts."""

@@ -23,11 +23,11 @@ from ancfdae.equations.held import (
     held_pull_back,
     held_q,
     held_total,
-    held_totals,
     velocity_side,
 )
 from ancfdae.equations.saddle_points import refuse_redundant, solve, solve_transposed
 from ancfdae.errors import InconsistentStart, InvalidInput, SingularMatrix
+from ancfdae.integrators.completion import Completion
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
@@ -88,10 +88,10 @@ def start_sensitivity(
     system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
 ) -> InitialSensitivity:
     """Differentiate `consistent_start` in the design variables."""
-    t, q, v, a, lam = state
-    q_start, v_start = system.start()
+    t, q, _, _, lam = state
+    q_start, _ = system.start()
     q_sb, v_sb = system.start_b()
-    sigma_q, moving, sigma_v, factors = _projections(system, matrices, state)
+    sigma_q, moving, completion = _projections(system, matrices, state)
 
     # 1. (M (q - q_start) + Phi_q^T sigma_q)_total = 0, M at q_start; sigma_q held on the right.
     none, still = np.zeros_like(lam), np.zeros_like(q)
@@ -99,32 +99,24 @@ def start_sensitivity(
     right = right - held_total(system, t, q_start, q - q_start, none, q_sb)
     right = right - held_total(system, t, q, still, sigma_q, np.zeros_like(q_sb))
     q_b, _ = solve(moving, right, -system.constraint_total(t, (q,)))
-
-    # 2. M v_b + Phi_q^T s_b = M v_sb - (M (v - v_start) + Phi_q^T s)_total, s = sigma_v
-    right = system.mass_times(q, v_sb) - held_total(system, t, q, v - v_start, sigma_v, q_b)
-    side = system.constraint_total(t, (q, v), (q_b, np.zeros_like(q_b)))
-    v_b, _ = solve(factors, right, -side)
-
-    # 3. The same for the accelerations.
-    rows = [np.concatenate([x[None], x_b.T]) for x, x_b in ((q, q_b), (v, v_b))]
-    force, held = held_totals(system, t, rows[0], rows[1], np.concatenate([a, lam]))
-    Q_b = system.force_and_total(t, *rows)[1:]
-    side = np.zeros((system.n_lam, system.n_b)) if held is None else -held.T
-    a_b, lam_b = solve(factors, (Q_b - force).T, side)
-    return InitialSensitivity(q_b, v_b, a_b, lam_b)
+    # 2. and 3.
+    return InitialSensitivity(q_b, *completion.total(0, q_b, v_sb))
 
 
 def _projections(
     system: MechanicalSystem, matrices: SaddlePoint, state: InitialState
-) -> tuple[Array, Factorization, Array, Factorization]:
-    """Return sigma_q with the matrix of 1, and sigma_v with that of 2 and 3."""
+) -> tuple[Array, Factorization, Completion]:
+    """Return sigma_q with the matrix of 1, and 2 and 3."""
     q_start, v_start = system.start()
     sigma_q = _project_position(system, matrices, q_start, state.t)[1]
     moving = _factor_position(system, matrices, q_start, state.q, sigma_q, state.t)
-    factors = _factor_mass(system, matrices, state.q, state.t)
-    right = system.mass_times(state.q, v_start - state.v)
+    factors, dv = _factor_mass(system, matrices, state.q, state.t), state.v - v_start
+    right = -system.mass_times(state.q, dv)
     sigma_v = solve(factors, right, np.zeros(system.n_lam))[1]
-    return sigma_q, moving, sigma_v, factors
+    t, *states = (np.asarray(x)[None] for x in state)
+    q, v, a, lam = states
+    moved = dv[None], sigma_v[None]
+    return sigma_q, moving, Completion.of(system, [factors], t, (q, v, a, lam), moved)
 
 
 class Covectors(NamedTuple):
@@ -193,24 +185,14 @@ def pull_back_start(
     """Return the design derivative of a number through the start, shape (n_b,).
 
     The transpose of `start_sensitivity`, in reverse order: one transposed solve for each of 3, 2
-    and 1, independent of the number of design variables. With Phi' = Phi_q v - nu, (Phi')_q =
-    Phi_q'.
+    and 1, independent of the number of design variables.
     """
-    t, q, v, _, lam = state
-    q_start, v_start = system.start()
-    sigma_q, moving, sigma_v, factors = _projections(system, matrices, state)
-    K, B = system.pattern.dot_transposed, system.constraint_pattern.dot_transposed
-    none = np.zeros_like(lam)
-
-    accelerations = AccelerationsAdjoint(system, factors, state)
-    through = accelerations.pull_back(on.a, on.lam)
-    on_q, on_v, on_b = on.q + through[0], on.v + through[1], on.b + through[2]
-
-    m, z = solve_transposed(factors, on_v, none)
-    on_q = on_q - K(held_q(system, t, q, v - v_start, sigma_v), m) - B(accelerations.rate, z)
-    on_b = on_b - z @ system.constraint_total(t, (q, v))
-    on_b = on_b - held_pull_back(system, t, q, v - v_start, sigma_v, m)
-    on_v_start = system.mass_times(q, m)
+    t, q, _, _, lam = state
+    q_start, _ = system.start()
+    sigma_q, moving, completion = _projections(system, matrices, state)
+    K, none = system.pattern.dot_transposed, np.zeros_like(lam)
+    on_q, on_v_start, *covectors = completion.back(0, on.q, on.v, on.a, on.lam)
+    on_b = on.b + completion.pull_back(*(x[None] for x in covectors))
 
     m, z = solve_transposed(moving, on_q, none)
     moved = q - q_start

@@ -53,15 +53,17 @@ Csr: TypeAlias = tuple[Array, Array, Array]
 
 
 ConstraintPlan = _kernels.ConstraintPlan
+LoadPlan = _kernels.LoadPlan
 
 
 class Plan(NamedTuple):
-    """A system of elements, joints and loads that the state does not change, for `march`.
+    """A system of elements, joints and loads, for `march`.
 
     `mass` is M on the system's pattern, `places` those of the elements' tangents on it, and M the
     same without zeros. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of
     time are functions of instants, (k,): those of constraints with derivatives, (orders, k,
-    n_parts), None where nothing is driven, and those of loads, (k, n_loads).
+    n_parts), None where nothing is driven, and those of loads, (k, n_loads), of `moving` ones
+    last. Of these it says whether they use velocities.
     """
 
     block: Block
@@ -76,6 +78,7 @@ class Plan(NamedTuple):
     B: Csr
     joint_factors: Callable[[Array, int], Array] | None
     load_factors: Callable[[Array], Array]
+    moving: tuple[tuple[LoadPlan, bool], ...]
 
 
 class Layout(NamedTuple):
@@ -116,6 +119,9 @@ forces = _kernels.forces
 forces_along = _kernels.forces_along
 gram = _kernels.gram
 ldl_factor = _kernels.ldl_factor
+load_forces = _kernels.load_forces
+load_forces_along = _kernels.load_forces_along
+load_tangents = _kernels.load_tangents
 ldl_solve = _kernels.ldl_solve
 lifted = _kernels.lifted
 march = _kernels.march

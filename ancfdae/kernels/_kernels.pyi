@@ -114,6 +114,32 @@ def constraint_totals(
     derivatives are rows, (k, n_b, n). Without those of the motion it is held.
     """
 
+class LoadPlan:
+    """A load as a list of operations; `load_plan.h` says what the indices are, in its order.
+
+    Numbers are entries of L and constants.
+    """
+
+    def __init__(
+        self,
+        indices: tuple[Array, ...],
+        numbers: tuple[Array, Array],
+        n_q: int,
+        n_values: int,
+        /,
+    ) -> None: ...
+
+def load_forces(plan: LoadPlan, factors: Array, q: Array, v: Array, /) -> Array:
+    """Return Q of a load times a factor for each instant, (k, n_q)."""
+
+def load_forces_along(
+    plan: LoadPlan, factors: Array, q: Array, v: Array, dq: Array, dv: Array, /
+) -> Array:
+    """Return its derivative along rows of dq and dv."""
+
+def load_tangents(plan: LoadPlan, factors: Array, q: Array, v: Array, velocity: bool, /) -> Array:
+    """Return values of Q_q, or with `velocity` of Q_v, (k, n_values)."""
+
 def csr_rows(first: Array, columns: Array, values: Array, x: Array, /) -> Array:
     """Return M x for rows of x; M in compressed sparse rows."""
 

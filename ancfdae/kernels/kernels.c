@@ -54,6 +54,19 @@
 enum { MOST_Y = 8, MOST_G = 36, MOST_M = 24, MOST_WIDE = 32 };
 
 #include "constraint_plan.h"
+#include "load_plan.h"
+
+/* The angle of (x, y); of complex numbers too that are real but for a tiny step. */
+static double angle_of_real(double y, double x)
+{
+    return atan2(y, x);
+}
+
+static double complex angle_of_complex(double complex y, double complex x)
+{
+    double size = creal(x) * creal(x) + creal(y) * creal(y);
+    return atan2(creal(y), creal(x)) + I * ((creal(x) * cimag(y) - creal(y) * cimag(x)) / size);
+}
 /* Settings of Newton's method in steps of HHT-I3, numbers only (`integrators/hht/newton.py`), with
  * the places and weights of the Gauss points of small steps. */
 typedef struct {
@@ -82,12 +95,15 @@ static double seconds_now(void)
 
 #define T double
 #define NAME(x) x##_real
+#define MATH(x) x
+#define ANGLE_OF angle_of_real
 #define CLONES WITH_WIDE_VECTORS
 #include "elements.h"
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
 #include "constraints.h"
+#include "loads.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
@@ -95,20 +111,27 @@ static double seconds_now(void)
 #include "passes.h"
 #undef T
 #undef NAME
+#undef MATH
+#undef ANGLE_OF
 #undef CLONES
 #define T double complex
 #define NAME(x) x##_complex
+#define MATH(x) c##x
+#define ANGLE_OF angle_of_complex
 #define CLONES
 #include "elements.h"
 #include "blocks.h"
 #include "totals.h"
 #undef OF_SIZE
 #include "constraints.h"
+#include "loads.h"
 #include "sparse.h"
 #include "band.h"
 #include "symmetric.h"
 #undef T
 #undef NAME
+#undef MATH
+#undef ANGLE_OF
 #undef CLONES
 
 #include "constraint_totals.h"
@@ -547,6 +570,7 @@ static PyObject *py_stressed(PyObject *const *args)
 /* ---- constraints ----------------------------------------------------------------------------- */
 
 #include "constraint_calls.h"
+#include "load_calls.h"
 
 /* ---- linear algebra ------------------------------------------------------------------------ */
 
@@ -1149,6 +1173,9 @@ FUNCTION(force_totals, 9)
 FUNCTION(tangents, 6)
 FUNCTION(constraint_curvature, 3)
 FUNCTION(constraint_totals, 8)
+FUNCTION(load_forces, 4)
+FUNCTION(load_forces_along, 6)
+FUNCTION(load_tangents, 5)
 FUNCTION(gram, 2)
 FUNCTION(strain, 4)
 FUNCTION(stressed, 2)
@@ -1185,6 +1212,9 @@ static PyMethodDef methods[] = {
     METHOD_OF_MANY(constraint_gradient),
     METHOD(constraint_curvature),
     METHOD(constraint_totals),
+    METHOD(load_forces),
+    METHOD(load_forces_along),
+    METHOD(load_tangents),
     METHOD(finite),
     METHOD(relative),
     METHOD(lifted),
@@ -1218,7 +1248,8 @@ PyMODINIT_FUNC PyInit__kernels(void)
 {
     import_array();
     PyObject *module = PyModule_Create(&definition);
-    if (module && PyModule_AddType(module, &ConstraintPlanType) < 0)
+    if (module && (PyModule_AddType(module, &ConstraintPlanType) < 0 ||
+                   PyModule_AddType(module, &LoadPlanType) < 0))
         Py_CLEAR(module);
     return module;
 }

@@ -25,14 +25,23 @@ enum { AT_END, AT_START, AT_GAUSS, RATE_AT_GAUSS = AT_GAUSS + 3, ALL_INSTANTS = 
  * points, whose matrix is indefinite, or that no time is left for. */
 enum { ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME };
 
+/* A load that moves, and whether it uses velocities. */
+typedef struct {
+    const load_plan *plan;
+    NAME(load_numbers) numbers;
+    int velocity;
+} NAME(moving_load);
+
 /* A system with its matrices and the settings of Newton's method. `first` is NULL without an
- * envelope, `flat` without a band; coefficients of joints that are `still` are the same at all
+ * envelope, `flat` without a band. Factors are those of all loads, `velocity` tells whether forces
+ * depend on it; coefficients of joints that are `still` are the same at all
  * instants. */
 typedef struct {
-    npy_intp n_q, n_lam, nnz, n_loads, n_chosen, half;
-    int n_y, d, damped, still;
+    npy_intp n_q, n_lam, nnz, n_loads, n_moving, n_factors, n_chosen, half;
+    int n_y, d, damped, velocity, still;
     NAME(block) block;
     const constraint_plan *constraints;
+    const NAME(moving_load) *moving;
     NAME(constraint_numbers) numbers;
     NAME(csr) M, K, B; /* K has the values of M on the pattern of all tangents */
     const npy_int32 *index, *first, *chosen, *places;
@@ -49,7 +58,7 @@ typedef struct {
 typedef struct {
     T *q_p, *dq_p, *v_p, *q, *v, *A, *a, *lam, *U, *B, *Q, *inner, *reaction, *ahead, *start;
     T *Phi, *rate, *defect, *R, *x, *force, *f_q, *f_v, *sum, *matrix, *work;
-    T *at_end, *within;
+    T *at_end, *within, *of_load;
     const T *c[1];
     double *least;
     int *pivots, B_known, banded;
@@ -118,6 +127,9 @@ static void NAME(force_at)(const NAME(plan) *p, NAME(room) *r, const double *fac
     for (npy_intp k = 0; k < p->n_loads; k++)
         for (npy_intp i = 0; i < p->n_q; i++)
             r->Q[i] += factors[k] * p->loads[k * p->n_q + i];
+    for (npy_intp k = 0; k < p->n_moving; k++)
+        NAME(load_force)(p->moving[k].plan, &p->moving[k].numbers, factors[p->n_loads + k], q, v,
+                         r->of_load, r->Q);
 }
 
 /* Phi = defect + its integral over a small step along dq. */
@@ -156,7 +168,7 @@ static double NAME(motion_before)(const NAME(plan) *p, NAME(room) *r, const NAME
     NAME(at_instant)(p, r, of_joints, AT_START, 0, c);
     NAME(jacobian_at)(p, r, c, b->q);
     NAME(reaction_of)(p, r, b->lam, r->reaction);
-    NAME(force_at)(p, r, of_loads + AT_START * p->n_loads, b->q, b->v);
+    NAME(force_at)(p, r, of_loads + AT_START * p->n_factors, b->q, b->v);
     return NAME(motion_of)(p, r, b->a);
 }
 
@@ -212,7 +224,7 @@ static int NAME(residual_at)(const NAME(plan) *p, NAME(room) *r, const step_coef
         NAME(constraint_at)(p, r, r->c, r->q, NULL, r->Phi);
     NAME(jacobian_at)(p, r, r->c, r->q);
     NAME(reaction_of)(p, r, r->lam, r->reaction);
-    NAME(force_at)(p, r, of_loads + AT_END * p->n_loads, r->q, r->v);
+    NAME(force_at)(p, r, of_loads + AT_END * p->n_factors, r->q, r->v);
     memset(R, 0, (size_t)p->n_q * sizeof(T));
     NAME(csr_times)(&p->M, r->A, R);
     for (npy_intp i = 0; i < p->n_q; i++) {
@@ -254,19 +266,33 @@ static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coeff
                : 0;
 }
 
+/* Subtract Q_q, or Q_v, of loads that move. */
+static void NAME(load_tangents)(const NAME(plan) *p, NAME(room) *r, const double *factors,
+                                int velocity, T *values)
+{
+    for (npy_intp k = 0; k < p->n_moving; k++)
+        if (!velocity || p->moving[k].velocity)
+            NAME(load_tangent)(p->moving[k].plan, &p->moving[k].numbers, -factors[p->n_loads + k],
+                               r->q, r->v, velocity, r->of_load, values);
+}
+
 /* The same at the state as it stands. */
-static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c)
+static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                            const double *of_loads)
 {
     const T *v = p->damped ? r->v : NULL;
     r->counts[1]++;
     memset(r->f_q, 0, (size_t)p->nnz * sizeof(T));
     NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->f_q);
     NAME(constraint_curvature)(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
-    if (p->damped) {
+    NAME(load_tangents)(p, r, of_loads + AT_END * p->n_factors, 0, r->f_q);
+    if (p->velocity) {
         memset(r->f_v, 0, (size_t)p->nnz * sizeof(T));
-        NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->f_v);
+        if (p->damped)
+            NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->f_v);
+        NAME(load_tangents)(p, r, of_loads + AT_END * p->n_factors, 1, r->f_v);
     }
-    return NAME(factor_sum)(p, r, c, r->f_q, p->damped ? r->f_v : NULL, r->B);
+    return NAME(factor_sum)(p, r, c, r->f_q, p->velocity ? r->f_v : NULL, r->B);
 }
 
 /* x = J^-1 right, or its transpose, for rows. */
@@ -307,7 +333,7 @@ static int NAME(iterated)(const NAME(plan) *p, NAME(room) *r, const step_coeffic
         r->counts[0]++;
         if (!NAME(residual_at)(p, r, c, b, of_joints, of_loads, small))
             return NOT_SOLVED;
-        int failed = fresh ? NAME(factorised)(p, r, c) : 0;
+        int failed = fresh ? NAME(factorised)(p, r, c, of_loads) : 0;
         if (failed)
             return failed;
         NAME(solve_rows)(p, r, 'N', 1, r->R, r->x);
@@ -388,7 +414,7 @@ static npy_intp NAME(marched)(const NAME(plan) *p, NAME(room) *r, NAME(before) *
         }
         memcpy(counts, r->counts, sizeof counts);
         *ends = NAME(stepped)(p, r, &c, &begin, of_joints + n * instants * p->constraints->n_parts,
-                              instants, of_loads + n * 2 * p->n_loads, &motion);
+                              instants, of_loads + n * 2 * p->n_factors, &motion);
         if (*ends) {
             memcpy(r->counts, counts, sizeof counts);
             return n;

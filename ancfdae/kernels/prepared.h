@@ -12,6 +12,7 @@ typedef struct {
     plan_real plan;
     room_real room;
     void *memory;
+    moving_load_real *moving;
 } Prepared;
 
 static const char *const prepared_name = "ancfdae.march";
@@ -21,6 +22,7 @@ static void prepared_dropped(Prepared *x)
     for (int i = 0; i < x->n_kept; i++)
         Py_DECREF(x->kept[i]);
     PyMem_RawFree(x->memory);
+    PyMem_Free(x->moving);
     PyMem_Free(x);
 }
 
@@ -111,7 +113,7 @@ static int kept_block(Prepared *x, PyObject *object, PyObject *index)
     return p->index != NULL;
 }
 
-enum { PLAN_ITEMS = 12, LAYOUT_ITEMS = 4 };
+enum { PLAN_ITEMS = 13, LAYOUT_ITEMS = 4 };
 
 /* A plan of constraints, and (first, columns, values) of Phi_q. */
 static int kept_constraints(Prepared *x, PyObject *object, PyObject *B)
@@ -128,6 +130,33 @@ static int kept_constraints(Prepared *x, PyObject *object, PyObject *B)
     return kept_csr(x, B, p->n_lam, p->n_q, &p->B) &&
            (p->B.first[p->n_lam] == own->plan.n_values ||
             wrong("there must be a value for each entry of the constraint Jacobian"));
+}
+
+/* Pairs of a plan of a load that moves, and whether it uses velocities. */
+static int kept_loads(Prepared *x, PyObject *pairs)
+{
+    plan_real *p = &x->plan;
+    if (!pairs || !PyTuple_Check(pairs) || x->n_kept == MOST_KEPT)
+        return wrong("a plan is made of named tuples");
+    x->kept[x->n_kept++] = Py_NewRef(pairs);
+    p->n_moving = PyTuple_GET_SIZE(pairs), p->n_factors = p->n_loads + p->n_moving;
+    p->velocity = p->damped;
+    p->moving = x->moving = PyMem_Calloc((size_t)p->n_moving + 1, sizeof *x->moving);
+    if (!x->moving)
+        return PyErr_NoMemory(), 0;
+    for (npy_intp k = 0; k < p->n_moving; k++) {
+        PyObject *pair = PyTuple_GET_ITEM(pairs, k), *object = item(pair, 2, 0);
+        const LoadPlan *own = (const LoadPlan *)object;
+        if (!object)
+            return 0;
+        if (!PyObject_TypeCheck(object, &LoadPlanType) || own->type != NPY_DOUBLE ||
+            own->plan.n_q != p->n_q || own->plan.n_values != p->nnz)
+            return wrong("loads must be real, and those of the coordinates");
+        int velocity = PyObject_IsTrue(item(pair, 2, 1));
+        x->moving[k] = (moving_load_real){&own->plan, own->in_real, velocity};
+        p->velocity |= velocity;
+    }
+    return 1;
 }
 
 /* (order, scale, envelope, band); an envelope is (first, chosen, places, signs) and a band (half,
@@ -186,10 +215,15 @@ static int given_room(Prepared *x)
                  {&r->Q, n_q}, {&r->inner, n_q}, {&r->reaction, n_q}, {&r->ahead, n_q},
                  {&r->start, n_q}, {&r->Phi, n_lam}, {&r->rate, n_lam}, {&r->defect, n_lam},
                  {&r->R, n}, {&r->x, n}, {&r->force, n_q}, {&r->f_q, nnz},
-                 {&r->f_v, p->damped ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
+                 {&r->f_v, p->velocity ? nnz : 0}, {&r->sum, p->flat ? nnz : 0},
                  {&r->matrix, envelope > band ? envelope : band}, {&r->work, 8 * n},
-                 {&r->at_end, (size_t)c->n_c}, {&r->within, 2 * (size_t)c->n_c}, {&r->least, n}};
+                 {&r->at_end, (size_t)c->n_c}, {&r->within, 2 * (size_t)c->n_c}, {&r->least, n},
+                 {&r->of_load, 0}};
     int count = (int)(sizeof rooms / sizeof rooms[0]);
+    for (npy_intp k = 0; k < p->n_moving; k++) {
+        size_t size = (size_t)load_work_real(p->moving[k].plan, p->moving[k].plan->n_U);
+        rooms[count - 1].size = size > rooms[count - 1].size ? size : rooms[count - 1].size;
+    }
     for (int i = 0; i < count; i++)
         total += rooms[i].size;
     x->memory = PyMem_RawCalloc(total + n + 1, sizeof(double));
@@ -228,9 +262,10 @@ static PyObject *py_prepare(PyObject *const *args)
     p->inverse = kept_numbers(x, item(t, PLAN_ITEMS, 7), p->n_q);
     if (!loads || !p->gravity || !p->weights || !p->inverse ||
         (PyArray_DIM(loads, 1) != p->n_q && !wrong("a load must have a number for each coordinate")) ||
+        (p->loads = data_of(loads), p->n_loads = PyArray_DIM(loads, 0),
+         !kept_loads(x, item(t, PLAN_ITEMS, 12))) ||
         !kept_constraints(x, item(t, PLAN_ITEMS, 8), item(t, PLAN_ITEMS, 9)) || !kept_layout(x, args[1]) || !given_room(x))
         return prepared_dropped(x), NULL;
-    p->loads = data_of(loads), p->n_loads = PyArray_DIM(loads, 0);
     if (p->flat) {
         p->gbtrf = (gbtrf_t_real)lapack(&gbtrf, "dgbtrf", "void (int *, int *, int *, int *, ");
         p->gbtrs = (gbtrs_t_real)lapack(&gbtrs, "dgbtrs", "void (char *, int *, int *, int *, int *, ");
@@ -294,7 +329,7 @@ static int marching_taken(const plan_real *p, PyObject *const *args, Marching *m
         m->rows[i] = PyArray_DATA(row);
     }
     npy_intp of_joints[] = {p->still ? -1 : m->k, -1, p->constraints->n_parts};
-    npy_intp of_loads[] = {m->k, 2, p->n_loads};
+    npy_intp of_loads[] = {m->k, 2, p->n_factors};
     m->instants = p->still ? ALL_INSTANTS : PyArray_DIM(m->of_joints, 1);
     m->a = (PyArrayObject *)PyArray_SimpleNew(1, sizes, NPY_DOUBLE);
     return m->a && shaped(m->of_joints, 3, of_joints) && shaped(m->of_loads, 3, of_loads) &&

@@ -13,6 +13,7 @@ import numpy as np
 from ancfdae.errors import InvalidInput, require_axial, require_text, require_vector
 from ancfdae.model.bodies import Point, require_point
 from ancfdae.model.design import Designable
+from ancfdae.model.drawing import Stroke
 from ancfdae.model.elements import BeamElement, Quantity, default_element
 
 
@@ -82,12 +83,15 @@ class Part(Designable, abc.ABC):
         Whether one of `other` and `ground` must be given.
     spatial : bool
         Whether it exists in space only.
+    stroke : Stroke or None
+        The line that pictures draw from its first point to its second, or to its `ground`.
     """
 
     role: ClassVar[str]
     kind: ClassVar[str]
     needs_other_end: ClassVar[bool] = False
     spatial: ClassVar[bool] = False
+    stroke: ClassVar[Stroke | None] = None
     #: What it says to a second point in the place of its name.
     no_second_point: ClassVar[str] = "It joins no second point here."
 
@@ -161,6 +165,10 @@ class Part(Designable, abc.ABC):
         given = self._given()
         joined = "ground" not in given or given["ground"] is not None or given.get("other")
         return None if joined else given["point"]
+
+    def ground_place(self) -> Sequence[float] | None:
+        """Return the place on ground that it goes to, if one is written."""
+        return self._given().get("ground")
 
     def on_ground(self, place: Sequence[float]) -> Self:
         """Return the same part with its ground written."""

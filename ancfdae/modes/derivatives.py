@@ -54,7 +54,7 @@ def differentiate(
 def differentiate_back(
     small: Linearised, pairs: Eigenpairs, mu: Array, groups: list[list[int]], pull_back: PullBack
 ) -> Derivatives:
-    """Differentiate eigenvalues by adjoints, through whatever the configuration depends on."""
+    """Differentiate eigenvalues by adjoints, through all that the configuration depends on."""
     z_b = np.zeros((len(pairs.z), small.system.n_b), dtype=pairs.z.dtype)
     for group in groups:
         if _drifts(small, pairs, group):

@@ -64,7 +64,7 @@ _QUICK = 120
 
 
 def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
-    """Return the periods of small motions about a state in words; nothing if there are none.
+    """Return the periods of small motions about a state as text; empty if there are none.
 
     Larger systems get no such words: a message must not take longer than the run that it ends.
     """

@@ -8,9 +8,9 @@ make 4,096 times less. Coordinates, too, are too coarse: nodes that round to eps
 force of eps EA. Where forces are in balance to round-off, what Newton's method would add below the
 last digit takes it out (as in `statics.derivatives`).
 
-Inverse iteration on a block finds the modes: such products tell what each leaves, the factorised
-matrix turns it into a correction, and Ritz's method gives the values. Their round-off is told by
-another rounding of coordinates and shapes.
+Inverse iteration on a block finds the modes: such products give its residual, the factorised
+matrix turns it into a correction, and Ritz's method gives the values. Their round-off is estimated
+by another rounding of coordinates and shapes.
 """
 
 from __future__ import annotations

@@ -183,5 +183,5 @@ class Modes:
         return "\n".join(lines)
 
 
-# Relative unbalanced force up to which a configuration is called an equilibrium in words.
+# Relative unbalanced force up to which a configuration is called an equilibrium in messages.
 _BALANCED = 1e-6

@@ -257,7 +257,7 @@ def _finished(small: Linearised, z: Array, X: Array, noise: Array | None = None)
 def largest_entries(small: Linearised, X: Array) -> Array:
     """Return the number of the largest entry of each shape, in the norm of the weights.
 
-    The first of those that are nearly the largest: equal ones are told apart by round-off.
+    The first of those that are nearly the largest: equal ones differ by round-off only.
     """
     size = np.abs(X) * np.sqrt(small.system.weights)[:, None]
     return np.asarray(np.argmax(size >= (1 - 1e-3) * np.max(size, axis=0), axis=0))

@@ -3,7 +3,7 @@
 The inverse of F(shift) within the constraints maps every force to a motion that keeps them, so
 that all Krylov vectors do. Shifts are of the size of the eigenvalues asked for: taken from a first
 rough pass at a shift near zero. A Krylov space holds one vector of a multiple eigenvalue, and the
-others by round-off only: what is left beside the vectors found is searched until nothing
+others by round-off only: the space orthogonal to the computed vectors is searched until nothing
 is nearer.
 """
 
@@ -24,7 +24,7 @@ Advance: TypeAlias = Callable[[Array, Array], tuple[Array, Array]]
 
 # First shift, relative to the largest eigenvalue: round-off leaves zero at 1e-16 of it.
 _NEAR_ZERO = 1e-9
-# A rough pass tells sizes, not values.
+# A rough pass gives sizes, not values.
 _ROUGH = 1e-2
 _SHIFTS = 6
 # Vectors searched for beside those found.
@@ -52,7 +52,7 @@ def _completed(
 ) -> tuple[Array, Array]:
     """Add what comes before the last of sign z; where K has no potential vectors do not split."""
     count = len(z)
-    # No more than there are motions, whatever round-off pretends to find beside all of them.
+    # No more than there are motions, even if round-off suggests more.
     while small.symmetric and len(z) < small.n_free:
         more, Y = left(X)
         # One that is found again, by round-off, is no other.

@@ -21,7 +21,7 @@ then its coefficient a, up to
   the length over which f varies that is 1e-14 for K = 2 and 5e-14 for K = 3.
 
 f takes conjugate values at conjugate arguments, so half of the circle is enough. The
-coefficients of highest degree that N points resolve tell whether aliasing is round-off; if it is
+coefficients of highest degree that N points resolve show whether aliasing is round-off; if it is
 not, all radii shrink, and a function whose coefficients never decay is refused.
 """
 
@@ -68,7 +68,7 @@ def derivative(
     scale : callable
         Returns values of the size of the terms of f. Where these cancel on the whole circle, as
         those of a constraint do along its own motion, only round-off is left, and these values show
-        it. Asked for where the values on the circle do not explain what is left.
+        it. Asked for where the values on the circle do not explain the residual.
     """
     if len(radii) == 1 and order == 1:
         step = _STEP * radii[0]
@@ -76,7 +76,7 @@ def derivative(
     terms = cache(lambda: float(np.max(np.abs(scale()), initial=0.0)))
     for _ in range(_SHRINKS):
         circle = _on_circle(f, radii, order)
-        # Mostly the values on the circle tell enough.
+        # Mostly the values on the circle suffice.
         if circle.resolved(0.0) or circle.resolved(terms()):
             return circle.value
         radii = tuple(_SHRINK * radius for radius in radii)

@@ -9,6 +9,7 @@ Entries may be complex, so that a complex step in a parameter gives derivatives 
 
 from __future__ import annotations
 
+import abc
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, final
@@ -41,8 +42,31 @@ _DERIVATIVES: dict[np.ufunc, Callable[[Array, Array], tuple[Array, ...]]] = {
 _LINEAR = (np.add, np.subtract, np.negative, np.positive)
 
 
+class Carried(NDArrayOperatorsMixin, abc.ABC):
+    """What stands for an array in a formula: operations of NumPy on it give more of its kind."""
+
+    @abc.abstractmethod
+    def angle(self, x: Any) -> Any:
+        """Return the angle of (x, self)."""
+
+    @abc.abstractmethod
+    def joined(self, parts: Sequence[Any]) -> Any:
+        """Return parts of this kind, this one among them, as one list of vectors."""
+
+
+def without_derivatives(ufunc: np.ufunc) -> InvalidInput:
+    """Return the error for a function that nothing here is carried through."""
+    known = ", ".join(f.__name__ for f in _DERIVATIVES)
+    return InvalidInput(
+        f"numpy.{ufunc.__name__}",
+        "must have derivatives in time",
+        "a function that has none here",
+        f"Use arithmetic and {known} of NumPy.",
+    )
+
+
 @final
-class Jet(NDArrayOperatorsMixin):
+class Jet(Carried):
     """A value and its first time derivatives, up to three.
 
     Parameters
@@ -70,6 +94,20 @@ class Jet(NDArrayOperatorsMixin):
         """Return the sum over an axis."""
         return self.map(lambda x: np.asarray(x.sum(axis=axis, keepdims=keepdims)))
 
+    def angle(self, x: Any) -> Jet:
+        """Return the angle of (x, self), two jets."""
+        (x_0, *x_1), (y_0, *y_1) = x.derivatives, self.derivatives
+        if not x_1:
+            return Jet(angle(y_0, x_0))
+        low_x, low_y = Jet(*x.derivatives[:-1]), Jet(*self.derivatives[:-1])
+        rate = (low_x * Jet(*y_1) - low_y * Jet(*x_1)) / (low_x * low_x + low_y * low_y)
+        return Jet(angle(y_0, x_0), *rate.derivatives)
+
+    def joined(self, parts: Sequence[Any]) -> Jet:
+        """Return jets as one list of vectors."""
+        entries = zip(*(part.derivatives for part in parts), strict=True)
+        return Jet(*(np.concatenate(x, axis=-2) for x in entries))
+
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Jet:
         """Apply a function of NumPy.
 
@@ -93,13 +131,7 @@ class Jet(NDArrayOperatorsMixin):
             x = inputs[0].derivatives[0]
             y = ufunc(x)
             return self._chain(y, _DERIVATIVES[ufunc](x, y))
-        known = ", ".join(f.__name__ for f in _DERIVATIVES)
-        raise InvalidInput(
-            f"numpy.{ufunc.__name__}",
-            "must have derivatives in time",
-            "a function that has none here",
-            f"Use arithmetic and {known} of NumPy.",
-        )
+        raise without_derivatives(ufunc)
 
     def _entries(self, x: Any) -> tuple[Any, ...]:
         """Return x as a jet's derivatives; a constant has zeros."""
@@ -164,25 +196,18 @@ def direction(e: Any) -> tuple[Any, Any]:
 
 def angle(y: Any, x: Any) -> Any:
     """Return the angle of (x, y), of complex numbers too that are real but for a tiny step."""
-    if not isinstance(y, Jet):
-        size = x.real**2 + y.real**2
-        turned = (x.real * y.imag - y.real * x.imag) / size
-        value = np.arctan2(y.real, x.real)
-        return value + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else value
-    (x_0, *x_1), (y_0, *y_1) = x.derivatives, y.derivatives
-    if not x_1:
-        return Jet(angle(y_0, x_0))
-    low_x, low_y = Jet(*x.derivatives[:-1]), Jet(*y.derivatives[:-1])
-    rate = (low_x * Jet(*y_1) - low_y * Jet(*x_1)) / (low_x * low_x + low_y * low_y)
-    return Jet(angle(y_0, x_0), *rate.derivatives)
+    if isinstance(y, Carried):
+        return y.angle(x)
+    size = x.real**2 + y.real**2
+    turned = (x.real * y.imag - y.real * x.imag) / size
+    value = np.arctan2(y.real, x.real)
+    return value + 1j * turned if np.iscomplexobj(x) or np.iscomplexobj(y) else value
 
 
 def concatenate(parts: Sequence[Any]) -> Any:
-    """Return one list of vectors out of several; all are jets or none is."""
-    if isinstance(parts[0], Jet):
-        entries = zip(*(part.derivatives for part in parts), strict=True)
-        return Jet(*(np.concatenate(x, axis=-2) for x in entries))
-    return np.concatenate(parts, axis=-2)
+    """Return one list of vectors out of several; all are arrays or none is."""
+    first = parts[0]
+    return first.joined(parts) if isinstance(first, Carried) else np.concatenate(parts, axis=-2)
 
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]

@@ -5,7 +5,7 @@ Small matrices K by their singular values. Large sparse ones by
     [ a E    K  ] [ r ]   [ b ]
     [ K^T  -a E ] [ x ] = [ 0 ],     x = (K^T K + a^2 E)^-1 K^T b,
 
-whose matrix is regular whatever the rank of K, and by iterative refinement: what a leaves of a
+whose matrix is regular for any rank of K, and by iterative refinement: what a leaves of a
 singular value s falls by a^2 / (a^2 + s^2) a pass, and the null space of K does not enter where b
 is in the range of K; what is not brings in round-off of it, up to some 1e-2 of itself.
 """

@@ -6,7 +6,7 @@
 Unknowns are ordered so that factors stay small (`orders`), multipliers behind their coordinates.
 Where K is symmetric and positive definite, L D L^T then needs no exchange of rows: the pivots of
 coordinates are positive, those of multipliers negative. Signs do not depend on the units of the
-scene; a pivot that has not its sign tells that K is not positive definite.
+scene; a pivot of the wrong sign shows that K is not positive definite.
 
 Such a matrix, and one that is not symmetric, is scaled symmetrically, coordinates by
 1/sqrt(weight) and constraints so that their scaled rows have unit length (pivoting then does not
@@ -102,7 +102,7 @@ class SaddlePoint:
         return len(self.scale)
 
     def layout(self, band: bool) -> Layout | None:
-        """Return where values stand, in a band where asked for; None where that is too wide."""
+        """Return the positions of values, in a band where requested; None if it is too wide."""
         if self._half_width > _BAND_HALF_WIDTH:
             return None
         band_map = self._band.arrays if band or not self._envelope else None

@@ -1,8 +1,8 @@
 """Orders of the unknowns of a saddle-point matrix in which its factors stay small.
 
 The graph of the coordinates is that of K + B^T B, as if multipliers were eliminated. Each
-multiplier stands behind its last coordinate: these are then eliminated first, by pivots of K, and
-what a constraint asks is met to the round-off of its own row, not to that of a stiff body's. (Those
+multiplier follows its last coordinate: these are then eliminated first, by pivots of K, and
+a constraint is satisfied to the round-off of its own row, not to that of a stiff body's. (Those
 of a clamp at the end of the band would widen it less behind all coordinates; frequencies of stiff
 linkages then lose three digits.)
 """

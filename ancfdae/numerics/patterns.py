@@ -51,7 +51,7 @@ class Pattern:
         return np.repeat(np.arange(self.shape[0], dtype=np.int32), np.diff(self._first))
 
     def index(self, rows: Array, columns: Array) -> Array:
-        """Where the given positions stand in the value vector; they must be in the pattern.
+        """Return the indices of positions in the value vector; they must be in the pattern.
 
         Rows and columns are broadcast.
         """

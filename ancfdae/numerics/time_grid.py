@@ -6,6 +6,7 @@ values; quadrature and interpolation integrate and evaluate that polynomial.
 
 * p = 1: panels are single steps, quadrature is the trapezoidal rule and
   interpolation is linear. Second order, as HHT-I3.
+* p = 3: instants are the stages of `Radau`, whose quadrature is exact to degree 4.
 * p = 8: instants are Gauss-Lobatto points, and the quadrature is exact to
   degree 15; for integrators of high order.
 """
@@ -54,9 +55,12 @@ class TimeGrid:
             w[1:] += 0.5 * np.diff(self.t)
             w[:-1] += 0.5 * np.diff(self.t)
             return w
-        for left in range(0, len(self.t) - 1, self.degree):
-            panel = slice(left, min(left + self.degree + 1, len(self.t)))
-            w[panel] += _panel_weights(self.t[panel])
+        whole = (len(self.t) - 1) // self.degree * self.degree
+        for first, last in ((0, whole), (whole, len(self.t) - 1)):
+            if last > first:
+                panels = np.arange(first, last, min(self.degree, last - first))[:, None]
+                rows = panels + np.arange(min(self.degree, last - first) + 1)
+                np.add.at(w, rows, _panel_weights(self.t[rows]))
         return w
 
     def interpolation(self, time: float) -> tuple[slice, Array]:
@@ -84,13 +88,13 @@ def _lobatto_points() -> Array:
 
 
 def _panel_weights(t: Array) -> Array:
-    """Integrals of the Lagrange polynomials: exact for all Legendre polynomials up to p."""
-    half = 0.5 * (t[-1] - t[0])
-    x = (t - 0.5 * (t[0] + t[-1])) / half
-    integrals = np.zeros(len(t))
-    integrals[0] = 2.0 * half
-    V = np.polynomial.legendre.legvander(x, len(t) - 1)
-    return np.linalg.solve(V.T, integrals)
+    """Integrals of the Lagrange polynomials of panels, (k, p + 1): exact for Legendre's up to p."""
+    half = 0.5 * (t[:, -1:] - t[:, :1])
+    x = (t - 0.5 * (t[:, :1] + t[:, -1:])) / half
+    integrals = np.zeros((*t.shape, 1))
+    integrals[:, 0] = 2.0 * half
+    V = np.polynomial.legendre.legvander(x, t.shape[1] - 1)
+    return np.asarray(np.linalg.solve(V.swapaxes(1, 2), integrals)[..., 0])
 
 
 def _lagrange(t: Array, time: float) -> Array:

@@ -37,6 +37,7 @@ _METHODS: Final[dict[str, Look]] = {
     "IDA": _look(1),
     "IDAS": _look(4),
     "Explicit": _look(3),
+    "Radau": _look(5),
     "direct differentiation": _look(0),
     "forward difference": _look(1, 1),
     "central difference": _look(5, 2),

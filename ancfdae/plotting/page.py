@@ -18,8 +18,11 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.glyphs import Glyphs
 from ancfdae.plotting.mechanism import Mechanism
 from ancfdae.plotting.painters import CAMERA, EDGE, GROUND, JOINT, LOAD, colour_map
+from ancfdae.plotting.symbols import GROUND as GROUND_SIGN
 
 _MARK = "/*DATA*/null"
+# What the viewer can paint; other markers are circles there.
+_SHAPES = {"^": "ground", "s": "square", "d": "diamond", r"$\circlearrowleft$": "turn"}
 # Shade of what has no value, and the largest of a value.
 _NO_VALUE, _TOP = 255, 254
 
@@ -100,11 +103,10 @@ def _signs(own: Mechanism) -> tuple[Array, list[dict[str, Any]]]:
         dashes = {"dash": [10, 3, 2, 3]} if line.kind == "way" else {}
         colour = {"way": GROUND, "spring": LOAD}.get(line.kind, EDGE)
         add(x, sign="line", colour=colour, width=1.5, **dashes)
-    for mark in sorted(own.marks, key=lambda mark: mark.kind != "ground"):
-        shapes = {"clamp": "square", "line": "diamond", "prismatic": "diamond", "drive": "turn"}
-        shape = "ground" if mark.kind == "ground" else shapes.get(mark.kind, "circle")
-        fill = JOINT if mark.kind in ("clamp", "mass", "drive", "weld") else "#ffffff"
-        colour = GROUND if mark.kind == "ground" else JOINT
+    for mark in sorted(own.marks, key=lambda mark: mark.sign is not GROUND_SIGN):
+        shape = _SHAPES.get(mark.sign.marker, "circle")
+        fill = JOINT if mark.sign.filled else "#ffffff"
+        colour = GROUND if mark.sign is GROUND_SIGN else JOINT
         add(mark.places[:, None], sign="mark", shape=shape, colour=colour, fill=fill, width=1.5)
     for arrows in own.arrows:
         if arrows.kind == "moment":

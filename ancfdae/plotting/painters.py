@@ -18,35 +18,17 @@ from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
+from ancfdae.model.drawing import Sign
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.glyphs import Glyphs
 from ancfdae.plotting.mechanism import Mechanism
 from ancfdae.plotting.shapes import BeamMesh, Mesh
+from ancfdae.plotting.symbols import GROUND as GROUND_SIGN
 
 #: Body, outline, joints, loads, ground.
 BODY, EDGE, JOINT, LOAD, GROUND = "#9db4c8", "#33404d", "#111111", "#c1272d", "#7a7a7a"
 #: Of a field whose sign counts, and of others.
 SIGNED, PLAIN = "RdBu_r", "viridis"
-#: Marker and name of each sign; a joint of a user's own gets the last but two.
-SIGNS: Final[dict[str, tuple[str, str]]] = {
-    "pin": ("o", "pin"),
-    "revolute": ("o", "revolute joint"),
-    "clamp": ("s", "clamp"),
-    "weld": ("X", "weld"),
-    "cylindrical": ("h", "cylindrical joint"),
-    "prismatic": ("d", "prismatic joint"),
-    "universal": ("P", "universal joint"),
-    "planar": ("D", "planar joint"),
-    "line": ("d", "point on a line"),
-    "link": (".", "link"),
-    "drive": (r"$\circlearrowleft$", "drive"),
-    "guide": (r"$\leftrightarrow$", "guide"),
-    "base": ("p", "moving base"),
-    "mass": ("o", "point mass"),
-    "ground": ("^", "ground"),
-}
-_OTHER: Final = ("*", "joint")
-_FILLED: Final = ("clamp", "weld", "mass", "base")
 _WIDTH: Final = 7.5  # inches
 _EDGE: Final = 0.08  # inches, around a picture of space
 _NARROW, _WIDE = 0.15, 1.1  # height of the axes over their width
@@ -82,7 +64,7 @@ class Painter(abc.ABC):
         """Give the axes the room that title, legend and colour bar leave."""
 
     @abc.abstractmethod
-    def _mark(self, kind: str, x: Array) -> list[Artist]:
+    def _mark(self, sign: Sign, x: Array) -> list[Artist]:
         """Paint a sign."""
 
     @abc.abstractmethod
@@ -95,8 +77,8 @@ class Painter(abc.ABC):
         own, found = self.mechanism, list[Artist]()
         for line in own.lines:
             found += self._line(self.glyphs.line(line, k), line.kind)
-        for mark in sorted(own.marks, key=lambda mark: mark.kind != "ground"):
-            found += self._mark(mark.kind, mark.places[k])
+        for mark in sorted(own.marks, key=lambda mark: mark.sign is not GROUND_SIGN):
+            found += self._mark(mark.sign, mark.places[k])
         for arrows in own.arrows:
             if arrows.kind == "moment":
                 found += self._line(self.glyphs.arc(arrows, k), "moment")
@@ -114,29 +96,25 @@ class Painter(abc.ABC):
         return list(self.axes.plot(*x.T, zorder=6, **style))
 
     @final
-    def _marker(self, kind: str) -> dict[str, object]:
-        marker, _ = SIGNS.get(kind, _OTHER)
-        turning = marker.startswith("$")
-        filled = kind in _FILLED or turning or kind == "link"
+    def _marker(self, sign: Sign) -> dict[str, object]:
+        turning, ground = sign.marker.startswith("$"), sign is GROUND_SIGN
         return {
-            "marker": marker,
-            "markersize": {"drive": 17.0, "guide": 15.0, "mass": 9.0, "ground": 12.0}.get(
-                kind, 7.0
-            ),
-            "markerfacecolor": GROUND if kind == "ground" else JOINT if filled else "white",
-            "markeredgecolor": GROUND if kind == "ground" else JOINT,
+            "marker": sign.marker,
+            "markersize": sign.size,
+            "markerfacecolor": GROUND if ground else JOINT if sign.filled else "white",
+            "markeredgecolor": GROUND if ground else JOINT,
             "markeredgewidth": 0.4 if turning else 1.2,
             "linestyle": "none",
-            "zorder": 7 if kind == "ground" else 9 if turning else 8,
+            "zorder": 7 if ground else 9 if turning else 8,
         }
 
     @final
     def legend(self) -> list[Line2D]:
         """Return an entry for each kind of sign and of arrow that there is."""
-        kinds = dict.fromkeys(mark.kind for mark in self.mechanism.marks)
+        signs = dict.fromkeys(mark.sign for mark in self.mechanism.marks)
         entries = [
-            Line2D([], [], label=SIGNS.get(kind, _OTHER)[1], **self._marker(kind))  # type: ignore[arg-type]
-            for kind in kinds
+            Line2D([], [], label=sign.word, **self._marker(sign))  # type: ignore[arg-type]
+            for sign in signs
         ]
         arrows = dict(self.glyphs.labels)
         if any(line.kind == "spring" for line in self.mechanism.lines):
@@ -215,9 +193,9 @@ class PlanePainter(Painter):
         line.set_zorder(3)
         return line
 
-    def _mark(self, kind: str, x: Array) -> list[Artist]:
-        if kind != "ground":
-            return list(self.axes.plot(*x[:, None], **self._marker(kind)))
+    def _mark(self, sign: Sign, x: Array) -> list[Artist]:
+        if sign is not GROUND_SIGN:
+            return list(self.axes.plot(*x[:, None], **self._marker(sign)))
         # A triangle below the place, and hatching.
         s = 0.03 * self.extent
         shape = s * np.array([[0.0, 0.0], [-0.7, -1.0], [0.7, -1.0], [0.0, 0.0]])
@@ -314,8 +292,8 @@ class SpacePainter(Painter):
         )
         return [self.axes.add_collection3d(surface)]
 
-    def _mark(self, kind: str, x: Array) -> list[Artist]:
-        return list(self.axes.plot(*x[:, None], **self._marker(kind)))
+    def _mark(self, sign: Sign, x: Array) -> list[Artist]:
+        return list(self.axes.plot(*x[:, None], **self._marker(sign)))
 
     def _quiver(self, x: Array, F: Array) -> Artist:
         arrows: Artist = self.axes.quiver(*x.T, *F.T, color=LOAD, arrow_length_ratio=0.25, lw=1.6)

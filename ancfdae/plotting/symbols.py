@@ -10,26 +10,17 @@ import numpy as np
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.equations import Solution
 from ancfdae.model.bodies import Point, Quantity, RigidBody
-from ancfdae.model.joints import (
-    Cylindrical,
-    Distance,
-    Drive,
-    Guide,
-    Joint,
-    MovingBase,
-    PlanarJoint,
-    PointOnLine,
-    Prismatic,
-    Revolute,
-    Universal,
-)
-from ancfdae.model.loads import Load, SpringDamper
+from ancfdae.model.drawing import Sign
+from ancfdae.model.joints import Joint
+from ancfdae.model.loads import Load
 from ancfdae.model.naming import Naming
 from ancfdae.model.parts import CentreLine
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 
+GROUND: Final = Sign("ground", "^", size=12.0)
+_MASS: Final = Sign("point mass", "o", filled=True, size=9.0)
 # Arrows along a beam under a distributed force.
 _ALONG: Final = 9
 
@@ -37,9 +28,10 @@ _ALONG: Final = 9
 @final
 @dataclass(frozen=True)
 class Mark:
-    """A sign at a place: `kind` is the word of a joint, "mass" or "ground"; places (k, d)."""
+    """A sign at a place: `kind` is the word of a part, or "ground"; places (k, d)."""
 
     kind: str
+    sign: Sign
     name: str
     places: Array
 
@@ -87,22 +79,25 @@ class Symbols:
             places = self._places(joint.points[0], motion.q)
             ground = self._ground(joint, places)
             if ground is not None:
-                found.append(Mark("ground", joint.name, ground))
-            found.append(Mark(joint.kind, joint.name, places))
-        masses = self._scene.point_masses
-        return found + [Mark("mass", x.name, self._places(x.point, motion.q)) for x in masses]
+                found.append(Mark("ground", GROUND, joint.name, ground))
+            found.append(Mark(joint.kind, joint.sign, joint.name, places))
+        return found + [
+            Mark(mass.kind, _MASS, mass.name, self._places(mass.point, motion.q))
+            for mass in self._scene.point_masses
+        ]
 
     def lines(self, motion: Solution) -> list[Line]:
         """Return links, springs, the axes and ways of joints, and frames of bodies."""
-        found = []
+        parts: list[Joint | Load] = [*self._scene.joints, *self._scene.loads]
+        found = [
+            Line(part.stroke.value, part.name, self._between(part, motion))
+            for part in parts
+            if part.stroke is not None
+        ]
         for joint in self._scene.joints:
-            if isinstance(joint, Distance):
-                found.append(Line("link", joint.name, self._between(joint, joint.ground, motion)))
-            direction = _direction(joint)
-            if direction is not None:
-                found.append(Line("way", joint.name, self._along(joint, direction, motion)))
-        springs = [load for load in self._scene.loads if isinstance(load, SpringDamper)]
-        found += [Line("spring", x.name, self._between(x, x.ground, motion)) for x in springs]
+            if joint.way is not None:
+                way = np.asarray(joint.way, dtype=float)
+                found.append(Line("way", joint.name, self._along(joint, way, motion)))
         for body in self._scene.bodies:
             if isinstance(body, RigidBody) and body.shape is None:
                 found += self._frame(body, motion)
@@ -123,7 +118,7 @@ class Symbols:
                 spread = np.broadcast_to(own, places.shape)
                 found.append(Arrows("force per length", load.name, places, spread))
             elif isinstance(name, tuple) and name[1] is Quantity.POSITION:
-                if not isinstance(load, SpringDamper):
+                if load.stroke is None:
                     places = self._places(name[0], motion.q)[:, None]
                     found.append(Arrows("force", load.name, places, own))
             elif isinstance(name, tuple):
@@ -160,17 +155,17 @@ class Symbols:
 
     def _ground(self, joint: Joint, places: Array) -> Array | None:
         """Return where the ground holds a joint: where it is given, or the joint itself."""
-        if len(joint.points) > 1 or isinstance(joint, Drive):
+        if len(joint.points) > 1 or not joint.shows_ground:
             return None
-        if isinstance(joint, Distance) and joint.ground is not None:
-            return np.broadcast_to(np.asarray(joint.ground, dtype=float), places.shape)
-        return places
+        if joint.stroke is None:
+            return places
+        return np.broadcast_to(np.asarray(joint.ground_place(), dtype=float), places.shape)
 
-    def _between(self, part: Joint | Load, ground: object, motion: Solution) -> Array:
+    def _between(self, part: Joint | Load, motion: Solution) -> Array:
         ends = self._of([(point, Quantity.POSITION) for point in part.points], motion.q)
         if len(part.points) == 2:
             return ends
-        fixed = np.broadcast_to(np.asarray(ground, dtype=float), ends.shape)
+        fixed = np.broadcast_to(np.asarray(part.ground_place(), dtype=float), ends.shape)
         return np.concatenate([ends, fixed], axis=1)
 
     def _along(self, joint: Joint, direction: Array, motion: Solution) -> Array:
@@ -193,15 +188,6 @@ class Symbols:
         points = [(body.at(*end.tolist()), Quantity.POSITION) for end in ends]
         x = self._of(points, motion.q)
         return [Line("frame", body.name, x[:, [0, k]]) for k in range(1, self._d + 1)]
-
-
-def _direction(joint: Joint) -> Array | None:
-    """Return the axis of a joint, or the direction in which it moves."""
-    if isinstance(joint, Cylindrical | PlanarJoint | Prismatic | Revolute | Universal):
-        return np.asarray(joint.axis, dtype=float)
-    if isinstance(joint, Guide | MovingBase | PointOnLine):
-        return np.asarray(joint.direction, dtype=float)
-    return None
 
 
 def _cross(r: Array, F: Array) -> Array:

@@ -104,7 +104,7 @@ class Gradient:
 class Run:
     """What is integrated: a system from t = 0 to `t_end`, with a progress bar or without.
 
-    `after` is a run that goes on, or that is there already if it reached `t_end`.
+    `after` is a run to be continued, or the run itself if it reached `t_end`.
     """
 
     system: MechanicalSystem

@@ -17,7 +17,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem, reaction
+from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import velocity_side
 from ancfdae.equations.saddle_points import saddle_point, solve
 from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
@@ -121,14 +121,29 @@ class Balance:
         return self.system.mass(self.q_0)
 
     @cached_property
+    def diagonal(self) -> Array:
+        """Places of the diagonal in values on the pattern."""
+        n = np.arange(self.system.n_q)
+        return self.system.pattern.index(n, n)
+
+    @cached_property
     def matrices(self) -> SaddlePoint:
         """Saddle-point matrices."""
         return saddle_point(self.system, self.t, self.q_0)
 
-    def unbalanced(self, q: Array, lam: Array) -> Array:
+    def Phi_q(self, q: Array) -> Array:
+        """Return the constraint Jacobian, values on its pattern."""
+        return self.system.constraint_q(self.t, q)
+
+    def reactions(self, Phi_q: Array, lam: Array) -> Array:
+        """Return Phi_q^T lam."""
+        forces: Array = self.system.constraint_pattern.dot_transposed(Phi_q, lam)
+        return forces
+
+    def unbalanced(self, q: Array, lam: Array, Phi_q: Array | None = None) -> Array:
         """Return Q - Phi_q^T lam at rest."""
         Q = self.system.force(self.t, q, np.zeros_like(q))
-        return Q - reaction(self.system, self.t, q, lam)
+        return Q - self.reactions(self.Phi_q(q) if Phi_q is None else Phi_q, lam)
 
     def held_back(self, q: Array) -> Array:
         """Return the forces that the equations lack at s = 0."""
@@ -142,10 +157,10 @@ class Balance:
             K = K + (1.0 - s) * self.system.following_load(self.t, q)[1]
         return K
 
-    def factor(self, K: Array, q: Array) -> Factorization:
+    def factor(self, K: Array, Phi_q: Array) -> Factorization:
         """Factorise [K, Phi_q^T; Phi_q, 0]; raises SingularMatrix."""
         self.work.factorisations += 1
-        return self.matrices.factor(K, self.system.constraint_q(self.t, q))
+        return self.matrices.factor(K, Phi_q)
 
     def solve(
         self,
@@ -160,14 +175,15 @@ class Balance:
         try:
             with np.errstate(all="ignore"):
                 for iteration in range(1, _ITERATIONS + 1):
-                    R, Phi = self._residual(s, q, lam, mu, anchor)
+                    Phi_q = self.Phi_q(q)
+                    R, Phi = self._residual(s, q, lam, Phi_q, mu, anchor)
                     if not (finite(R) and finite(Phi)):
                         return Failure(Verdict.NOT_FINITE, test.size)
                     K = self.tangent(s, q, lam)
-                    factors = self.factor(K if mu == 0.0 else K + mu * self.M_0, q)
+                    factors = self.factor(K if mu == 0.0 else K + mu * self.M_0, Phi_q)
                     dq, dlam = solve(factors, R, -Phi)
                     q, lam = q + dq, lam + dlam
-                    if test.converged(q, lam, dq, dlam, R, K):
+                    if test.converged(q, lam, dq, dlam, R, K, Phi_q):
                         return Solved(s, q, lam, factors, iteration, test.size)
                     if test.diverged:
                         break
@@ -176,11 +192,17 @@ class Balance:
         return Failure(Verdict.NO_CONVERGENCE, test.size)
 
     def _residual(
-        self, s: float, q: Array, lam: Array, mu: float, anchor: Array | None
+        self,
+        s: float,
+        q: Array,
+        lam: Array,
+        Phi_q: Array,
+        mu: float = 0.0,
+        anchor: Array | None = None,
     ) -> tuple[Array, Array]:
         self.work.residuals += 1
         self.work.iterations += 1
-        R = self.unbalanced(q, lam)
+        R = self.unbalanced(q, lam, Phi_q)
         if s < 1.0:
             R = R - (1.0 - s) * self.held_back(q)
         if anchor is not None:
@@ -195,12 +217,12 @@ class Balance:
         """
         K = self.tangent(1.0, q, lam)
         try:
-            factors = self.factor(K, q)
+            factors = self.factor(K, self.Phi_q(q))
         except SingularMatrix:
             return Failure(Verdict.SINGULAR, 0.0)
         sizes = np.full(2, np.inf)
         for _ in range(_ITERATIONS):
-            R, Phi = self._residual(1.0, q, lam, 0.0, None)
+            R, Phi = self._residual(1.0, q, lam, self.Phi_q(q))
             dq, dlam = solve(factors, R, -Phi)
             # A complex step, far below the real part, is followed on its own.
             last, sizes = sizes, np.array([self.length(dq.real), self.length(dq.imag)])
@@ -220,7 +242,7 @@ class Balance:
         """
         system, pattern = self.system, self.system.pattern
         blur = pattern.dot(np.abs(K.real), np.abs(q.real))
-        reactions = self.strength(reaction(system, self.t, q, lam))
+        reactions = self.strength(self.reactions(self.Phi_q(q), lam))
         force = self.strength(system.force(self.t, q, np.zeros_like(q)))
         noise = max(system.traits.force_round_off, _EPS * self.strength(blur))
         return self.strength(R.real) <= noise + _ROUNDINGS * _EPS * (force + reactions)
@@ -239,7 +261,7 @@ class Balance:
         nu = velocity_side(system, self.t, q).real
         if not np.any(nu):
             return
-        v = solve(self.factor(self.M_0.real, q), np.zeros_like(q), nu)[0].real
+        v = solve(self.factor(self.M_0.real, self.Phi_q(q)), np.zeros_like(q), nu)[0].real
         turning = self.length(v) ** 2 / self.extent
         forces = self.strength(self.unbalanced(q, nu * 0))
         if turning > max(system.traits.force_round_off, _EPS * forces):
@@ -274,7 +296,7 @@ class Balance:
 
     @cached_property
     def load(self) -> float:
-        """Size of the load at the start, and no less than round-off tells."""
+        """Size of the load at the start, and no less than its round-off."""
         least = _SEEN * self.system.traits.force_round_off
         return max(self.strength(self.held_back(self.q_0)), least, float(np.finfo(float).tiny))
 
@@ -290,13 +312,15 @@ class _Convergence:
         self._balance, self._last, self._growths, self._settled = balance, math.inf, 0, 0
         self.size, self.diverged = math.inf, False
 
-    def converged(self, q: Array, lam: Array, dq: Array, dlam: Array, R: Array, K: Array) -> bool:
-        """Judge a correction that led to q and lam, from the unbalanced forces R, with K."""
-        b, system = self._balance, self._balance.system
+    def converged(
+        self, q: Array, lam: Array, dq: Array, dlam: Array, R: Array, K: Array, Phi_q: Array
+    ) -> bool:
+        """Judge a correction that led to q and lam, from the unbalanced forces R, with matrices."""
+        b = self._balance
         moved = b.length(dq)
-        # Where all coordinates are zero at the start, the first correction tells their size.
+        # Where all coordinates are zero at the start, the first correction gives their size.
         moved /= b.position or b.length(q - b.q_0) or 1.0
-        reactions, change = (reaction(system, b.t, q, x) for x in (lam, dlam))
+        reactions, change = (b.reactions(Phi_q, x) for x in (lam, dlam))
         force = max(b.load, b.strength(reactions))
         self.size = max(moved, b.strength(change) / force)
         rate = moved / self._last if 0 < self._last < math.inf else float(moved > 0)

@@ -5,7 +5,7 @@ Phi_q q_b             = -Phi_b
 
 K of a thin beam holds sums of its axial stiffness that leave that of bending, (h/L)^2 of them: a
 solution with its factors is right to (L/h)^2 units of round-off, and Q_b in a length is that of a
-stretch which q_b takes back. Both are mended by refinement: what solutions leave is
+stretch which q_b takes back. Both are corrected by refinement: the residual of a solution is
 differentiated as a whole, element by element, before anything is summed
 (docs/theory/11-statics.md).
 """
@@ -43,7 +43,7 @@ class Tangent:
         zero = np.zeros_like(q)
         self._q, self._lam, self._rest = q, lam, zero
         self._K, self._Phi_q = balance.tangent(1.0, q, lam), system.constraint_q(t, q)
-        self._factors: Factorization = balance.factor(self._K, q)
+        self._factors: Factorization = balance.factor(self._K, self._Phi_q)
         R, Phi = balance.unbalanced(q, lam), system.constraint(t, q)
         # Not where a caller linearises about what is no equilibrium.
         at_rest = balance.is_round_off(R, self._K, q, lam)

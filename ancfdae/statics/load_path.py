@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Failure, Solved
+from ancfdae.statics.balance import Balance, Failure
 from ancfdae.statics.softness import softest
 
 # Steps of the load fraction below this one are given up.
@@ -45,20 +45,23 @@ class LoadPath:
     """Follows the path from s = 0 to s = 1 in at most `max_steps` attempted steps.
 
     `places` are what converged, the start first, `residual` is the size of the last correction of
-    the last failure.
+    the last failure. What was solved farther on, but may lie on another path, waits until the path
+    has come near: it is the next place if the path leads there, else it is solved for again.
     """
 
     def __init__(self, balance: Balance, first: PathPoint, max_steps: int) -> None:
         self._balance, self._max_steps = balance, max_steps
         self.places, self.residual = [first], 0.0
+        # The nearest last.
+        self._ahead: list[PathPoint] = []
 
     def follow(self) -> Verdict:
-        """Go as far as the path leads, and tell why it ends."""
+        """Follow the path to its end; return why it ends."""
         size, verdict = 1.0, Verdict.EQUILIBRIUM
         try:
             for _ in range(self._max_steps):
-                before = self.places[-1]
-                s = 1.0 if before.s + size > 1.0 - 0.1 * size else before.s + size
+                before, end = self.places[-1], self._ahead[-1].s if self._ahead else 1.0
+                s = end if before.s + size > end - 0.1 * size else before.s + size
                 attempt = self._attempt(s)
                 if isinstance(attempt, Failure):
                     self._balance.work.rejected += 1
@@ -85,16 +88,31 @@ class LoadPath:
         return stable[-1] if stable else 0.0
 
     def _attempt(self, s: float) -> tuple[PathPoint, int] | Failure:
-        """Solve at s from the extrapolated path, and see whether it is the same path."""
-        before = self.places[-1]
-        point = self._balance.solve(s, *self._extrapolated(s))
-        if isinstance(point, Failure):
-            return point
-        place = place_at(self._balance, point)
-        flipped = place.stable != before.stable and s - before.s > _SMALL
-        if flipped or self._jumped(before, place):
+        """Solve at s, unless that was done, and see whether it is the same path."""
+        before, balance = self.places[-1], self._balance
+        place, iterations = self._solved_ahead(s), 0
+        if place is None:
+            point = balance.solve(s, *self._extrapolated(s))
+            if isinstance(point, Failure):
+                return point
+            tangent, iterations = balance.path_tangent(point.q, point.factors), point.iterations
+            # Whether it is stable is not known yet.
+            place = PathPoint(s, point.q, point.lam, *tangent, stable=False)
+        stable = None
+        if not self._jumped(before, place):
+            stable = softest(balance, s, place.q, place.lam).stable
+        if stable is None or (stable != before.stable and s - before.s > _SMALL):
+            self._ahead.append(place)
             return Failure(Verdict.NO_CONVERGENCE, 0.0)
-        return place, point.iterations
+        return replace(place, stable=stable), iterations
+
+    def _solved_ahead(self, s: float) -> PathPoint | None:
+        """Return the place that was solved at s if the path leads there; forget it if not."""
+        if not self._ahead or self._ahead[-1].s != s:
+            return None
+        place, length = self._ahead.pop(), self._balance.length
+        missed = length(self._extrapolated(s)[0] - place.q)
+        return place if missed <= _BEND * length(place.q - self.places[-1].q) else None
 
     def _jumped(self, a: PathPoint, b: PathPoint) -> bool:
         """Whether two places do not lie on one smooth path."""
@@ -121,10 +139,3 @@ class LoadPath:
         d_a, d_b = h * x * x * (1 + x), h * x * (1 + x) ** 2
         q = w_a * a.q + w_b * b.q + d_a * a.q_s + d_b * b.q_s
         return q, w_a * a.lam + w_b * b.lam + d_a * a.lam_s + d_b * b.lam_s
-
-
-def place_at(balance: Balance, point: Solved) -> PathPoint:
-    """Return a solution with the tangent of the path."""
-    q_s, lam_s = balance.path_tangent(point.q, point.factors)
-    stable = softest(balance, point.s, point.q, point.lam).stable
-    return PathPoint(point.s, point.q, point.lam, q_s, lam_s, stable)

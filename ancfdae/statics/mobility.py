@@ -1,4 +1,4 @@
-"""What a mechanism that is free to move does, in words: which beams and bodies move, and how.
+"""Description of the free motions of a mechanism: which beams and bodies move, and how.
 
 A motion without stiffness strains no beam, so each beam moves as a rigid body: v of its start and
 omega are fitted to its node vectors. Several motions are combined so that each moves few beams in
@@ -22,7 +22,7 @@ from ancfdae.numerics.rotations import generators
 _SMALL = 1e-6
 # A motion that is less rigid than this deforms the beam.
 _RIGID = 1e-3
-# Beams whose motion is told.
+# Number of beams whose motion is described.
 _SHOWN = 3
 
 
@@ -92,7 +92,7 @@ def _simplified(basis: Array) -> Array:
 @final
 @dataclass(frozen=True)
 class _Fit:
-    """Rigid motions as columns, rows v/L and omega; size of the motions, and of what is left."""
+    """Rigid motions as columns, rows v/L and omega; size of the motions, and of the residual."""
 
     rigid: Array
     size: float
@@ -102,7 +102,7 @@ class _Fit:
 @final
 @dataclass(frozen=True)
 class _Body:
-    """A beam or a rigid body as it stands: vectors X, shape (count, d), and size.
+    """A beam or a rigid body in its configuration: vectors X, shape (count, d), and size.
 
     `positions` are the places of positions among them.
     """

@@ -1,4 +1,4 @@
-"""How a search for an equilibrium ended, in words."""
+"""How a search for an equilibrium ended, as text."""
 
 from __future__ import annotations
 

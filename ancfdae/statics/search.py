@@ -49,7 +49,7 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
 def _followed(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
     q, lam = balance.q_0, balance.lam_0
     try:
-        factors = balance.factor(balance.tangent(0.0, q, lam), q)
+        factors = balance.factor(balance.tangent(0.0, q, lam), balance.Phi_q(q))
     except SingularMatrix:
         return SearchEnd(q, lam, LoadOutcome(Verdict.SINGULAR, 0.0, 0, 0.0))
     first = PathPoint(0.0, q, lam, *balance.path_tangent(q, factors), start.stable)

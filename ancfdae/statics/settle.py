@@ -28,9 +28,10 @@ _FAILURES = 30
 
 @final
 class Settling:
-    """Goes downhill under the full load, and tells where it has come: q, lam.
+    """Goes downhill under the full load; q and lam are the state reached.
 
-    `steps` have converged, the last of the size `residual`; `gone` tells whether it ran away.
+    `steps` have converged, the last of the size `residual`; `gone` is whether it grew without
+    bound.
     """
 
     def __init__(self, balance: Balance, max_steps: int) -> None:
@@ -39,7 +40,7 @@ class Settling:
         self.steps, self.residual, self.gone = 0, 0.0, False
 
     def run(self) -> Verdict:
-        """Settle, and tell how that ended."""
+        """Settle; return the verdict."""
         try:
             return self._run()
         except KeyboardInterrupt:
@@ -85,7 +86,7 @@ class Settling:
         b = self._balance
         force = b.held_back(b.q_0)
         try:
-            a = solve(b.factor(b.M_0, b.q_0), force, 0 * b.Phi_0)[0]
+            a = solve(b.factor(b.M_0, b.Phi_q(b.q_0)), force, 0 * b.Phi_0)[0]
         except SingularMatrix:
             a = force / b.system.weights
         # Where nothing is to move any mu does.

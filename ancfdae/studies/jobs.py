@@ -5,16 +5,10 @@ from __future__ import annotations
 import ctypes
 import pickle
 import threading
-import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, as_completed
 from contextlib import closing, suppress
-from dataclasses import dataclass
-from itertools import islice
-from typing import Any, NamedTuple, TypeVar, final
-from uuid import uuid4
-
-import numpy as np
+from typing import TypeVar, final
 
 from ancfdae.errors import InvalidInput
 
@@ -22,9 +16,6 @@ _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")
 # What the ways to send a task raise if it does not pickle.
 _UNSENT = (pickle.PicklingError, AttributeError, TypeError)
-# Tasks that are sent one by one, and how many answers of these tell what one takes; how long to
-# wait for them; s. Short tasks travel together, for this long at most; s.
-_FIRST, _ENOUGH, _PATIENCE, _TOGETHER = 6, 3, 2.0, 0.2
 
 
 def answers(
@@ -35,12 +26,14 @@ def answers(
     *,
     progress: bool,
     done: int = 0,
+    chunk: int = 1,
 ) -> Generator[tuple[int, _Answer | str], None, None]:
     """Yield the key of a task and its answer, as answers arrive.
 
-    In this process one after the other without an executor. Where a worker was lost the answer is
-    why, in words. What has not begun when the loop ends early is cancelled; close the iterator for
-    that. A progress bar counts the tasks, and those that are `done` already.
+    In this process one after the other without an executor, to which they go `chunk` by chunk.
+    Where a worker was lost the answer is why, in words. What has not begun when the loop ends early
+    is cancelled; close the iterator for that. A progress bar counts the tasks, and those that are
+    `done` already.
 
     Raises
     ------
@@ -52,7 +45,7 @@ def answers(
     from tqdm import tqdm
 
     here = ((key, function(task)) for key, task in tasks.items())
-    arriving = here if executor is None else _from_workers(function, tasks, executor)
+    arriving = here if executor is None else _from_workers(function, tasks, executor, chunk)
     bar = tqdm(total=done + len(tasks), initial=done, disable=not progress, unit="run")
     with bar, closing(arriving):
         for key, answer in arriving:
@@ -65,111 +58,59 @@ def answers(
 
 
 def _from_workers(
-    function: Callable[[_Task], _Answer], tasks: Mapping[int, _Task], executor: Executor
+    function: Callable[[_Task], _Answer],
+    tasks: Mapping[int, _Task],
+    executor: Executor,
+    chunk: int,
 ) -> Generator[tuple[int, _Answer | Exception], None, None]:
-    """Yield answers, or what a worker was lost by.
-
-    Short tasks travel together: sending one to a Dask cluster costs 4 ms.
-    """
-    keys, least = list(tasks), _TOGETHER
-    futures = _sent(function, tasks, [[key] for key in keys[:_FIRST]], executor)
+    """Yield answers, or what a worker was lost by."""
+    parts = [list(tasks)[k : k + chunk] for k in range(0, len(tasks), chunk)]
+    futures = {_sent(executor, function, [tasks[key] for key in part]): part for part in parts}
     try:
-        with suppress(TimeoutError):
-            # The others keep the workers busy until the rest arrives.
-            for future in islice(as_completed(list(futures), _PATIENCE), _ENOUGH):
-                yield from _arrived(future, futures.pop(future))
-                least = min(least, _seconds(future))
-        packets = _packets(keys[_FIRST:], int(_TOGETHER / least))
-        futures |= _sent(function, tasks, packets, executor)
         for future in as_completed(list(futures)):
             yield from _arrived(future, futures.pop(future))
     except KeyboardInterrupt:
         for future in [x for x in futures if x.done() and not x.exception()]:
-            yield from zip(futures.pop(future), future.result().answers, strict=False)
+            yield from zip(futures.pop(future), future.result(), strict=False)
         raise
     finally:
         for future in futures:
             future.cancel()
 
 
-@final
-@dataclass(frozen=True)
-class _Packet:
-    """Tasks that travel together."""
-
-    function: Callable[[Any], Any]
-    tasks: Sequence[Any]
-
-    def __dask_tokenize__(self) -> str:
-        """Return a name for Dask, which takes 2 ms a task to make one up from what it holds."""
-        return uuid4().hex
-
-
-class _Done(NamedTuple):
-    """What a worker answers: fewer answers than tasks if it was interrupted, and their time."""
-
-    answers: list[Any]
-    interrupted: bool
-    seconds: float
-
-
-def _together(packet: _Packet) -> _Done:
-    """Work on tasks in a worker; an interrupt keeps what is done."""
-    found, clock, interrupted = list[Any](), time.perf_counter(), False
-    try:
-        found.extend(packet.function(task) for task in packet.tasks)
-    except KeyboardInterrupt:
-        interrupted = True
-    return _Done(found, interrupted, time.perf_counter() - clock)
-
-
-def _packets(keys: Sequence[int], most: int) -> list[Sequence[int]]:
-    """Return keys that travel together: fewer and fewer, so that all workers end at one time."""
-    packets = []
-    while keys:
-        size = max(1, min(most, len(keys) // _FIRST))
-        packets.append(keys[:size])
-        keys = keys[size:]
-    return packets
+def _together(function: Callable[[_Task], _Answer], tasks: Sequence[_Task]) -> list[_Answer]:
+    """Work on tasks in a worker; answers are fewer than tasks after an interrupt."""
+    answered = list[_Answer]()
+    with suppress(KeyboardInterrupt):
+        answered.extend(map(function, tasks))
+    return answered
 
 
 def _sent(
-    function: Callable[[_Task], Any],
-    tasks: Mapping[int, _Task],
-    packets: Sequence[Sequence[int]],
-    executor: Executor,
-) -> dict[Future[_Done], Sequence[int]]:
+    executor: Executor, function: Callable[[_Task], _Answer], tasks: Sequence[_Task]
+) -> Future[list[_Answer]]:
     """Send tasks; what cannot be sent is an answer that says so."""
-    futures = {}
-    for part in packets:
-        try:
-            future = executor.submit(_together, _Packet(function, [tasks[key] for key in part]))
-        except (BrokenExecutor, *_UNSENT) as error:
-            future = Future()
-            future.set_exception(error)
-        futures[future] = part
-    return futures
-
-
-def _arrived(future: Future[_Done], keys: Sequence[int]) -> Iterator[tuple[int, Any]]:
-    """Yield keys and answers of tasks that travelled together."""
     try:
-        error = future.exception()
-    except CancelledError as cancelled:
-        error = cancelled
+        return executor.submit(_together, function, tasks)
+    except (BrokenExecutor, *_UNSENT) as error:
+        future = Future[list[_Answer]]()
+        future.set_exception(error)
+        return future
+
+
+def _arrived(
+    future: Future[list[_Answer]], keys: Sequence[int]
+) -> Iterator[tuple[int, _Answer | Exception]]:
+    """Yield keys and answers of tasks that travelled together."""
+    error = CancelledError() if future.cancelled() else future.exception()
     if error is None:
-        yield from zip(keys, future.result().answers, strict=False)
-        if future.result().interrupted:
+        yield from zip(keys, future.result(), strict=False)
+        if len(future.result()) < len(keys):
             raise KeyboardInterrupt
     elif isinstance(error, Exception):
-        for key in keys:
-            yield key, error
+        yield from ((key, error) for key in keys)
     else:
         raise error
-
-
-def _seconds(future: Future[_Done]) -> float:
-    return np.inf if future.cancelled() or future.exception() else future.result().seconds
 
 
 def _require_pickles(lost: Exception, parts: Mapping[str, object]) -> None:

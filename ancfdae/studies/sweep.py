@@ -17,6 +17,7 @@ from ancfdae.errors import (
     Interrupted,
     InvalidInput,
     UnknownName,
+    require_count,
     require_flag,
     require_folder,
     require_kind,
@@ -100,6 +101,7 @@ def sweep(
     *,
     design: Sequence[str | DesignVariable] | None = None,
     executor: Executor | None = None,
+    chunk: int = 1,
     file: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Sweep:
@@ -119,6 +121,9 @@ def sweep(
         Where the calls take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask client,
         ``client.get_executor()``; by default in this process, one after the other. Model and
         `what` must pickle.
+    chunk : int
+        Designs that go to a worker together, more than one where calls are short: sending costs
+        0.2 ms by processes, 4 ms by Dask. A chunk arrives, or is lost, as a whole.
     file : path, optional
         Rows are appended to it as they arrive, one JSON object a line, and those that are already
         there are not computed again. Results are then numbers, texts, arrays, lists and mappings.
@@ -143,6 +148,7 @@ def sweep(
         raise InvalidInput("what", "must be callable", repr(what), "Pass Evaluate(...).")
     if executor is not None:
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
+    require_count("chunk", chunk, "1 is best for calls of 0.1 s and more.")
     given = _mappings(model, designs, design)
     values = [{_name(key): value for key, value in each.items()} for each in given]
     path = None if file is None else require_folder("file", require_path("file", file))
@@ -150,7 +156,7 @@ def sweep(
     rows = {} if kept is None else kept.rows()
     tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
     interrupted, parts = False, {"model": model, "what": what}
-    arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows))
+    arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows), chunk=chunk)
     with closing(arriving):
         try:
             for k, answer in arriving:

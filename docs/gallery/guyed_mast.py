@@ -33,8 +33,9 @@ rest = equilibrium(scene)
 print(rest.outcome)
 for guy in guys:
     pull = static_gradient(scene, axial_force(guy.at(0.5)), design=["wind.force_x"])
-    ends, middle = (rest.solution.position(guy.at(x))[0, 2] for x in (1, 0.5))
-    print(f"{guy.name}: {pull.value:.0f} N, {pull.gradient[0]:+.1f} N per N/m; {ends / 2 - middle:.3f} m")
+    end, middle = (rest.solution.position(guy.at(x))[0, 2] for x in (1, 0.5))
+    print(f"{guy.name}: {pull.value:.0f} N, {pull.gradient[0]:+.1f} N per N/m of wind")
+    print(f"it hangs {end / 2 - middle:.3f} m below its chord")
 save(snapshots(scene, rest.solution, colour=AxialForce(), title="A mast and its guys"), "mast")
 
 # %%

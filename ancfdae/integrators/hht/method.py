@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
-from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors import (
     InvalidInput,
     StabilityWarning,
     Verdict,
-    require_count,
-    require_positive,
 )
 from ancfdae.integrators.hht import linear_passes
 from ancfdae.integrators.hht.defects import Defects
-from ancfdae.integrators.hht.equations import Coefficients, Steps, constraint_error, require_alpha
+from ancfdae.integrators.hht.equations import (
+    Coefficients,
+    Node,
+    Steps,
+    constraint_error,
+    require_alpha,
+)
 from ancfdae.integrators.hht.replay import Replay, through_start
 from ancfdae.integrators.hht.small_steps import Nodes, node_after
 from ancfdae.integrators.hht.start import RecurrenceStart
@@ -29,24 +31,15 @@ from ancfdae.integrators.hht.step import Stepper
 from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, Seeds
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, GivenSteps, StepControl
-from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
-from ancfdae.integrators.step_control.march import Reached, march
+from ancfdae.integrators.step_control import FixedSteps, GivenSteps, StepControl
 from ancfdae.integrators.step_control.tolerance import estimated_errors
+from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
-
-# Newton's method stops well below the error of a step.
-_SHARE = 1e-3
-# What is left of the forces disturbs stiff damped beams far more than its size says (measured at
-# rtol 1e-3, E = 2e11 Pa: states wrong by 43 times rtol with 1e-6, by one with 1e-9, for a tenth
-# more time).
-_LOOSEST = 1e-9
-_EXACT = 1e-14
 
 
 @final
 @dataclass(frozen=True, init=False)
-class HHT(DefectIntegrator, PartwiseIntegrator):
+class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
     """HHT-I3 (Negrut, Rampalli, Ottarsson & Sajdak 2007) at a fixed step, or with error control.
 
     Exactly one of `steps`, `step` and `rtol` is given.
@@ -92,18 +85,9 @@ class HHT(DefectIntegrator, PartwiseIntegrator):
         step: float | None = None,
         rtol: float | None = None,
     ) -> None:
-        control = _control(steps, step, rtol)
+        self._set(steps, step, rtol, newton_tolerance, max_iterations)
         require_alpha("HHT.hht_alpha", hht_alpha)
-        if newton_tolerance is None:
-            asked = _SHARE * control.rtol if isinstance(control, ControlledSteps) else _EXACT
-            newton_tolerance = max(_EXACT, min(asked, _LOOSEST))
-        require_positive("HHT.newton_tolerance", newton_tolerance)
-        require_count("HHT.max_iterations", max_iterations, "15 is plenty.")
-        # A NumPy number of single precision would spread its precision.
-        object.__setattr__(self, "steps", control)
         object.__setattr__(self, "hht_alpha", float(hht_alpha))
-        object.__setattr__(self, "newton_tolerance", float(newton_tolerance))
-        object.__setattr__(self, "max_iterations", max_iterations)
         if hht_alpha == 0:
             warnings.warn(
                 "HHT.hht_alpha = 0 leaves errors of the multipliers undamped: they oscillate and "
@@ -112,112 +96,26 @@ class HHT(DefectIntegrator, PartwiseIntegrator):
                 stacklevel=2,
             )
 
-    @property
-    def differentiates_runs(self) -> bool:
-        """Not where derivatives are controlled along with the motion."""
-        return not (isinstance(self.steps, ControlledSteps) and self.steps.sensitivities)
+    def _stepper(
+        self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
+    ) -> Stepper:
+        newton = self.newton_tolerance, self.max_iterations
+        tolerance = self.steps.tolerance(t_end, problem.scales.q, sizes_b)
+        return Stepper(problem, self.hht_alpha, newton, tolerance, recorder)
 
-    def frozen(self, solution: Solution) -> HHT:
-        """Return the integrator that repeats the steps of a run, whatever the design.
+    def _state_after(self, run: Solution) -> tuple[Node, None]:
+        return node_after(run, len(run.t) - 1, self.hht_alpha), None
 
-        Steps under error control jump with the design, so no derivative of the run exists. Every
-        method differentiates it at the steps as they were taken.
-        """
-        steps = self.steps.frozen(solution.t)
-        return self if steps is self.steps else self._changed(steps=steps)
-
-    def refined(self, solution: Solution) -> HHT:
-        """Return the integrator that halves every step of a run."""
-        steps, tolerance = self.steps.refined(solution.t), self.newton_tolerance
-        if not isinstance(steps, FixedSteps):
-            tolerance = max(_EXACT, tolerance / 4)
-        return self._changed(steps=steps, newton_tolerance=tolerance)
-
-    def integrate(
-        self,
-        system: MechanicalSystem,
-        t_end: float,
-        *,
-        sensitivities: bool = False,
-        progress: bool = False,
-    ) -> Solution:
-        """Integrate from t = 0 to `t_end`, where given steps must end."""
-        return self._integrate(system, t_end, None, sensitivities, progress)
-
-    def resume(
-        self,
-        system: MechanicalSystem,
-        t_end: float,
-        after: Solution,
-        *,
-        sensitivities: bool = False,
-        progress: bool = False,
-    ) -> Solution:
-        """Go on with a run; as `Integrator.resume`."""
-        if self._derivatives_along(system):
-            rule, repair = "cannot go on with derivatives along", "Run again from t = 0."
-            raise InvalidInput("after", rule, repr(self.steps), repair)
-        return self._integrate(system, t_end, after, sensitivities, progress)
-
-    def _integrate(
-        self,
-        system: MechanicalSystem,
-        t_end: float,
-        after: Solution | None,
-        sensitivities: bool,
-        progress: bool,
-    ) -> Solution:
-        steps, started = self.steps, time.perf_counter()
-        rows, along = steps.count(t_end) + 1, self._derivatives_along(system)
-        problem = Problem.of(system, t_end)
-        problem = problem.differentiated() if along else problem
-        scales = problem.scales
-        if after is not None:
-            problem.require_run(after, t_end, "after")
-            if not steps.continues(after.t, after.control, t_end):
-                rule = "must be a run under the same steps"
-                repair = "Pass its own integrator, and an end after whole steps of it."
-                raise InvalidInput("after", rule, repr(self.steps), repair)
-            after = after if len(after.t) > 1 else None
-
-        def run(sizes_b: Array) -> Solution:
-            recorder = Recorder(system, rows, sensitivities=along, before=after)
-            newton = self.newton_tolerance, self.max_iterations
-            tolerance = steps.tolerance(t_end, scales.q, sizes_b)
-            stepper = Stepper(problem, self.hht_alpha, newton, tolerance, recorder)
-            if after is None:
-                begun = steps.controller(t_end, stepper)
-                return march(stepper, begun, recorder, t_end, progress)[0]
-            controller, n = steps.controller(t_end, stepper, after.control), len(after.t) - 1
-            taken = self.steps_of(after)
-            node = node_after(after, n, self.hht_alpha)
-            reached = Reached(n, node.t, float(taken.h[-1]), (node, None))
-            return march(stepper, controller, recorder, t_end, progress, reached)[0]
-
-        if not along:
-            solution = run(np.zeros(0))
-            if sensitivities:
-                return self._differentiate(problem, solution, progress)
-            return self._estimated(solution, scales)
-        rough = self._rough().integrate(system, t_end, sensitivities=True, progress=progress)
-        solution = with_own_sizes(rough, run, scales)
-        # Statistics count the last run, and the time of all.
-        seconds = time.perf_counter() - started
-        statistics = replace(solution.statistics, wall_seconds=seconds)
-        return self._estimated(replace(solution, statistics=statistics), scales)
-
-    def _derivatives_along(self, system: MechanicalSystem) -> bool:
-        """Whether derivatives are integrated with the motion and controlled."""
-        if self.differentiates_runs:
-            return False
-        if np.iscomplexobj(system.b):
-            raise InvalidInput(
-                "ControlledSteps.sensitivities",
-                "computes derivatives in real numbers",
-                "a complex system",
-                "Repeat the steps of a run at real values: HHT.frozen.",
-            )
-        return system.n_b > 0
+    def _derivatives(
+        self, problem: Problem, run: Solution, progress: bool
+    ) -> tuple[list[Array], Verdict]:
+        steps, derivative = self.steps_of(run), problem.derivative
+        assert derivative is not None
+        first = RecurrenceStart.of(problem, steps.first)
+        nodes = Nodes(problem, run, steps, first.node)
+        found = linear_passes.differentiate(nodes, first.sensitivity(derivative), progress)
+        found[0][1][0] = derivative.v_b  # A solution reports the consistent start.
+        return found
 
     def _estimated(self, solution: Solution, scales: Scales) -> Solution:
         """Return the solution with estimates of its errors.
@@ -230,46 +128,6 @@ class HHT(DefectIntegrator, PartwiseIntegrator):
         found = estimated_errors(scales, scale, rise, solution.sensitivities)
         return replace(solution, estimated_errors=found)
 
-    def _rough(self) -> HHT:
-        """Return the integrator of the run from which the sizes of the derivatives are read."""
-        assert isinstance(self.steps, ControlledSteps)
-        # What Newton's method leaves of the forces must not pass for the derivative in a variable
-        # that scales masses and forces alike.
-        return self._changed(steps=self.steps.rough(), newton_tolerance=_EXACT)
-
-    def _changed(self, **changes: Any) -> HHT:
-        """Return a copy with other settings, without repeating their warnings."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", StabilityWarning)
-            return replace(self, **changes)
-
-    def differentiate(self, system: MechanicalSystem, solution: Solution) -> Solution:
-        """Add the design derivatives of a run of this integrator (eqs. 22-25).
-
-        If a matrix is singular or the pass is interrupted, the solution is cut to what has
-        derivatives and its outcome says so.
-        """
-        return self._differentiate(Problem.of(system, float(solution.t[-1]) or 1.0), solution)
-
-    def _differentiate(
-        self, problem: Problem, solution: Solution, progress: bool = False
-    ) -> Solution:
-        started, steps = time.perf_counter(), self.steps_of(solution)
-        system, derivative = problem.system, problem.differentiated().derivative
-        assert derivative is not None
-        # A run that ended in its first step has the derivatives of its start.
-        arrays, verdict = [x[None] for x in derivative], Verdict.FINISHED
-        if len(steps.h):
-            first = RecurrenceStart.of(problem, steps.first)
-            nodes = Nodes(problem, solution, steps, first.node)
-            begun = first.sensitivity(derivative)
-            arrays, verdict = linear_passes.differentiate(nodes, begun, progress)
-            arrays[1][0] = derivative.v_b  # A solution reports the consistent start.
-        own = Sensitivities(system.design_names, system.b, *arrays)
-        seconds = time.perf_counter() - started
-        full = solution.with_sensitivities(own, verdict, len(arrays[0]) - 1, seconds)
-        return self._estimated(full, problem.scales)
-
     def pull_back(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
     ) -> Array:
@@ -277,10 +135,6 @@ class HHT(DefectIntegrator, PartwiseIntegrator):
         first, nodes = self._opened(system, solution)
         gradient, back, _ = linear_passes.pull_back(nodes, seeds, progress=progress)
         return through_start(nodes.problem, first, back, seeds, gradient)
-
-    def back_factorisations(self, solution: Solution) -> int:
-        """Return the steps: one matrix each."""
-        return solution.statistics.steps
 
     def replay(self, system: MechanicalSystem, t_end: float) -> Replay:
         """Return the run to `t_end` part by part; its steps must be known before."""
@@ -313,26 +167,4 @@ class HHT(DefectIntegrator, PartwiseIntegrator):
 
     def steps_of(self, solution: Solution) -> Steps:
         """Return the steps of a run of this integrator."""
-        return Steps(self.steps.sizes(solution.t), self.hht_alpha)
-
-
-def _control(
-    steps: StepControl | float | None, step: float | None, rtol: float | None
-) -> StepControl:
-    """Return the control of the step, given in full or in short."""
-    given: list[Any] = [x for x in (steps, step, rtol) if x is not None]
-    if len(given) != 1:
-        raise InvalidInput(
-            "HHT",
-            "needs exactly one of steps, step and rtol",
-            f"{len(given)} of them",
-            "For example HHT(step=0.01), or HHT(rtol=1e-5) for error control.",
-        )
-    if isinstance(steps, StepControl):
-        return steps
-    try:
-        return FixedSteps(given[0]) if rtol is None else ControlledSteps(rtol)
-    except InvalidInput as error:
-        # The user wrote the short form.
-        where = "HHT.step" if rtol is None else "HHT.rtol"
-        raise InvalidInput(where, error.rule, error.got, error.repair) from None
+        return Steps(self.sizes(solution), self.hht_alpha)

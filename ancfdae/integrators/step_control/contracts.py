@@ -15,8 +15,9 @@ from ancfdae.numerics.arrays import Array
 
 # What a method knows at an instant.
 State = TypeVar("State")
-# Time, q, v, a, lam and, where derivatives are integrated too, q_b, v_b, a_b, lam_b.
-Record = tuple[float, Array, Array, Array, Array, tuple[Array, ...]]
+# Time, q, v, a, lam and, where derivatives are integrated too, q_b, v_b, a_b, lam_b; or rows of
+# several instants.
+Record = tuple[float | Array, Array, Array, Array, Array, tuple[Array, ...]]
 
 
 _NONE = np.zeros(0)
@@ -33,10 +34,12 @@ class Failure(NamedTuple):
 class OneStepMethod(abc.ABC, Generic[State]):
     """A run of a method that goes from state to state; how far, others decide.
 
-    Its error per unit of time falls with the step to the power `order`.
+    Its e falls with the step to the power `order`. Where accelerations and multipliers suffer from
+    a step that jumps, which is the rule, steps change slowly.
     """
 
     order: ClassVar[int]
+    bears_jumps: ClassVar[bool] = False
 
     @abc.abstractmethod
     def consistent(self) -> Record:

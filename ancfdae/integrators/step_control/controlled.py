@@ -8,6 +8,8 @@ method. So sizes come from a digital filter (H211b of Soderlind 2003, with b = 4
 e = 1/2. With p the order of the method
 
     h_{n+1}/h_n = (x_n x_{n-1})^(1/8) (h_n/h_{n-1})^(-1/4),     x = (1/(2 e))^(1/p).
+
+The step of a method that bears jumps follows e at once, h_{n+1}/h_n = x_n.
 """
 
 from __future__ import annotations
@@ -124,10 +126,10 @@ class ControlledSteps(StepControl):
     ) -> Controller:
         """Return the filter; half of what it aims at is the error of the step tried first."""
         if state:
-            return _Filter(method.order, 0.0, t_end, self.max_steps, state)
+            return _Filter(method, 0.0, t_end, self.max_steps, state)
         e, longest = method.start_error(), t_end / 20
         first = longest if e == 0 else min(longest, _root(_AIM / 2 / e, method.order))
-        return _Filter(method.order, first, t_end, self.max_steps)
+        return _Filter(method, first, t_end, self.max_steps)
 
     def sizes(self, t: Array) -> Array:
         """Return the distances of the instants."""
@@ -144,17 +146,18 @@ class ControlledSteps(StepControl):
 
 @final
 class _Filter(Controller):
-    """The digital filter of the module description; p is the order, `first` is tried first."""
+    """The digital filter of the module description; `first` is tried first."""
 
     def __init__(
         self,
-        order: int,
+        method: OneStepMethod[Any],
         first: float,
         t_end: float,
         max_steps: int,
         state: tuple[float, ...] = (),
     ) -> None:
-        self._order, self._t_end, self._max_steps = order, t_end, max_steps
+        self._order, self._bears_jumps = method.order, method.bears_jumps
+        self._t_end, self._max_steps = t_end, max_steps
         self._h = self._start = first
         self._taken = 0
         self._last_wish = self._last_ratio = 1.0
@@ -200,12 +203,15 @@ class _Filter(Controller):
             return self._reject(n, t, h * min(0.9, max(0.2, factor)), Verdict.ERROR_TEST)
         # What the error estimates passes through zero; without memory the step would grow far too
         # much there.
-        self._memory = max(error / h**self._order, _MEMORY * self._memory)
+        before = 0.0 if self._bears_jumps else _MEMORY * self._memory
+        self._memory = max(error / h**self._order, before)
         wish = _MOST
         if self._memory > 0:
             wish = _root(_AIM / (self._memory * h**self._order), self._order)
-        ratio = (wish * self._last_wish) ** (_FILTER / 2) * self._last_ratio**-_FILTER
-        ratio = 1 + _CHANGE * math.atan((ratio - 1) / _CHANGE)
+        ratio = min(wish, _MOST)
+        if not self._bears_jumps:
+            ratio = (wish * self._last_wish) ** (_FILTER / 2) * self._last_ratio**-_FILTER
+            ratio = 1 + _CHANGE * math.atan((ratio - 1) / _CHANGE)
         self._last_wish, self._last_ratio = wish, ratio
         self._remaining = max(self._remaining - 1, 0)
         self._h, self._last_h = h * ratio, h
@@ -215,7 +221,7 @@ class _Filter(Controller):
         """Choose a smaller step; near the start, which is made for its step, begin anew with it."""
         if h <= _SMALLEST * max(t, self._t_end):
             return why
-        anew = n <= _RESTART
+        anew = n <= _RESTART and not self._bears_jumps
         if anew:
             h = self._start = min(h, 0.5 * self._start)
             self._memory = 0.0

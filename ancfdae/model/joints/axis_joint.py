@@ -63,6 +63,11 @@ class AxisJoint(Joint):
     design_fields = (("axis", require_direction), ("ground", require_vector))
     spatial = True
 
+    @property
+    def way(self) -> Sequence[float]:
+        """The axis."""
+        return self.axis
+
     def around(self, p: Array, reference: Array) -> Around:
         """Return the axis and what carries it."""
         axis, ground = self.split(p)

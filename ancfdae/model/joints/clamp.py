@@ -8,6 +8,7 @@ from typing import final
 
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import fix_turn, flat_angle
 from ancfdae.model.joints.joint import (
@@ -49,6 +50,7 @@ class Clamp(Joint):
     ground: Sequence[float] | None = None
 
     kind = "clamp"
+    sign = Sign("clamp", "s", filled=True)
     design_fields = (("ground", require_vector),)
     holds_position = True
     no_second_point = "It holds to ground; use Weld to hold two sections together."

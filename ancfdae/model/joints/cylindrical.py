@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.axis_joint import AxisJoint
 from ancfdae.model.joints.frames import across, hold_place, square
 from ancfdae.model.joints.joint import Equations
@@ -23,6 +24,7 @@ class Cylindrical(AxisJoint):
     """
 
     kind = "cylindrical"
+    sign = Sign("cylindrical joint", "h")
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Two equations across the axis and two perpendicularities."""

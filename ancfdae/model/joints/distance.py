@@ -10,6 +10,7 @@ import numpy as np
 
 from ancfdae.errors import require_positive, require_vector
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign, Stroke
 from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
 
@@ -41,6 +42,8 @@ class Distance(Joint):
     name: str = ""
 
     kind = "link"
+    sign = Sign("link", ".", filled=True)
+    stroke = Stroke.LINK
     design_fields = (("length", require_positive), ("ground", require_vector))
     needs_other_end = True
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import (
     OUT_OF_PLANE,
     across,
@@ -57,6 +58,8 @@ class Drive(DrivenJoint):
     name: str = ""
 
     kind = "drive"
+    sign = Sign("drive", r"$\circlearrowleft$", filled=True, size=17.0)
+    shows_ground = False
     takes_part = SECTION
     design_fields = (("angle", require_law), ("axis", require_direction))
 

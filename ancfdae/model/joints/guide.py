@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
 from ancfdae.model.joints.joint import SECTION, Equations, Travelling, empty_coefficients
@@ -39,6 +40,7 @@ class Guide(Travelling):
     name: str = ""
 
     kind = "guide"
+    sign = Sign("guide", r"$\leftrightarrow$", filled=True, size=15.0)
     takes_part = SECTION
 
     def vectors(self, elements: Elements) -> Vectors:

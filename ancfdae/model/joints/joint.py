@@ -21,6 +21,7 @@ import numpy as np
 
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
 from ancfdae.model.laws import Law
 from ancfdae.model.laws.law import require_law
@@ -89,6 +90,14 @@ class Joint(Part):
     #: Whether the first d equations equate positions: their multipliers are then minus the reaction
     #: force on the first point.
     holds_position: ClassVar[bool] = False
+    #: Sign in pictures, and whether ground is drawn below it where it has no other point.
+    sign: ClassVar[Sign] = Sign("joint", "*")
+    shows_ground: ClassVar[bool] = True
+
+    @property
+    def way(self) -> Sequence[float] | None:
+        """Axis, or direction in which the joint moves, that pictures show; none by default."""
+        return None
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the vectors that take part: positions first, then slopes point by point.
@@ -142,6 +151,11 @@ class Travelling(DrivenJoint):
     travel: Law
 
     design_fields = (("direction", require_direction), ("travel", require_law))
+
+    @property
+    def way(self) -> Sequence[float]:
+        """The direction of travel."""
+        return self.direction
 
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
         """Return true: travel has no other side."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.clamp import Clamp
 from ancfdae.model.joints.frames import unit
 from ancfdae.model.joints.joint import Equations, Travelling, empty_coefficients
@@ -34,6 +35,7 @@ class MovingBase(Travelling):
     name: str = ""
 
     kind = "base"
+    sign = Sign("moving base", "p", filled=True)
     holds_position = True
 
     def vectors(self, elements: Elements) -> Vectors:

@@ -8,6 +8,7 @@ from typing import final
 
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients, place_coincidence
 from ancfdae.numerics.arrays import Array
 
@@ -38,6 +39,7 @@ class Pin(Joint):
     name: str = ""
 
     kind = "pin"
+    sign = Sign("pin", "o")
     design_fields = (("ground", require_vector),)
     holds_position = True
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.axis_joint import AxisJoint
 from ancfdae.model.joints.frames import hold_place, square
 from ancfdae.model.joints.joint import Equations
@@ -21,6 +22,7 @@ class PlanarJoint(AxisJoint):
     """
 
     kind = "planar"
+    sign = Sign("planar joint", "D")
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """One equation along the normal of the plane and two perpendicularities."""

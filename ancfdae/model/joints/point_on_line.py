@@ -8,6 +8,7 @@ from typing import final
 
 from ancfdae.errors import require_direction, require_vector
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import across
 from ancfdae.model.joints.joint import Equations, Joint, empty_coefficients
 from ancfdae.numerics.arrays import Array
@@ -41,7 +42,13 @@ class PointOnLine(Joint):
     name: str = ""
 
     kind = "line"
+    sign = Sign("point on a line", "d")
     design_fields = (("direction", require_direction), ("through", require_vector))
+
+    @property
+    def way(self) -> Sequence[float]:
+        """The line."""
+        return self.direction
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """n_j . (r - through)."""

@@ -8,6 +8,7 @@ from typing import final
 
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import (
     across,
     carrier_of,
@@ -51,8 +52,14 @@ class Prismatic(Joint):
     name: str = ""
 
     kind = "prismatic"
+    sign = Sign("prismatic joint", "d")
     takes_part = SECTION
     design_fields = (("axis", require_direction),)
+
+    @property
+    def way(self) -> Sequence[float]:
+        """The axis."""
+        return self.axis
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Equations across the axis, and one for every turn."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.axis_joint import AxisJoint
 from ancfdae.model.joints.joint import Equations, place_coincidence
 from ancfdae.numerics.arrays import Array
@@ -20,6 +21,7 @@ class Revolute(AxisJoint):
     """
 
     kind = "revolute"
+    sign = Sign("revolute joint", "o")
     holds_position = True
 
     def coefficients(self, p: Array, reference: Array) -> Equations:

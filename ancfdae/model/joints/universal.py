@@ -10,6 +10,7 @@ import numpy as np
 
 from ancfdae.errors import InvalidInput, require_direction, require_vector
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import carrier_of, place_shapes, sections, square, unit
 from ancfdae.model.joints.joint import (
     SECTION,
@@ -56,6 +57,7 @@ class Universal(Joint):
     name: str = ""
 
     kind = "universal"
+    sign = Sign("universal joint", "P")
     takes_part = SECTION
     design_fields = (
         ("axis", require_direction),
@@ -64,6 +66,11 @@ class Universal(Joint):
     )
     spatial = True
     holds_position = True
+
+    @property
+    def way(self) -> Sequence[float]:
+        """The axis."""
+        return self.axis
 
     def __post_init__(self) -> None:
         """Refuse axes that are parallel: they would hold their angle to first order alone."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.model.bodies import Point
+from ancfdae.model.drawing import Sign
 from ancfdae.model.joints.frames import hold_turn, place_shapes, sections
 from ancfdae.model.joints.joint import (
     SECTION,
@@ -42,6 +43,7 @@ class Weld(Joint):
     name: str = ""
 
     kind = "weld"
+    sign = Sign("weld", "X", filled=True)
     takes_part = SECTION
     holds_position = True
 

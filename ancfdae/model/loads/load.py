@@ -3,8 +3,8 @@
 A load names vectors U_i of material points and gives the generalised force F_i
 that works on each, delta W = sum_i F_i . delta U_i, in operations that carry
 time derivatives along (`numerics.jets`), so that its rate follows. A law of time
-multiplies it. The assembler lifts it to Q = L^T F and forms tangents and design
-derivatives by complex steps.
+multiplies it. The assembler writes its operations down, and lifts it to Q = L^T F with tangents and
+design derivatives.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from typing import Any, final
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point, Quantity
 from ancfdae.model.design import numbers
+from ancfdae.model.drawing import Stroke
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.parts import Elements, Vectors
@@ -53,6 +54,7 @@ class SpringDamper(Load):
     law: Law | None = None
 
     kind = "spring"
+    stroke = Stroke.SPRING
     elastic = True
     design_fields = (
         *numbers("stiffness", "damping", "free_length"),

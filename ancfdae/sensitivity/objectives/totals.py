@@ -125,7 +125,7 @@ def totals_of(
     """Return a collector for each integral that the objectives are made of.
 
     Not for one of an observable that remembers: points between the instants are visited in no
-    order, and a state does not tell its turns.
+    order, and full turns are not part of a state.
     """
     all_leaves = [leaf for objective in objectives for leaf in leaves(objective)]
     integrals = (

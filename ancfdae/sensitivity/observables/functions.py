@@ -1,4 +1,4 @@
-"""Functions that may stand in an expression, evaluated so that complex numbers differentiate them.
+"""Functions of expressions, evaluated so that complex numbers differentiate them.
 
 For real x and a tiny step eps, Im f(x + i eps) / eps is f'(x) to round-off if f is analytic at x.
 NumPy continues some functions to where they are not real, sqrt(-1) = i, and there the quotient is
@@ -91,7 +91,7 @@ _FUNCTIONS = {
 
 
 def analytic(ufunc: np.ufunc, method: str = "__call__", plain: bool = True) -> Function:
-    """Return a NumPy function that may stand in an expression.
+    """Return a NumPy function that may be used in an expression.
 
     Refused are functions that are not analytic, methods such as ``reduce``, and calls that are not
     `plain` but have options such as ``where``.

@@ -1,0 +1,84 @@
+"""One load as numbers, and its force as a list of operations, which kernels take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.assembly.vectors import Vectors
+from ancfdae.kernels import LoadPlan
+from ancfdae.model.loads import Load
+from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.operations import Listed, Operations
+from ancfdae.numerics.patterns import Pattern
+
+
+@final
+@dataclass(frozen=True)
+class LoadInput:
+    """One load with its vectors, parameters, (n_p,), and vectors of the reference, (n_v, d)."""
+
+    load: Load
+    vectors: Vectors
+    p: Array
+    p_b: Array
+    reference: Array
+    reference_b: dict[int, Array]
+
+    @property
+    def uses_velocity(self) -> bool:
+        """Whether the force depends on velocities at these design variables."""
+        names = self.load.parameters()
+        driven = [name for name, row in zip(names, self.p_b, strict=True) if np.any(row)]
+        return self.load.uses_velocity(driven)
+
+    def factor(self, t: Array, order: int) -> Array:
+        """Return the law of time or its derivative; shape as t."""
+        return self.load.factor(self.p, t, order)
+
+    def force(self, U: Array, V: Array) -> Array:
+        """Return the forces on the vectors, without the law."""
+        F: Array = self.load.force(U, V, self.p, self.reference)
+        return F
+
+    @property
+    def couplings(self) -> tuple[Array, Array]:
+        """Rows and columns of what tangents have, by pairs of rows of L and of their entries."""
+        first, column = self.vectors.first, self.vectors.column
+        row = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        i, j = (x.ravel() for x in np.indices((len(row), len(row))))
+        order = np.lexsort((j, i, row[j], row[i]))
+        return column[i[order]], column[j[order]]
+
+    def plan(self, pattern: Pattern) -> LoadPlan:
+        """Return the force as operations, with tangents on a pattern that holds the couplings.
+
+        Raises
+        ------
+        InvalidInput
+            For a force that is made of other functions than jets have.
+        """
+        shape, size, vectors = self.reference.shape, self.reference.size, self.vectors
+        operations = Operations(2 * size)
+        U, V = (Listed(operations, x) for x in np.arange(2 * size).reshape(2, *shape))
+        F = self.load.force(U, V, self.p, self.reference)
+        results = np.broadcast_to(U.numbers(F), shape)
+        constants, *lists = operations.arrays(results.ravel())
+        arrays = vectors.first, vectors.column, *lists, pattern.index(*self.couplings)
+        indices = tuple(np.asarray(x, np.int32) for x in arrays)
+        return LoadPlan(indices, (vectors.value, constants), vectors.n_q, pattern.size)
+
+    @property
+    def active(self) -> list[int]:
+        """Design variables that the force depends on with q and v held."""
+        moving = np.flatnonzero(np.any(self.p_b, axis=0) | self.vectors.moves)
+        return sorted({*moving.tolist(), *self.reference_b})
+
+    def moved(self, i: int) -> LoadInput:
+        """Return the load moved in design variable i by an imaginary step."""
+        p, reference = self.p + 1j * STEP * self.p_b[:, i], self.reference
+        if i in self.reference_b:
+            reference = reference + 1j * STEP * self.reference_b[i]
+        return replace(self, vectors=self.vectors.moved(i), p=p, reference=reference)

@@ -1,0 +1,109 @@
+"""Radau IIA of order 5, with any control of its steps (docs/theory/14-radau.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.errors import Verdict
+from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.radau import linear_passes
+from ancfdae.integrators.radau.step import State, Stepper
+from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.start import Covectors, pull_back_start
+from ancfdae.integrators.step_control import StepControl
+from ancfdae.integrators.stepped import EXACT, SteppedIntegrator
+from ancfdae.numerics.arrays import Array
+
+# The estimate of a step falls with h^4, the error of the run with h^5: its power 5/4.
+_SHARE, _POWER = 0.1, 4 / 5
+
+
+@final
+@dataclass(frozen=True, init=False)
+class Radau(SteppedIntegrator):
+    """Radau IIA with three stages at a fixed step, or with error control; for stiff damped scenes.
+
+    Of order 5 in q, v, a, lam and their design derivatives at the ends of steps, of order 4 at the
+    stages within, which a solution also has: four instants from the start of a step to its end. In
+    what is much faster than the step the order falls (docs/theory/14-radau.md). A step costs some
+    times one of `HHT`. Exactly one of `steps`, `step` and `rtol` is given.
+
+    Parameters
+    ----------
+    steps : StepControl or float
+        `FixedSteps`, `ControlledSteps` or `GivenSteps`; a number is the step of `FixedSteps`.
+    newton_tolerance : float, optional
+        As that of `HHT`.
+    max_iterations : int
+        Newton iterations of a step before it is given up.
+    step : float, optional
+        Short for ``steps=FixedSteps(step)``; s.
+    rtol : float, optional
+        Short for ``steps=ControlledSteps(rtol)``.
+
+    Raises
+    ------
+    InvalidInput
+        If a setting is out of range.
+    """
+
+    order: ClassVar[int | None] = 5
+    degree: ClassVar[int] = 3
+
+    steps: StepControl
+    newton_tolerance: float
+    max_iterations: int = 15
+
+    def __init__(
+        self,
+        steps: StepControl | float | None = None,
+        newton_tolerance: float | None = None,
+        max_iterations: int = 15,
+        *,
+        step: float | None = None,
+        rtol: float | None = None,
+    ) -> None:
+        newton = EXACT if newton_tolerance is None else newton_tolerance
+        self._set(steps, step, rtol, newton, max_iterations)
+
+    def _stepper(
+        self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
+    ) -> Stepper:
+        newton = self.newton_tolerance, self.max_iterations
+        tolerances = []
+        for sizes in (problem.scales.q, problem.scales.v):
+            tolerance = self.steps.tolerance(t_end, sizes, sizes_b)
+            if tolerance is not None:
+                rtol, atol = (_SHARE * x**_POWER for x in (tolerance.rtol, tolerance.atol))
+                tolerances.append(replace(tolerance, rtol=rtol, atol=atol))
+        return Stepper(problem, newton, tuple(tolerances), recorder)
+
+    def _state_after(self, run: Solution) -> State:
+        rows = tuple(x[-4:] for x in (run.t, run.q, run.v, run.a, run.lam))
+        return State(float(self.sizes(run)[-1]), rows)
+
+    def _derivatives(
+        self, problem: Problem, run: Solution, progress: bool
+    ) -> tuple[list[Array], Verdict]:
+        return linear_passes.differentiate(problem, run, self.sizes(run), progress)
+
+    def pull_back(
+        self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False
+    ) -> Array:
+        """Return the gradient of an objective by the discrete adjoint."""
+        problem = Problem.of(system, float(solution.t[-1]) or 1.0)
+        on = np.zeros((2, system.n_q))
+        h = self.sizes(solution)
+        gradient, (q, v) = linear_passes.pull_back(problem, solution, h, seeds, on, progress)
+        q, v, lam = (
+            x if seed is None else x + seed[0]
+            for x, seed in ((q, seeds.q), (v, seeds.v), (np.zeros(system.n_lam), seeds.lam))
+        )
+        on_start = Covectors(q, v, np.zeros(system.n_q), lam, gradient)
+        return pull_back_start(system, problem.matrices, problem.initial, on_start)

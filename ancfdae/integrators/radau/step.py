@@ -1,0 +1,184 @@
+"""A step of Radau IIA: of the motion and, if asked for, of its design derivatives.
+
+The stages meet the constraints of positions. What their velocities miss, O(h^3), is removed, and
+accelerations and multipliers follow (`completion`); so a step goes on from q and v.
+
+**Error of a step.** The embedded formula of order 3, filtered by the real matrix (Hairer & Wanner,
+IV.8). With a_0 of the state before, e its weights and k = gamma, in the scaled displacements x
+
+    r_q = h sum e_i x_i,    r_v = a_0 + sum (e^T A^-1)_i x_i
+    [k^2 M + h k f_v + h^2 f_q   Phi_q^T] [dq]   [h^2 (M (r_v + k r_q/h) + f_v r_q)]
+    [Phi_q                       0      ] [. ] = [0                                ],
+    dv = k dq/h - r_q.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, NamedTuple, final
+
+import numpy as np
+
+from ancfdae.equations.saddle_points import solve
+from ancfdae.integrators.completion import completed
+from ancfdae.integrators.problem import Problem
+from ancfdae.integrators.radau.linear_passes import LinearSteps
+from ancfdae.integrators.radau.newton import Solved, StageSolver
+from ancfdae.integrators.radau.stages import Begin, StageMatrices
+from ancfdae.integrators.radau.tableau import (
+    BUTCHER,
+    EMBEDDED,
+    GAMMA,
+    INVERSE,
+    PLACES,
+    at_stages,
+    continued,
+)
+from ancfdae.integrators.recorder import Recorder
+from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, Record
+from ancfdae.integrators.step_control.tolerance import Tolerance
+from ancfdae.numerics.arrays import Array
+
+# Parts of a run that first steps are tried with, each an eighth of the one before.
+_FIRST = [0.05 * 8.0**-k for k in range(8)]
+# Shortest part of a step by way of which it is solved.
+_SHORTEST = 1e-3
+
+
+class State(NamedTuple):
+    """What a step leaves: its size; start, stages and end as rows (t, q, v, a, lam).
+
+    The start of a run is one row. Derivatives q_b, v_b, a_b, lam_b alike; the estimated errors are
+    of q and v, q_b and v_b.
+    """
+
+    h: float
+    rows: tuple[Array, ...]
+    derivatives: tuple[Array, ...] = ()
+    errors: tuple[Array, ...] = ()
+
+
+@final
+class Stepper(OneStepMethod[State]):
+    """Takes the steps of a run, with derivatives where those of the start are given.
+
+    Tolerances are those of positions and of velocities; none where nothing controls the error.
+    """
+
+    order: ClassVar[int] = 4
+    bears_jumps: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        problem: Problem,
+        newton: tuple[float, int],
+        tolerances: tuple[Tolerance, ...],
+        recorder: Recorder,
+    ) -> None:
+        self._problem, self._recorder, self._tolerances = problem, recorder, tolerances
+        self._solver = StageSolver(problem, *newton, recorder)
+        self._matrices = None if problem.derivative is None else StageMatrices(problem)
+
+    def consistent(self) -> Record:
+        """Return the start."""
+        return *self._problem.initial, self._problem.derivative or ()
+
+    def start(self, h: float) -> State:
+        """Return the start, whatever the step."""
+        rows = (np.asarray(x)[None] for x in self._problem.initial)
+        return State(h, tuple(rows), tuple(x[None] for x in self._problem.derivative or ()))
+
+    def resized(self, state: State, ratio: float) -> State:
+        """Return the state, which serves any step."""
+        return state
+
+    def recorded(self, state: State) -> Record:
+        """Return the stages, of which the last one is the end."""
+        t, q, v, a, lam = (x[1:] for x in state.rows)
+        return t, q, v, a, lam, tuple(x[1:] for x in state.derivatives)
+
+    def advance(self, h: float, before: State, t: float) -> State | Failure:
+        """Solve the equations of the step to t, and complete its stages."""
+        t_0, *last = (x[-1] for x in before.rows)
+        begin = Begin(float(t_0), last[0], last[1], h)
+        found = self._solved(begin, before)
+        if isinstance(found, Failure):
+            return found
+        system, accelerations = self._problem.system, self._problem.accelerations
+        times = np.append(begin.times[:2], t)
+        counted, rows = accelerations.factorisations, []
+        stages = begin.stages(found.x, found.lam)
+        for s, q, v in zip(times.tolist(), stages.q, stages.v, strict=True):
+            rows.append((q, *completed(system, accelerations.factors(s, q), s, q, v)))
+        self._recorder.factorisations += accelerations.factorisations - counted
+        columns = (np.array(x) for x in zip(last, *rows, strict=True))
+        after = State(h, (np.append(t_0, times), *columns))
+        return self._controlled(found, before, after) if self._tolerances else after
+
+    def _solved(self, begin: Begin, before: State) -> Solved | Failure:
+        """Solve the equations of a step, by way of shorter ones from its start if need be."""
+        h, v, part = begin.h, begin.v, 1.0
+        still = np.multiply.outer(PLACES[:, 0] ** 2 / 2, before.rows[3][-1])
+        x, lam = still, np.tile(before.rows[4][-1], (3, 1))
+        usual = self._solver.usual(begin.t, *(row[-1] for row in before.rows[1:]))
+        if len(before.rows[0]) > 1:
+            x = at_stages(BUTCHER, continued(before.rows[2], 1 + h / before.h * PLACES) - v) / h
+        found = self._solver.solve(begin, (x, lam), usual)
+        # Where steps are controlled a smaller one is the better cure.
+        while isinstance(found, Failure) and part > _SHORTEST and not self._tolerances:
+            part /= 4
+            found = self._solver.solve(begin._replace(h=part * h), (still, lam), usual)
+        self._recorder.continued += part < 1 and not isinstance(found, Failure)
+        while part < 1 and not isinstance(found, Failure):
+            V = begin._replace(h=part * h).stages(found.x, found.lam).v
+            part *= 2
+            ahead = continued(np.concatenate([v[None], V]), 2 * PLACES)
+            guess = at_stages(BUTCHER, ahead - v) / (part * h), found.lam
+            found = self._solver.solve(begin._replace(h=part * h), guess, usual)
+        return found
+
+    def _controlled(self, found: Solved, before: State, after: State) -> State:
+        """Add the estimated errors, and derivatives with theirs."""
+        errors = self._embedded(found, after.h, before.rows[3][-1].real, found.x.real)
+        if self._matrices is None:
+            return after._replace(errors=errors)
+        self._recorder.factorisations += 1
+        t, *states = (x[None] for x in after.rows)
+        steps = LinearSteps.of(self._problem, np.array([after.h]), t, states)
+        first = [x[-1:] for x in before.derivatives]
+        rows, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
+        derivatives = tuple(map(np.concatenate, zip(first, rows, strict=True)))
+        errors += self._embedded(found, after.h, first[2][0], x_b)
+        return after._replace(derivatives=derivatives, errors=errors)
+
+    def _embedded(self, found: Solved, h: float, a: Array, x: Array) -> tuple[Array, ...]:
+        """Return dq and dv; columns of derivatives alike."""
+        system, local = self._problem.system, found.matrix.local
+        r_q = h * at_stages(EMBEDDED, x)[0]
+        r_v = a + at_stages(EMBEDDED @ INVERSE, x)[0]
+        right = system.pattern.dot(local.M[0], r_v + GAMMA / h * r_q)
+        if local.f_v is not None:
+            right = right + system.pattern.dot(local.f_v[0], r_q)
+        side = np.zeros((system.n_lam, *right.shape[1:]))
+        dq = solve(found.matrix.real, h**2 * right, side)[0]
+        return dq, GAMMA / h * dq - r_q
+
+    def error(self, h: float, before: State, after: State) -> float:
+        """Return the largest e, of positions, velocities and their derivatives."""
+        errors = [0.0]
+        for k, tolerance in enumerate(self._tolerances):
+            # The tolerance divides by the share of the step in the run; here it is the whole error.
+            T, size = tolerance.t_end, np.abs(after.rows[1 + k][[0, -1]].real).max(axis=0)
+            errors.append(tolerance.of_motion(T, after.errors[k], size))
+            if after.derivatives:
+                size_b = np.abs(after.derivatives[k][-1])
+                errors.append(tolerance.of_derivatives(T, after.errors[2 + k], size_b))
+        return float(np.max(errors))  # NaN if one is.
+
+    def start_error(self) -> float:
+        """Return e of the first step that can be solved, relative to its size^order."""
+        for part in _FIRST if self._tolerances else ():
+            h = part * self._tolerances[0].t_end
+            after = self.advance(h, self.start(h), h)
+            if not isinstance(after, Failure):
+                return self.error(h, self.start(h), after) / h**self.order
+        return 0.0

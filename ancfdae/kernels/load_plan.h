@@ -1,0 +1,15 @@
+/* What a load is: vectors U = L q, and a list of operations that makes forces on them of U and V. */
+
+/* Operations of one or two numbers; `jets.py` has the same in NumPy. */
+enum {
+    ADD, SUBTRACT, MULTIPLY, DIVIDE, ANGLE, POWER, NEGATE, SQRT, EXP, LOG, SIN, COS, TAN, SINH, COSH,
+    TANH, ARCTAN, SQUARE, RECIPROCAL, OPERATIONS
+};
+
+/* Numbers are those of U, of V, constants, and results one by one: operation k is op[k] of numbers
+ * a[k] and b[k]. Forces on U are the numbers `output`. Entries of L^T F_U L go to `places` among
+ * n_values values: for components i and j those of the entries in rows i and j of L. */
+typedef struct {
+    npy_intp n_q, n_U, n_constants, n_operations, n_numbers, n_values;
+    const npy_int32 *first, *columns, *op, *a, *b, *output, *places;
+} load_plan;

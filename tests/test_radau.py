@@ -1,0 +1,361 @@
+"""Radau IIA: orders, exact gradients both ways, stiff beams, error control, failures."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    IDA,
+    Adjoint,
+    AtTimes,
+    ComplexStep,
+    ControlledSteps,
+    Direct,
+    Explicit,
+    FiniteDifference,
+    FixedSteps,
+    GivenSteps,
+    Integral,
+    InvalidInput,
+    Point,
+    Radau,
+    Terminal,
+    assemble,
+    custom,
+    differentiate,
+    gradient,
+    position,
+    simulate,
+    velocity,
+)
+from ancfdae.errors import Verdict
+from ancfdae.integrators.radau.tableau import (
+    BUTCHER,
+    COLUMN,
+    EMBEDDED,
+    GAMMA,
+    INVERSE,
+    MU,
+    PLACES,
+    REAL_COLUMN,
+    REAL_ROW,
+    ROW,
+    continued,
+)
+from ancfdae.sensitivity.method import UnfinishedRun
+from validation.external.slider_crank import SliderCrank
+from validation.scenes import crank_slider, pendulum
+
+from mechanisms import CartesianPendulum
+
+STATES = ("q", "v", "a", "lam")
+OF_B = ("q_b", "v_b", "a_b", "lam_b")
+NAN = float("nan")
+
+
+def states(run):
+    """States and their derivatives by name."""
+    own = run.sensitivities
+    return {x: getattr(run, x) for x in STATES} | {x: getattr(own, x) for x in OF_B if own}
+
+
+def assert_close(run, reference, share, rows=slice(None)):
+    """Compare all states and derivatives, relative to the largest of each."""
+    theirs = states(reference)
+    for name, x in states(run).items():
+        bound = share * np.max(np.abs(theirs[name]))
+        np.testing.assert_allclose(x[rows], theirs[name][rows], rtol=0, atol=bound, err_msg=name)
+
+
+END = slice(-1, None)
+
+
+def everything(t, q, v, lam, b):
+    return q[:, 0] ** 2 + 0.1 * v[:, 1] * lam[:, 0] + b[0] * q[:, 1]
+
+
+def multiplier(t, q, v, lam, b):
+    return lam[:, 0]
+
+
+def speed(t, q, v, lam, b):
+    return v[:, 0]
+
+
+OBJECTIVE = (
+    Integral(custom(everything, "all"))
+    + Terminal(custom(multiplier, "lam"))
+    + AtTimes(custom(speed, "v_x"), (0.37, 0.5))
+)
+
+
+# ---------------------------------------------------------------- the tableau
+
+
+def test_coefficients_meet_the_order_conditions():
+    c, b = PLACES[:, 0], BUTCHER[2]
+    for k in range(1, 6):  # B(5), C(3): collocation at the Radau points.
+        assert b @ c ** (k - 1) == pytest.approx(1 / k, rel=1e-14)
+    for k in range(1, 4):
+        np.testing.assert_allclose(BUTCHER @ c ** (k - 1), c**k / k, rtol=1e-13)
+    np.testing.assert_allclose(EMBEDDED @ c, [-1.0], rtol=1e-13)
+    # Of order 3: what is estimated vanishes for q up to t^3, with q' at the start.
+    for k in (2, 3):
+        assert EMBEDDED[0] @ c**k == pytest.approx(0.0, abs=1e-13)
+
+
+def test_the_transformation_is_that_of_the_inverse():
+    T = np.array([REAL_COLUMN, COLUMN, COLUMN.conj()]).T
+    rows = np.array([REAL_ROW, ROW, ROW.conj()])
+    np.testing.assert_allclose(T @ np.diag([GAMMA, MU, MU.conjugate()]) @ rows, INVERSE, atol=1e-13)
+    assert MU.imag > 0
+    assert pytest.approx(3.637834252744496, rel=1e-14) == GAMMA  # Hairer & Wanner, IV.8
+
+
+def test_a_cubic_is_continued_exactly():
+    x = np.append(0.0, PLACES)[:, None]
+    ahead = np.array([[1.5], [2.0]])
+    np.testing.assert_allclose(continued(x**3 - x, ahead), ahead**3 - ahead, rtol=1e-12)
+
+
+# ---------------------------------------------------------------- orders
+
+
+def orders(runs, read):
+    values = [read(run) for run in runs]
+    changes = [np.max(np.abs(x - y[::2])) for x, y in itertools.pairwise(values)]
+    return np.log2(np.divide(changes[:-1], changes[1:]))
+
+
+@pytest.mark.parametrize(
+    ("system", "first"), [(CartesianPendulum(-1.0, 2.0), 4), (SliderCrank(), 3)]
+)
+def test_order_five_in_all_states_and_their_derivatives(system, first):
+    """At the ends of steps; without the projection v has order 3, a and lam 2."""
+    runs = [differentiate(system, 1.0, Radau(2.0**-k)) for k in range(first, first + 3)]
+    for name in (*STATES, *OF_B):
+        observed = orders(runs, lambda run, name=name: states(run)[name][::3])
+        assert abs(observed[-1] - 5) < 0.05, (name, observed)
+
+
+def test_integrals_have_order_five_and_what_lies_between_instants_four():
+    """The stages are a quadrature of order 5; a cubic through them interpolates."""
+    system = CartesianPendulum(-1.0, 2.0)
+    for objective, order in (
+        (Integral(custom(everything, "all")), 5),
+        (Terminal(custom(multiplier, "lam")), 5),
+        (AtTimes(custom(speed, "v_x"), 1 / 3), 4),
+    ):
+        found = [gradient(system, objective, 1.0, Radau(2.0**-k)) for k in (4, 5, 6)]
+        values = np.array([[each.value, *each.gradient] for each in found])
+        changes = np.abs(np.diff(values, axis=0))
+        assert np.all(np.log2(changes[0] / changes[1]) > order - 0.25), objective
+
+
+def test_a_shorter_run_has_shorter_steps_of_the_same_order():
+    runs = [simulate(CartesianPendulum(-1.0, 2.0), 0.9, Radau(2.0**-k)) for k in (4, 5, 6)]
+    assert [len(run.t[::3]) - 1 for run in runs] == [15, 29, 58]
+    exact = simulate(CartesianPendulum(-1.0, 2.0), 0.9, Radau(0.9 / 256))
+    errors = [np.abs(run.lam[-1] - exact.lam[-1])[0] * len(run.t) ** 5 for run in runs]
+    assert max(errors) < 1.3 * min(errors)
+
+
+# ---------------------------------------------------------------- against other integrators
+
+
+def test_it_agrees_with_the_explicit_integrator():
+    system = SliderCrank()
+    run = differentiate(system, 1.0, Radau(2.0**-6))
+    # Of h^5 are left 4e-13 in states and 3e-12 in derivatives; the reference errs by 1e-10.
+    assert_close(run, differentiate(system, 1.0, Explicit(1e-11)), 1e-9, END)
+
+
+def test_it_agrees_with_ida_on_a_beam():
+    scene = pendulum(elements=1, youngs_modulus=1e6)
+    ours = simulate(scene, 0.1, Radau(0.1 / 256))
+    theirs = simulate(scene, 0.1, IDA(1e-10))
+    np.testing.assert_allclose(ours.q[-1], theirs.q[-1], rtol=0, atol=1e-8)  # 4e-10 seen.
+
+
+def stiff(elements=2):
+    scene = pendulum(elements=elements, youngs_modulus=2e11, damping_time=1e-3)
+    return assemble(scene, ("pendulum.height", "pendulum.density"))
+
+
+def test_stiff_damped_beams_take_large_steps():
+    """Axial waves last 1e-5 s and decay in 1e-3 s: 32 steps a second reach 1e-4."""
+    system, tip = stiff(), position(Point("pendulum", 1.0), 1)
+    found = [gradient(system, Integral(tip**2), 1.0, Radau(2.0**-k)).gradient[0] for k in (5, 6, 9)]
+    coarse, fine = (abs(x / found[2] - 1) for x in found[:2])
+    assert coarse < 1e-4
+    assert fine < 4e-6
+
+
+def test_orders_fall_where_waves_are_much_faster_than_the_step():
+    """Stage orders, 3 of q and 2 of forces, show; axial waves of 2e-5 s, steps of 3e-2 s."""
+    system = assemble(pendulum(elements=1, youngs_modulus=2e11, damping_time=1e-3))
+    runs = [simulate(system, 0.5, Radau(2.0**-k)) for k in (5, 6, 7, 11)]
+    errors = [
+        (np.max(np.abs(run.q[-1] - runs[-1].q[-1])), np.max(np.abs(run.lam[-1] - runs[-1].lam[-1])))
+        for run in runs[:3]
+    ]
+    in_q, in_lam = np.log2(np.divide(errors[0], errors[2])) / 2
+    assert 3.0 < in_q < 4.5  # Measured 3.6.
+    assert 1.7 < in_lam < 2.7  # Measured 2.2.
+
+
+# ---------------------------------------------------------------- gradients
+
+
+@pytest.mark.parametrize("steps", [FixedSteps(1 / 16), GivenSteps((0.0, 0.1, 0.4, 0.45, 1.0))])
+@pytest.mark.parametrize("system", [CartesianPendulum(-1.0, 2.0), SliderCrank()])
+def test_direct_adjoint_and_complex_step_agree(system, steps):
+    methods = Direct(), Adjoint(), ComplexStep()
+    found = [gradient(system, OBJECTIVE, 1.0, Radau(steps), method=each) for each in methods]
+    for each in found[1:]:
+        np.testing.assert_allclose(each.gradient, found[0].gradient, rtol=1e-11)
+        assert each.value == pytest.approx(found[0].value, rel=1e-13)
+
+
+def test_they_agree_on_a_mechanism_of_beams():
+    names = ("rod.height", "rod.density", "rod.youngs_modulus")
+    system = assemble(crank_slider(), names)
+    objective = Terminal(velocity(Point("rod", 0.5), 1)) + Integral(position(Point("rod", 1.0), 0))
+    found = [
+        gradient(system, objective, 2.0**-5, Radau(2.0**-8), method=each).gradient * system.b
+        for each in (Direct(), Adjoint(), ComplexStep())
+    ]
+    # Round-off of stiff beams: 1e-16 of strains of order one in strains of 1e-5.
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=0, atol=1e-11 * max(abs(found[0])))
+
+
+def test_a_gradient_is_the_limit_of_differences():
+    system, integrator = CartesianPendulum(-1.0, 2.0), Radau(0.07)
+    ours = gradient(system, OBJECTIVE, 1.0, integrator).gradient
+    central = FiniteDifference(1e-5, central=True)
+    check = gradient(system, OBJECTIVE, 1.0, integrator, method=central).gradient
+    # Differences err by 1e-10 times the third derivative, and by round-off of 1e-13 / 1e-5.
+    np.testing.assert_allclose(ours, check, rtol=1e-7)
+
+
+def test_every_state_has_the_derivative_of_the_complex_step():
+    system = CartesianPendulum(-1.0, 2.0)
+    check = differentiate(system, 1.0, Radau(0.1), method=ComplexStep())
+    assert_close(differentiate(system, 1.0, Radau(0.1)), check, 1e-11)
+
+
+# ---------------------------------------------------------------- error control
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-5, 1e-7])
+def test_the_tolerance_bounds_the_error(rtol):
+    system = CartesianPendulum(-1.0, 2.0)
+    run = simulate(system, 1.0, Radau(rtol=rtol))
+    exact = simulate(system, 1.0, Explicit(1e-13))
+    for name in ("q", "v"):
+        error = np.max(np.abs(getattr(run, name)[-1] - getattr(exact, name)[-1]))
+        assert 1e-3 * rtol < error / np.max(np.abs(getattr(exact, name))) < 3 * rtol
+
+
+def test_derivatives_under_control():
+    system, steps = CartesianPendulum(-1.0, 2.0), ControlledSteps(1e-4, sensitivities=True)
+    run = differentiate(system, 1.0, Radau(steps))
+    frozen = Radau(steps).frozen(run)
+    check = differentiate(system, 1.0, frozen, method=ComplexStep())
+    np.testing.assert_array_equal(run.t, check.t)
+    assert_close(run, check, 1e-10)
+    assert_close(run, differentiate(system, 1.0, Explicit(1e-10)), 3e-4, END)
+
+
+def test_frozen_steps_repeat_a_controlled_run():
+    system, integrator = CartesianPendulum(-1.0, 2.0), Radau(rtol=1e-4)
+    run = simulate(system, 1.0, integrator)
+    again = simulate(system, 1.0, integrator.frozen(run))
+    np.testing.assert_array_equal(run.t, again.t)
+    np.testing.assert_allclose(run.q, again.q, rtol=1e-12)
+    assert len(simulate(system, 1.0, integrator.refined(run)).t) == 2 * len(run.t) - 1
+
+
+@pytest.mark.parametrize(("integrator", "share"), [(Radau(0.1), 1e-12), (Radau(rtol=1e-4), 1e-3)])
+def test_a_run_goes_on_as_in_one_go(integrator, share):
+    system = CartesianPendulum(-1.0, 2.0)
+    first = simulate(system, 0.5, integrator)
+    both = simulate(system, 1.0, integrator, after=first)
+    np.testing.assert_array_equal(both.q[: len(first.t)], first.q)
+    # Controlled steps change with the end time.
+    assert_close(both, simulate(system, 1.0, integrator), share, END)
+
+
+# ---------------------------------------------------------------- small steps, other units
+
+
+def test_round_off_of_small_steps():
+    """Positions know their constraints to 1e-16, accelerations to that over h^2: none is kept."""
+    system = CartesianPendulum(-1.0, 2.0)
+    run, exact = (simulate(system, 1e-4, x) for x in (Radau(1e-6), Explicit(1e-12)))
+    # Round-off of 100 steps, 1e-16 each.
+    assert_close(run, exact, 1e-12, END)
+
+
+# ---------------------------------------------------------------- failures
+
+
+def test_forces_that_are_no_number_are_an_outcome():
+    class Breaking(CartesianPendulum):
+        def force(self, t, q, v):
+            return super().force(t, q, v) * (NAN if t > 0.3 else 1.0)
+
+    run = simulate(Breaking(-1.0, 2.0), 1.0, Radau(0.1))
+    assert run.outcome.verdict is Verdict.NOT_FINITE
+    assert "not finite" in str(run.outcome)
+    assert run.t[-1] == pytest.approx(0.3) or run.t[-1] == pytest.approx(0.2)
+    assert len(run.t) == 3 * run.statistics.steps + 1
+    with pytest.raises(UnfinishedRun, match="not finite"):
+        gradient(Breaking(-1.0, 2.0), Terminal(custom(speed, "v_x")), 1.0, Radau(0.1))
+
+
+def test_a_singular_configuration_is_an_outcome():
+    class DeadPoint(CartesianPendulum):
+        """The row of the constraint vanishes from t = 0.3 on."""
+
+        def constraint_q(self, t, *motion):
+            return super().constraint_q(t, *motion) * (0.0 if t > 0.3 else 1.0)
+
+    run = simulate(DeadPoint(-1.0, 2.0), 1.0, Radau(0.1))
+    assert run.outcome.verdict in (Verdict.SINGULAR, Verdict.NO_CONVERGENCE)
+    assert not run.outcome.success
+
+
+def test_steps_that_newtons_method_does_not_solve_are_an_outcome():
+    run = simulate(stiff(1), 4.0, Radau(2.0, max_iterations=3))
+    assert run.outcome.verdict is Verdict.NO_CONVERGENCE
+    assert "did not converge" in str(run.outcome)
+
+
+@pytest.mark.parametrize(
+    ("make", "where"),
+    [
+        (lambda: Radau(), "Radau"),
+        (lambda: Radau(0.1, rtol=1e-3), "Radau"),
+        (lambda: Radau(step=-1.0), "Radau.step"),
+        (lambda: Radau(rtol=NAN), "Radau.rtol"),
+        (lambda: Radau(0.1, newton_tolerance=0.0), "Radau.newton_tolerance"),
+        (lambda: Radau(0.1, max_iterations=0), "Radau.max_iterations"),
+        (lambda: simulate(CartesianPendulum(-1.0, 2.0), NAN, Radau(0.1)), "t_end"),
+    ],
+)
+def test_bad_settings_are_refused(make, where):
+    with pytest.raises(InvalidInput) as caught:
+        make()
+    assert where in caught.value.where
+
+
+def test_statistics_count_what_was_done():
+    run = simulate(CartesianPendulum(-1.0, 2.0), 1.0, Radau(0.1))
+    told = run.statistics
+    assert told.steps == 10
+    assert told.residuals == 3 * told.iterations
+    # A real and a complex matrix, and one at each stage for its completion.
+    assert told.factorisations >= 5 * told.steps
+    assert told.rejected == told.continued == 0
