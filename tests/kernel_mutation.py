@@ -1,7 +1,7 @@
 """Flips in the compiled kernels (docs/mutation.md): python tests/kernel_mutation.py NUMBER SEED.
 
 Writes one wrong sign, number, comparison or index at a time into the C sources, compiles without
-optimisation, and tells which flips tests/test_kernels.py lets pass.
+optimisation, and tells which flips tests/test_kernels.py and tests/test_march.py let pass.
 """
 
 import random
@@ -18,7 +18,16 @@ FOLDER = Path("ancfdae/kernels")
 LIBRARY = FOLDER / f"_kernels{sysconfig.get_config_var('EXT_SUFFIX')}"
 INCLUDES = [f"-I{sysconfig.get_paths()['include']}", f"-I{np.get_include()}"]
 COMPILE = ["gcc", "-O0", "-w", "-shared", "-fPIC", *INCLUDES, str(FOLDER / "kernels.c")]
-TESTS = ["tests/test_kernels.py", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+TESTS = [
+    "tests/test_kernels.py",
+    "tests/test_march.py",
+    "-x",
+    "-q",
+    "-p",
+    "no:cacheprovider",
+    "-p",
+    "no:xdist",
+]
 SECONDS = 120  # Of processor time: a loop that never ends is killed.
 # What is flipped, and into what; digits that are whole words become the next one.
 FLIPS = {"+=": "-=", "-=": "+=", " + ": " - ", " - ": " + ", " < ": " <= ", " > ": " >= "}

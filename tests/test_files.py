@@ -34,7 +34,7 @@ def refused(call):
 for name in ("new.npz", "new.h5", "run.npz", "run.h5"):
     refused(lambda: solution.save(folder / name))
 drop = [position(pendulum().beams[0].at_end, 1)]
-refused(lambda: observations(pendulum(), drop, 32.0, HHT(2.0**-6), every=1, file=folder / "x.npy"))
+refused(lambda: observations(pendulum(), drop, 32.0, HHT(2.0**-6), keep=1, file=folder / "x.npy"))
 rows = folder / "rows.jsonl"
 refused(lambda: sweep(system, [[1.0, 9.0], [2.0, 9.0]], lambda s: np.ones(3000), file=rows))
 print("alive")

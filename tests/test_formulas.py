@@ -842,10 +842,10 @@ class TestAngles:
         assert np.allclose(squares.gradient, slopes, rtol=1e-4)
 
     def test_observations_follow_every_step(self, monkeypatch):
-        monkeypatch.setattr("ancfdae.studies.long_runs._NUMBERS", 500)
+        monkeypatch.setattr("ancfdae.studies.parts._NUMBERS", 500)
         system, angle = self.system()
         at = [0.1, 0.12, 0.5, 0.8]
-        seen = observations(system, [angle, 2.0 * angle], self.t_end, HHT(0.01), at=at)
+        seen = observations(system, [angle, 2.0 * angle], self.t_end, HHT(0.01), keep=at)
         expected = self.offset + self.speed * np.array(at)
         assert np.allclose(seen.values, expected[:, None] * [1, 2], rtol=1e-9)
 

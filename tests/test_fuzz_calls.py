@@ -112,7 +112,7 @@ CALLS = [
     *(ancfdae.observe, ancfdae.evaluate, ancfdae.modes, ancfdae.equilibrium),
     *(ancfdae.static_gradient, ancfdae.error_bars, ancfdae.adjoint_error, ancfdae.tradeoff),
     *(ancfdae.sweep, ancfdae.mass_properties, ancfdae.suggest_step, ancfdae.Responses, assemble),
-    *(ancfdae.taylor_test, ancfdae.simulate_thinned, ancfdae.observations, ancfdae.check_system),
+    *(ancfdae.taylor_test, ancfdae.observations, ancfdae.check_system),
     *(RUN.at, RUN.position, RUN.slope, RUN.reaction, RUN.to_dataframe, DERIVED.design_index),
     *(RESPONSES.values, RESPONSES.constraint, RESPONSES.__getitem__, FIT.residuals, Misfit),
     *(MODES.shape_b, SCENE.with_values, SCENE.beam, SCENE.member, SCENE.numbers, SCENE.value),
@@ -232,7 +232,7 @@ def with_junk(call: Callable[..., Any], **junk: Any) -> tuple[Any, dict[str, Any
 @example(with_junk(ancfdae.sweep, file=__file__))
 @example(with_junk(ancfdae.sweep, file=""))
 @example(with_junk(ancfdae.sweep, file="no such folder/rows"))
-@example(with_junk(ancfdae.observations, every=1, file="no such folder/rows.npy"))
+@example(with_junk(ancfdae.observations, keep=1, file="no such folder/rows.npy"))
 @example(with_junk(RUN.save, path=""))
 @example(with_junk(RUN.slope, along=np.zeros(3)))
 @example(with_junk(RUN.reaction, joint=np.zeros(3)))

@@ -1,4 +1,4 @@
-"""`simulate_thinned` and `observations`: what is kept is that of the whole run."""
+"""`simulate(keep=)` and `observations`: what is kept is that of the whole run."""
 
 import numpy as np
 import pytest
@@ -9,17 +9,17 @@ from ancfdae import (
     Interrupted,
     InvalidInput,
     Verdict,
+    assemble,
     custom,
     kinetic_energy,
     observations,
     observe,
     position,
     simulate,
-    simulate_thinned,
 )
 from ancfdae.model.bodies import Point
 from ancfdae.sensitivity.observables import states_of
-from ancfdae.studies import long_runs
+from ancfdae.studies import observing, parts
 from validation.scenes import pendulum
 
 from mechanisms import CartesianPendulum
@@ -35,7 +35,7 @@ CLOSE = {"rtol": 1e-8, "atol": 1e-9}
 @pytest.fixture(autouse=True)
 def short_parts(monkeypatch):
     """Let parts have 5 steps, so that there are several, the last one shorter."""
-    monkeypatch.setattr(long_runs, "_NUMBERS", 5 * (3 * 12 + 2 + 1))
+    monkeypatch.setattr(parts, "_NUMBERS", 5 * (3 * 12 + 2 + 1))
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def whole():
 
 @pytest.mark.parametrize("every", [1, 4, 5, 23, 100])
 def test_every_so_many_steps_are_kept(whole, every):
-    thin = simulate_thinned(SCENE, T_END, HHT(STEP), every=every)
+    thin = simulate(SCENE, T_END, HHT(STEP), keep=every)
     rows = sorted({*range(0, 24, every), 23})
     for name in ("t", "q", "v", "a", "lam"):
         np.testing.assert_allclose(getattr(thin, name), getattr(whole, name)[rows], **CLOSE)
@@ -55,7 +55,7 @@ def test_every_so_many_steps_are_kept(whole, every):
 
 def test_chosen_instants_are_those_between_the_steps(whole):
     times = [0.0, 0.011, 5 * STEP, 0.05, T_END]
-    thin, exact = simulate_thinned(SCENE, T_END, HHT(STEP), at=times), whole.at(times)
+    thin, exact = simulate(SCENE, T_END, HHT(STEP), keep=times), whole.at(times)
     for name in ("t", "q", "v", "a", "lam"):
         np.testing.assert_allclose(getattr(thin, name), getattr(exact, name), **CLOSE)
 
@@ -64,9 +64,9 @@ def test_observables_are_kept_here_and_on_disk(whole, tmp_path):
     own = [TIP, kinetic_energy()]
     file = tmp_path / "run.npy"
     for options in ({}, {"file": file}):
-        seen = observations(SCENE, own, T_END, HHT(STEP), every=4, **options)
+        seen = observations(SCENE, own, T_END, HHT(STEP), keep=4, **options)
         for k, each in enumerate(own):
-            values = observe(each, whole, long_runs.as_system(SCENE))[[0, 4, 8, 12, 16, 20, 23]]
+            values = observe(each, whole, assemble(SCENE))[[0, 4, 8, 12, 16, 20, 23]]
             np.testing.assert_allclose(seen.values[:, k], values, **CLOSE)
         assert seen.steps == 23
     stored = np.load(file, mmap_mode="r")
@@ -93,12 +93,12 @@ class Stopping(CartesianPendulum):
 def test_a_run_that_ends_early_keeps_what_it_has(tmp_path):
     given = 1.0, HHT(2.0**-4)
     with pytest.raises(Interrupted) as stopped:
-        simulate_thinned(Stopping(), *given, every=2)
+        simulate(Stopping(), *given, keep=2)
     thin = stopped.value.result
     assert thin.outcome.verdict is Verdict.INTERRUPTED
     np.testing.assert_array_equal(thin.t, [0, 0.125, 0.25, 0.375, 0.5])
     with pytest.raises(Interrupted) as stopped:
-        observations(Stopping(), [custom(own)], *given, every=2, file=tmp_path / "run.npy")
+        observations(Stopping(), [custom(own)], *given, keep=2, file=tmp_path / "run.npy")
     seen = stopped.value.result
     np.testing.assert_array_equal(seen.values[:, 0], thin.q[:, 0])
     stored = np.load(tmp_path / "run.npy")
@@ -115,10 +115,10 @@ def test_an_interrupt_between_parts_keeps_the_rows_so_far(monkeypatch):
             raise KeyboardInterrupt
         return states_of(*given)
 
-    monkeypatch.setattr(long_runs, "states_of", late)
-    monkeypatch.setattr(long_runs, "_NUMBERS", 4 * 8)  # parts of four steps
+    monkeypatch.setattr(observing, "states_of", late)
+    monkeypatch.setattr(parts, "_NUMBERS", 4 * 8)  # parts of four steps
     with pytest.raises(Interrupted) as stopped:
-        observations(CartesianPendulum(), [custom(own)], 1.0, HHT(2.0**-4), every=2)
+        observations(CartesianPendulum(), [custom(own)], 1.0, HHT(2.0**-4), keep=2)
     seen = stopped.value.result
     assert seen.outcome.verdict is Verdict.INTERRUPTED
     np.testing.assert_array_equal(seen.t, [0, 0.125, 0.25, 0.375, 0.5])
@@ -128,18 +128,24 @@ def test_an_interrupt_between_parts_keeps_the_rows_so_far(monkeypatch):
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        ({"every": None}, "every, at: needs one of both; got none"),
-        ({"at": [0.0]}, "every, at: needs one of both; got both"),
-        ({"every": 0}, "every: must be a positive integer"),
-        ({"every": None, "at": [0.2, 0.1]}, "at: must be instants that ascend"),
-        ({"every": None, "at": [0.0, 1.0]}, "at: must lie in"),
-        ({"integrator": IDA(1e-6)}, "integrator: needs"),
+        ({"keep": 0}, "keep: must be a positive integer"),
+        ({"keep": True}, "keep: must be a positive integer"),
+        ({"keep": "all"}, "keep"),
+        ({"keep": None}, "keep"),
+        ({"keep": [0.2, 0.1]}, "keep: must be instants that ascend"),
+        ({"keep": [0.0, 1.0]}, "keep: must lie in"),
+        ({"integrator": IDA(1e-6)}, "keep, integrator: needs"),
         ({"integrator": HHT(rtol=1e-3)}, r"HHT\.steps: needs steps that are known"),
         ({"observables": TIP}, "observables"),
         ({"observables": [3]}, "observables"),
     ],
 )
 def test_bad_input_is_refused(change, match):
-    given = {"observables": [TIP], "integrator": HHT(STEP), "every": 2} | change
+    given = {"observables": [TIP], "integrator": HHT(STEP), "keep": 2} | change
     with pytest.raises(InvalidInput, match=match):
         observations(SCENE, t_end=T_END, **given)
+
+
+def test_a_run_that_goes_on_is_not_thinned(whole):
+    with pytest.raises(InvalidInput, match="keep: cannot be thinned"):
+        simulate(SCENE, T_END, HHT(STEP), after=whole, keep=2)

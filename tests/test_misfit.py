@@ -161,6 +161,14 @@ def test_the_covariance_is_that_of_linear_least_squares():
     expected = np.linalg.inv((J / size).T @ (J / size)) / np.outer(size, size)
     # The inverse of a matrix of condition 1e4 or less, squared.
     assert np.allclose(fit.covariance(fit.start), expected, rtol=1e-6, atol=0)
+    # 68.27 % of a normal distribution lie within one standard deviation.
+    intervals = fit.intervals(fit.start, level=0.6826894921370859)
+    assert tuple(intervals) == fit.design_names
+    half = np.sqrt(np.diag(expected))
+    limits = np.transpose([fit.start - half, fit.start + half])
+    assert np.allclose(list(intervals.values()), limits, rtol=1e-6, atol=0)
+    with pytest.raises(InvalidInput, match="level: must be below 1"):
+        fit.intervals(fit.start, 95.0)
     # A rod under gravity tells E and rho apart by forces only.
     alone = Misfit([SEEN[0]], [0.4], [[0.0]]).fit(pendulum(), END, HHT(STEP), design=DESIGN)
     assert np.all(np.isinf(alone.covariance(alone.start)))
@@ -224,7 +232,7 @@ def test_a_fit_steps_back_from_designs_without_residuals():
         pendulum(density=3000.0), 2**-4, HHT(STEP), design=["rod.density"]
     )
     assert fit.design_names == ("rod.density",)
-    with pytest.warns(FailedDesign, match=r"'rod.density': -\d.* has no residuals: .*positive"):
+    with pytest.warns(FailedDesign, match=r"'rod.density': -\d.* has no values: .*positive"):
         found = least_squares(fit.residuals, fit.start, fit.jacobian, x_scale="jac", gtol=None)
     assert found.x[0] == pytest.approx(100.0, rel=1e-3)
     with pytest.warns(FailedDesign):

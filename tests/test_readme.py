@@ -56,6 +56,8 @@ def test_the_output_under_the_first_program_is_what_it_prints(
 
 def test_modules_that_documents_name_exist() -> None:
     for path in DOCUMENTS:
+        if path.name == "changelog.md":  # It names modules that are gone.
+            continue
         for name in re.findall(r"`([\w/]+\.py)`", path.read_text(encoding="utf-8")):
             assert (ROOT / name).exists() or (ROOT / "ancfdae" / name).exists(), (path.name, name)
 

@@ -224,7 +224,7 @@ def test_bounds_come_from_the_design_variables():
         (lambda: Responses(SYSTEM, {1: X}, 1.0, STEPS), "functions: must be of type str"),
         (lambda: Responses(SYSTEM, {"x": position}, 1.0, STEPS), "objective: must be of type"),
         (lambda: responses().constraint("y"), "lower and upper must bound it"),
-        (lambda: responses().values([1.0]), r"x: must be an array .* of shape \(2,\)"),
+        (lambda: responses().values([1.0]), r"design values: must be an array .* of shape \(2,\)"),
     ],
 )
 def test_nonsense_is_refused(call, match):

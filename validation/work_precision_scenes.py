@@ -14,6 +14,7 @@ from ancfdae import (
     Integrator,
     MechanicalSystem,
     Point,
+    Radau,
     StabilityWarning,
     Terminal,
     Tradeoff,
@@ -57,7 +58,8 @@ class Case:
     steps : int
         Numbers of steps of HHT, as powers of two.
     rtols, both : sequence of float
-        Tolerances of HHT under control of the motion, and of motion and derivatives.
+        Tolerances of HHT and Radau under control of the motion, and of HHT under control of motion
+        and derivatives.
     high : sequence of Integrator
         Settings of high order.
     reference : Integrator
@@ -85,7 +87,7 @@ class Measured:
 
 def measured(case: Case, quick: bool) -> Measured:
     """Measure every setting for both objectives."""
-    settings = [*_second_order(case, ALPHAS), *case.high]
+    settings = [*_second_order(case, ALPHAS), *(Radau(rtol=x) for x in case.rtols), *case.high]
     tables = tuple(
         tradeoff(
             case.system,
@@ -186,7 +188,7 @@ def _pendulum(
     words = f", retardation time {damping:g} s" if damping else ""
     reference: Integrator = Explicit(1e-10 if modulus < 1e8 else 1e-7, max_steps=MANY)
     if modulus > 1e8 and damping:
-        reference = HHT(t_end / 2**14, hht_alpha=-0.05)
+        reference = Radau(t_end / 2**10)
     return Case(
         name,
         f"Pendulum, E = {modulus:.0e} N/m²{words}, {t_end:g} s",

@@ -56,7 +56,8 @@ class Solution:
     sensitivities : Sensitivities or None
     degree : int
         Degree of the polynomials between the instants: 1 for HHT, whose instants are its steps,
-        8 for Gauss-Lobatto instants (`ancfdae.numerics.time_grid`).
+        3 for Radau, which adds the stages of its steps, 8 for Gauss-Lobatto instants
+        (`ancfdae.numerics.time_grid`).
     estimated_errors : EstimatedErrors or None
         Of HHT only; the others keep their tolerances to themselves.
     control : tuple of float
@@ -175,8 +176,8 @@ class Solution:
 
         The times increase and lie within the run; s. Between the steps of HHT: coordinates by the
         cubic through q and v at both ends, velocities by that through v and a, accelerations and
-        multipliers linearly. Between Gauss-Lobatto instants: the polynomial of a panel. Derivatives
-        alike. Statistics, outcome and estimated errors stay those of the run.
+        multipliers linearly. Of Radau and of Gauss-Lobatto instants: the polynomial of a panel.
+        Derivatives alike. Statistics, outcome and estimated errors stay those of the run.
         """
         asked = np.atleast_1d(require_array("times", times))
         good = asked.ndim == 1 and len(asked) > 0 and bool(np.all(np.diff(asked) > 0))

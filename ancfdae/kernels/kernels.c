@@ -326,6 +326,9 @@ static int lawful(const Arguments *a)
     return 1;
 }
 
+/* Elements times instants that are worth releasing the lock of the interpreter. */
+enum { MUCH = 16 };
+
 /* Run f for the type of the arguments, at k instants. */
 #define BLOCK_OF_TYPE(kind)                                                                        \
     block_##kind b = {a.n,                                                                         \
@@ -339,6 +342,7 @@ static int lawful(const Arguments *a)
                       data_of(a.tau)};
 #define FOR_TYPE(f, ...)                                                                           \
     do {                                                                                           \
+        PyThreadState *kept = k * a.n > MUCH ? PyEval_SaveThread() : NULL;                         \
         if (a.type == NPY_DOUBLE) {                                                                \
             BLOCK_OF_TYPE(real)                                                                    \
             f##_real(a.n_y, a.d, &b, __VA_ARGS__);                                                 \
@@ -346,6 +350,8 @@ static int lawful(const Arguments *a)
             BLOCK_OF_TYPE(complex)                                                                 \
             f##_complex(a.n_y, a.d, &b, __VA_ARGS__);                                              \
         }                                                                                          \
+        if (kept)                                                                                  \
+            PyEval_RestoreThread(kept);                                                            \
     } while (0)
 
 static PyObject *py_relative(PyObject *const *args)

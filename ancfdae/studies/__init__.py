@@ -11,10 +11,10 @@ from ancfdae.studies.calls import (
     simulate,
 )
 from ancfdae.studies.error_bars import ErrorBars, error_bars
-from ancfdae.studies.long_runs import Observations, observations, simulate_thinned
 from ancfdae.studies.mass_properties import MassProperties, mass_properties
 from ancfdae.studies.misfit import Fit, Misfit
 from ancfdae.studies.modes import modes, suggest_step
+from ancfdae.studies.observing import Observations, observations
 from ancfdae.studies.responses import Response, Responses
 from ancfdae.studies.statics import equilibrium, static_gradient
 from ancfdae.studies.sweep import Evaluate, sweep

@@ -28,6 +28,7 @@ from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables import states_of
+from ancfdae.studies.parts import Keep, RunOfParts
 
 
 def simulate(
@@ -36,6 +37,7 @@ def simulate(
     integrator: Integrator,
     *,
     after: Solution | None = None,
+    keep: Keep | None = None,
     progress: bool = False,
 ) -> Solution:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
@@ -46,12 +48,17 @@ def simulate(
     t_end : float
         End time; s.
     integrator : Integrator
-        `HHT`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
+        `HHT`, `Radau`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
     after : Solution, optional
         A run of this model by the same `HHT` that ended before, at its end time, early or at
         Ctrl-C: it goes on there, and the result is the whole run, to round-off that of one in one
         go. If it has reached `t_end` nothing is integrated. Under error control steps also depend
         on `t_end`: it is the same run for the same end time, else one within the tolerance.
+    keep : int or sequence of float, optional
+        Of a long run keep the start, every so many steps and the end; or these instants, ascending
+        in [0, t_end], interpolated as by `Solution.at`; s. Memory then does not grow with the
+        steps, which must be known before the run (`HHT` with a fixed step, say). `observations`
+        keeps observables only.
     progress : bool
         Whether to show a progress bar.
 
@@ -70,6 +77,11 @@ def simulate(
         If `IDA`, `IDAS` or `Explicit` will take more than 100,000 steps.
     """
     run = Run(as_system(model), t_end, integrator, progress, after)
+    if keep is not None:
+        if after is not None:
+            rule, repair = "cannot be thinned while it goes on", "Give one of after and keep."
+            raise InvalidInput("keep", rule, "both", repair)
+        return uninterrupted(RunOfParts(run.system, t_end, integrator, keep, progress).solution())
     solution = uninterrupted(run.solution())
     errors = solution.estimated_errors
     if solution.outcome.success and errors is not None and not errors.motion <= 1:

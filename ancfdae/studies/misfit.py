@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
+from scipy.special import ndtri
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import (
-    AncfdaeError,
-    FailedDesign,
     InvalidInput,
     require_array,
     require_each,
@@ -29,6 +28,7 @@ from ancfdae.sensitivity.method import Run, finished
 from ancfdae.sensitivity.objectives import NonFiniteObjective
 from ancfdae.sensitivity.observables import Observable, States, states_of
 from ancfdae.studies.calls import design_bounds, differentiable
+from ancfdae.studies.evaluations import Evaluation, Evaluations, Ran
 
 
 @final
@@ -130,7 +130,7 @@ class Misfit:
 
 
 @final
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """Residuals of a model and their Jacobian, for ``scipy.optimize.least_squares``.
 
@@ -155,7 +155,6 @@ class Fit:
     misfit: Misfit
     run: Run
     bounds: tuple[Array, Array]
-    _last: _Evaluation | None = field(default=None, init=False, repr=False)
 
     @property
     def design_names(self) -> tuple[str, ...]:
@@ -179,21 +178,20 @@ class Fit:
         NonFiniteObjective
             If an observable is not finite in it.
         """
-        return self._at(b).residuals.copy()
+        return self._at(b).values.copy()
 
     def jacobian(self, b: Array) -> Array:
         """Return the derivative of the residuals, shape (n_measurements, n_b).
 
         NaN where the design has no residuals; see there.
         """
-        return self._at(b).jacobian.copy()
+        jacobian = self._at(b).jacobian
+        assert jacobian is not None  # always computed
+        return jacobian.copy()
 
     def solution(self, b: Array) -> Solution:
         """Return the run at these design values; raises the error of a design that has none."""
-        solution = self._at(b).solution
-        if isinstance(solution, AncfdaeError):
-            raise solution
-        return solution
+        return self._designs.solution(b)
 
     def covariance(self, b: Array) -> Array:
         """Return the covariance of the design values, shape (n_b, n_b), inverse of J^T J.
@@ -214,29 +212,30 @@ class Fit:
         half = V.T / values / lengths[:, None]
         return np.asarray(half @ half.T)
 
-    def _at(self, b: Array) -> _Evaluation:
-        b = require_array("design values", b, (self.run.system.n_b,))
-        if self._last is None or not np.array_equal(self._last.b, b):
-            self._last = self._tried(b)
-        return self._last
+    def intervals(self, b: Array, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Return the confidence interval of every design value, by name.
 
-    def _tried(self, b: Array) -> _Evaluation:
-        """Evaluate a design; warn of one that has no residuals, unless it is the first."""
-        try:
-            return self._evaluated(b)
-        except AncfdaeError as error:
-            if self._last is None:
-                raise
-            at = dict(zip(self.design_names, b.tolist(), strict=True))
-            text = f"the design {at} has no residuals: {error}"
-            warnings.warn(text, FailedDesign, stacklevel=5)
-            measured = np.count_nonzero(~np.isnan(self.misfit.data))
-            none = np.full(measured, np.inf), np.full((measured, len(b)), np.nan)
-            return _Evaluation(b, *none, error)
+        In first order, of errors that are normally distributed; as `covariance`.
+        """
+        require_positive("level", level)
+        if level >= 1:
+            raise InvalidInput("level", "must be below 1", level, "0.95 is the usual one.")
+        half = ndtri(0.5 * (1 + level)) * np.sqrt(np.diag(self.covariance(b)))
+        limits = zip((b - half).tolist(), (b + half).tolist(), strict=True)
+        return dict(zip(self.design_names, limits, strict=True))
 
-    def _evaluated(self, b: Array) -> _Evaluation:
-        run, misfit = self.run.at(b), self.misfit
-        solution = finished(run.solution(sensitivities=True))
+    @cached_property
+    def _designs(self) -> Evaluations:
+        measured = int(np.count_nonzero(~np.isnan(self.misfit.data)))
+        return Evaluations(self.design_names, measured, self._computed)
+
+    def _at(self, b: Array) -> Evaluation:
+        return self._designs.at(b)
+
+    def _computed(self, b: Array, derivatives: bool, ran: Ran | None) -> tuple[Array, Array, Ran]:
+        """Return residuals and Jacobian, whatever is wanted: they come from one run."""
+        run, solution = ran or (self.run.at(b), None)
+        misfit, solution = self.misfit, solution or finished(run.solution(sensitivities=True))
         values, slopes = [], []
         for observable in misfit.observables:
             x, x_b = _along(observable, run.system, solution)
@@ -247,18 +246,7 @@ class Fit:
         weights = np.asarray(misfit.weights)[measured]
         residuals = weights * ((np.array(values) @ W.T) - misfit.data)[measured]
         jacobian = weights[:, None] * np.einsum("mk,nkb->nmb", W, np.array(slopes))[measured]
-        return _Evaluation(b, residuals, jacobian, solution)
-
-
-@final
-@dataclass(frozen=True)
-class _Evaluation:
-    """What one run gave, or why there is none."""
-
-    b: Array
-    residuals: Array
-    jacobian: Array
-    solution: Solution | AncfdaeError
+        return residuals, jacobian, (run, solution)
 
 
 def _along(

@@ -13,7 +13,6 @@ least squares are infinite, which SciPy's methods for them know.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -24,8 +23,6 @@ import scipy
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import (
-    AncfdaeError,
-    FailedDesign,
     InvalidInput,
     UnknownName,
     require_array,
@@ -42,7 +39,8 @@ from ancfdae.sensitivity import Direct, GradientMethod
 from ancfdae.sensitivity.method import Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
-from ancfdae.studies.sweep_result import Sweep, SweepRow
+from ancfdae.studies.evaluations import Evaluation, Evaluations, Ran
+from ancfdae.studies.sweep_result import Sweep
 
 # Runs that are kept: optimisers go back to the design before the last one where a step was too
 # long. Values are all kept: COBYQA asks for those of old designs again and again.
@@ -120,17 +118,21 @@ class Responses:
             adjoint = isinstance(integrator, AdjointIntegrator)
             method = cheapest(system.n_b, len(functions)) if adjoint else Direct()
         require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
-        self._run, self._method, self._strict = Run(system, t_end, integrator), method, strict
+        self._run, self._method = Run(system, t_end, integrator), method
         self._functions, self._scale = dict(functions), _scale(scale, system.n_b)
         self._limits = design_bounds(system, design)
-        self._known: dict[bytes, Evaluation] = {}
-        self._runs: dict[bytes, tuple[Run, Solution]] = {}
-        self._good: list[Array] = []
         # Whether a run that is there can be differentiated: then values go without derivatives.
         self._asked = False
         self._resumes = method.takes_runs and integrator.differentiates_runs
-        self._rows: list[SweepRow] = []
         self.names, self.design_names = tuple(functions), tuple(system.design_names)
+        self._designs = Evaluations(
+            self.design_names,
+            len(functions),
+            self._computed,
+            scale=self._scale,
+            runs=_KEPT,
+            strict=strict,
+        )
 
     @property
     def start(self) -> Array:
@@ -145,7 +147,13 @@ class Responses:
     @property
     def history(self) -> Sweep:
         """Every design that was run, in that order, with its values by name or its error."""
-        return Sweep(tuple(self._rows))
+        rows = [
+            replace(row, result=dict(zip(self.names, row.result.tolist(), strict=True)))
+            if row.finished
+            else row
+            for row in self._designs.rows
+        ]
+        return Sweep(tuple(rows))
 
     def __getitem__(self, name: str) -> Response:
         """Return one of the functions."""
@@ -180,74 +188,32 @@ class Responses:
 
     def solution(self, x: Array) -> Solution:
         """Return the run at x; raises the error of a design that has none."""
-        found = self.at(x, derivatives=False)
-        if found.error is not None:
-            raise found.error
-        if found.x.tobytes() not in self._runs:
-            self._evaluated(found.x, derivatives=False)
-        return self._runs[found.x.tobytes()][1]
+        return self._designs.solution(x)
 
     def __repr__(self) -> str:
         """Return the functions and what was run."""
-        lines = f"Responses: {', '.join(self.names)}; {len(self._rows)} designs run"
-        return f"{lines}\n{self.history}" if self._rows else lines
+        lines = f"Responses: {', '.join(self.names)}; {len(self._designs.rows)} designs run"
+        return f"{lines}\n{self.history}" if self._designs.rows else lines
 
     def at(self, x: Array, *, derivatives: bool = True) -> Evaluation:
         """Return what the design x gave; without `derivatives` perhaps its values only."""
-        x = require_array("x", x, (self._run.system.n_b,))
-        found = self._known.get(x.tobytes())
-        if found is None or (derivatives and found.jacobian is None):
-            found = self._evaluated(x, derivatives)
-        return found
+        return self._designs.at(x, derivatives=derivatives)
 
-    def _evaluated(self, x: Array, derivatives: bool) -> Evaluation:
-        """Run a design, or differentiate the run that is there; take note of what it gave."""
-        key, b = x.tobytes(), x * self._scale
-        at = dict(zip(self.design_names, b.tolist(), strict=True))
+    def _computed(
+        self, b: Array, derivatives: bool, ran: Ran | None
+    ) -> tuple[Array, Array | None, Ran]:
+        """Run a design, or differentiate the run that is there."""
         self._asked = self._asked or derivatives
-        try:
-            found = self._computed(x, key, b, derivatives or (self._asked and not self._resumes))
-        except AncfdaeError as error:
-            self._rows.append(SweepRow(at, None, f"{type(error).__name__}: {error}"))
-            found = self._failed(x, at, error)
-        else:
-            if key not in self._known:
-                values = dict(zip(self.names, found.values.tolist(), strict=True))
-                self._rows.append(SweepRow(at, values))
-            self._good = [*self._others(x), x][-2:]
-        self._known[key] = found
-        return found
-
-    def _computed(self, x: Array, key: bytes, b: Array, derivatives: bool) -> Evaluation:
-        """Return values, and derivatives if wanted; keep the run as one of the last."""
-        run, solution = self._runs.pop(key, (None, None))
-        run, functions = run or self._run.at(b), list(self._functions.values())
-        jacobian = None
-        if derivatives:
-            after = solution if self._resumes else None
-            found = self._method.gradients(replace(run, after=after), functions)
-            values, solution = np.array([each.value for each in found]), found[0].solution
-            jacobian = np.array([each.gradient for each in found]) * self._scale
-        else:
+        run, solution = ran or (self._run.at(b), None)
+        functions = list(self._functions.values())
+        if not derivatives and (self._resumes or not self._asked):
             solution, values = run.values(functions)
-        if len(self._runs) == _KEPT:
-            del self._runs[next(iter(self._runs))]
-        self._runs[key] = run, solution
-        return Evaluation(x, values, jacobian)
-
-    def _failed(self, x: Array, at: Mapping[str, float], error: AncfdaeError) -> Evaluation:
-        """Warn of a design that has no values."""
-        others = self._others(x)
-        if self._strict or not others:
-            raise error
-        warnings.warn(f"the design {at} has no values: {error}", FailedDesign, stacklevel=5)
-        shape = len(self.names), len(x)
-        none = np.full(shape[0], np.inf), np.full(shape, np.nan)
-        return Evaluation(x, *none, error, others[-1])
-
-    def _others(self, x: Array) -> list[Array]:
-        """Return the last designs that had values, without that at x."""
-        return [other for other in self._good if not np.array_equal(other, x)]
+            return values, None, (run, solution)
+        after = solution if self._resumes else None
+        answers = self._method.gradients(replace(run, after=after), functions)
+        values = np.array([each.value for each in answers])
+        jacobian = np.array([each.gradient for each in answers])
+        return values, jacobian, (run, answers[0].solution)
 
 
 @final
@@ -287,21 +253,6 @@ class Response:
         d = found.x - near.x
         r = self.sign * np.linalg.norm(near.jacobian[k]) * np.linalg.norm(d)
         return float(near.values[k] + r), 3 * r * d / (d @ d)
-
-
-@final
-@dataclass(frozen=True)
-class Evaluation:
-    """What one design gave: values and, if they were asked for, derivatives in x.
-
-    A design that has none has the error, and the last x before that had values.
-    """
-
-    x: Array
-    values: Array
-    jacobian: Array | None
-    error: AncfdaeError | None = None
-    near: Array | None = None
 
 
 def _scale(scale: object, n_b: int) -> Array:

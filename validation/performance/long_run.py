@@ -50,7 +50,7 @@ def _run(steps: int, interrupted: bool) -> tuple[float, float, int]:
             half_way.start()
         clock = time.perf_counter()
         with suppress(Interrupted):
-            observations(scene, tip, steps * _STEP, HHT(_STEP), every=_EVERY, file=file)
+            observations(scene, tip, steps * _STEP, HHT(_STEP), keep=_EVERY, file=file)
         taken = time.perf_counter() - clock
         written = int(np.sum(np.isfinite(np.load(file)).all(axis=1)))
     return taken, largest_memory(), written

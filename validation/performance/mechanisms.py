@@ -73,7 +73,7 @@ def flexible_slider_crank(cables: int) -> Scene:
     return Scene([crank, rod], joints, bodies=[slider], project_start=True)
 
 
-def measure(steps: int = 256, repeats: int = 7) -> list[Row]:
+def measure(steps: int = 2048, repeats: int = 5) -> list[Row]:
     """Return the time of a step; the start, measured by a run of one step, is taken off."""
     scenes = (
         ("one rigid body on a revolute joint", chain(1), 0.4),

@@ -1,0 +1,136 @@
+"""Observables at some instants of a run of any number of steps."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.files import replacing
+from ancfdae.equations.solution import Solution
+from ancfdae.errors import (
+    Outcome,
+    Verdict,
+    require_each,
+    require_kind,
+    require_path,
+    uninterrupted,
+)
+from ancfdae.errors.text import columns
+from ancfdae.integrators import Integrator
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.observables import Observable, remembered, states_of
+from ancfdae.studies.calls import as_system
+from ancfdae.studies.parts import Keep, RunOfParts
+
+
+@final
+@dataclass(frozen=True)
+class Observations:
+    """Values observed during a run.
+
+    Attributes
+    ----------
+    t : array, shape (n,)
+        Instants; of a run that ended early those that it reached.
+    values : array, shape (n, n_observables)
+        With a file a view of it.
+    steps : int
+    outcome : Outcome
+    """
+
+    t: Array
+    values: Array
+    steps: int
+    outcome: Outcome
+
+    def __repr__(self) -> str:
+        """Return sizes, the last values and the outcome."""
+        head = f"Observations: {len(self.t)} instants of {self.steps} steps"
+        rows = [["observable", "last value"]]
+        rows += [[str(k), f"{x:.6g}"] for k, x in enumerate(self.values[-1] if len(self.t) else ())]
+        return f"{head}\n{columns(rows)}\n{self.outcome}"
+
+
+def observations(
+    model: Scene | MechanicalSystem,
+    observables: Sequence[Observable],
+    t_end: float,
+    integrator: Integrator,
+    *,
+    keep: Keep,
+    file: str | os.PathLike[str] | None = None,
+    progress: bool = False,
+) -> Observations:
+    """Integrate and keep observables at some instants only, so that memory does not grow.
+
+    Parameters
+    ----------
+    model, t_end, integrator, keep, progress
+        As in `simulate`.
+    observables : sequence of Observable
+    file : path, optional
+        Where rows of the instant and the values go as they arrive: an array of NumPy, (n, 1 + k),
+        that ``np.load(file, mmap_mode="r")`` reads; NaN where the run did not get to.
+
+    Raises
+    ------
+    InvalidInput, Interrupted
+        As `simulate`.
+    """
+    system = as_system(model)
+    repair = "For example position(rod.at_end, 0)."
+    observables = require_each("observables", observables, (Observable,), repair)
+    for each in observables:
+        each.check(system)
+    require_kind("integrator", integrator, (Integrator,), "For example HHT(step=0.01).")
+    run = RunOfParts(system, t_end, integrator, keep, progress)
+    shape = len(run.times), 1 + len(observables)
+    rows = np.zeros(shape) if file is None else _on_disk(file, shape)
+    done, steps, outcome = 0, 0, Outcome(Verdict.INTERRUPTED, 0.0, 0, 0.0)
+    seen = [_Seen(each, system) for each in observables]
+    try:
+        for part, some in run:
+            values = [some.t, *(each.values(part, some) for each in seen)]
+            rows[done : done + len(some.t)] = np.transpose(values)
+            done, steps, outcome = done + len(some.t), steps + part.statistics.steps, part.outcome
+            if isinstance(rows, np.memmap):
+                rows.flush()
+    except KeyboardInterrupt:  # between parts
+        outcome = replace(outcome, verdict=Verdict.INTERRUPTED)
+    return uninterrupted(Observations(rows[:done, 0], rows[:done, 1:], steps, outcome))
+
+
+@final
+class _Seen:
+    """An observable along the parts of a run; one that remembers is followed over all steps."""
+
+    def __init__(self, observable: Observable, system: MechanicalSystem) -> None:
+        self._observable, self._system = observable, system
+        self._past: dict[object, float] = {}
+
+    def values(self, part: Solution, some: Solution) -> Array:
+        """Return the values at some of the instants within a part."""
+        if not self._observable.remembers_any:
+            there = len(some.t) > 0
+            return self._observable.value(self._system, states_of(some)) if there else some.t
+        times = np.union1d(part.t, some.t)
+        states = replace(states_of(part.at(times)), past=self._past)
+        nodes = self._observable.node_values(self._system, states)
+        self._past = remembered(nodes)
+        return list(nodes.values())[-1][np.searchsorted(times, some.t)]
+
+
+def _on_disk(file: str | os.PathLike[str], shape: tuple[int, int]) -> Array:
+    """Return an array in a new file, filled with NaN."""
+    path = require_path("file", file)
+    # Who reads it meanwhile finds rows of NaN, never of zeros.
+    with replacing("file", path) as out:
+        np.save(out, np.broadcast_to(np.nan, shape))
+    rows: Array = np.lib.format.open_memmap(path, mode="r+")
+    return rows

@@ -1,0 +1,99 @@
+"""Runs of any number of steps, taken part by part; of each part only some instants are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
+from typing import Any, TypeAlias, final
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.equations.solution import Solution
+from ancfdae.equations.solution_parts import Statistics
+from ancfdae.errors import InvalidInput, require_array, require_count
+from ancfdae.integrators import Integrator, PartwiseIntegrator
+from ancfdae.numerics.arrays import Array
+
+# One instant of so many steps, with the start and the end; or these instants.
+Keep: TypeAlias = int | Sequence[float] | Array
+
+# Numbers of a part: small against what a run of a million steps holds.
+_NUMBERS = 2_000_000
+_ARRAYS = ("t", "q", "v", "a", "lam")
+
+
+@final
+class RunOfParts:
+    """Yields the parts of a run, and of each the instants to keep; `times` are all of these."""
+
+    def __init__(
+        self,
+        system: MechanicalSystem,
+        t_end: float,
+        integrator: Integrator,
+        keep: Keep,
+        progress: bool = False,
+    ) -> None:
+        if not isinstance(integrator, PartwiseIntegrator):
+            rule = "needs one whose runs can be taken part by part, such as HHT"
+            repair = "The others keep the instants of their intervals."
+            raise InvalidInput("keep, integrator", rule, repr(integrator), repair)
+        self._run, self._progress = integrator.replay(system, t_end), progress
+        t, self._between = self._run.t, not isinstance(keep, int)
+        if isinstance(keep, int):
+            require_count("keep", keep, "keep=100 keeps one instant of 100.")
+            kept = np.arange(0, len(t), keep)
+            self.times = t[kept if kept[-1] == len(t) - 1 else np.append(kept, len(t) - 1)]
+        else:
+            self.times = _instants(keep, float(t[-1]))
+        self._length = max(1, _NUMBERS // (3 * system.n_q + system.n_lam + 1))
+
+    def __iter__(self) -> Iterator[tuple[Solution, Solution]]:
+        """Integrate; the last part may have failed."""
+        from tqdm import tqdm
+
+        node, last = self._run.start(), len(self._run.t) - 1
+        with tqdm(total=last, disable=not self._progress, unit="step") as bar:
+            for first in range(0, last, self._length):
+                part, node = self._run.part(node, first, min(first + self._length, last))
+                bar.update(len(part.t) - 1)
+                lowest = -np.inf if first == 0 else part.t[0]
+                times = self.times[(self.times > lowest) & (self.times <= part.t[-1])]
+                if self._between and len(times):
+                    yield part, part.at(times)
+                else:
+                    yield part, replace(part, **_rows(part, np.searchsorted(part.t, times)))
+                if not part.outcome.success:
+                    return
+
+    def solution(self) -> Solution:
+        """Integrate, and return what is kept as one solution."""
+        kept, ends = list[Solution](), list[Solution]()
+        for part, some in self:
+            ends.append(replace(part, **_rows(part, slice(-1, None))))
+            kept.append(some)
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(x, name) for x in kept]) for name in _ARRAYS
+        }
+        counts: dict[str, Any] = {
+            each.name: sum(getattr(end.statistics, each.name) for end in ends)
+            for each in fields(Statistics)
+        }
+        # Without the steps in between nothing can go on from its end.
+        return replace(ends[-1], **arrays, statistics=Statistics(**counts), control=())
+
+
+def _instants(keep: Sequence[float] | Array, end: float) -> Array:
+    """Return instants to keep; refuse what does not ascend from 0 to the end."""
+    times = require_array("keep", keep)
+    if times.ndim != 1 or not len(times) or np.any(np.diff(times) <= 0):
+        raise InvalidInput("keep", "must be instants that ascend", repr(keep), "Sort them.")
+    if times[0] < 0 or times[-1] > end:
+        rule = f"must lie in [0, {end:.6g}]"
+        raise InvalidInput("keep", rule, f"{times[0]:.6g} to {times[-1]:.6g}", "Let the run go on.")
+    return times
+
+
+def _rows(part: Solution, rows: Any) -> dict[str, Any]:
+    return {name: getattr(part, name)[rows].copy() for name in _ARRAYS}
