@@ -5,6 +5,7 @@ import numpy as np
 from ancfdae import (
     Box,
     Circle,
+    DesignVariable,
     EnhancedContinuum,
     ISection,
     MomentSection,
@@ -53,3 +54,19 @@ def arc(d):
 
 def straight(d):
     return np.concatenate([np.eye(d)[:1], np.eye(d), np.eye(d)])[None]
+
+
+def all_at_once(design, b, seeds=3):
+    """Variables that move all targets by random signs of their sizes, and these changes.
+
+    An error of one derivative is missed along each with a probability of a half at most, whatever
+    the errors of the others are.
+    """
+    for seed in range(seeds):
+        along = np.random.default_rng(seed).choice([-1.0, 1.0], len(b)) * b / len(b) ** 0.5
+        yield DesignVariable("every", dict(zip(design, along.tolist(), strict=True))), along
+
+
+def moved(scene, design, values):
+    """The scene with all of its design values given."""
+    return scene.with_values(dict(zip(design, values.tolist(), strict=True)))

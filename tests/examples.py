@@ -70,7 +70,8 @@ def examples(kind, beams, points, bodies=()):
     """Admissible examples of a class on two points, by what they are given beside the rest.
 
     All fields that must be given take every combination of values of their types. Of those that
-    need not be given none, one, all but one, or all are. What a scene of the beams refuses is none.
+    need not be given none, one or all are; where all do not go together, all but one. What a scene
+    of the beams refuses is none.
     """
     d, hints = (*beams, *bodies)[0].dimension, get_type_hints(kind)
     needed, optional, count = [{}], {}, 0
@@ -86,25 +87,26 @@ def examples(kind, beams, points, bodies=()):
             needed = [a | b for a in needed for b in options]
         else:
             optional[field.name] = options
-    # None of what need not be given, each alone, all but one, and all.
-    sets = {(), tuple(optional), *((name,) for name in optional)}
-    sets |= {tuple(name for name in optional if name != left) for left in optional}
-    choices = [
-        reduce(or_, given, first)
-        for first in needed
-        for names in sorted(sets, key=lambda names: (len(names), names))
-        for given in product(*(optional[name] for name in names))
-    ]
-    found = {}
-    for arguments in choices:
-        try:
-            part = kind(**arguments)
-            assemble(scene_of((*beams, *bodies), part))
-        except InvalidInput:
-            continue
-        extras = [f.name for f in fields(kind) if f.default is not MISSING and f.name in arguments]
-        found[", ".join([kind.__name__, *extras])] = part
-    return found
+
+    def admissible(*sets):
+        found = {}
+        for first, names in product(needed, sets):
+            for given in product(*(optional[name] for name in names)):
+                arguments = reduce(or_, given, first)
+                try:
+                    part = kind(**arguments)
+                    assemble(scene_of((*beams, *bodies), part))
+                except InvalidInput:
+                    continue
+                own = [f.name for f in fields(kind) if f.default is not MISSING]
+                extras = [name for name in own if name in arguments]
+                found[", ".join([kind.__name__, *extras])] = part
+        return found
+
+    every = tuple(optional)
+    all_but_one = [tuple(name for name in every if name != left) for left in every]
+    few = admissible((), *((name,) for name in every))
+    return few | (admissible(every) or admissible(*all_but_one))
 
 
 def all_examples(module, base, beams, points, bodies=()):

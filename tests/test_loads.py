@@ -5,6 +5,7 @@ without it, without gravity; elastic forces are about 1e4 N and loads about 10 N
 difference is taken of scenes of a soft material.
 """
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -64,32 +65,21 @@ def cables():
 
 
 def planar_loads():
-    rod, bow = beams(2)
+    rod, _ = beams(2)
     return {
         "point, node": PointForce(rod.at_end, (3.0, -5.0)),
-        "point, inside": PointForce(bow.at(0.4, y=0.02), (3.0, -5.0)),
         "line, straight": DistributedForce("rod", (2.0, -4.0)),
-        "line, curved": DistributedForce("bow", (2.0, -4.0)),
         "follower, node": FollowerForce(rod.at(0.5), (4.0, 0.0)),
-        "follower, inside": FollowerForce(bow.at(0.4, y=0.02), (4.0, -3.0)),
-        "spring, ground": SpringDamper(bow.at(0.4, y=0.02), 30.0, 5.0, 0.4, ground=(0.3, 0.2)),
-        "spring, beams": SpringDamper(rod.at(0.3, y=-0.02), 30.0, 5.0, 0.4, bow.at_end),
         "spring, undamped": SpringDamper(rod.at_end, 30.0, ground=(0.0, 1.0)),
     }
 
 
 def spatial_loads():
-    rod, bow = beams(3)
-    here = bow.at(0.4, y=0.02, z=-0.01)
+    rod, _ = beams(3)
     return {
         "point, node": PointForce(rod.at_end, (3.0, -5.0, 1.0)),
-        "point, inside": PointForce(here, (3.0, -5.0, 1.0)),
         "line, straight": DistributedForce("rod", (2.0, -4.0, 1.0)),
-        "line, curved": DistributedForce("bow", (2.0, -4.0, 1.0)),
         "follower, node": FollowerForce(rod.at(0.5), (0.0, 0.0, 5.0)),
-        "follower, inside": FollowerForce(here, (4.0, -3.0, 2.0)),
-        "spring, ground": SpringDamper(here, 30.0, 5.0, 0.4, ground=(0.3, 0.2, 0.9)),
-        "spring, beams": SpringDamper(rod.at(0.3, z=0.02), 30.0, 5.0, 0.4, here),
     }
 
 
@@ -132,9 +122,12 @@ class LoadSetting(Setting):
         return self.system.force(t, q, v) - self.bare.force(t, q, v)
 
 
+setting_of = functools.cache(LoadSetting)
+
+
 @pytest.fixture(scope="module", params=VARIANTS)
 def one(request):
-    return LoadSetting(request.param)
+    return setting_of(request.param)
 
 
 def test_every_public_load_has_examples_in_each_dimension():
@@ -161,8 +154,7 @@ def force_by_hand(s, q, v):
         return [load.point], [sum(f * r / np.linalg.norm(r) for f, r in parts)]
     if isinstance(load, Moment | Torque | TorsionSpring | JointFriction):
         return [], []
-    if not isinstance(load, SpringDamper):
-        pytest.skip(f"what a {type(load).__name__} means is not written here")
+    assert isinstance(load, SpringDamper), f"write what a {type(load).__name__} means"
     points = [load.point] if load.other is None else [load.point, load.other]
     e, w = (vector_by_hand(system, x, load.point, 0) for x in (q, v))
     if load.other is None:
@@ -329,7 +321,7 @@ MOMENTS = [name for name, load in VARIANTS.items() if isinstance(load, Moment)]
 @pytest.mark.parametrize("name", MOMENTS)
 @pytest.mark.parametrize("seed", range(3))
 def test_power_of_a_moment_in_a_rigid_motion_of_any_state_is_moment_times_spin(name, seed):
-    s, rng = LoadSetting(name), np.random.default_rng(seed)
+    s, rng = setting_of(name), np.random.default_rng(seed)
     d = s.scene.dimension
     omega, X = rng.uniform(-1, 1, 3), s.q.reshape(-1, d)
     spin = np.cross(np.eye(3), omega)[:d, :d]  # rows e_i x omega: r' = spin r
@@ -347,7 +339,7 @@ def test_power_of_a_moment_in_a_rigid_motion_of_any_state_is_moment_times_spin(n
 
 def test_constant_moment_in_the_plane_does_the_work_of_the_angle_it_turns_through():
     # Conservative: Q is the gradient of the moment times the angle of the section.
-    s = LoadSetting("planar Moment")
+    s = setting_of("planar Moment")
     assert s.load.kind == "moment"
     Q_q = s.system.pattern.dense(force_q(s.system, s.t, s.q, s.v))
     Q_q -= s.bare.pattern.dense(force_q(s.bare, s.t, s.q, s.v))
@@ -369,9 +361,8 @@ def test_cantilever_under_an_end_moment_bends_to_a_circle(d, n):
         assert bent[axis] == pytest.approx(expected, rel=1e-8)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_virtual_work_is_that_of_the_forces_on_their_points(one, seed):
-    virtual = np.random.default_rng(seed).uniform(-1, 1, one.system.n_q)
+def test_virtual_work_is_that_of_the_forces_on_their_points(one):
+    virtual = np.random.default_rng(1).uniform(-1, 1, one.system.n_q)
     Q = one.added()
     # Forces of 10 N in 40 terms of size one; relative to the sum of their magnitudes.
     size = np.sum(np.abs(Q * virtual))
@@ -414,14 +405,14 @@ def test_line_load_of_rho_h_w_g_is_gravity(d):
 
 
 FOLLOWERS = [
-    f"{space} follower, {at}" for space in ("planar", "spatial") for at in ("node", "inside")
+    f"{space} {at}" for space in ("planar", "spatial") for at in ("follower, node", "FollowerForce")
 ]
 
 
 @pytest.mark.parametrize("name", FOLLOWERS)
 @pytest.mark.parametrize("seed", range(3))
 def test_follower_force_turns_with_the_section_and_keeps_its_size(name, seed):
-    s = LoadSetting(name)
+    s = setting_of(name)
     d, rng = s.scene.dimension, np.random.default_rng(seed)
     R = ancf.random_rotation(d, rng)
     turned = (s.q.reshape(-1, d) @ R.T).ravel()
@@ -442,8 +433,7 @@ def test_constant_loads_are_constant_and_the_others_are_not(one):
     change = np.max(np.abs(one.added(moved) - one.added()))
     still = change <= VALUE * np.max(np.abs(one.added()))
     # Friction on a line of the ground depends on velocities alone.
-    alone = isinstance(one.load, SlideFriction) and one.load.other is None
-    assert still == (one.load.constant or alone)
+    assert still == (one.load.constant or not np.any(one.by_coordinate(one.added)))
     change = np.max(np.abs(one.added(v=2 * one.v) - one.added()))
     damped = one.load.uses_velocity(())
     assert (change > 1e-3) == damped
@@ -456,9 +446,8 @@ BETWEEN = [name for name, load in VARIANTS.items() if len(load.points) == 2]
 
 
 @pytest.mark.parametrize("name", BETWEEN)
-@pytest.mark.parametrize("seed", range(2))
-def test_action_and_reaction_do_no_work_in_a_rigid_motion(name, seed):
-    s, rng = LoadSetting(name), np.random.default_rng(seed)
+def test_action_and_reaction_do_no_work_in_a_rigid_motion(name):
+    s, rng = setting_of(name), np.random.default_rng(1)
     d = s.scene.dimension
     spin = rng.uniform(-1, 1, (d, d))
     V = (s.q.reshape(-1, d) @ (spin - spin.T)).reshape(
@@ -481,10 +470,13 @@ def test_action_and_reaction_do_no_work_in_a_rigid_motion(name, seed):
 # ---------------------------------------------------------------- springs and dampers
 
 
-@pytest.mark.parametrize("name", [name for name in VARIANTS if "spring" in name])
-@pytest.mark.parametrize("seed", range(5))
+SPRINGS = [name for name, x in VARIANTS.items() if isinstance(x, SpringDamper) and x.law is None]
+
+
+@pytest.mark.parametrize("name", SPRINGS)
+@pytest.mark.parametrize("seed", range(2))
 def test_power_of_spring_and_damper_is_the_loss_of_energy(name, seed):
-    s, rng = LoadSetting(name), np.random.default_rng(seed)
+    s, rng = setting_of(name), np.random.default_rng(seed)
     v = rng.uniform(-1, 1, s.system.n_q)
     load = s.load
 
@@ -624,7 +616,7 @@ def test_loads_of_a_scene_add_up():
 
 
 @pytest.mark.parametrize("law", law_examples().values(), ids=law_examples())
-@pytest.mark.parametrize("name", ["planar point, node", "planar spring, beams"])
+@pytest.mark.parametrize("name", ["planar point, node", SPRINGS[0]])
 def test_a_law_multiplies_a_load_at_every_instant(law, name):
     load = VARIANTS[name]
     scene = Scene(ELEMENT_BEAMS["planar"], loads=[replace(load, law=law)])

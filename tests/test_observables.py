@@ -7,6 +7,7 @@ hundred for steep expressions).
 """
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -216,6 +217,20 @@ def stepped(system, states, group, column):
     return system, dataclasses.replace(states, **{group: moved})
 
 
+@functools.cache
+def stepped_design(system, i):
+    # Relative, for a modulus of 1e6 beside a length of one.
+    b = system.b.astype(complex)
+    b[i] *= 1 + 1j * EPS
+    return system.with_values(b)
+
+
+@functools.cache
+def beside(system, s):
+    """The system with all design values moved."""
+    return system.with_values(system.b * (1 + s * np.cos(np.arange(system.n_b))))
+
+
 def assert_partial(partial, expected):
     if partial is None:
         assert not np.any(expected)
@@ -238,10 +253,7 @@ def test_partials_are_those_of_the_value(system, name):
         assert_partial(getattr(partials, group), np.stack(columns, axis=1))
     columns = []
     for i in range(system.n_b):
-        # Relative, for a modulus of 1e6 beside a length of one.
-        b = system.b.astype(complex)
-        b[i] *= 1 + 1j * EPS
-        columns.append(observable.value(system.with_values(b), states).imag / EPS)
+        columns.append(observable.value(stepped_design(system, i), states).imag / EPS)
     assert_partial(partials.b * system.b, np.stack(columns, axis=1))
 
 
@@ -262,9 +274,7 @@ def test_partials_agree_with_central_differences(system, name):
 
     def along(s):
         moved = {group: getattr(states, group) + s * change[group] for group in change}
-        return observable.value(
-            system.with_values(system.b + s * db), dataclasses.replace(states, **moved)
-        )
+        return observable.value(beside(system, s), dataclasses.replace(states, **moved))
 
     # Fourth order: elastic energies bend strongly over the size of a slope.
     s = 1e-4

@@ -23,6 +23,7 @@ from ancfdae import (
     Pin,
     PointForce,
     PointOnLine,
+    Radau,
     Rectangle,
     RigidMotion,
     Scene,
@@ -68,7 +69,10 @@ def test_forces_that_are_not_finite_end_the_run_with_its_results(value):
     assert "t = 0.46875" in str(run.outcome)
 
 
-@pytest.mark.parametrize("integrator", [HHT(2.0**-5), HHT(rtol=1e-3), Explicit(), IDA()])
+@pytest.mark.parametrize(
+    "integrator",
+    [HHT(2.0**-5), HHT(rtol=1e-3), Radau(2.0**-5), Radau(rtol=1e-3), Explicit(), IDA()],
+)
 def test_an_interrupt_is_raised_with_what_was_computed(integrator):
     for call in (simulate, differentiate):
         with pytest.raises(Interrupted, match="interrupted at t = ") as caught:

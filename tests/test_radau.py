@@ -24,6 +24,7 @@ from ancfdae import (
     assemble,
     custom,
     differentiate,
+    error_bars,
     gradient,
     position,
     simulate,
@@ -359,3 +360,20 @@ def test_statistics_count_what_was_done():
     # A real and a complex matrix, and one at each stage for its completion.
     assert told.factorisations >= 5 * told.steps
     assert told.rejected == told.continued == 0
+
+
+# ---------------------------------------------------------------- in other calls
+
+
+def test_bars_of_three_levels_see_order_five():
+    system, objective = CartesianPendulum(-1.0, 2.0), Terminal(custom(speed, "v_x"))
+    bars = error_bars(system, objective, 1.0, Radau(0.1), levels=3)
+    exact = gradient(system, objective, 1.0, Explicit(1e-11))
+    np.testing.assert_allclose(bars.orders, 5.0, atol=0.05)
+    assert np.all(np.abs(bars.gradient - exact.gradient) < bars.gradient_bar)
+
+
+def test_parts_of_a_run_are_refused_in_words():
+    system = CartesianPendulum(-1.0, 2.0)
+    with pytest.raises(InvalidInput, match="parts of its runs"):
+        gradient(system, OBJECTIVE, 1.0, Radau(0.1), method=Adjoint(memory="1 MB"))

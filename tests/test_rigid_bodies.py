@@ -19,6 +19,7 @@ from ancfdae import (
     AtRest,
     Beam,
     ComplexStep,
+    DesignVariable,
     Direct,
     DistributedForce,
     Drive,
@@ -524,16 +525,24 @@ def test_gradients_with_a_part_on_a_body(d, part, twin):
 def assert_gradients(scene, objectives, design, t_end=0.04):
     """Compare direct differentiation and the adjoint with a complex step of the whole call."""
 
-    def by(method):
+    def by(method, design=design):
         run = gradients(scene, objectives, t_end, HHT(step=0.005), design=design, method=method)
         return np.array([one.gradient for one in run])
 
-    exact, values = by(ComplexStep()), assemble(scene, design).b
-    assert np.all(np.any(exact != 0, axis=1))
+    direct, adjoint, values = by(Direct()), by(Adjoint()), assemble(scene, design).b
     # The claim: 1e-9 of the largest change that a variable makes when all change by their size.
-    scale = np.max(np.abs(exact * values), axis=1, keepdims=True)
-    for own in (by(Direct()), by(Adjoint())):
-        assert np.max(np.abs((own - exact) * values) / scale) <= 1e-9
+    scale = np.max(np.abs(direct * values), axis=1)
+    assert np.all(scale > 0)
+    assert np.max(np.abs((adjoint - direct) * values) / scale[:, None]) <= 1e-9
+    # Along random signs of all variables: an error of one of them is missed by each with a
+    # probability of a half at most, whatever the others' are.
+    for seed in range(4):
+        along = np.random.default_rng(seed).choice([-1.0, 1.0], len(values))
+        along *= np.where(values == 0, 1.0, values) / len(values) ** 0.5
+        every = DesignVariable("every", dict(zip(design, along.tolist(), strict=True)))
+        exact = by(ComplexStep(), [every])[:, 0]
+        assert np.any(exact != 0)
+        assert np.max(np.abs(direct @ along - exact) / scale) <= 1e-9
 
 
 # ---------------------------------------------------------------- whole scenes
@@ -656,7 +665,7 @@ def test_hht_converges_to_ida(machine):
     scene, _ = machine()
     ends = []
     for integrator in (HHT(step=2e-4), IDA(rtol=1e-8)):
-        run = simulate(scene, 0.02, integrator)
+        run = simulate(scene, 0.01, integrator)
         assert run.outcome.success
         ends.append(run.position(end_of(scene))[-1])
     # Second order: h^2 t / 12 times a fourth derivative below 1e4 m/s^4, (10 rad/s)^4.

@@ -21,7 +21,7 @@ _NODES, _STRIDE = 8, 2
 _TRIED = 8
 
 
-class Motion(NamedTuple):
+class Trajectory(NamedTuple):
     """States at k instants, with their design derivatives or None; shapes as in `Points`.
 
     At steps, a are the accelerations of the solver.
@@ -34,10 +34,10 @@ class Motion(NamedTuple):
     v_b: Array | None = None
     a: Array | None = None
 
-    def taken(self, k: slice | Array) -> Motion:
+    def taken(self, k: slice | Array) -> Trajectory:
         """Return some of the instants."""
         q_b, v_b, a = (None if x is None else x[k] for x in (self.q_b, self.v_b, self.a))
-        return Motion(self.t[k], self.q[k], self.v[k], q_b, v_b, a)
+        return Trajectory(self.t[k], self.q[k], self.v[k], q_b, v_b, a)
 
 
 @final
@@ -50,15 +50,15 @@ class Multipliers:
 
     def __init__(self, accelerations: Accelerations, accepted: float) -> None:
         self._accelerations, self._accepted = accelerations, accepted
-        self._following: Motion | None = None
+        self._following: Trajectory | None = None
         self._t, self._solved = np.zeros(0), np.zeros((0, 0, 0))
         self._smooth = False
 
-    def follow(self, steps: Motion | None) -> None:
+    def follow(self, steps: Trajectory | None) -> None:
         """Begin a part of the run, with its steps, start and end included, if they are known."""
         self._following, self._smooth = steps, False
 
-    def at(self, motion: Motion) -> Array:
+    def at(self, motion: Trajectory) -> Array:
         """Return the multipliers at instants of the part."""
         if self._following is not None:
             left = self._take_in(self._following)
@@ -66,7 +66,7 @@ class Multipliers:
             self._following = None
         return self._between(motion.t) if self._smooth else self._solve(motion)[0]
 
-    def _take_in(self, steps: Motion) -> float:
+    def _take_in(self, steps: Trajectory) -> float:
         """Solve at nodes; return the mean force that the solver's accelerations leave there.
 
         The first polynomials go through nodes of the part before.
@@ -85,7 +85,7 @@ class Multipliers:
         left = (a - chosen.a) * np.sqrt(self._accelerations.weights)
         return float(np.mean(np.linalg.norm(left, axis=1)))
 
-    def _is_smooth(self, motion: Motion, left: float) -> bool:
+    def _is_smooth(self, motion: Trajectory, left: float) -> bool:
         """Try the interpolation at the instants that are farthest from nodes."""
         t, after = self._t, self._after(motion.t)
         share = (motion.t - t[after - 1]) / (t[after] - t[after - 1])
@@ -95,7 +95,7 @@ class Multipliers:
         error = self._mean_size(chosen, exact - self._between(chosen.t)[..., 0])
         return error <= self._accepted * self._mean_size(chosen, exact) + left
 
-    def _mean_size(self, motion: Motion, lam: Array) -> float:
+    def _mean_size(self, motion: Trajectory, lam: Array) -> float:
         """Mean of the sizes of reactions; weighted, so that no unit of a multiplier matters."""
         size = self._accelerations.reaction_size
         instants = zip(motion.t, motion.q, lam, strict=True)
@@ -119,7 +119,7 @@ class Multipliers:
             total += weight[:, None, None] * self._solved[places[:, k]]
         return total
 
-    def _solve(self, motion: Motion) -> tuple[Array, Array]:
+    def _solve(self, motion: Trajectory) -> tuple[Array, Array]:
         """Return multipliers and accelerations, one instant after the other."""
         multipliers, rates = list[Array](), list[Array]()
         for k, t in enumerate(motion.t):

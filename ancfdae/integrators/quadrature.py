@@ -10,7 +10,7 @@ import numpy as np
 
 from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.integrand import Integrand, PartialIntegral, Points, Rule
-from ancfdae.integrators.multipliers import Motion, Multipliers
+from ancfdae.integrators.multipliers import Multipliers, Trajectory
 
 # Gauss-Lobatto rule of four points with its Kronrod extension of seven, of degrees 5 and 9
 # (Gander & Gautschi, BIT 40, 2000), moved from [-1, 1] to [0, 1].
@@ -45,7 +45,7 @@ class Quadrature:
         """Whether there is anything to integrate."""
         return bool(self._integrands)
 
-    def add(self, choices: Iterable[Points], steps: Motion | None = None) -> None:
+    def add(self, choices: Iterable[Points], steps: Trajectory | None = None) -> None:
         """Take in the next part of the run, with its steps if multipliers are to follow them.
 
         The choices are the same part on ever finer panels; each integrand takes the first on which
@@ -85,7 +85,7 @@ class Quadrature:
         if points.lam is not None:
             return points
         multipliers = self._multipliers.at(
-            Motion(points.t, points.q, points.v, points.q_b, points.v_b)
+            Trajectory(points.t, points.q, points.v, points.q_b, points.v_b)
         )
         lam_b = None if points.q_b is None else multipliers[..., 1:]
         return replace(points, lam=multipliers[..., 0], lam_b=lam_b)

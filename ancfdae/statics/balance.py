@@ -64,7 +64,7 @@ class Solved:
 
 @final
 @dataclass(frozen=True)
-class Failure:
+class Unsolved:
     """Why Newton's method found none, and the size of its last correction."""
 
     verdict: Verdict
@@ -169,7 +169,7 @@ class Balance:
         lam: Array,
         mu: float = 0.0,
         anchor: Array | None = None,
-    ) -> Solved | Failure:
+    ) -> Solved | Unsolved:
         """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a."""
         test = _Convergence(self)
         try:
@@ -178,7 +178,7 @@ class Balance:
                     Phi_q = self.Phi_q(q)
                     R, Phi = self._residual(s, q, lam, Phi_q, mu, anchor)
                     if not (finite(R) and finite(Phi)):
-                        return Failure(Verdict.NOT_FINITE, test.size)
+                        return Unsolved(Verdict.NOT_FINITE, test.size)
                     K = self.tangent(s, q, lam)
                     factors = self.factor(K if mu == 0.0 else K + mu * self.M_0, Phi_q)
                     dq, dlam = solve(factors, R, -Phi)
@@ -188,8 +188,8 @@ class Balance:
                     if test.diverged:
                         break
         except SingularMatrix:
-            return Failure(Verdict.SINGULAR, test.size)
-        return Failure(Verdict.NO_CONVERGENCE, test.size)
+            return Unsolved(Verdict.SINGULAR, test.size)
+        return Unsolved(Verdict.NO_CONVERGENCE, test.size)
 
     def _residual(
         self,
@@ -209,7 +209,7 @@ class Balance:
             R = R - mu * self.system.pattern.dot(self.M_0, q - anchor)
         return R, self.system.constraint(self.t, q) - (1.0 - s) * self.Phi_0
 
-    def polished(self, q: Array, lam: Array) -> Solved | Failure:
+    def polished(self, q: Array, lam: Array) -> Solved | Unsolved:
         """Solve the equations of the full load to the last digit, from a solution near it.
 
         Corrections with one matrix are added as long as they halve; that of a thin or a finely
@@ -219,7 +219,7 @@ class Balance:
         try:
             factors = self.factor(K, self.Phi_q(q))
         except SingularMatrix:
-            return Failure(Verdict.SINGULAR, 0.0)
+            return Unsolved(Verdict.SINGULAR, 0.0)
         sizes = np.full(2, np.inf)
         for _ in range(_ITERATIONS):
             R, Phi = self._residual(1.0, q, lam, self.Phi_q(q))
@@ -232,7 +232,7 @@ class Balance:
         size = float(sizes[0]) / self.extent
         if self.is_round_off(R, K, q, lam):
             return Solved(1.0, q, lam, factors, 0, size)
-        return Failure(Verdict.NO_CONVERGENCE, size)
+        return Unsolved(Verdict.NO_CONVERGENCE, size)
 
     def is_round_off(self, R: Array, K: Array, q: Array, lam: Array) -> bool:
         """Whether forces left are the round-off of this scene.

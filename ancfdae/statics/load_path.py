@@ -7,7 +7,7 @@ from typing import final
 
 from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Failure
+from ancfdae.statics.balance import Balance, Unsolved
 from ancfdae.statics.softness import softest
 
 # Steps of the load fraction below this one are given up.
@@ -63,7 +63,7 @@ class LoadPath:
                 before, end = self.places[-1], self._ahead[-1].s if self._ahead else 1.0
                 s = end if before.s + size > end - 0.1 * size else before.s + size
                 attempt = self._attempt(s)
-                if isinstance(attempt, Failure):
+                if isinstance(attempt, Unsolved):
                     self._balance.work.rejected += 1
                     verdict, self.residual = attempt.verdict, attempt.residual
                     size = 0.5 * (s - before.s)
@@ -87,13 +87,13 @@ class LoadPath:
             return None
         return stable[-1] if stable else 0.0
 
-    def _attempt(self, s: float) -> tuple[PathPoint, int] | Failure:
+    def _attempt(self, s: float) -> tuple[PathPoint, int] | Unsolved:
         """Solve at s, unless that was done, and see whether it is the same path."""
         before, balance = self.places[-1], self._balance
         place, iterations = self._solved_ahead(s), 0
         if place is None:
             point = balance.solve(s, *self._extrapolated(s))
-            if isinstance(point, Failure):
+            if isinstance(point, Unsolved):
                 return point
             tangent, iterations = balance.path_tangent(point.q, point.factors), point.iterations
             # Whether it is stable is not known yet.
@@ -103,7 +103,7 @@ class LoadPath:
             stable = softest(balance, s, place.q, place.lam).stable
         if stable is None or (stable != before.stable and s - before.s > _SMALL):
             self._ahead.append(place)
-            return Failure(Verdict.NO_CONVERGENCE, 0.0)
+            return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
         return replace(place, stable=stable), iterations
 
     def _solved_ahead(self, s: float) -> PathPoint | None:

@@ -7,7 +7,7 @@ from typing import final
 
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Failure
+from ancfdae.statics.balance import Balance, Unsolved
 from ancfdae.statics.load_path import LoadPath, PathPoint
 from ancfdae.statics.mobility import free_mechanism
 from ancfdae.statics.outcome import LoadOutcome
@@ -63,7 +63,7 @@ def _followed(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
 def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
     """Return an equilibrium with all its digits, or where it has come if it is none."""
     exact = balance.polished(end.q, end.lam)
-    if isinstance(exact, Failure):
+    if isinstance(exact, Unsolved):
         outcome = replace(end.outcome, verdict=exact.verdict, residual=exact.residual)
         return replace(end, outcome=outcome)
     outcome = replace(end.outcome, residual=exact.correction)
@@ -82,7 +82,7 @@ def _settled(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
     if end.free.shape[1]:
         raise free_mechanism(balance.system.naming, q, end.free)
     solved = balance.solve(1.0, q, lam)
-    if isinstance(solved, Failure):
+    if isinstance(solved, Unsolved):
         outcome = LoadOutcome(solved.verdict, 0.0, steps, solved.residual, downhill=True)
         return SearchEnd(q, lam, outcome)
     stable_to = None if end.stable else 0.0

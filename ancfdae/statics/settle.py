@@ -12,7 +12,7 @@ from typing import final
 from ancfdae.equations.saddle_points import solve
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Failure
+from ancfdae.statics.balance import Balance, Unsolved
 from ancfdae.statics.softness import softest
 
 # The first step moves by about this part of the size of the system.
@@ -50,7 +50,7 @@ class Settling:
         balance, mu, failures = self._balance, self._first_mu(), 0
         for _ in range(self._max_steps):
             solved = balance.solve(1.0, self.q, self.lam, mu, self.q)
-            if isinstance(solved, Failure):
+            if isinstance(solved, Unsolved):
                 balance.work.rejected += 1
                 self.residual, failures, mu = solved.residual, failures + 1, 4.0 * mu
                 if failures > _FAILURES:

@@ -112,8 +112,8 @@ class Stepper(OneStepMethod[State]):
         return taken, (node, None)
 
     def _alone(self, h: float, before: Node, t: float) -> Node | None:
-        """Take one step by the kernel; None where it does not solve it."""
-        if self._compiled is None:
+        """Take one step by the kernel, unless it was tried; None where it does not solve it."""
+        if self._compiled is None or self._tolerance is None:
             return None
         system = self._problem.system
         q, v, A = np.empty((3, 1, system.n_q))

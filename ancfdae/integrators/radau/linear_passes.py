@@ -27,9 +27,10 @@ from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.completion import Completion
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.radau.stages import Begin, ExactMatrix, StageMatrices, Stages
+from ancfdae.integrators.radau.stages import Begin, Stages, exact, stage_matrices
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, at_stages
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
 
 # Numbers held at once by a chunk of steps.
 _CHUNK_NUMBERS = 200_000
@@ -68,14 +69,15 @@ class LinearSteps:
     def _partials(self) -> DesignPartials:
         return self.system.design_partials(self.completion.t, *self.stages)
 
-    def _factor(self, matrices: StageMatrices, s: int) -> ExactMatrix:
+    def _factor(self, matrices: CoupledSaddlePoints, s: int) -> CoupledFactors:
         at, local = slice(3 * s, 3 * s + 3), self.local
         M = local.M if len(local.M) == 1 else local.M[at]
         f_v = None if local.f_v is None else local.f_v[at]
-        return matrices.factor(self.h[s], Linearisation(M, local.f_q[at], f_v, local.Phi_q[at]))
+        own = Linearisation(M, local.f_q[at], f_v, local.Phi_q[at])
+        return exact(matrices, float(self.h[s]), own)
 
     def advance(
-        self, s: int, matrices: StageMatrices, q_b: Array, v_b: Array
+        self, s: int, matrices: CoupledSaddlePoints, q_b: Array, v_b: Array
     ) -> tuple[list[Array], Array]:
         """Take q_b and v_b over step s; return q_b, v_b, a_b, lam_b of its stages, and x_b."""
         system, h, n, local = self.system, self.h[s], self.system.n_q, self.local
@@ -94,7 +96,7 @@ class LinearSteps:
         return [Q_b, *map(np.array, zip(*ends, strict=True))], x_b
 
     def back(
-        self, s: int, matrices: StageMatrices, on: tuple[Array, Array, Array | None]
+        self, s: int, matrices: CoupledSaddlePoints, on: tuple[Array, Array, Array | None]
     ) -> tuple[Array, list[Array]]:
         """Transpose of `advance`: from covectors on q, v and lam of the stages, (3, n).
 
@@ -143,7 +145,7 @@ def differentiate(
     from tqdm import tqdm
 
     assert problem.derivative is not None
-    matrices, arrays = StageMatrices(problem), list[Array]()
+    matrices, arrays = stage_matrices(problem), list[Array]()
     for x in problem.derivative:
         arrays.append(np.concatenate([x[None], np.empty((len(run.t) - 1, *x.shape))]))
     done, verdict = 1, Verdict.FINISHED
@@ -176,7 +178,7 @@ def pull_back(
     """
     from tqdm import tqdm
 
-    system, matrices = problem.system, StageMatrices(problem)
+    system, matrices = problem.system, stage_matrices(problem)
     gradient, still = np.zeros(system.n_b), np.zeros((len(run.t), system.n_q))
     on_q, on_v = (still if x is None else x for x in (seeds.q, seeds.v))
     chunks = _chunks(system, len(h), 0)

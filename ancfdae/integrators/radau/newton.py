@@ -12,17 +12,18 @@ from ancfdae.errors import Verdict
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.stages import (
     Begin,
-    ExactMatrix,
     SimplifiedMatrix,
-    StageMatrices,
     Stages,
+    exact,
     residuals,
+    stage_matrices,
 )
 from ancfdae.integrators.radau.tableau import SQUARED, at_stages
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.kernels import finite, norm
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
 
 # Where more than so many iterations are to come the exact matrix takes over, or is formed anew.
 _MORE = 4
@@ -61,7 +62,7 @@ class StageSolver:
         self._tolerance, self._most = tolerance, max_iterations
         system = problem.system
         self._weights = np.tile(system.weights, 3)
-        self._matrices: StageMatrices | None = None
+        self._matrices: CoupledSaddlePoints | None = None
         self._least = max(10 * system.traits.force_round_off, _TINY)
 
     def solve(self, begin: Begin, guess: tuple[Array, Array], usual: float) -> Solved | Failure:
@@ -71,7 +72,7 @@ class StageSolver:
         """
         most = _MOST * usual if usual > _TINY else math.inf
         (x, lam), system, n_q = guess, self._problem.system, self._problem.system.n_q
-        matrix: SimplifiedMatrix | ExactMatrix | None = None
+        matrix: SimplifiedMatrix | CoupledFactors | None = None
         simplified = None
         last = size = motion = math.inf
         settled, floor = 0, _POSITIONS * _EPS * norm(begin.q, system.weights) / begin.h**2
@@ -115,12 +116,12 @@ class StageSolver:
             self._problem, begin.h, self._linearised(begin, stages, slice(1, 2))
         )
 
-    def _exact(self, begin: Begin, stages: Stages) -> ExactMatrix:
+    def _exact(self, begin: Begin, stages: Stages) -> CoupledFactors:
         """Factorise at every stage."""
         if self._matrices is None:
-            self._matrices = StageMatrices(self._problem)
+            self._matrices = stage_matrices(self._problem)
         self._recorder.factorisations += 1
-        return self._matrices.factor(begin.h, self._linearised(begin, stages, slice(3)))
+        return exact(self._matrices, begin.h, self._linearised(begin, stages, slice(3)))
 
     def _linearised(self, begin: Begin, stages: Stages, rows: slice) -> Linearisation:
         """Linearise at some stages; an imaginary perturbation is left out."""

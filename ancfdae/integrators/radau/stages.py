@@ -43,8 +43,7 @@ from ancfdae.integrators.radau.tableau import (
 )
 from ancfdae.kernels import balance
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.numerics.patterns import Pattern
+from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
 
 
 class Stages(NamedTuple):
@@ -119,58 +118,18 @@ class SimplifiedMatrix:
         return np.asarray(x[..., 0] if len(parts) == 1 else x[..., 0] + 1j * x[..., 1])
 
 
-@final
-class ExactMatrix:
-    """The factorised matrix of three stages, for arrays (3, n_q + n_lam, ...)."""
-
-    def __init__(self, factors: Factorization, n_q: int) -> None:
-        self._factors, self._n = factors, 3 * n_q
-
-    def solve(self, right: Array) -> Array:
-        """Solve."""
-        return self._split(self._factors.solve(self._joined(right)))
-
-    def solve_transposed(self, right: Array) -> Array:
-        """Solve with the transposed matrix."""
-        return self._split(self._factors.solve_transposed(self._joined(right)))
-
-    def _joined(self, right: Array) -> Array:
-        """Return unknowns of all stages, then their multipliers."""
-        parts = np.split(right, [self._n // 3], axis=1)
-        return np.concatenate([x.reshape(-1, *x.shape[2:]) for x in parts])
-
-    def _split(self, x: Array) -> Array:
-        parts = np.split(x, [self._n])
-        return np.concatenate([x.reshape(3, -1, *x.shape[1:]) for x in parts], axis=1)
+def stage_matrices(problem: Problem) -> CoupledSaddlePoints:
+    """Return the exact matrices; constraints are scaled by their rows at the start."""
+    system, Phi_q = problem.system, problem.system.constraint_q(0.0, problem.initial.q)
+    patterns = system.pattern, system.constraint_pattern
+    return CoupledSaddlePoints(3, *patterns, system.weights, Phi_q)
 
 
-@final
-class StageMatrices:
-    """Exact matrices of the stages of a step."""
-
-    def __init__(self, problem: Problem) -> None:
-        """Set up the numbering; constraints are scaled by their rows at the start."""
-        system, Phi_q = problem.system, problem.system.constraint_q(0.0, problem.initial.q)
-        n, m, K, B = system.n_q, system.n_lam, system.pattern, system.constraint_pattern
-        self._n_q = n
-        i, j = np.indices((3, 3)).reshape(2, 9, 1)
-        rows, columns = K.rows.astype(int) + n * i, K.columns.astype(int) + n * j
-        pattern = Pattern((3 * n, 3 * n), rows.ravel(), columns.ravel())
-        self._places = pattern.index(rows, columns)
-        stage = np.arange(3)[:, None]
-        B_rows, B_columns = B.rows.astype(int) + m * stage, B.columns.astype(int) + n * stage
-        constraints = Pattern((3 * m, 3 * n), B_rows.ravel(), B_columns.ravel())
-        weights = np.tile(system.weights, 3)
-        self._matrices = SaddlePoint(pattern, constraints, weights, np.tile(Phi_q, 3))
-
-    def factor(self, h: float, local: Linearisation) -> ExactMatrix:
-        """Factorise for what is linearised at the three stages."""
-        blocks = np.multiply.outer(SQUARED, local.M[0])
-        if len(local.M) > 1:
-            blocks = SQUARED[..., None] * local.M[:, None]
-        if local.f_v is not None:
-            blocks = blocks + h * INVERSE[..., None] * local.f_v[:, None]
-        blocks[range(3), range(3)] += h**2 * local.f_q
-        K = np.empty(blocks.size)
-        K[self._places] = blocks.reshape(9, -1)
-        return ExactMatrix(self._matrices.factor(K, local.Phi_q.ravel()), self._n_q)
+def exact(matrices: CoupledSaddlePoints, h: float, local: Linearisation) -> CoupledFactors:
+    """Factorise for what is linearised at the three stages."""
+    M = local.M[:, None] if len(local.M) > 1 else local.M
+    blocks = SQUARED[..., None] * M
+    if local.f_v is not None:
+        blocks = blocks + h * INVERSE[..., None] * local.f_v[:, None]
+    blocks[range(3), range(3)] += h**2 * local.f_q
+    return matrices.factor(blocks, local.Phi_q)

@@ -23,7 +23,7 @@ from ancfdae.integrators.completion import completed
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.linear_passes import LinearSteps
 from ancfdae.integrators.radau.newton import Solved, StageSolver
-from ancfdae.integrators.radau.stages import Begin, StageMatrices
+from ancfdae.integrators.radau.stages import Begin, stage_matrices
 from ancfdae.integrators.radau.tableau import (
     BUTCHER,
     EMBEDDED,
@@ -76,7 +76,7 @@ class Stepper(OneStepMethod[State]):
     ) -> None:
         self._problem, self._recorder, self._tolerances = problem, recorder, tolerances
         self._solver = StageSolver(problem, *newton, recorder)
-        self._matrices = None if problem.derivative is None else StageMatrices(problem)
+        self._matrices = None if problem.derivative is None else stage_matrices(problem)
 
     def consistent(self) -> Record:
         """Return the start."""

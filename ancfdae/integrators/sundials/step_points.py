@@ -17,7 +17,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.integrand import Points
-from ancfdae.integrators.multipliers import Motion
+from ancfdae.integrators.multipliers import Trajectory
 from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.numerics.arrays import Array
@@ -90,9 +90,9 @@ class StepPoints:
         """Coordinates and velocities and their sensitivities, shape (steps, m + 1, n_q)."""
         return self._form.coordinates(np.array(rows).reshape(len(rows), self._m + 1, -1))
 
-    def _motion(self, t: Array, q: Array, v: Array) -> Motion:
+    def _motion(self, t: Array, q: Array, v: Array) -> Trajectory:
         derivatives = (self._form.per_design(x[:, 1:]) for x in ((q, v) if self._m else ()))
-        return Motion(t, q[:, 0], v[:, 0], *derivatives)
+        return Trajectory(t, q[:, 0], v[:, 0], *derivatives)
 
 
 def _panels(t: Array, per_step: float) -> Array:

@@ -1,0 +1,71 @@
+"""Saddle-point matrices of several copies of one system, coupled in K, as the stages of a step are.
+
+[ K_11 .. K_1s   B_1^T         ]
+[ ..      ..            ..     ]      all K_ij on the pattern of K (n x n),
+[ K_s1 .. K_ss           B_s^T ]      B_i on that of B (m x n).
+[ B_1 .. B_s           0       ]
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.patterns import Pattern
+
+
+@final
+class CoupledFactors:
+    """A factorised coupled matrix, for right sides (s, n + m, ...)."""
+
+    def __init__(self, factors: Factorization, copies: int, n: int) -> None:
+        self._factors, self._copies, self._n = factors, copies, n
+
+    def solve(self, right: Array) -> Array:
+        """Solve with the matrix."""
+        return self._split(self._factors.solve(self._joined(right)))
+
+    def solve_transposed(self, right: Array) -> Array:
+        """Solve with the transposed matrix."""
+        return self._split(self._factors.solve_transposed(self._joined(right)))
+
+    def _joined(self, right: Array) -> Array:
+        parts = np.split(right, [self._n], axis=1)
+        return np.concatenate([x.reshape(-1, *x.shape[2:]) for x in parts])
+
+    def _split(self, x: Array) -> Array:
+        parts = np.split(x, [self._copies * self._n])
+        return np.concatenate([x.reshape(self._copies, -1, *x.shape[1:]) for x in parts], axis=1)
+
+
+@final
+class CoupledSaddlePoints:
+    """Coupled matrices of one system: constant patterns; weights and values of B scale as there."""
+
+    def __init__(
+        self, copies: int, K: Pattern, B: Pattern, weights: Array, constraint_values: Array
+    ) -> None:
+        self._copies, (m, n) = copies, B.shape
+        self._n = n
+        i, j = np.indices((copies, copies)).reshape(2, -1, 1)
+        rows, columns = K.rows.astype(int) + n * i, K.columns.astype(int) + n * j
+        pattern = Pattern((copies * n, copies * n), rows.ravel(), columns.ravel())
+        self._places = pattern.index(rows, columns)
+        own = np.arange(copies)[:, None]
+        B_rows, B_columns = B.rows.astype(int) + m * own, B.columns.astype(int) + n * own
+        constraints = Pattern((copies * m, copies * n), B_rows.ravel(), B_columns.ravel())
+        scales = np.tile(weights, copies), np.tile(constraint_values, copies)
+        self._matrices = SaddlePoint(pattern, constraints, *scales)
+
+    def factor(self, K: Array, B: Array) -> CoupledFactors:
+        """Factorise for values K, (s, s, size of the pattern), and B, (s, size).
+
+        Raises SingularMatrix as `SaddlePoint.factor`.
+        """
+        values = np.empty(K.size, dtype=K.dtype)
+        values[self._places] = K.reshape(len(self._places), -1)
+        factors = self._matrices.factor(values, B.ravel())
+        return CoupledFactors(factors, self._copies, self._n)
