@@ -38,6 +38,7 @@ from ancfdae import (
     differentiate,
     simulate,
 )
+from ancfdae.integrators.hht.compiled import CompiledSteps
 from ancfdae.integrators.hht.newton import StepSolver
 
 NAN, INF = float("nan"), float("inf")
@@ -99,6 +100,7 @@ def _nothing_is_integrated(monkeypatch):
         raise AssertionError("a step was integrated")
 
     monkeypatch.setattr(StepSolver, "advance", refuse)
+    monkeypatch.setattr(CompiledSteps, "march", refuse)
 
 
 def refused(action, where, rule="", got="", repair="", kind=InvalidInput):

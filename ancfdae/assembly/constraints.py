@@ -25,7 +25,6 @@ from ancfdae.kernels import (
     constraint_totals,
     constraints,
 )
-from ancfdae.model.joints import DrivenJoint
 from ancfdae.model.naming import JointLayout
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
@@ -139,9 +138,7 @@ class JointConstraints:
         for slot in self.structure.slots:
             item = slot.item
             p, reference = item.p.real, item.reference.real
-            if isinstance(item.joint, DrivenJoint) and not item.joint.faces(
-                p, reference, U[slot.vectors], t
-            ):
+            if not item.joint.faces(p, reference, U[slot.vectors], t):
                 return item.joint.name
         return None
 

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.held_angles import HeldAngles
-from ancfdae.model.joints import DrivenJoint, Equations, Joint
+from ancfdae.model.joints import Equations, Joint
 from ancfdae.numerics.arrays import STEP, Array
 
 
@@ -31,16 +31,13 @@ class JointInput:
 
     def parts(self) -> list[Equations]:
         """Return the constant coefficients, and what goes with each factor."""
-        parts = [self.joint.coefficients(self.p, self.reference)]
-        if isinstance(self.joint, DrivenJoint):
-            parts += self.joint.moving(self.p, self.reference)
+        joint = self.joint
+        parts = [joint.coefficients(self.p, self.reference), *joint.moving(self.p, self.reference)]
         return [c.without(self.dropped) for c in parts]
 
     def factors(self, t: Array, order: int) -> Array:
         """Return the time derivative of the factors, shape (n_factors, k)."""
-        if isinstance(self.joint, DrivenJoint):
-            return self.joint.factors(self.p, t, order)
-        return np.zeros((0, len(t)))
+        return self.joint.factors(self.p, t, order)
 
     def shaped(self, held: HeldAngles) -> JointInput:
         """Leave out right angles that are held without this joint."""

@@ -122,24 +122,36 @@ class Joint(Part):
         the reference configuration, (n_vectors, d); complex ones must go through.
         """
 
+    def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
+        """Return what goes with each of the `factors`; arguments as in `coefficients`."""
+        return ()
+
+    def factors(self, p: Array, t: Array, order: int) -> Array:
+        """Return the time derivative of this order, 0 to 3, of the factors.
+
+        The instants t have the shape (k,), the result (n_factors, k).
+        """
+        return np.zeros((0, len(t)))
+
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Whether vectors that meet the equations stand where the law says, not half a turn off."""
+        return True
+
 
 class DrivenJoint(Joint):
     """A joint whose coefficients depend on time: `coefficients` + sum_k factor_k(t) moving_k."""
 
     @abc.abstractmethod
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
-        """Return what goes with each of the `factors`; arguments as in `coefficients`."""
-
-    @abc.abstractmethod
-    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
-        """Whether vectors that meet the equations stand where the law says, not half a turn off."""
+        """Return what goes with each of the factors."""
 
     @abc.abstractmethod
     def factors(self, p: Array, t: Array, order: int) -> Array:
-        """Return the time derivative of this order, 0 to 3, of the factors.
+        """Return the factors."""
 
-        The instants t have the shape (k,), the result (n_factors, k).
-        """
+    @abc.abstractmethod
+    def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
+        """Whether the vectors stand where the law says."""
 
 
 @dataclass(frozen=True)
