@@ -171,6 +171,24 @@ def acceleration(c: Coefficients, a: Array, A_n: Array) -> Array:
     return add_scaled((c.alpha * c.in_A) * A_n, c.in_A, a)
 
 
+def step_matrices(steps: Steps) -> Array:
+    """Return the maps from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~), (n, 6, 4).
+
+    The coefficients of all steps come at once from unit vectors; after the last step the same size
+    is taken once more.
+    """
+    h = steps.h[:, None]
+    following = np.append(steps.h[1:], steps.h[-1])[:, None]
+    alpha = steps.alpha
+    c, ahead = Coefficients(h, alpha), Coefficients(following, alpha)
+    q_p, v_p, A_p, a = np.eye(4)
+    q, v = correct(c, q_p, v_p, a)
+    A = A_p + a / (1 + alpha)
+    q_next, v_next = predict(ahead, q, v, A + following / h * (a - A))
+    rows = [np.broadcast_to(x, q.shape) for x in (q, v, A, q_next, v_next)]
+    return np.stack([*rows, np.broadcast_to(alpha / (1 + alpha) * A, q.shape)], axis=1)
+
+
 def residual(
     system: MechanicalSystem,
     c: Coefficients,

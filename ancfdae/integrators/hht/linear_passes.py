@@ -37,10 +37,10 @@ from ancfdae.integrators.hht.equations import (
     Node,
     NodeSensitivity,
     Steps,
-    correct,
     increment_from_velocities,
     iteration_terms,
     predict,
+    step_matrices,
 )
 from ancfdae.integrators.hht.small_steps import ConstraintRow, Nodes
 from ancfdae.integrators.integrator import Seeds
@@ -301,34 +301,32 @@ def pull_back_part(
                 if k == first:
                     continue
             k -= 1
-            (jacobian,) = linear.factorised(nodes.problem.matrices, range(k, k + 1))
             n = steps.start + k
-            if seeds.q is not None:
-                on[0] += seeds.q[n]
-            if seeds.v is not None:
-                on[1] += seeds.v[n]
+            (jacobian,) = linear.factorised(nodes.problem.matrices, range(k, k + 1))
+            on = _with_seeds(on, seeds, n)
             on_lam = nothing if seeds.lam is None else seeds.lam[n]
             row = nodes.row(n) if maybe_small[n] else None
             on_step = matrix[n - 1].T @ on
             mu[k], zeta[k] = linear.solve_transposed(k, jacobian, on_step, on_lam, row is not None)
-            before = np.concatenate([still, on_step[:3]])
+            on = np.concatenate([still, on_step[:3]])
             if defects is not None:
-                change += before[3] @ defects.q[n] + before[4] @ defects.v[n]
-                change += before[5] @ defects.A[n]
+                change += on[3] @ defects.q[n] + on[4] @ defects.v[n] + on[5] @ defects.A[n]
             if row is not None:
-                pattern, w = system.constraint_pattern, zeta[k].copy()
-                on_dq = -pattern.dot_transposed(linear.local.Phi_q[k], w)
-                before[0] = -pattern.dot_transposed(row.G, w)
-                gradient -= w @ row.g
+                on_dq = _small_side_back(nodes, n, linear.local.Phi_q[k], row, zeta[k], on)
+                gradient -= zeta[k] @ row.g
                 zeta[k] = 0.0  # Phi_b has had its part.
-                if defects is not None:
-                    change += on_dq @ defects.q[n]
-                # dq_b combines v_b before the step and v~_b: `increment_from_velocities`.
-                by_v, by_predicted = increment_from_velocities(all_steps.of(n), *np.eye(2))
-                before[1], before[4] = by_v * on_dq, before[4] + by_predicted * on_dq
-            on = before
+                change += 0.0 if defects is None else on_dq @ defects.q[n]
         gradient -= system.pull_back(t, rows, (mu, zeta))
     return gradient, on, float(change)
+
+
+def _with_seeds(on: Array, seeds: Seeds, n: int) -> Array:
+    """Add the partials of the objective in q and v at an instant."""
+    on = on.copy()
+    for row, seed in enumerate((seeds.q, seeds.v)):
+        if seed is not None:
+            on[row] += seed[n]
+    return on
 
 
 def _linearised(nodes: Nodes, steps: slice) -> tuple[Array, States, LinearSteps]:
@@ -369,22 +367,18 @@ def _small_side(
     return np.asarray(-lower.T / (c.beta * c.h**2))
 
 
-def step_matrices(steps: Steps) -> Array:
-    """Return the maps from (q~, v~, A~, a) to (q, v, A) and the next (q~, v~, A~), (n, 6, 4).
-
-    The coefficients of all steps come at once from unit vectors; after the last step the same size
-    is taken once more.
-    """
-    h = steps.h[:, None]
-    following = np.append(steps.h[1:], steps.h[-1])[:, None]
-    alpha = steps.alpha
-    c, ahead = Coefficients(h, alpha), Coefficients(following, alpha)
-    q_p, v_p, A_p, a = np.eye(4)
-    q, v = correct(c, q_p, v_p, a)
-    A = A_p + a / (1 + alpha)
-    q_next, v_next = predict(ahead, q, v, A + following / h * (a - A))
-    rows = [np.broadcast_to(x, q.shape) for x in (q, v, A, q_next, v_next)]
-    return np.stack([*rows, np.broadcast_to(alpha / (1 + alpha) * A, q.shape)], axis=1)
+def _small_side_back(
+    nodes: Nodes, n: int, Phi_q: Array, row: ConstraintRow, zeta: Array, on: Array
+) -> Array:
+    """Transpose of `_small_side`, added to covectors before the step; return that on dq_b."""
+    pattern = nodes.problem.system.constraint_pattern
+    on_dq = -pattern.dot_transposed(Phi_q, zeta)
+    on[0] = -pattern.dot_transposed(row.G, zeta)
+    # dq_b combines v_b before the step and v~_b: `increment_from_velocities`.
+    by_v, by_predicted = increment_from_velocities(nodes.steps.of(n), *np.eye(2))
+    on[1] = by_v * on_dq
+    on[4] += by_predicted * on_dq
+    return np.asarray(on_dq)
 
 
 def _chunks(system: MechanicalSystem, n_t: int, extra: int) -> Sequence[slice]:

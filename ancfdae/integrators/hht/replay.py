@@ -13,7 +13,13 @@ import numpy as np
 
 from ancfdae.equations.solution import Solution
 from ancfdae.integrators.hht import linear_passes
-from ancfdae.integrators.hht.equations import Node, NodeSensitivity, Steps, rescaled
+from ancfdae.integrators.hht.equations import (
+    Node,
+    NodeSensitivity,
+    Steps,
+    rescaled,
+    step_matrices,
+)
 from ancfdae.integrators.hht.small_steps import Nodes
 from ancfdae.integrators.hht.start import RecurrenceStart
 from ancfdae.integrators.hht.step import Stepper
@@ -57,7 +63,7 @@ class Replay(RunInParts):
         """Pull back as `linear_passes.pull_back_part`."""
         h, alpha, last = self._steps.h, self._steps.alpha, first + len(run.t) - 1
         # The last step of the part hands on to a step of the size of the next.
-        matrix = linear_passes.step_matrices(Steps(h[first : last + 1], alpha))[: last - first]
+        matrix = step_matrices(Steps(h[first : last + 1], alpha))[: last - first]
         steps = Steps(h[first:last], alpha)
         nodes = Nodes(self._problem, run, steps, self._ahead(node, first))
         gradient, on, _ = linear_passes.pull_back_part(nodes, seeds, on, matrix)
