@@ -37,14 +37,14 @@ def oracle_of(element):
 
 def vector_by_hand(system, q, point, quantity):
     """Position (0) or slope (1, 2, 3) of a point by the oracle's shape functions."""
-    d = system.element.d
+    d = system.naming.layout.d
     place = system.naming.layout.beam(point.beam)
     fractions = np.array(place.fractions)
     k = max(int(np.sum(fractions < point.fraction)) - 1, 0)
     xi = (point.fraction - fractions[k]) / (fractions[k + 1] - fractions[k])
     l = system.naming.lengths[place.first_element + k]
-    oracle = oracle_of(system.element)
-    size = system.element.n_s * d
+    oracle = oracle_of(system.naming.layout.beams[0].element)
+    size = system.naming.layout.bodies[0].stride * d
     first = system.naming.layout.body(point.beam).first_vector * d + k * size
     X = q[first : first + 2 * size].reshape(-1, d)
     if quantity == 0:
@@ -54,7 +54,7 @@ def vector_by_hand(system, q, point, quantity):
 
 def turns_by_hand(system, q, q_o, point):
     """Turns of a section from the reference: two tilts and those of its two axes, or one turn."""
-    n_s, d = system.element.n_s, system.element.d
+    n_s, d = system.naming.layout.bodies[0].stride, system.naming.layout.d
     spanning = range(2, n_s) if n_s > 2 else [1]
     now, then = (
         np.array([vector_by_hand(system, x, point, k) for k in spanning]).T for x in (q, q_o)

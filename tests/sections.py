@@ -25,7 +25,7 @@ def forces(point, d):
 def section_axes(solution, point):
     """Normal, height and width axis of a section."""
     if solution.naming.layout.d == 2:
-        if solution.naming.layout.element is CABLE_2D:
+        if solution.naming.layout.beams[0].element is CABLE_2D:
             n = solution.slope(point)[0]
             n = n / np.linalg.norm(n)
             return np.array([n, [-n[1], n[0]]])

@@ -237,7 +237,7 @@ def test_every_scene_and_every_parameter_has_a_case():
         driven = set()
         for scene, design in CASES.values():
             system = assemble(SCENES[scene](), design)
-            if system.element.d == dimension:
+            if system.naming.layout.d == dimension:
                 targets = [t for variable in system._design for t in variable.targets]
                 beams = {beam.name for beam in system._scene.beams}
                 owners = (target.split(".") for target in targets)
@@ -554,7 +554,7 @@ def test_force_is_the_sum_of_oracle_elements(conservative):
     beams = [replace(beam, energy=beam.energy and SaintVenantKirchhoff()) for beam in s.scene.beams]
     paper = assemble(replace(s.scene, beams=beams))
     expected = np.zeros(s.system.n_q)
-    g, oracle = s.scene.gravity, oracle_of(s.system.element)
+    g, oracle = s.scene.gravity, oracle_of(s.scene.beams[0].element)
     for rows, p, X_o, rule in plain_elements(s.scene):
         section = (p["h"], p["w"], p["l"], X_o)
         X = s.q[rows].reshape(-1, d)
@@ -569,7 +569,7 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
     expected, volumes, oracle = (
         np.zeros((s.system.n_q, s.system.n_q)),
         0.0,
-        oracle_of(s.system.element),
+        oracle_of(s.scene.beams[0].element),
     )
     for rows, p, X_o, rule in plain_elements(s.scene):
         section = (p["h"], p["w"], p["l"], X_o)
@@ -581,7 +581,7 @@ def test_mass_is_the_sum_of_oracle_elements_and_its_total_the_mass_of_the_scene(
     assert_close(s.system.mass_times(s.q, s.a), M @ s.a, VALUE)
     assert_close(s.system.energies.kinetic(s.v[None]), np.array([0.5 * s.v @ M @ s.v]), VALUE)
     translation = np.zeros((s.system.n_q // d, d))
-    translation[:: s.system.element.n_s, 0] = 1.0
+    translation[:: s.system.naming.layout.bodies[0].stride, 0] = 1.0
     total = translation.ravel() @ s.system.mass_times(s.q, translation.ravel())
     assert_close(total, volumes, VALUE)
     if all(beam.reference().straight for beam in s.scene.beams):

@@ -8,8 +8,10 @@ from scipy.optimize import brentq
 
 from ancfdae import (
     CABLE_2D,
+    CABLE_3D,
     HHT,
     Beam,
+    Circle,
     Clamp,
     ComplexStep,
     CurvedBeam,
@@ -45,7 +47,7 @@ SOFT = Material(density=1000.0, youngs_modulus=1e7, poisson_ratio=0.3)
 
 def cable(n=2, **changes):
     arguments = {"start": (0.0, 0.0), "end": (1.0, 0.0), "section": STRIP, "material": SOFT}
-    return Beam("rod", elements=n, element=CABLE_2D, **(arguments | changes))
+    return Beam("rod", elements=n, **(arguments | {"element": CABLE_2D} | changes))
 
 
 @pytest.mark.parametrize("n", [1, 3])
@@ -109,7 +111,7 @@ def test_saved_solution_knows_its_element(tmp_path):
     solution = simulate(Scene([rod], [Pin(rod.at_start)], gravity=(0.0, -9.81)), 0.125, HHT(2**-7))
     solution.save(tmp_path / "swing.npz")
     again = Solution.load(tmp_path / "swing.npz")
-    assert again.naming.layout.element is CABLE_2D
+    assert again.naming.layout.beams[0].element is CABLE_2D
     assert np.array_equal(again.nodes("rod"), solution.nodes("rod"))
     assert again.nodes("rod").shape == (len(solution.t), 3, 2, 2)
 
@@ -120,16 +122,20 @@ def test_names_of_elements_are_their_own():
 
 def test_what_a_cable_does_not_have_is_refused_in_words():
     rod = cable()
-    beam = Beam("beam", (0.0, 0.0), (1.0, 0.0), 1, STRIP, SOFT)
     arc = (np.array([[0.0, 0.0], [1.0, 0.2]]), np.repeat(np.eye(2)[None], 2, axis=0))
     bow = CurvedBeam("bow", *arc, STRIP, SOFT, element=CABLE_2D)
     space = {"start": (0.0,) * 3, "end": (1.0, 0.0, 0.0)}
+    wire = cable(**space, section=Circle(0.01), element=CABLE_3D)
+    mast = Beam("mast", (1.0, 0.0, 0.0), (1.0, 0.0, 1.0), 1, STRIP, SOFT)
     for action, words in (
         (lambda: Scene([rod], loads=[FollowerForce(rod.at_end, (0.0, 1.0))]), "SLOPE_Y"),
         (lambda: Scene([rod], [Pin(rod.at(0.5, y=0.01))]), "no section"),
         (lambda: assemble(Scene([bow])), "straight"),
-        (lambda: Scene([rod, beam]), "one element"),
         (lambda: cable(**space), "3 dimensions"),
+        (lambda: cable(**space, element=CABLE_3D), "about every axis"),
+        (lambda: Scene([wire], [Weld(wire.at_end, mast.at_start)]), "SLOPE_Y"),
+        (lambda: Scene([wire], loads=[Moment(wire.at_end, (0, 0, 1))]), "SLOPE_Y"),
+        (lambda: Scene([wire], [Drive(wire.at_start, Uniform(1.0))]), "SLOPE_Y"),
         (lambda: cable().with_length("x"), "rod.length"),
         (lambda: Beam("b", (0, 0), (1, 0), 1, STRIP, SOFT, element="cable"), "'cable'"),
         (lambda: slope(rod.at_end, 1, 0).check(assemble(Scene([rod]))), "SLOPE_Y"),

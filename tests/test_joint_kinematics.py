@@ -14,6 +14,7 @@ from ancfdae import (
     PlanarJoint,
     Prismatic,
 )
+from ancfdae.model.parts import Elements
 
 from examples import coefficients_of
 from joint_motions import HERE, MOTIONS, THERE, T
@@ -28,8 +29,7 @@ class Pose:
     def __init__(self, case, frame, other, seed=3):
         self.joint = case.joint
         rng = np.random.default_rng(seed)
-        element = SpaceElement()
-        self.kinds = self.joint.vectors(element)
+        self.kinds = self.joint.vectors(Elements(3, {}))
         place = rng.uniform(-1, 1, 3)
         relative = getattr(self.joint, "other", None) is not None
         # The reference: both points at the same place.
@@ -87,12 +87,6 @@ class Pose:
             )
         ]
         return np.array([self.rate(motion) for motion in motions]).T
-
-
-class SpaceElement:
-    from ancfdae.model.elements import Quantity
-
-    d, quantities = 3, tuple(Quantity)
 
 
 every_case = pytest.mark.parametrize(("case", "frame", "other"), MOTIONS)

@@ -50,7 +50,7 @@ from ancfdae.errors import InvalidInput
 from ancfdae.model import joints
 from ancfdae.model.joints import DrivenJoint, Joint
 from ancfdae.model.joints.frames import Section, across, unit
-from ancfdae.model.parts import Normal
+from ancfdae.model.parts import Elements, Normal
 
 from by_hand import turns_by_hand, vector_by_hand
 from curves import CURVE, rates_of
@@ -172,7 +172,7 @@ class JointSetting(Setting):
     def coefficients(self, t, order):
         """What the joint states, at its own parameters."""
         q_o = self.system.start()[0]
-        vectors = self.joint.vectors(self.system.element)
+        vectors = self.joint.vectors(self.scene.elements)
         reference = np.array([named_by_hand(self.system, q_o, name) for name in vectors])
         p = np.array(list(self.joint.parameters().values()))
         return coefficients_of(self.joint, p, reference, t, order)
@@ -248,7 +248,7 @@ def equations_by_hand(s, q, t):
         direction = np.array(joint.direction) / np.linalg.norm(joint.direction)
         turns = turns_by_hand(s.system, q, start, joint.point)
         return np.append(gap - joint.travel.at(t) * direction, turns), None
-    n_s = s.system.element.n_s
+    n_s = s.system.naming.layout.bodies[0].stride
     slopes, were = (
         np.array([vector_by_hand(s.system, x, joint.point, k) for k in range(min(2, n_s - 1), n_s)])
         for x in (q, start)
@@ -327,11 +327,11 @@ def test_reference_configuration_satisfies_a_joint_that_is_given_no_place(name):
 
 
 def test_coefficients_are_symmetric_and_of_the_shape_of_the_equations(one):
-    d, n = one.scene.dimension, len(one.joint.vectors(one.system.element))
+    d, n = one.scene.dimension, len(one.joint.vectors(one.scene.elements))
     for order in range(4 if isinstance(one.joint, DrivenJoint) else 1):
         c = one.coefficients(0.3, order)
         # Of a cable, which has no section, no right angle is asked.
-        cable = one.system.element is CABLE_2D
+        cable = one.scene.beams[0].element is CABLE_2D
         rows = one.system.n_lam + (len(one.coefficients(0.3, 0).shapes) if cable else 0)
         assert c.linear.shape == (rows, n, d)
         assert c.bilinear.shape == (rows, n, n)
@@ -733,7 +733,7 @@ def test_points_take_part_by_position_or_slope_as_each_joint_says():
     # The vectors that enter are those of the joint's own points.
     for name, joint in VARIANTS.items():
         element = ELEMENT_BEAMS[name.split()[0]][0].element
-        vectors = joint.vectors(element)
+        vectors = joint.vectors(Elements(element.d, dict.fromkeys(("rod", "arm"), element)))
         taken = {
             (x.point, element.quantities[1]) if isinstance(x, Normal) else (x[0], x[1])
             for x in vectors

@@ -195,7 +195,7 @@ def moment_power(s, virtual):
     """M . omega, omega from the rates of the unit normal and of the slopes in the section."""
     d, load = s.scene.dimension, s.load
     # A cable turns with its tangent.
-    slopes = [1] if s.system.element is CABLE_2D else range(2, d + 1)
+    slopes = [1] if s.scene.beams[0].element is CABLE_2D else range(2, d + 1)
     R, R_1 = (
         np.array([vector_by_hand(s.system, x, load.point, k) for k in slopes]).T
         for x in (s.q, virtual)
@@ -220,7 +220,7 @@ def directions_by_hand(s, q, rows):
     load, d = s.load, s.scene.dimension
     if load.other is None:
         return np.array(rows)
-    slopes = [1] if s.system.element is CABLE_2D else range(2, d + 1)
+    slopes = [1] if s.scene.beams[0].element is CABLE_2D else range(2, d + 1)
 
     def basis(x):
         own = [vector_by_hand(s.system, x, load.other, k) for k in slopes]
@@ -241,7 +241,7 @@ def with_normal(slopes):
 def angle_by_hand(s, q, axis):
     """Angle about an axis by the sums of sines and cosines, as (sum of sines, of cosines)."""
     load, d = s.load, s.scene.dimension
-    slopes = [1] if s.system.element is CABLE_2D else range(2, d + 1)
+    slopes = [1] if s.scene.beams[0].element is CABLE_2D else range(2, d + 1)
     now, then = (
         np.array([vector_by_hand(s.system, x, load.point, k) for k in slopes]) for x in (q, s.start)
     )
@@ -325,7 +325,7 @@ def test_power_of_a_moment_in_a_rigid_motion_of_any_state_is_moment_times_spin(n
     d = s.scene.dimension
     omega, X = rng.uniform(-1, 1, 3), s.q.reshape(-1, d)
     spin = np.cross(np.eye(3), omega)[:d, :d]  # rows e_i x omega: r' = spin r
-    V = (X @ spin.T).reshape(-1, s.system.element.n_s, d)
+    V = (X @ spin.T).reshape(-1, s.system.naming.layout.bodies[0].stride, d)
     V[:, 0] += rng.uniform(-1, 1, d)
     M = np.array([0.0, 0.0, s.load.moment] if d == 2 else s.load.moment)
     if s.load.follower and d == 3:
@@ -373,7 +373,7 @@ def test_virtual_work_is_that_of_the_forces_on_their_points(one):
 def test_resultant_of_a_load_is_its_force(one):
     d = one.scene.dimension
     translation = np.zeros((one.system.n_q // d, d, d))
-    translation[:: one.system.element.n_s] = np.eye(d)
+    translation[:: one.system.naming.layout.bodies[0].stride] = np.eye(d)
     resultant = one.added() @ translation.reshape(-1, d) / one.factor
     if isinstance(one.load, DistributedForce):
         length = one.scene.beam(one.load.beam).length
@@ -450,13 +450,18 @@ def test_action_and_reaction_do_no_work_in_a_rigid_motion(name):
     s, rng = setting_of(name), np.random.default_rng(1)
     d = s.scene.dimension
     spin = rng.uniform(-1, 1, (d, d))
-    V = (s.q.reshape(-1, d) @ (spin - spin.T)).reshape(-1, s.system.element.n_s, d)
+    V = (s.q.reshape(-1, d) @ (spin - spin.T)).reshape(
+        -1, s.system.naming.layout.bodies[0].stride, d
+    )
     V[:, 0] += rng.uniform(-1, 1, d)
     work = s.added() * V.ravel()
     assert abs(np.sum(work)) <= VALUE * np.sum(np.abs(work))
     # And a motion of both together neither loads nor relieves it.
     R, shift = ancf.random_rotation(d, rng), rng.uniform(-1, 1, d)
-    q, v = (((x.reshape(-1, d)) @ R.T).reshape(-1, s.system.element.n_s, d) for x in (s.q, s.v))
+    q, v = (
+        ((x.reshape(-1, d)) @ R.T).reshape(-1, s.system.naming.layout.bodies[0].stride, d)
+        for x in (s.q, s.v)
+    )
     q[:, 0] += shift
     turned = (s.added().reshape(-1, d) @ R.T).ravel()
     assert_close(s.added(q.ravel(), v.ravel()), turned, 10 * VALUE)

@@ -58,7 +58,7 @@ def test_an_own_element_has_exact_gradients_and_sweeps(string):
     ]
     # The second differences are of the order of the step squared.
     assert found == pytest.approx((moved[1] - moved[0]) / 2e-3, rel=1e-5)
-    assert sweep(scene, [{}], lambda model: model.element.name).results == ["STRING_2D"]
+    assert sweep(scene, [{}], lambda model: model.beams[0].element.name).results == ["STRING_2D"]
 
 
 def test_an_integrator_that_leaves_out_derivatives_is_told():

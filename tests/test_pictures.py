@@ -306,8 +306,6 @@ def test_cables_are_as_high_as_their_section_across_their_centre_line():
     slopes = mesh.sensitivities(solution.q, solution.sensitivities.q_b[..., 0], 0)
     # Differences of order h^2, h = 1e-4: 1e-8 of derivatives of size one.
     np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h), slopes, atol=1e-6)
-    with pytest.raises(InvalidInput, match="CABLE_2D"):
-        snapshots(scene, solution, colour=VonMisesStress())
 
 
 def test_arrows_are_the_forces(planar):

@@ -525,11 +525,3 @@ def test_a_rigid_beam_before_it_leaves_the_forces_of_a_beam_alone():
         found.append([observe(x, solution, system)[0] for x in observables])
     # The tolerance of the search for the equilibrium.
     assert np.allclose(found[0], found[1], rtol=1e-6)
-
-
-def test_cables_have_forces_but_no_stress():
-    scene = cantilever(2, lambda rod: PointForce(rod.at_end, (0.0, 1.0)), 2, element=CABLE_2D)
-    system = assemble(scene)
-    for observable in (von_mises(scene.beams[0].at_end), maximum_stress("rod", 1.0)):
-        with pytest.raises(InvalidInput, match="bending_moment"):
-            observable.check(system)

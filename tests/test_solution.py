@@ -285,7 +285,7 @@ def equilibrium(scene):
         right = np.concatenate([right, -system.constraint(0.0, q)])
         x = matrices.factor(-force_q(system, 0.0, q, v), B).solve(right)
         q, lam = q + x[: system.n_q], lam + x[system.n_q :]
-    return q.reshape(-1, system.element.n_s, system.element.d)
+    return q.reshape(-1, system.naming.layout.bodies[0].stride, system.naming.layout.d)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -512,7 +512,7 @@ def test_files_hold_no_pickled_objects(solution, tmp_path):
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}  # raises for an object array
     assert all(array.dtype.kind in "fcU" for array in arrays.values())
-    assert json.loads(str(arrays["meta"]))["format"] == "ancfdae solution 7"
+    assert json.loads(str(arrays["meta"]))["format"] == "ancfdae solution 8"
 
 
 def test_object_arrays_are_not_written(solution, tmp_path):
@@ -563,14 +563,14 @@ def archive(path, **arrays):
 
 
 def meta(**changes):
-    return np.array(json.dumps({"format": "ancfdae solution 7", **changes}))
+    return np.array(json.dumps({"format": "ancfdae solution 8", **changes}))
 
 
 def of_format(good, name):
     """Arrays of a good file that says another format and is right otherwise."""
     with np.load(io.BytesIO(good)) as file:
         arrays = dict(file)
-    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 7", name))
+    arrays["meta"] = np.array(str(arrays["meta"]).replace("ancfdae solution 8", name))
     return arrays
 
 

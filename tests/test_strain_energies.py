@@ -64,7 +64,7 @@ def rest(scene, steps=1):
             q, lam = q + step[:n], lam + step[n:]
             if np.max(np.abs(step[:n])) < 1e-13 * np.max(np.abs(q)):
                 break
-    return system, q.reshape(-1, system.element.n_s, system.element.d)
+    return system, q.reshape(-1, system.naming.layout.bodies[0].stride, system.naming.layout.d)
 
 
 def moments(section):

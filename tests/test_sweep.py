@@ -448,7 +448,7 @@ def pendulum_driven_by(law):
 
 
 def assemble_only(scene):
-    return scene.element.d
+    return scene.dimension
 
 
 def test_what_a_file_cannot_hold_is_told_at_the_first_row(tmp_path):

@@ -66,7 +66,7 @@ class AssembledStart:
         free = np.ones(motions.none.shape, dtype=bool)
         names = [member.name for member in scene.members]
         for name in scene.lead:
-            free[names.index(name), self.numbering.element.d :] = False
+            free[names.index(name), self.numbering.d :] = False
         bodies = self.numbering.bodies
         places = self.reference.Z.real[np.concatenate([body.positions for body in bodies])]
         extent = np.linalg.norm(np.ptp(places, axis=0)) + max(body.size for body in bodies)

@@ -11,6 +11,7 @@ import numpy as np
 from ancfdae.assembly.block import unit_vectors
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
+from ancfdae.errors import named
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import Batch
 from ancfdae.model.naming import BeamLayout
@@ -53,8 +54,8 @@ class BeamElements:
         self.numbers = place.first_element + np.arange(place.element_count)[elements]
         Y_unit = unit_vectors(body)[elements]
         self.batch = Batch(body.element_type(), parameters[self.numbers], Y_unit)
-        own = np.searchsorted(numbering.elements, self.numbers)
-        self.coordinates = numbering.coordinates(numbering.vectors[own])
+        vectors = named("beam", place.name, numbering.bodies).ends[elements]
+        self.coordinates = numbering.coordinates(vectors)
         self._mapping = mapping
 
     def outline(self, own: Batch) -> tuple[Array, Array]:

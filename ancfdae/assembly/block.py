@@ -11,7 +11,7 @@ import numpy as np
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import Batch, BeamElement, ElementParameter, ElementType
-from ancfdae.model.elements.invariants import joined, prepare
+from ancfdae.model.elements.invariants import joined, prepare, relative_places, widened
 from ancfdae.numerics.arrays import Array
 
 
@@ -63,11 +63,17 @@ _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 def element_block(
     element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap, parameters: Array
 ) -> ElementBlock:
-    """Prepare the invariants of the elements of beams at their parameters, shape (n, 9)."""
+    """Prepare the invariants of the elements of beams at their parameters, shape (n, 9).
+
+    `element` has all node vectors that those of the beams have: theirs are widened to its size.
+    """
     if not beams:
         return _no_elements(element, parameters)
     kinds, kind = _kinds(beams)
-    Y_unit = np.concatenate([unit_vectors(beam) for beam in beams])
+    Y_unit = np.zeros((len(parameters), element.n_y, element.d))
+    first = np.cumsum([0, *(beam.element_count for beam in beams)])
+    for beam, start, stop in zip(beams, first[:-1], first[1:], strict=True):
+        Y_unit[start:stop, relative_places(beam.element, element)] = unit_vectors(beam)
     owners = np.concatenate([np.repeat(f"beam {x.name!r}", x.element_count) for x in beams])
     numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
     key = np.concatenate(numbers, axis=1)
@@ -76,11 +82,11 @@ def element_block(
     damped = ElementParameter.DAMPING_TIME
     wanted = tuple(which for which in mapping.driven() if which is not damped)
     order, parts = [], []
-    for number, each in enumerate(kinds):
+    for number, (its, each) in enumerate(kinds):
         own = kept[kind[kept] == number]
         order.append(np.flatnonzero(kind[kept] == number))
-        batch = Batch(each, parameters[own], Y_unit[own])
-        parts.append(prepare(element, batch, wanted, owners[own]))
+        batch = Batch(each, parameters[own], Y_unit[own][:, relative_places(its, element)])
+        parts.append(widened(prepare(its, batch, wanted, owners[own]), its, element))
     distinct = joined(parts, np.argsort(np.concatenate(order)))
     chosen = np.zeros(1, dtype=np.int64) if len(kept) == 1 else index
     stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
@@ -128,14 +134,14 @@ def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:
     )
 
 
-def _kinds(beams: Sequence[BeamBody]) -> tuple[list[ElementType], Array]:
+def _kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementType]], Array]:
     """Return the distinct types of elements, and the place of each element's among them."""
-    kinds: dict[tuple[object, ...], ElementType] = {}
+    kinds: dict[tuple[object, ...], tuple[BeamElement, ElementType]] = {}
     places = []
     for beam in beams:
         own = beam.element_type()
-        key = (own.section.form(), own.energy, own.straight)
-        kinds.setdefault(key, own)
+        key = (beam.element, own.section.form(), own.energy, own.straight)
+        kinds.setdefault(key, (beam.element, own))
         places.append(np.full(beam.element_count, list(kinds).index(key)))
     return list(kinds.values()), np.concatenate(places)
 

@@ -52,7 +52,7 @@ class ElasticForces:
         pattern: Pattern,
     ) -> None:
         self._block, self._n_b, self._size = block, n_b, pattern.size
-        vectors, d = numbering.vectors, numbering.element.d
+        vectors, d = numbering.vectors, numbering.d
         own = block.A, block.g_o, block.p_o, block.tau
         self._elements = Block(*own, vectors, d, numbering.n_q)
         n, size = len(vectors), vectors.shape[1] * d

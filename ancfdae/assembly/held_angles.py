@@ -33,14 +33,14 @@ class HeldAngles:
 
     def add(self, angle: RightAngle) -> bool:
         """Name one more, and tell whether it needs an equation."""
-        if Quantity.SLOPE_Y not in self._layout.element.quantities:
-            return False
         if angle.fraction is None or angle.beam in self._rigid or angle in self._named:
+            return False
+        beam = self._layout.beam(angle.beam)
+        if Quantity.SLOPE_Y not in beam.element.quantities:
             return False
         self._named.add(angle)
         if angle.slopes != _FLAT:
             return True
-        beam = self._layout.beam(angle.beam)
         element, xi = beam.locate(angle.fraction, angle.before)
         weights = np.zeros((1, beam.element_count + 1))
         weights[0, element], weights[0, element + 1] = 1 - xi, xi

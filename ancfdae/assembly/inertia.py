@@ -55,7 +55,7 @@ class Inertia:
         self._n_b, self._n_q, self._d, self._blocks = (
             n_b,
             numbering.n_q,
-            numbering.element.d,
+            numbering.d,
             blocks,
         )
         n_q, d = self._n_q, self._d

@@ -13,7 +13,7 @@ import numpy as np
 
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.model.bodies import BeamBody, RigidBody
-from ancfdae.model.elements import BeamElement
+from ancfdae.model.elements import BeamElement, default_element
 from ancfdae.model.naming import BeamLayout, BodyLayout, RigidNodes
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
@@ -26,24 +26,30 @@ class Numbering:
 
     Attributes
     ----------
-    element : BeamElement
+    d : int
+        Dimension of space.
     bodies : tuple of BodyLayout
         Of all beams and rigid bodies in the order of their vectors.
     beams : tuple of BeamLayout
     rigid : array of bool, shape (n_bodies,)
     elements : array of int, shape (n,)
         Scene-wide numbers of the elements that deform.
+    widest : BeamElement
+        Of those that deform one whose nodes have all vectors that the nodes of others have.
     vectors : array of int, shape (n, n_a)
         Scene-wide numbers of their node vectors; vector k has the coordinates d k to d k + d - 1.
+        Of elements that have fewer vectors than others a place that they leave out is filled by
+        their first one.
     n_q : int
         Number of coordinates.
     """
 
-    element: BeamElement
+    d: int
     bodies: tuple[BodyLayout, ...]
     beams: tuple[BeamLayout, ...]
     rigid: Array
     elements: Array
+    widest: BeamElement
     vectors: Array
     n_q: int
 
@@ -53,7 +59,7 @@ class Numbering:
         is_position = np.zeros(len(owner), dtype=bool)
         for body in self.bodies:
             is_position[body.positions] = True
-        return RigidMotions(owner, is_position, self.element.d)
+        return RigidMotions(owner, is_position, self.d)
 
     @property
     def owners(self) -> Array:
@@ -65,15 +71,15 @@ class Numbering:
     def frames(self) -> Array:
         """Numbers of the vectors of everything rigid, shape (n_rigid, d + 1)."""
         rigid = [body.vectors for body, own in zip(self.bodies, self.rigid, strict=True) if own]
-        return np.array(rigid, dtype=np.int64).reshape(len(rigid), self.element.d + 1)
+        return np.array(rigid, dtype=np.int64).reshape(len(rigid), self.d + 1)
 
     def coordinates(self, vectors: Array) -> Array:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
-        return vectors[..., None] * self.element.d + np.arange(self.element.d)
+        return vectors[..., None] * self.d + np.arange(self.d)
 
     def couplings(self) -> tuple[Array, Array]:
         """Return rows and columns that couple coordinates of an element, or of a rigid body."""
-        size = self.element.n_a * self.element.d
+        size = self.vectors.shape[1] * self.d
         own = self.coordinates(self.vectors).reshape(-1, size)
         frames = self.coordinates(self.frames)
         elements = np.broadcast_arrays(own[:, :, None], own[:, None, :])
@@ -86,44 +92,48 @@ class Numbering:
 
 def number(scene: Scene) -> Numbering:
     """Assign numbers to the coordinates of a scene, body by body and node by node."""
-    element, bodies, beams, vectors, elements = scene.element, [], [], [], []
+    bodies, beams, vectors, elements = [], [], [], []
+    soft = [beam.element for beam in scene.beams if not beam.rigid]
+    widest = max(soft, key=lambda element: element.n_s, default=default_element(scene.dimension))
     vector = first = 0
     for member in scene.members:
-        own = _body_layout(member, vector, element, scene.kinks.get(member.name, ()))
+        own = _body_layout(member, vector, scene.kinks.get(member.name, ()))
         bodies.append(own)
         vector += own.count
         if isinstance(member, RigidBody):
             continue
         numbers = np.arange(member.element_count)
         if not member.rigid:
-            vectors.append(own.ends)
+            places = np.repeat(own.ends[:, :1], widest.n_a, axis=1)
+            places[:, member.element.places_in(widest)] = own.ends
+            vectors.append(places)
             elements.append(first + numbers)
         beams.append(_beam_layout(member, first))
         first += member.element_count
     empty = np.zeros(0, dtype=np.int64)
     return Numbering(
-        element=element,
+        d=scene.dimension,
         bodies=tuple(bodies),
         beams=tuple(beams),
         rigid=np.array([isinstance(x, RigidBody) or x.rigid for x in scene.members]),
         elements=np.concatenate([empty, *elements]),
-        vectors=np.concatenate([empty.reshape(0, element.n_a), *vectors]),
-        n_q=vector * element.d,
+        widest=widest,
+        vectors=np.concatenate([empty.reshape(0, widest.n_a), *vectors]),
+        n_q=vector * scene.dimension,
     )
 
 
-def _body_layout(
-    member: BeamBody | RigidBody, first: int, element: BeamElement, kinks: tuple[int, ...]
-) -> BodyLayout:
+def _body_layout(member: BeamBody | RigidBody, first: int, kinks: tuple[int, ...]) -> BodyLayout:
     if isinstance(member, RigidBody):
         moments = member.moments(np.array(list(member.parameters().values())))
         size = float(np.sqrt(np.trace(moments[1:, 1:]) / moments[0, 0]))
     else:
         size = float(np.sum(member.reference().lengths))
         if not member.rigid:
-            count = (member.element_count + 1) * element.n_s + len(kinks)
-            return BodyLayout(member.name, first, count, element.n_s, size, kinks)
-    return BodyLayout(member.name, first, element.d + 1, element.d + 1, size)
+            stride = member.element.n_s
+            count = (member.element_count + 1) * stride + len(kinks)
+            return BodyLayout(member.name, first, count, stride, size, kinks)
+    return BodyLayout(member.name, first, member.dimension + 1, member.dimension + 1, size)
 
 
 def _beam_layout(beam: BeamBody, first: int) -> BeamLayout:
@@ -133,4 +143,4 @@ def _beam_layout(beam: BeamBody, first: int) -> BeamLayout:
         chords = tuple(map(tuple, (shape.chords @ axes).tolist()))
         slopes = tuple(tuple(map(tuple, node)) for node in (shape.slopes @ axes).tolist())
         rigid = RigidNodes(chords, slopes)
-    return BeamLayout(beam.name, first, tuple(shape.fractions.tolist()), rigid)
+    return BeamLayout(beam.name, beam.element, first, tuple(shape.fractions.tolist()), rigid)

@@ -80,7 +80,7 @@ class PartInputs:
         return JointInput(joint, p, p_b, *self._in_reference(self._vectors(own))), own
 
     def _vectors(self, points: list[PointVector]) -> Vectors:
-        return Vectors.of_points(points, self.numbering.element.d, self.numbering.n_q, len(self.b))
+        return Vectors.of_points(points, self.numbering.d, self.numbering.n_q, len(self.b))
 
     def _in_reference(self, vectors: Vectors) -> tuple[Array, dict[int, Array]]:
         """Return vectors in the reference configuration, and their partials that are not zero."""
@@ -101,5 +101,5 @@ class PartInputs:
             last = first + len(point.numbers())
             places[point] = (p[first:last], p_b[first:last])
             first = last
-        names = part.vectors(self.numbering.element)
+        names = part.vectors(self.scene.elements)
         return point_vectors(self.naming, names, places), p[:count], p_b[:count]

@@ -7,10 +7,9 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.joints import Equations, Joint
 from ancfdae.model.joints.joint import empty_coefficients
-from ancfdae.model.parts import Direction, Vectors
+from ancfdae.model.parts import Direction, Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -27,9 +26,9 @@ class Rigidity(Joint):
 
     kind = "rigid"
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return the directions."""
-        return tuple(Direction(self.beam, k + 1) for k in range(element.d))
+        return tuple(Direction(self.beam, k + 1) for k in range(elements.d))
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Entries i <= j of d_i . d_j."""

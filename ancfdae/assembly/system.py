@@ -106,11 +106,11 @@ class AncfSystem(MechanicalSystem):
         self.design_names = mapping.names
         parameters = mapping.values(self.b)
         self._numbering = number(scene)
-        self.element, self.n_q = self._numbering.element, self._numbering.n_q
+        self.n_q = self._numbering.n_q
         lengths = parameters[:, ElementParameter.LENGTH]
         masses = tuple(mass.name for mass in scene.point_masses)
         numbering = self._numbering
-        layout = Layout(self.element, numbering.bodies, numbering.beams, masses, ())
+        layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
         self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
         inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
@@ -120,7 +120,7 @@ class AncfSystem(MechanicalSystem):
         self._loads = LoadForces(loads, self.pattern, self.n_b)
         soft = mapping.only(self._numbering.elements)
         beams = [beam for beam in scene.beams if not beam.rigid]
-        block = element_block(self.element, beams, soft, soft.values(self.b))
+        block = element_block(numbering.widest, beams, soft, soft.values(self.b))
         self._elastic = ElasticForces(block, self._numbering, soft, self.n_b, self.pattern)
         others = other_masses(scene, self.naming, mapping, self.b)
         blocks = (element_masses(self._numbering, soft, block), *others)
@@ -141,7 +141,7 @@ class AncfSystem(MechanicalSystem):
 
     def _gravity(self) -> tuple[Array, Array]:
         g, g_b = self._mapping.numbers("scene", self.b)
-        d = self.element.d
+        d = self._numbering.d
         return (g, g_b) if len(g) else (np.zeros(d), np.zeros((d, self.n_b)))
 
     def _whole_pattern(self, structure: JointStructure, loads: Sequence[LoadInput]) -> Pattern:

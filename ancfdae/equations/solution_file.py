@@ -12,7 +12,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -25,8 +25,10 @@ from ancfdae.model.elements import ALL_ELEMENTS, BeamElement
 from ancfdae.model.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, RigidNodes
 from ancfdae.numerics.arrays import Array
 
-# What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies.
-_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 7, 5
+# What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies;
+# before 8 all beams have the element of the layout.
+_FORMAT, _VERSION, _OLDEST = "ancfdae solution", 8, 5
+_ELEMENT = "element of a solution file"
 _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
 # Arrays that are not worth compressing; bytes.
 _SMALL = 10_000
@@ -182,19 +184,25 @@ def _unpacked(
 
 
 def _written(layout: Layout) -> dict[str, Any]:
-    """Return what is said of a layout; of its element the name, by which `read` finds it."""
-    rest = {name: value for name, value in asdict(layout).items() if name != "element"}
-    return {"element_name": layout.element.name} | rest
+    """Return what is said of a layout; of elements the name, by which `read` finds them."""
+    plain = [replace(beam, element=beam.element.name) for beam in layout.beams]  # type: ignore[arg-type]
+    return asdict(replace(layout, beams=tuple(plain)))
 
 
 def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:
+    common = meta.get("element_name")
+    known = [_element({"element": common} | x, elements) for x in meta["beams"]]
     return Layout(
-        element=named("element of a solution file", meta["element_name"], elements),
+        d=meta["d"] if common is None else named(_ELEMENT, common, elements).d,
         bodies=tuple(_body(x) for x in meta["bodies"]),
-        beams=tuple(_beam(x) for x in meta["beams"]),
+        beams=tuple(_beam(x) for x in known),
         masses=tuple(meta["masses"]),
         joints=tuple(JointLayout(**x) for x in meta["joints"]),
     )
+
+
+def _element(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> dict[str, Any]:
+    return {**meta, "element": named(_ELEMENT, meta["element"], elements)}
 
 
 def _body(meta: Mapping[str, Any]) -> BodyLayout:

@@ -28,15 +28,15 @@ def coordinate_names(naming: Naming | None, n_q: int) -> list[str]:
     if naming is None:
         return [f"q[{k}]" for k in range(n_q)]
     layout, names = naming.layout, []
-    rigid = {beam.name for beam in layout.beams if beam.rigid is not None}
-    beams = {beam.name for beam in layout.beams} - rigid
-    words = [quantity.name.lower() for quantity in layout.element.quantities]
+    soft = [beam for beam in layout.beams if beam.rigid is None]
+    words = {beam.name: [x.name.lower() for x in beam.element.quantities] for beam in soft}
     axes = "xyz"[: layout.d]
     for body in layout.bodies:
         for k in range(body.nodes.size):
             node, which = divmod(k, body.stride)
-            owner = f"{body.name}[{node}]" if body.name in beams else body.name
-            word = words[which] if body.name in beams else f"axis_{which}"
+            own = words.get(body.name)
+            owner = f"{body.name}[{node}]" if own else body.name
+            word = own[which] if own else f"axis_{which}"
             names += [
                 f"{owner}.{axis}" if which == 0 else f"{owner}.{word}.{axis}" for axis in axes
             ]

@@ -97,9 +97,13 @@ class RigidNodes:
 @final
 @dataclass(frozen=True)
 class BeamLayout:
-    """A beam: its first element, the arc-length fraction of each node, and what makes it rigid."""
+    """A beam: its element, the number of its first one, arc-length fractions of nodes.
+
+    `rigid` is what makes it so.
+    """
 
     name: str
+    element: BeamElement
     first_element: int
     fractions: tuple[float, ...]
     rigid: RigidNodes | None
@@ -137,22 +141,17 @@ class JointLayout:
 @final
 @dataclass(frozen=True)
 class Layout:
-    """Places of all parts of a scene, and the element of all beams.
+    """Places of all parts of a scene of dimension d.
 
     `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
     the point masses.
     """
 
-    element: BeamElement
+    d: int
     bodies: tuple[BodyLayout, ...]
     beams: tuple[BeamLayout, ...]
     masses: tuple[str, ...]
     joints: tuple[JointLayout, ...]
-
-    @property
-    def d(self) -> int:
-        """Dimension of space."""
-        return self.element.d
 
     @property
     def owners(self) -> tuple[str, ...]:
@@ -211,7 +210,7 @@ class Naming:
         span = beam.fractions[local + 1] - beam.fractions[local]
         xi = at + 1j * fraction.imag / span if np.iscomplexobj(numbers) else at
         element = beam.first_element + local
-        kind = self.layout.element
+        kind = beam.element
         kind.require(f"point of {point.beam!r}", quantity, point.y, point.z)
         w, p = kind.vector_weights(quantity, xi, y, z)
         l = self.lengths[element]
@@ -233,7 +232,7 @@ class Naming:
         X = states.reshape(len(states), -1, self.layout.d)[:, body.nodes]
         if beam is None or beam.rigid is None:
             return X
-        W = beam.rigid.weights(self.lengths[beam.elements], self.layout.element.n_s)
+        W = beam.rigid.weights(self.lengths[beam.elements], beam.element.n_s)
         return np.asarray(W @ X)
 
     def ends(self, states: Array, name: str) -> Array:
@@ -251,7 +250,8 @@ class Naming:
 
         Per element int r dx = l (r_1 + r_2)/2 + l^2 (r_x1 - r_x2)/12.
         """
-        place, n_s = self.layout.beam(beam), self.layout.element.n_s
+        place = self.layout.beam(beam)
+        n_s = place.element.n_s
         l, l_b = self.lengths[place.elements], self.lengths_b[place.elements]
         weights = np.zeros((len(l), 2, n_s), dtype=l.dtype)
         weights_b = np.zeros((*weights.shape, l_b.shape[1]), dtype=l.dtype)
@@ -307,7 +307,7 @@ class Naming:
 
         Those of a rigid beam are combinations of the vectors of its frame.
         """
-        n_s, body = self.layout.element.n_s, self.layout.body(beam.name)
+        n_s, body = beam.element.n_s, self.layout.body(beam.name)
         if beam.rigid is None:
             if len(elements) == 1:  # each vector stands once
                 return PointVector(body.ends[elements[0]], weights, weights_b)

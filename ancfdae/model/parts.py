@@ -14,7 +14,20 @@ from ancfdae.errors import InvalidInput, require_axial, require_text, require_ve
 from ancfdae.model.bodies import Point, require_point
 from ancfdae.model.design import Designable
 from ancfdae.model.drawing import Stroke
-from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.model.elements import BeamElement, Quantity, default_element
+
+
+@final
+@dataclass(frozen=True)
+class Elements:
+    """The elements of a scene's beams, for its parts; `d` is the dimension of space."""
+
+    d: int
+    of_beam: Mapping[str, BeamElement]
+
+    def at(self, point: Point) -> BeamElement:
+        """Return the element at a point; of a rigid body the one whose nodes are like it."""
+        return self.of_beam.get(point.beam) or default_element(self.d)
 
 
 @final
@@ -167,27 +180,28 @@ class Part(Designable, abc.ABC):
         return self._given().get("beam")
 
     @abc.abstractmethod
-    def vectors(self, element: BeamElement) -> Vectors:
-        """Return the vectors that the part depends on or works on, of beams of this element."""
+    def vectors(self, elements: Elements) -> Vectors:
+        """Return the vectors that the part depends on or works on, of beams of these elements."""
 
-    def check_space(self, element: BeamElement) -> None:
+    def check_space(self, elements: Elements) -> None:
         """Refuse a part that does not fit the space of the scene.
 
         Raises
         ------
         InvalidInput
-            If it is spatial and the scene planar, the element lacks a vector that it needs, a
+            If it is spatial and the scene planar, an element lacks a vector that it needs, a
             vector of its own has another number of components, or an axis that may be left out is
             given in the plane.
         """
-        where, d = f"{self.role} {self.name!r}", element.d
+        where, d = f"{self.role} {self.name!r}", elements.d
         if self.spatial and d != 3:
             raise InvalidInput(
                 where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
             )
-        for vector in self.vectors(element):
+        for vector in self.vectors(elements):
             if isinstance(vector, tuple) and vector[0].fraction is not None:
-                element.require(where, vector[1], vector[0].y, vector[0].z)
+                point, quantity = vector
+                elements.at(point).require(where, quantity, point.y, point.z)
         axis = self._given().get("axis")
         if d == 2 and axis is not None and not self._needs("axis"):
             raise InvalidInput(

@@ -7,8 +7,8 @@ from typing import final
 
 from ancfdae.errors import require_positive
 from ancfdae.model.bodies import Point
-from ancfdae.model.elements import BeamElement, Quantity
-from ancfdae.model.parts import Part, Vectors
+from ancfdae.model.elements import Quantity
+from ancfdae.model.parts import Elements, Part, Vectors
 
 
 @final
@@ -36,6 +36,6 @@ class PointMass(Part):
     kind = "mass"
     design_fields = (("mass", require_positive),)
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return the position."""
         return ((self.point, Quantity.POSITION),)

@@ -153,18 +153,14 @@ class Scene(SceneDesign):
                 dimensions,
                 "Give all of them points with the same number of components.",
             )
-        elements = {beam.name: beam.element.name for beam in self.beams}
-        if len(set(elements.values())) > 1:
-            raise InvalidInput(
-                "Scene.beams", "must all be of one element", elements, "Choose the same for all."
-            )
 
     def _check_parts(self) -> None:
+        elements = self.elements
         for part in self.parts().values():
             if isinstance(part, RigidBody):
                 continue
             where = f"{part.role} {part.name!r}"
-            part.check_space(self.element)
+            part.check_space(elements)
             if part.whole_beam is not None:
                 named(f"{where}, beam", part.whole_beam, self.beams)
             for point in part.points:

@@ -19,11 +19,11 @@ from ancfdae.errors import (
 )
 from ancfdae.model.bodies import BeamBody, Point, Quantity, RigidBody
 from ancfdae.model.design import Designable, DesignVariable, Target, parse_target
-from ancfdae.model.elements import ALL_ELEMENTS, BeamElement, ElementParameter
+from ancfdae.model.elements import ElementParameter
 from ancfdae.model.grounds import TARGETS, on_ground, reference_place
 from ancfdae.model.joints import Joint
 from ancfdae.model.loads import Load
-from ancfdae.model.parts import Normal, Part
+from ancfdae.model.parts import Elements, Normal, Part
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start
 from ancfdae.numerics.arrays import Array
@@ -50,11 +50,9 @@ class SceneDesign(Designable):
         return self.members[0].dimension
 
     @property
-    def element(self) -> BeamElement:
-        """The element of all beams; without beams the one whose nodes are like rigid bodies."""
-        if self.beams:
-            return self.beams[0].element
-        return next(each for each in ALL_ELEMENTS if each.d == self.dimension)
+    def elements(self) -> Elements:
+        """The elements of all beams."""
+        return Elements(self.dimension, {beam.name: beam.element for beam in self.beams})
 
     @property
     def members(self) -> tuple[BeamBody | RigidBody, ...]:
@@ -335,7 +333,7 @@ class SceneDesign(Designable):
         point = part.point_fields().get(field)
         if point is None:
             return
-        where, element = f"design target {target}", self.element
+        where, element = f"design target {target}", self.elements.at(point)
         if point.fraction is None or coordinate != "fraction":
             axes = "xyz"[: element.d] if point.fraction is None else "yz"[: element.n_s - 2]
             if coordinate not in axes:
@@ -347,7 +345,7 @@ class SceneDesign(Designable):
         slopes = any(
             vector == Normal(point)
             or (isinstance(vector, tuple) and vector[0] == point and vector[1] > Quantity.POSITION)
-            for vector in part.vectors(element)
+            for vector in part.vectors(self.elements)
         )
         if point.fraction in (0.0, 1.0) or (at_node and (slopes or element.can_kink)):
             raise InvalidInput(

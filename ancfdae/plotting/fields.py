@@ -89,7 +89,7 @@ class StrainEnergyDensity(_OfBeams):
 @final
 @dataclass(frozen=True)
 class VonMisesStress(_OfBeams):
-    """Von Mises' stress as the observable `von_mises` has it; Pa. Cables have none."""
+    """Von Mises' stress as the observable `von_mises` has it; Pa."""
 
     label = "von Mises stress [Pa]"
 

@@ -139,7 +139,7 @@ def _span(limits: Sequence[float] | None, field: Field | None) -> tuple[float, f
 def _naming(scene: Scene) -> Naming:
     """Return where bodies stand in the coordinates; assembling the scene would cost far more."""
     numbering, masses = number(scene), tuple(mass.name for mass in scene.point_masses)
-    layout = Layout(scene.element, numbering.bodies, numbering.beams, masses, ())
+    layout = Layout(scene.dimension, numbering.bodies, numbering.beams, masses, ())
     lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
     return Naming(layout, lengths, np.zeros((len(lengths), 0)))
 

@@ -32,6 +32,8 @@ from ancfdae.numerics.rotations import generators
 _STATIONS, _ROWS = 24, 4
 # Points around circles, and from pole to pole of a sphere.
 _AROUND, _POLES = 24, 12
+# Keeps 1 + cos of an angle from zero.
+_LEAST = 1e-12
 
 
 class Mesh(abc.ABC):
@@ -109,7 +111,7 @@ class BeamMesh(Mesh):
         self.faces, self.loop = self._connected()
 
     def places(self, q: Array, move: int | None = None) -> Array:
-        """R + y r_y + z r_z; of an element without r_y the normal of its centre line."""
+        """R + y r_y + z r_z; of an element without them axes across its centre line."""
         at, shape = self._along(q, move), (len(q), *self.shape[:2], 1, self.body.dimension)
         x = at[Quantity.POSITION].reshape(shape)
         for slope, offset in ((Quantity.SLOPE_Y, self.y), (Quantity.SLOPE_Z, self.z)):
@@ -132,9 +134,22 @@ class BeamMesh(Mesh):
         }
         if Quantity.SLOPE_Y not in at:
             tangent = at[Quantity.SLOPE_X]
-            length = np.sqrt(np.sum(tangent * tangent, axis=-1, keepdims=True))
-            at[Quantity.SLOPE_Y] = tangent @ generators(2)[0].T / length
+            tangent = tangent / np.sqrt(np.sum(tangent * tangent, axis=-1, keepdims=True))
+            at |= self._carried(tangent)
         return at
+
+    def _carried(self, tangent: Array) -> dict[Quantity, Array]:
+        """Return the axes across a cable: those declared, by the least turn to its tangent."""
+        if self.body.dimension == 2:
+            return {Quantity.SLOPE_Y: tangent @ generators(2)[0].T}
+        start, *across = self.body.directions()
+        both, slopes = start + tangent, (Quantity.SLOPE_Y, Quantity.SLOPE_Z)
+        # Half a turn has no least one: any will do.
+        share = (tangent @ np.stack(across, axis=1)) / (1 + _LEAST + tangent @ start)[..., None]
+        return {
+            slope: e - share[..., k, None] * both
+            for k, (slope, e) in enumerate(zip(slopes, across, strict=True))
+        }
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -108,7 +108,7 @@ class Symbols:
         return [arrows for load in self._scene.loads for arrows in self._of_load(load, motion)]
 
     def _of_load(self, load: Load, motion: Solution) -> list[Arrows]:
-        names = load.vectors(self._scene.element)
+        names = load.vectors(self._scene.elements)
         F, found = self._forces(load, motion), []
         moments: dict[Point, list[Array]] = {}
         for number, name in enumerate(names):
@@ -132,7 +132,7 @@ class Symbols:
 
     def _forces(self, load: Load, motion: Solution) -> Array:
         """Return the generalised forces on the vectors of a load, shape (k, n, d)."""
-        vectors = self._vectors(load.vectors(self._scene.element))
+        vectors = self._vectors(load.vectors(self._scene.elements))
         p = np.array(list(load.parameters().values()), dtype=float)
         U, V = vectors.of(motion.q), vectors.of(motion.v)
         F = np.asarray(load.force(U, V, p, vectors.of(self._q_o[None])[0]))

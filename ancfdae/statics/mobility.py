@@ -139,7 +139,8 @@ class _Body:
         A = np.concatenate([shifted, turned], axis=2).reshape(self.X.size, -1)
         right = motions[self.columns].reshape(*self.X.shape, count) / unit[..., None]
         right = right.reshape(-1, count)
-        x = np.linalg.lstsq(A, right, rcond=None)[0]
+        # A turn of a straight cable about itself moves nothing.
+        x = np.linalg.lstsq(A, right, rcond=_SMALL)[0]
         return _Fit(x, float(np.max(np.abs(right))), float(np.max(np.abs(right - A @ x))))
 
     def words(self, motion: Array) -> str:

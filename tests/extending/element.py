@@ -36,8 +36,8 @@ class Strand(BeamElement):
     def section_law(self, own, xi):
         return CABLE_2D.section_law(own, xi)
 
-    def stress_map(self, own, xi, places):
-        return CABLE_2D.stress_map(own, xi, places)
+    def stress_law(self, own, xi, places):
+        return CABLE_2D.stress_law(own, xi, places)
 
 
 STRAND = Strand()

@@ -37,7 +37,7 @@ class Magnet(Load):
     elastic = True
     design_fields = (*numbers("strength", "gap"), LAW)
 
-    def vectors(self, element) -> tuple[tuple[Point, Quantity], ...]:
+    def vectors(self, elements) -> tuple[tuple[Point, Quantity], ...]:
         return tuple((point, Quantity.POSITION) for point in self.points)
 
     def force(self, U: Any, V: Any, p, U_o) -> Any:

@@ -1,11 +1,12 @@
-"""Plain, slow reference for one planar gradient-deficient cable: the oracle of the tests.
+"""Plain, slow reference for one gradient-deficient cable: the oracle of the tests.
 
 Written from the equations, independently of ``ancfdae``; it must never import it. Functions,
-arguments and signs are those of ``plain_ancf``, whose `dim`, `X_o` and rules are accepted
-and not used: a cable is planar and straight. X has the rows [r1, rx1, r2, rx2], r = sum_a s_a X_a.
+arguments and signs are those of ``plain_ancf``, whose `X_o` and rules are accepted
+and not used: a cable is straight. X has the rows [r1, rx1, r2, rx2], r = sum_a s_a X_a.
 
-    U = int 1/2 E h w ((r_x . r_x - 1)/2)^2 + 1/2 E w h^3/12 r_xx . r_xx dx
+    U = int 1/2 E h w ((r_x . r_x - 1)/2)^2 + 1/2 E I r_xx . r_xx dx
 
+I is w h^3/12 in the plane, in space the mean of that and h w^3/12.
 Five Gauss points are exact: r_x has degree 2, and the energy is a quartic of it.
 """
 
@@ -37,6 +38,11 @@ def shape_curvature(xi, l):
     )
 
 
+def bending(dim, h, w):
+    """I over the area."""
+    return h**2 / 12 if dim == 2 else (h**2 + w**2) / 24
+
+
 def points(l):
     """(xi, weight of dx) of five Gauss points."""
     places, weights = np.polynomial.legendre.leggauss(5)
@@ -54,7 +60,7 @@ def energy(X, E, nu, h, w, l, X_o=None, **rule):
     for xi, dx in points(l):
         r_x, r_xx = shape_gradient(2, xi, 0, 0, l)[:, 0] @ X, shape_curvature(xi, l) @ X
         strain = (np.sum(r_x * r_x) - 1) / 2
-        U = U + dx * E * (h * w * strain**2 + w * h**3 / 12 * np.sum(r_xx * r_xx)) / 2
+        U = U + dx * E * h * w * (strain**2 + bending(X.shape[1], h, w) * np.sum(r_xx * r_xx)) / 2
     return U
 
 
@@ -66,29 +72,29 @@ def force(X, E, nu, h, w, l, X_o=None, **rule):
         r_x = s_x @ X
         strain = (np.sum(r_x * r_x) - 1) / 2
         result = result + dx * E * h * w * strain * np.outer(s_x, r_x)
-        result = result + dx * E * w * h**3 / 12 * np.outer(s_xx, s_xx @ X)
+        result = result + dx * E * h * w * bending(X.shape[1], h, w) * np.outer(s_xx, s_xx @ X)
     return result
 
 
 def tangent(X, E, nu, h, w, l, X_o=None, **rule):
-    """d force / dX, shape (8, 8)."""
-    result = 0
+    """d force / dX, shape (4 d, 4 d)."""
+    result, unit = 0, np.eye(X.shape[1])
     for xi, dx in points(l):
         s_x, s_xx = shape_gradient(2, xi, 0, 0, l)[:, 0], shape_curvature(xi, l)
         r_x = s_x @ X
         strain = (np.sum(r_x * r_x) - 1) / 2
-        stretched = np.kron(np.outer(s_x, s_x), strain * np.eye(2) + np.outer(r_x, r_x))
-        bent = np.kron(np.outer(s_xx, s_xx), np.eye(2))
-        result = result + dx * E * (h * w * stretched + w * h**3 / 12 * bent)
+        stretched = np.kron(np.outer(s_x, s_x), strain * unit + np.outer(r_x, r_x))
+        bent = np.kron(np.outer(s_xx, s_xx), unit)
+        result = result + dx * E * h * w * (stretched + bending(len(unit), h, w) * bent)
     return result
 
 
 def mass(dim, rho, h, w, l, X_o=None, **rule):
-    """Mass matrix, shape (8, 8)."""
+    """Mass matrix, shape (4 d, 4 d)."""
     parts = [rho * dV * np.outer(s, s) for s, _, dV in quadrature_points(2, h, w, l)]
-    return np.kron(sum(parts), np.eye(2))
+    return np.kron(sum(parts), np.eye(dim))
 
 
 def gravity_force(g, rho, h, w, l, X_o=None, **rule):
-    """Applied force of the acceleration vector g, shape (4, 2)."""
+    """Applied force of the acceleration vector g, shape (4, d)."""
     return sum(rho * dV * np.outer(s, np.asarray(g)) for s, _, dV in quadrature_points(2, h, w, l))

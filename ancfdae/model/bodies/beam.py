@@ -44,8 +44,8 @@ class Beam(BeamBody):
         By default the direction that makes (beam, height, width) right-handed with the width
         along global z, or along global y if the beam itself runs along z.
     element : BeamElement, optional
-        By default the beam of the dimension, BEAM_2D or BEAM_3D; CABLE_2D has no shear and no
-        deformation of the section.
+        By default the beam of the dimension, BEAM_2D or BEAM_3D; CABLE_2D and CABLE_3D
+        have no shear, no torsion and no deformation of the section.
     energy : StrainEnergy, optional
         By default `EnhancedContinuum`, which bends, stretches, shears and twists as beams do.
     turn : float or sequence of float, optional

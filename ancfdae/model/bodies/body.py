@@ -26,6 +26,7 @@ from ancfdae.model.elements import (
     ElementType,
     Quantity,
     StrainEnergy,
+    default_element,
 )
 from ancfdae.model.material import Material
 from ancfdae.model.sections import Section
@@ -270,7 +271,7 @@ class BeamBody(Placed):
         require_name("Beam.name", self.name)
         given: object = self.element
         if given is None:
-            given = next(each for each in ALL_ELEMENTS if each.d == self.dimension)
+            given = default_element(self.dimension)
             object.__setattr__(self, "element", given)
         names = ", ".join(each.name for each in ALL_ELEMENTS if each.d == self.dimension)
         if not isinstance(given, BeamElement) or given.d != self.dimension:
@@ -322,26 +323,8 @@ class BeamBody(Placed):
                 repr(self.section),
                 "Join two beams with a Clamp instead.",
             )
-        if Quantity.SLOPE_Y in self.element.quantities and not self._is_spread():
-            raise InvalidInput(
-                f"beam {self.name!r}, section",
-                "the area of a section must spread along y, in space not along one line only",
-                repr(self._section()),
-                "Give points that lie apart.",
-            )
-
-    def _is_spread(self) -> bool:
-        """Whether the section resists bending about every axis."""
-        section = self._section()
-        y, z, dA = (x[0] for x in section.points(np.array([section.sizes()]), False))
-        places = np.stack([y, z][: self.dimension - 1])
-        centred = places - (places @ dA / np.sum(dA))[:, None]
-        moments = (centred * dA) @ centred.T
-        own = np.diag(moments)
-        # Of points on a line round-off leaves eps^2 = 5e-32 of the first, and eps of the second.
-        if np.any(own <= 1e-24 * (places**2 @ np.abs(dA))):
-            return False
-        return bool(np.linalg.det(moments / np.sqrt(np.outer(own, own))) > 1e-12)
+        for section in {x.sizes(): x for x in self._per_element()[0]}.values():
+            self.element.check_section(f"beam {self.name!r}", section)
 
     def _check_energy(self) -> None:
         where, default = f"beam {self.name!r}, energy", self.element.default_energy

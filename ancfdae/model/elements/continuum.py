@@ -17,6 +17,7 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.errors import InvalidInput
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
@@ -25,12 +26,13 @@ from ancfdae.model.elements.element import (
     Quantity,
     SectionLaw,
     SectionPlace,
+    StressLaw,
 )
 from ancfdae.model.elements.energy import EnhancedContinuum
 from ancfdae.model.elements.hermite import shape_weights
 from ancfdae.model.elements.packing import upper_triangle
 from ancfdae.model.elements.section_forces import ContinuumSectionLaw
-from ancfdae.model.elements.stresses import spread_stresses
+from ancfdae.model.elements.stresses import ContinuumStressLaw
 from ancfdae.model.elements.volume import (
     AXIS_POINTS,
     Region,
@@ -40,6 +42,7 @@ from ancfdae.model.elements.volume import (
     gauss_rule,
     section_stiffness,
 )
+from ancfdae.model.sections import Section
 from ancfdae.numerics.arrays import Array
 
 # Straight reference: the integrand of A has degree 8 in xi, that of m degree 6; 5 Gauss points are
@@ -63,6 +66,26 @@ class ContinuumBeam(BeamElement):
         """Position and d slopes."""
         return tuple(Quantity)[: self.d + 1]
 
+    def check_section(self, where: str, section: Section) -> None:
+        """Refuse sections that do not resist bending about every axis."""
+        if not self._is_spread(section):
+            raise InvalidInput(
+                f"{where}, section",
+                "the area of a section must spread along y, in space not along one line only",
+                repr(section),
+                "Give points that lie apart.",
+            )
+
+    def _is_spread(self, section: Section) -> bool:
+        y, z, dA = (x[0] for x in section.points(np.array([section.sizes()]), False))
+        places = np.stack([y, z][: self.d - 1])
+        moments = section.second_moments()[: self.d - 1, : self.d - 1]
+        own = np.diag(moments)
+        # Of points on a line round-off leaves eps^2 = 5e-32 of the first, and eps of the second.
+        if np.any(own <= 1e-24 * (places**2 @ np.abs(dA))):
+            return False
+        return bool(np.linalg.det(moments / np.sqrt(np.outer(own, own))) > 1e-12)
+
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
     ) -> tuple[Array, Array]:
@@ -84,9 +107,9 @@ class ContinuumBeam(BeamElement):
         A = _ContinuumIntegrals(own, np.full(len(own.parameters), "section force")).values[0]
         return ContinuumSectionLaw(own, A, place)
 
-    def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
+    def stress_law(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
         """C times strains, shears and radial stresses spread as the section says."""
-        return spread_stresses(own, xi, places)
+        return ContinuumStressLaw(own, xi, places)
 
 
 @final

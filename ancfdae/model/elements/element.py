@@ -254,6 +254,29 @@ class SectionLaw(abc.ABC):
         """
 
 
+class StressLaw(abc.ABC):
+    """Von Mises stresses at many points of elements: fibre by fibre, each at all its places.
+
+    Attributes
+    ----------
+    count : int
+        Number of points, of which each holds a few numbers per instant.
+    """
+
+    count: int
+
+    @abc.abstractmethod
+    def von_mises(self, Y: Array, V: Array) -> Array:
+        """Return the stresses, shape (k, n, n_f n_xi), of Y and V of shape (k, n, n_y, d).
+
+        They are positive and have derivatives everywhere: a stress of SMALL_STRAIN goes with them.
+        """
+
+    @abc.abstractmethod
+    def pulled_back(self, Y: Array, V: Array, weights: Array) -> tuple[Array, Array]:
+        """Return the sum of weights times half the gradients of the squares, as Y and as V."""
+
+
 class BeamElement(abc.ABC):
     """Facts about a two-node ANCF beam element.
 
@@ -292,10 +315,34 @@ class BeamElement(abc.ABC):
         """Relative node vectors per element, n_a - 1."""
         return self.n_a - 1
 
+    def places_in(self, wider: BeamElement) -> Array:
+        """Return the places of its node vectors among those of an element that has all of them."""
+        places = np.arange(wider.n_a).reshape(2, wider.n_s)
+        return places[:, [wider.quantities.index(own) for own in self.quantities]].ravel()
+
+    @property
+    def spanning(self) -> tuple[Quantity, ...]:
+        """The slopes that span a section; of a planar element without one its tangent.
+
+        A spatial one that lacks them is refused by `require`.
+        """
+        if self.d == 2 and Quantity.SLOPE_Y not in self.quantities:
+            return (Quantity.SLOPE_X,)
+        return tuple(Quantity)[2 : self.d + 1]
+
     @property
     def can_kink(self) -> bool:
         """Whether r_x may jump at a node: where sections bend, not where r_x does."""
         return Quantity.SLOPE_Y in self.quantities
+
+    def check_section(self, where: str, section: Section) -> None:
+        """Refuse a section that the element cannot stand for.
+
+        Raises
+        ------
+        InvalidInput
+        """
+        return
 
     def require(self, where: str, quantity: Quantity, y: float, z: float) -> None:
         """Refuse a vector that a point, offset in the section by y and z, does not have.
@@ -349,11 +396,8 @@ class BeamElement(abc.ABC):
         """Return what gives the forces in a section of a run of elements."""
 
     @abc.abstractmethod
-    def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
-        """Return stresses as maps of the strains of the law, shape (n, n_f, n_xi, n_v, n_g).
-
-        Of strains of relative node vectors with the chord divided by the length; normal stresses
-        first, then shears.
+    def stress_law(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
+        """Return what gives stresses at fibres of sections of some elements.
 
         Parameters
         ----------
@@ -361,9 +405,4 @@ class BeamElement(abc.ABC):
         xi : array, shape (n_xi,)
         places : (array, array), shape (n, n_f) each
             y and z in the section; m.
-
-        Raises
-        ------
-        InvalidInput
-            If the element has no stresses that vary over a section.
         """

@@ -30,6 +30,11 @@ def slope_weights_xi(xi: Array) -> tuple[Array, Array]:
     return (1.0 - xi) * (1.0 - 3.0 * xi), xi * (3.0 * xi - 2.0)
 
 
+def tangent_weights(xi: Array) -> Array:
+    """Return the weights of the chord and both axial slopes in dr/dx at unit length, (..., 3)."""
+    return np.stack([end_weight_xi(xi), *slope_weights_xi(xi)], axis=-1)
+
+
 def curvature_weights(xi: Array) -> tuple[Array, Array, Array]:
     """Return the second derivatives of `end_weight` and of both `slope_weights`."""
     return 6.0 - 12.0 * xi, 6.0 * xi - 4.0, 6.0 * xi - 2.0

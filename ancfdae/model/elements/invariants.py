@@ -26,7 +26,7 @@ from ancfdae.model.elements.element import (
     InvariantPartial,
     Invariants,
 )
-from ancfdae.model.elements.packing import packed_gram
+from ancfdae.model.elements.packing import packed_gram, upper_triangle
 from ancfdae.numerics.arrays import Array
 
 # Elements handled at once, so that the preparation of 10,000 of them stays within memory; curved
@@ -108,9 +108,42 @@ def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invarian
         )
         for which in pieces[0].partials
     }
-    linear = [piece.p_o for piece in pieces if piece.p_o is not None]
+    linear = [np.zeros_like(piece.g_o) if piece.p_o is None else piece.p_o for piece in pieces]
     return Invariants(
         **fields(pieces, "A", "g_o", "m"),
-        p_o=together(linear) if linear else None,
+        p_o=None if all(piece.p_o is None for piece in pieces) else together(linear),
         partials=partials,
     )
+
+
+def relative_places(element: BeamElement, wider: BeamElement) -> Array:
+    """Return the places of its relative node vectors among those of an element that has them."""
+    at, n_s = element.places_in(wider), element.n_s
+    return np.concatenate([[0], at[1:n_s], at[n_s + 1 :] - 1])
+
+
+def widened(own: Invariants, element: BeamElement, wider: BeamElement) -> Invariants:
+    """Return invariants of the size of another element, zero for vectors that are not there."""
+    if element.quantities == wider.quantities:
+        return own
+    n_y, at = wider.n_y, element.places_in(wider)
+    packed = np.zeros((n_y, n_y), dtype=np.int64)
+    packed[upper_triangle(n_y)] = np.arange(n_y * (n_y + 1) // 2)
+    rows, columns = (relative_places(element, wider)[k] for k in upper_triangle(element.n_y))
+    of_g, n_g = packed[rows, columns], n_y * (n_y + 1) // 2
+
+    def placed(x: Array, places: Array, size: int) -> Array:
+        wide = np.zeros((len(x), *[size] * (x.ndim - 1)), dtype=x.dtype)
+        wide[np.ix_(np.arange(len(x)), *[places] * (x.ndim - 1))] = x
+        return wide
+
+    def fields(part: Invariants | InvariantPartial, *names: str) -> dict[str, Array]:
+        wide = {name: placed(getattr(part, name), of_g, n_g) for name in names}
+        return {**wide, "m": placed(part.m, at, wider.n_a)}
+
+    partials = {
+        which: InvariantPartial(**fields(part, "A", "g_o", "p_o", "c"))
+        for which, part in own.partials.items()
+    }
+    p_o = None if own.p_o is None else placed(own.p_o, of_g, n_g)
+    return Invariants(**fields(own, "A", "g_o"), p_o=p_o, partials=partials)

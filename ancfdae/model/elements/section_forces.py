@@ -27,7 +27,7 @@ import numpy as np
 
 from ancfdae.kernels import strain, stressed
 from ancfdae.model.elements.element import Batch, ElementParameter, SectionLaw, SectionPlace
-from ancfdae.model.elements.hermite import end_weight_xi, slope_weights_xi
+from ancfdae.model.elements.hermite import tangent_weights
 from ancfdae.model.elements.packing import packed_gram
 from ancfdae.model.elements.stresses import scaled
 from ancfdae.numerics.arrays import Array
@@ -86,7 +86,7 @@ def _arms(xi: float) -> Array:
     """Integrals from 0 to xi of the weights of dr/dx, and of these times xi - 1/2, (2, 3)."""
     corner, rule = box_rule((3,))
     places, rule = xi * corner[:, 0], xi * rule
-    weights = np.stack([end_weight_xi(places), *slope_weights_xi(places)], axis=-1)
+    weights = tangent_weights(places)
     return np.stack([rule @ weights, (rule * (places - 0.5)) @ weights])
 
 

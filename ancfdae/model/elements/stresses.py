@@ -7,19 +7,65 @@ reference section, as a linear map of the Gram matrix like the strains (`strain_
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import final
 
 import numpy as np
 
-from ancfdae.model.elements.element import Batch
+from ancfdae.kernels import strain, stressed
+from ancfdae.model.elements.element import Batch, ElementParameter, StressLaw
 from ancfdae.model.elements.fibre_strains import Fibres
+from ancfdae.model.elements.packing import packed_gram
 from ancfdae.model.elements.strain_fields import components
 from ancfdae.model.elements.volume import AXIS_POINTS, Region, fibres, gauss_rule
 from ancfdae.numerics.arrays import Array
 
 _AXIS_PLACES, _ = gauss_rule(AXIS_POINTS)
+#: Strain that stresses are taken together with, so that their norm has a derivative where they
+#: vanish: far above the round-off of strains, 1e-16 to 1e-14, and far below what matters.
+SMALL_STRAIN = 1e-9
 
 
-def spread_stresses(own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
+@final
+class ContinuumStressLaw(StressLaw):
+    """sqrt(S^T Q S + small^2), S = D x with the strains x of the law.
+
+    Shapes: D (n, n_f n_xi, n_v, n_g), Q (n, n_v, n_v).
+    """
+
+    def __init__(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> None:
+        D = _spread_stresses(own, xi, places)
+        n, n_f, n_xi, n_v, n_g = D.shape
+        self._D, self._shape = D.reshape(n, n_f * n_xi * n_v, n_g), (n_f * n_xi, n_v)
+        E, nu = own.moduli
+        self._Q = _von_mises_form(own.d, own.energy.stress_across(own.d, nu))
+        self._small, self._g_o = SMALL_STRAIN * E, packed_gram(own.Y_unit)
+        self._l, self._tau = own.lengths, own.of(ElementParameter.DAMPING_TIME)
+        self.count = D[..., 0].size
+
+    def von_mises(self, Y: Array, V: Array) -> Array:
+        """Return the stresses, shape (k, n, n_f n_xi)."""
+        S = self._stresses(Y, V)
+        squares = np.sum(S * (S @ self._Q), axis=-1)
+        return np.asarray(np.sqrt(squares + self._small[:, None] ** 2))
+
+    def pulled_back(self, Y: Array, V: Array, weights: Array) -> tuple[Array, Array]:
+        """Return the sum of weights times Q S S_Y, and of that times S_V, shaped as Y and V."""
+        QS = weights[..., None] * (self._stresses(Y, V) @ self._Q)
+        flat = QS.swapaxes(0, 1).reshape(len(self._D), len(QS), -1)
+        p = (flat @ self._D).swapaxes(0, 1)
+        tau = self._tau[:, None, None]
+        Y, V = scaled(Y, self._l), scaled(V, self._l)
+        on_Y, on_V = stressed(p, Y), tau * stressed(p, Y)
+        return scaled(on_Y + tau * stressed(p, V), self._l), scaled(on_V, self._l)
+
+    def _stresses(self, Y: Array, V: Array) -> Array:
+        """S, shape (k, n, n_p, n_v)."""
+        x = strain(self._g_o, scaled(Y, self._l), scaled(V, self._l), self._tau)
+        S = x.swapaxes(0, 1) @ self._D.swapaxes(1, 2)
+        return S.swapaxes(0, 1).reshape(len(x), len(self._D), *self._shape)
+
+
+def _spread_stresses(own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
     """Return stresses at y and z of sections, (n, n_f) each, as maps of the strains of the law.
 
     Shears of torsion are in balance with the torque of the law and spread as the section knows
@@ -65,7 +111,7 @@ def _stresses(own: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
     return D
 
 
-def von_mises_form(d: int, across: Array) -> Array:
+def _von_mises_form(d: int, across: Array) -> Array:
     """Return Q with von Mises' stress squared = S^T Q S, shape (n, n_v, n_v).
 
     Stresses stand as `components` has them; `across` is that across the plane over S_xx + S_yy.

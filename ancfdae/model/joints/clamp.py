@@ -9,16 +9,15 @@ from typing import final
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point
 from ancfdae.model.drawing import Sign
-from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import fix_turn, flat_angle
 from ancfdae.model.joints.joint import (
     Equations,
     Joint,
     empty_coefficients,
     place_coincidence,
-    spanning,
 )
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -56,15 +55,17 @@ class Clamp(Joint):
     holds_position = True
     no_second_point = "It holds to ground; use Weld to hold two sections together."
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return the position and the slopes that span the section."""
-        return tuple((self.point, q) for q in (Quantity.POSITION, *spanning(element)))
+        own = elements.at(self.point).quantities
+        slopes = own[2:] or own[1:]
+        return tuple((self.point, q) for q in (Quantity.POSITION, *slopes))
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and one equation for every turn."""
         d, slopes = reference.shape[1], reference[1:]
-        shapes = flat_angle(self.point) if d == 3 else ()
-        c = empty_coefficients(3 if d == 2 else 6, p, reference, shapes)
+        shapes = flat_angle(self.point) if len(slopes) == 2 else ()
+        c = empty_coefficients(d + (3 if shapes else d - 1), p, reference, shapes)
         place_coincidence(c, 1, reference, *self.split(p))
         fix_turn(c, d, slopes, 1)
         return c

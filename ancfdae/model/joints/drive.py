@@ -11,7 +11,6 @@ import numpy as np
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
 from ancfdae.model.drawing import Sign
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.joints.frames import (
     OUT_OF_PLANE,
     across,
@@ -22,10 +21,10 @@ from ancfdae.model.joints.frames import (
     spanned,
     unit,
 )
-from ancfdae.model.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients, spanning
+from ancfdae.model.joints.joint import SECTION, DrivenJoint, Equations, empty_coefficients
 from ancfdae.model.laws import Law
 from ancfdae.model.laws.law import require_law
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -64,11 +63,11 @@ class Drive(DrivenJoint):
     takes_part = SECTION
     design_fields = (("angle", require_law), ("axis", require_direction))
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return the slopes: those that span the section, all where there is another."""
         if self.other is not None:
-            return super().vectors(element)[2:]
-        return tuple((self.point, q) for q in spanning(element))
+            return super().vectors(elements)[2:]
+        return tuple((self.point, q) for q in elements.at(self.point).spanning)
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Return what does not turn: along the axis, shear, and right angles."""

@@ -246,14 +246,14 @@ def hold_place(c: Equations, row: int, carrier: Carrier, e: Array, offset: Array
 
 
 def fix_turn(c: Equations, row: int, slopes: Array, first: int) -> None:
-    """Enter that a section, or a tangent, does not turn: one equation in the plane, 4 in space.
+    """Enter that a section does not turn: one equation in the plane, 4 in space; or a tangent.
 
     The fourth is the right angle in the section. `slopes` are those that span it, vectors `first`
-    and on.
+    and on. The one of a line, as all in the plane are, keeps its direction: d - 1 equations.
     """
-    if slopes.shape[1] == 2:
-        across = np.array([-slopes[0, 1], slopes[0, 0]])
-        c.linear[row, first] = unit(across)
+    if len(slopes) == 1:
+        for k, e in enumerate(across(slopes[0])):
+            c.linear[row + k, first] = e
         return
     normal, (y, z), (b_y, b_z) = spanned(slopes)
     c.linear[row, first] = c.linear[row + 1, first + 1] = normal

@@ -7,10 +7,10 @@ from typing import final
 
 from ancfdae.model.bodies import Point
 from ancfdae.model.drawing import Sign
-from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.frames import carrier_of, hold_place, place_shapes, sections, square, unit
 from ancfdae.model.joints.joint import SECTION, Equations, Travelling, empty_coefficients
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -43,12 +43,12 @@ class Guide(Travelling):
     sign = Sign("guide", r"$\leftrightarrow$", filled=True, size=15.0)
     takes_part = SECTION
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return the position to ground; both positions and the slopes of the other point."""
         if self.other is None:
             return ((self.point, Quantity.POSITION),)
-        first, second, *slopes = super().vectors(element)
-        return (first, second, *slopes[element.d :])
+        first, second, *slopes = super().vectors(elements)
+        return (first, second, *slopes[elements.d :])
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Direction . (r - r') as in the reference."""

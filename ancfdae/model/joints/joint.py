@@ -22,10 +22,10 @@ import numpy as np
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
 from ancfdae.model.drawing import Sign
-from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.model.elements import Quantity
 from ancfdae.model.laws import Law
 from ancfdae.model.laws.law import require_law
-from ancfdae.model.parts import Normal, Part, Vectors
+from ancfdae.model.parts import Elements, Normal, Part, Vectors
 from ancfdae.numerics.arrays import Array
 
 #: Position and all slopes take part, as many as space has dimensions.
@@ -99,16 +99,16 @@ class Joint(Part):
         """Axis, or direction in which the joint moves, that pictures show; none by default."""
         return None
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return the vectors that take part: positions first, then slopes point by point.
 
-        A planar element without a section turns with its tangent.
+        A planar element without a section turns with its tangent; a spatial one is refused.
         """
-        chosen = [quantity for quantity in self.takes_part if quantity <= element.d]
+        chosen = [quantity for quantity in self.takes_part if quantity <= elements.d]
         positions = [(point, q) for q in chosen if q is Quantity.POSITION for point in self.points]
         slopes = [
-            (point, q) if q in element.quantities else Normal(point)
-            for point in self.points
+            Normal(point) if elements.d == 2 and q not in own else (point, q)
+            for point, own in ((x, elements.at(x).quantities) for x in self.points)
             for q in chosen
             if q is not Quantity.POSITION
         ]
@@ -176,12 +176,6 @@ class Travelling(DrivenJoint):
     def factors(self, p: Array, t: Array, order: int) -> Array:
         """Return the travel."""
         return self.travel.derivative(self.split(p)[1], t, order)[None]
-
-
-def spanning(element: BeamElement) -> tuple[Quantity, ...]:
-    """Return the slopes that span a section; of an element without one its tangent."""
-    section = tuple(q for q in element.quantities if q > Quantity.SLOPE_X)
-    return section or (Quantity.SLOPE_X,)
 
 
 def empty_coefficients(

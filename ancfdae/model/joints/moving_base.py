@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.model.drawing import Sign
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.joints.clamp import Clamp
 from ancfdae.model.joints.frames import unit
 from ancfdae.model.joints.joint import Equations, Travelling, empty_coefficients
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -39,9 +38,9 @@ class MovingBase(Travelling):
     sign = Sign("moving base", "p", filled=True)
     holds_position = True
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return those of a clamp."""
-        return Clamp(self.point).vectors(element)
+        return Clamp(self.point).vectors(elements)
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Return those of a clamp."""

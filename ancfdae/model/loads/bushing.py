@@ -10,11 +10,10 @@ import numpy as np
 
 from ancfdae.errors import require_axial, require_vector
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import Carrier, rate_of, section_of, turn
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, dot
 
@@ -73,10 +72,10 @@ class Bushing(Load):
     damping_fields = ("damping", "turn_damping")
     refers = True
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Positions of the points and slopes of their sections."""
         places = tuple((point, Quantity.POSITION) for point in self.points)
-        return (*places, *section_of(self.points, element))
+        return (*places, *section_of(self.points, elements))
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-(k x + c x') x_U - (k theta + c theta') theta_U."""

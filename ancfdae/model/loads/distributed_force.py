@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.errors import require_vector
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, ConstantLoad
-from ancfdae.model.parts import CentreLine, Vectors
+from ancfdae.model.parts import CentreLine, Elements, Vectors
 
 
 @final
@@ -40,6 +39,6 @@ class DistributedForce(ConstantLoad):
     kind = "line-load"
     design_fields = (("force_per_length", require_vector), LAW)
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Return the integral of the position over the centre line."""
         return (CentreLine(self.beam),)

@@ -8,10 +8,9 @@ from typing import Any, final
 
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, direction
 
@@ -43,9 +42,9 @@ class FollowerForce(Load):
     kind = "follower"
     design_fields = (("force_components", require_vector), LAW)
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Position and slopes of the point."""
-        return tuple((self.point, quantity) for quantity in list(Quantity)[: element.d + 1])
+        return tuple((self.point, quantity) for quantity in list(Quantity)[: elements.d + 1])
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """F on the position, none on the slopes."""

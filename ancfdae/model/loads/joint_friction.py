@@ -8,12 +8,11 @@ from typing import Any, final
 
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.friction import DAMPING, LEVELS, friction, require_stribeck
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import rate_of, section_of, turn, unit_axes
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -66,10 +65,10 @@ class JointFriction(Load):
     damping_fields = DAMPING
     refers = True
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Slopes of the sections."""
         require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
-        return section_of(self.points, element)
+        return section_of(self.points, elements)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-R(theta') theta_U."""

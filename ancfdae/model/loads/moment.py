@@ -8,11 +8,10 @@ from typing import Any, final
 
 from ancfdae.errors import require_axial, require_flag
 from ancfdae.model.bodies import Point
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import QUARTER_TURN, section_of
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, cross, direction, dot
 
@@ -26,8 +25,9 @@ class Moment(Load):
     and in this plane with the mean of its slopes: with n across r_y and r_z and r^y, r^z dual to
     them in the plane, the force on r_k is (M - (M . n) n / 2) x r^k. In the plane of a planar
     scene the section turns with r_y (a cable, which has none, with its tangent), and
-    the force is M x r_y / |r_y|^2 (docs/theory/03-joints-and-loads.md). Design targets: ``moment``
-    in the plane; ``moment_x``, ``moment_y``, ``moment_z`` in space.
+    the force is M x r_y / |r_y|^2 (docs/theory/03-joints-and-loads.md). Cables in space have no
+    section to take it. Design targets: ``moment`` in the plane; ``moment_x``, ``moment_y``,
+    ``moment_z`` in space.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ class Moment(Load):
         super().__post_init__()
         require_flag("moment, follower", self.follower)
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Slopes of the section."""
-        return section_of(self.points, element)
+        return section_of(self.points, elements)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """(M - (M . n) n / 2) x r^k."""

@@ -8,10 +8,9 @@ from typing import final
 
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, ConstantLoad
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 
 
 @final
@@ -40,6 +39,6 @@ class PointForce(ConstantLoad):
     kind = "force"
     design_fields = (("force_vector", require_vector), LAW)
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Position of the point."""
         return ((self.point, Quantity.POSITION),)

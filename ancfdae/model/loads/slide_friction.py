@@ -8,12 +8,11 @@ from typing import Any, final
 
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.friction import DAMPING, LEVELS, friction, require_stribeck
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import Carrier, rate_of, section_of
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, direction, dot
 
@@ -65,11 +64,11 @@ class SlideFriction(Load):
     damping_fields = DAMPING
     refers = True
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Positions of the points and slopes of the section that has the line."""
         require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
         places = tuple((point, Quantity.POSITION) for point in self.points)
-        return (*places, *section_of(self.points[1:], element))
+        return (*places, *section_of(self.points[1:], elements))
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-R(x') x_U with x = a . (r - r_other)."""

@@ -10,10 +10,9 @@ from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point, Quantity
 from ancfdae.model.design import numbers
 from ancfdae.model.drawing import Stroke
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, direction, dot
 
@@ -65,7 +64,7 @@ class SpringDamper(Load):
     damping_fields = ("damping",)
     needs_other_end = True
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Positions of the points."""
         return tuple((point, Quantity.POSITION) for point in self.points)
 

@@ -9,11 +9,10 @@ from typing import Any, final
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
 from ancfdae.model.design import numbers
-from ancfdae.model.elements import BeamElement
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import rate_of, section_of, turn, unit_axes
-from ancfdae.model.parts import Vectors
+from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -65,9 +64,9 @@ class TorsionSpring(Load):
     damping_fields = ("damping",)
     refers = True
 
-    def vectors(self, element: BeamElement) -> Vectors:
+    def vectors(self, elements: Elements) -> Vectors:
         """Slopes of the sections."""
-        return section_of(self.points, element)
+        return section_of(self.points, elements)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-(k (theta - theta_0) + c theta') theta_U."""

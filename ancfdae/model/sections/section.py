@@ -83,6 +83,14 @@ class Section(abc.ABC):
     def half_extents(self) -> tuple[float, float]:
         """Half of the height and half of the width that enclose the section; m."""
 
+    def second_moments(self) -> Array:
+        """Return the integrals of y y, y z and z z about the centroid, shape (2, 2)."""
+        y, z, dA = (x[0] for x in self.points(np.array([self.sizes()]), False))
+        places = np.stack([y, z])
+        centred = places - (places @ dA / np.sum(dA))[:, None]
+        moments: Array = (centred * dA) @ centred.T
+        return moments
+
     @abc.abstractmethod
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
         """Quadrature points of sections, exact for polynomials of degree 5.

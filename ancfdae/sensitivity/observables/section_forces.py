@@ -10,7 +10,8 @@ any point (docs/theory/02-strain-energy.md). A load or joint between nodes sprea
 At an inner node forces jump by what a joint, load or point mass does there. ``rod.at(0.5)`` is just
 after it, in the element that begins there, ``rod.at(0.5, before=True)`` just before; the end of a
 beam belongs to the last element. In cables, whose forces are those of their strains, axial forces
-are best in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it.
+are best in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it. A cable in space has no
+axes across it: its shear force along 1 and its moment about 2 are the sizes of the vectors.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import final
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput
-from ancfdae.model.bodies import Point, require_point
+from ancfdae.model.bodies import Point, Quantity, require_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_scene, require_index
@@ -96,16 +97,16 @@ class Section(Leaf):
             )
 
     def check_leaf(self, system: Named) -> None:
-        """Refuse a point that does not exist, and what a plane lacks."""
-        layout = known_scene(system).naming.layout
-        layout.beam(self.point.beam)
+        """Refuse a point that does not exist, and what a plane or a cable lacks."""
+        element = known_scene(system).naming.layout.beam(self.point.beam).element
         planar = (Component.AXIAL_FORCE, Component.SHEAR_FORCE_Y, Component.BENDING_MOMENT_Z)
-        if layout.d == 2 and self.component not in planar:
+        if Quantity.SLOPE_Z not in element.quantities and self.component not in planar:
             raise InvalidInput(
                 "section force",
-                "a planar beam has an axial force, a shear force along 1 and a moment about 2",
+                "a planar beam, and a cable, has an axial force, a shear force along 1 and a "
+                "moment about 2",
                 self.component.name,
-                "Use one of these, or a spatial scene.",
+                "Use one of these, or a spatial beam.",
             )
         known_scene(system).sections.forces(self.point)
 

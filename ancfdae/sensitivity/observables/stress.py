@@ -7,7 +7,9 @@ sections. Shear stress of V_y and V_z spreads by Jourawski's formula, with its c
 force only, and so does the radial stress of curved beams, M/(A R) in the mean; both uniformly for
 energies other than `EnhancedContinuum`. In a curved bar in bending the stress errs, against plane
 elasticity, by 3.5 % of its largest value where the radius of curvature equals the height, by 1.0 %
-and 0.2 % where it is two and five times the height. A strain of 1e-9 is added in squares, E times
+and 0.2 % where it is two and five times the height. Cables have the stress of their axial force and
+bending moment; in space, where they may lie turned about themselves, the largest that a point so
+far from the centroid can have. A strain of 1e-9 is added in squares, E times
 1e-9, so that the stress has a derivative where there is none.
 """
 

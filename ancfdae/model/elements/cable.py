@@ -1,7 +1,8 @@
-"""Planar gradient-deficient cable, 8 coordinates (Berzeri & Shabana 2000).
+"""Gradient-deficient cables of the plane (8 coordinates) and of space (12).
 
-Node vectors X = [r_1, r_x1, r_2, r_x2]: a centre line that stretches and bends,
-without shear and without deformation of the section. Beam law, no Poisson effect:
+Node vectors X = [r_1, r_x1, r_2, r_x2] (Berzeri & Shabana 2000; Gerstmayr & Shabana 2006): a centre
+line that stretches and bends, without shear, torsion and deformation of the section. Beam law, no
+Poisson effect:
 
     U = int 1/2 E A eps^2 + 1/2 E I r_xx . r_xx dx,   eps = (r_x . r_x - 1)/2.
 
@@ -19,6 +20,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.errors import InvalidInput
+from ancfdae.model.elements.cable_forces import CableSectionLaw, CableStressLaw
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
@@ -27,35 +29,48 @@ from ancfdae.model.elements.element import (
     Quantity,
     SectionLaw,
     SectionPlace,
+    StressLaw,
 )
 from ancfdae.model.elements.hermite import (
     curvature_weights,
     end_weight,
-    end_weight_xi,
     slope_weights,
-    slope_weights_xi,
+    tangent_weights,
 )
 from ancfdae.model.elements.packing import upper_triangle
-from ancfdae.model.elements.stresses import scaled
 from ancfdae.model.elements.volume import change
+from ancfdae.model.sections import Section
 from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.quadrature import box_rule
 
 # Powers of l in s_a and in the tangent; one more of 1/l in the second derivative.
 _S_POWER, _N_POWER = np.array([0, 1, 0, 1]), np.array([-1, 0, 0])
+# Share of the second moments by which those of a round section may differ: round-off.
+_ROUND = 1e-9
 
 
 @final
 @dataclass(frozen=True)
-class Cable2D(BeamElement):
-    """The planar cable."""
+class Cable(BeamElement):
+    """The cable of d dimensions."""
 
-    name = "CABLE_2D"
-    d = 2
+    name: str
+    d: int
 
     quantities = (Quantity.POSITION, Quantity.SLOPE_X)
     default_energy = None
+
+    def check_section(self, where: str, section: Section) -> None:
+        """Refuse sections that bend more easily one way than another, in space."""
+        (yy, yz), (_, zz) = section.second_moments()
+        if self.d == 3 and max(abs(yy - zz), 2 * abs(yz)) > _ROUND * (yy + zz):
+            raise InvalidInput(
+                f"{where}, section",
+                "must bend as easily about every axis: a cable in space has no axes across it",
+                repr(section),
+                "Use a Circle, or the element BEAM_3D.",
+            )
 
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
@@ -63,7 +78,7 @@ class Cable2D(BeamElement):
         """Cubic Hermite polynomials, the same at every y, and their tangent."""
         if quantity is Quantity.POSITION:
             return _shape(np.array(xi)), _S_POWER
-        chord, first, second = _tangent(np.array(xi))
+        chord, first, second = tangent_weights(np.array(xi))
         return np.array([-chord, first, chord, second]), np.array([-1, 0, -1, 0])
 
     def integrals(self, own: Batch, owners: Array) -> Integrals:
@@ -79,16 +94,11 @@ class Cable2D(BeamElement):
 
     def section_law(self, own: Batch, place: SectionPlace) -> SectionLaw:
         """Return forces of the beam law."""
-        return _CableSectionLaw(own, place)
+        return CableSectionLaw(own, place, _moduli(own)[::2])
 
-    def stress_map(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
-        """Refuse: the law knows forces of a section, no stresses in it."""
-        raise InvalidInput(
-            "stress",
-            "needs an element with a section, whose strains vary over it",
-            self.name,
-            "Divide axial_force and bending_moment by area and section modulus.",
-        )
+    def stress_law(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
+        """Return stresses of the axial force and the bending moment."""
+        return CableStressLaw(own, xi, places)
 
 
 @final
@@ -112,59 +122,13 @@ class _CableIntegrals(Integrals):
         return tuple(np.multiply.outer(modulus, unit) for modulus, unit in pairs)
 
 
-@final
-class _CableSectionLaw(SectionLaw):
-    """E A eps r_x - E I r_xxx and r_x x E I r_xx along tangent and normal.
-
-    The variation of U in r leaves these; eps with tau eps', linear as `_smoothing` has it.
-    """
-
-    def __init__(self, run: Batch, place: SectionPlace) -> None:
-        self._element = [place.element]
-        own = run[np.array(self._element)]
-        self._E_A, _, self._E_I = _moduli(own)
-        self._l, self._tau = own.lengths, own.of(ElementParameter.DAMPING_TIME)
-        self._xi = np.array(place.xi)
-
-    def forces(self, Y: Array, V: Array) -> Array:
-        """N, V_y and M_z."""
-        l, E_I, xi = self._l[:, None], self._E_I, self._xi
-        Y, V = (scaled(x[..., self._element, :, :], self._l) for x in (Y, V))
-        places, weights = _smoothing(float(xi))
-        along, along_v = (np.einsum("pa,...nad->...pnd", _tangent(places), x) for x in (Y, V))
-        strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0)
-        strains = strains + self._tau * np.sum(along * along_v, axis=-1)
-        r_x, r_xx = _tangent(xi) @ Y, np.stack(curvature_weights(xi)) @ Y / l
-        r_xxx = np.array([-12.0, 6.0, 6.0]) @ Y / l**2
-        n = (self._E_A * (weights @ strains))[..., None] * r_x - E_I[:, None] * r_xxx
-        speed = np.sqrt(np.sum(r_x * r_x, axis=-1))
-        forces = np.zeros((*n.shape[:-1], 6), dtype=n.dtype)
-        forces[..., 0] = np.sum(n * r_x, axis=-1) / speed
-        forces[..., 1] = (r_x[..., 0] * n[..., 1] - r_x[..., 1] * n[..., 0]) / speed
-        forces[..., 5] = E_I * (r_x[..., 0] * r_xx[..., 1] - r_x[..., 1] * r_xx[..., 0])
-        return forces[..., 0, :]
-
-
-def _smoothing(xi: float) -> tuple[Array, Array]:
-    """Return Gauss points and their weights in the linear force at xi.
-
-    Of all linear forces along an element it is the one that does the same work as the force of the
-    law on the chord and on both tangents, which have the weights 6 xi (1 - xi), (1 - xi)(1 - 3 xi)
-    and xi (3 xi - 2).
-    """
-    corner, rule = box_rule((5,))
-    places = corner[:, 0]
-    weights = rule * (end_weight_xi(places) + 6 * (xi - 0.5) * (2 * places - 1))
-    return places, weights
-
-
 def _moduli(own: Batch) -> tuple[Array, Array, Array]:
-    """E A, rho A and E I, shape (n,) each."""
+    """E A, rho A and E I, shape (n,) each; in space I is the mean, as all are alike."""
     E, rho = own.moduli[0], own.of(ElementParameter.DENSITY)
     y, z, dA = own.kind.section.points(own.sizes, False)
     _, moments = central_moments(y, z, dA)
     area = dA.sum(axis=1)
-    return E * area, rho * area, E * moments[:, 0]
+    return E * area, rho * area, E * np.mean(moments[:, : own.d - 1], axis=1)
 
 
 def _shape(xi: Array) -> Array:
@@ -173,16 +137,11 @@ def _shape(xi: Array) -> Array:
     return np.stack([1 - s5, p2, s5, p6], axis=-1)
 
 
-def _tangent(xi: Array) -> Array:
-    """N_y at unit length, shape (..., 3)."""
-    return np.stack([end_weight_xi(xi), *slope_weights_xi(xi)], axis=-1)
-
-
 def _integrals() -> tuple[Array, Array, Array]:
     """Return A, m and p_o of unit parameters; of degree 8, 6 and 2, five Gauss points are exact."""
     points, rule = box_rule((5,))
     xi = points[:, 0]
-    s, N = _shape(xi), _tangent(xi)
+    s, N = _shape(xi), tangent_weights(xi)
     H = np.stack(curvature_weights(xi), axis=-1)
     rows, columns = upper_triangle(3)
     twice = np.where(rows == columns, 1.0, 2.0)
@@ -191,4 +150,4 @@ def _integrals() -> tuple[Array, Array, Array]:
     return (rule * P.T) @ P, (rule * s.T) @ s, 0.5 * rule @ kappa_squared
 
 
-CABLE_2D = Cable2D()
+CABLE_2D, CABLE_3D = Cable("CABLE_2D", 2), Cable("CABLE_3D", 3)
