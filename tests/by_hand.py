@@ -4,6 +4,7 @@ import numpy as np
 
 from ancfdae import (
     CABLE_2D,
+    CABLE_3D,
 )
 
 from oracle import plain_ancf as ancf
@@ -32,7 +33,7 @@ def plain_elements(scene):
 
 def oracle_of(element):
     """The oracle of an element."""
-    return plain_cable if element is CABLE_2D else ancf
+    return plain_cable if element in (CABLE_2D, CABLE_3D) else ancf
 
 
 def vector_by_hand(system, q, point, quantity):
@@ -53,7 +54,10 @@ def vector_by_hand(system, q, point, quantity):
 
 
 def turns_by_hand(system, q, q_o, point):
-    """Turns of a section from the reference: two tilts and those of its two axes, or one turn."""
+    """Turns of a section from the reference: two tilts and those of its two axes, or one turn.
+
+    Of the tangent of a cable in space: two tilts, towards the coordinate axis that is most across.
+    """
     n_s, d = system.naming.layout.bodies[0].stride, system.naming.layout.d
     spanning = range(2, n_s) if n_s > 2 else [1]
     now, then = (
@@ -62,6 +66,11 @@ def turns_by_hand(system, q, q_o, point):
     y = then[:, 0] / np.linalg.norm(then[:, 0])
     if d == 2:
         return np.array([now[1, 0] * y[0] - now[0, 0] * y[1]])
+    if n_s == 2:
+        most = np.eye(3)[np.argmin(np.round(np.abs(y), 12))]
+        first = most - (most @ y) * y
+        first = first / np.linalg.norm(first)
+        return np.array([first, np.cross(y, first)]) @ now[:, 0]
     normal = np.cross(*then.T) / np.linalg.norm(np.cross(*then.T))
     map_of_section, z = now @ np.linalg.pinv(then), np.cross(normal, y)
     return np.array([*(normal @ now), z @ map_of_section @ y, y @ map_of_section @ z])

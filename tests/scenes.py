@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ancfdae import (
     CABLE_2D,
+    CABLE_3D,
     Beam,
     Clamp,
     CurvedBeam,
@@ -59,7 +60,9 @@ def arc(name, centre, radius, angles, dimension, pitch=0.0, section=FLAT, materi
 def clamped(element):
     """An oblique beam of any element, clamped away from its nodes."""
     start, end = ((0.2, 0.1, 0.3)[: element.d], (1.4, 0.6, -0.2)[: element.d])
-    beam = Beam("rod", start, end, 2, FLAT, STEEL, element=element)
+    # A cable in space takes no other section than one that bends alike about every axis.
+    section = Rectangle(0.05, 0.05) if element is CABLE_3D else FLAT
+    beam = Beam("rod", start, end, 2, section, STEEL, element=element)
     return Scene([beam], [Clamp(beam.at(0.3))], gravity=(1.3, -9.81, 0.7)[: element.d])
 
 
