@@ -177,7 +177,7 @@ def force_densities(nodes, free, edges, lengths, stiffness, loads):
 
 
 def test_a_net_stands_where_force_densities_have_it():
-    """Sixteen cables between nine nodes and the points of a saddle, drawn by forces at nodes."""
+    """Twelve cables between four nodes and the points of a saddle, drawn by forces at nodes."""
     grid = [
         (i, j) for i in range(4) for j in range(4) if (i, j) not in ((0, 0), (0, 3), (3, 0), (3, 3))
     ]
