@@ -11,6 +11,7 @@ import numpy as np
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import Batch, BeamElement, ElementParameter, ElementType
+from ancfdae.model.elements.element import Invariants
 from ancfdae.model.elements.invariants import joined, prepare, relative_places, widened
 from ancfdae.numerics.arrays import Array
 
@@ -69,26 +70,10 @@ def element_block(
     """
     if not beams:
         return _no_elements(element, parameters)
-    kinds, kind = _kinds(beams)
-    Y_unit = np.zeros((len(parameters), element.n_y, element.d))
-    first = np.cumsum([0, *(beam.element_count for beam in beams)])
-    for beam, start, stop in zip(beams, first[:-1], first[1:], strict=True):
-        Y_unit[start:stop, relative_places(beam.element, element)] = unit_vectors(beam)
-    owners = np.concatenate([np.repeat(f"beam {x.name!r}", x.element_count) for x in beams])
-    numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
-    key = np.concatenate(numbers, axis=1)
-    _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    index = index.ravel()
     damped = ElementParameter.DAMPING_TIME
     wanted = tuple(which for which in mapping.driven() if which is not damped)
-    order, parts = [], []
-    for number, (its, each) in enumerate(kinds):
-        own = kept[kind[kept] == number]
-        order.append(np.flatnonzero(kind[kept] == number))
-        batch = Batch(each, parameters[own], Y_unit[own][:, relative_places(its, element)])
-        parts.append(widened(prepare(its, batch, wanted, owners[own]), its, element))
-    distinct = joined(parts, np.argsort(np.concatenate(order)))
-    chosen = np.zeros(1, dtype=np.int64) if len(kept) == 1 else index
+    distinct, index = _distinct(element, beams, wanted, parameters)
+    chosen = np.zeros(1, dtype=np.int64) if len(distinct.A) == 1 else index
     stiffness = np.flatnonzero(~np.isin(mapping.parameters, _LIMP))
     mass = np.flatnonzero(~np.isin(mapping.parameters, _WEIGHTLESS))
     A_b = np.zeros((len(stiffness), *distinct.A.shape[1:]), dtype=distinct.A.dtype)
@@ -122,6 +107,31 @@ def element_block(
         c_b=c_b,
         m_b=m_b,
     )
+
+
+def _distinct(
+    element: BeamElement,
+    beams: Sequence[BeamBody],
+    wanted: tuple[ElementParameter, ...],
+    parameters: Array,
+) -> tuple[Invariants, Array]:
+    """Return the invariants of elements that differ, and which of them each element has."""
+    kinds, kind = _kinds(beams)
+    Y_unit = np.zeros((len(parameters), element.n_y, element.d))
+    first = np.cumsum([0, *(beam.element_count for beam in beams)])
+    for beam, start, stop in zip(beams, first[:-1], first[1:], strict=True):
+        Y_unit[start:stop, relative_places(beam.element, element)] = unit_vectors(beam)
+    owners = np.concatenate([np.repeat(f"beam {x.name!r}", x.element_count) for x in beams])
+    numbers = [parameters.real, parameters.imag, Y_unit.reshape(len(Y_unit), -1), kind[:, None]]
+    key = np.concatenate(numbers, axis=1)
+    _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    order, parts = [], []
+    for number, (its, each) in enumerate(kinds):
+        own = kept[kind[kept] == number]
+        order.append(np.flatnonzero(kind[kept] == number))
+        batch = Batch(each, parameters[own], Y_unit[own][:, relative_places(its, element)])
+        parts.append(widened(prepare(its, batch, wanted, owners[own]), its, element))
+    return joined(parts, np.argsort(np.concatenate(order))), index.ravel()
 
 
 def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:

@@ -45,23 +45,20 @@ class LoadPath:
     """Follows the path from s = 0 to s = 1 in at most `max_steps` attempted steps.
 
     `places` are what converged, the start first, `residual` is the size of the last correction of
-    the last failure. What was solved farther on, but may lie on another path, waits until the path
-    has come near: it is the next place if the path leads there, else it is solved for again.
+    the last failure.
     """
 
     def __init__(self, balance: Balance, first: PathPoint, max_steps: int) -> None:
         self._balance, self._max_steps = balance, max_steps
         self.places, self.residual = [first], 0.0
-        # The nearest last.
-        self._ahead: list[PathPoint] = []
 
     def follow(self) -> Verdict:
         """Follow the path to its end; return why it ends."""
         size, verdict = 1.0, Verdict.EQUILIBRIUM
         try:
             for _ in range(self._max_steps):
-                before, end = self.places[-1], self._ahead[-1].s if self._ahead else 1.0
-                s = end if before.s + size > end - 0.1 * size else before.s + size
+                before = self.places[-1]
+                s = 1.0 if before.s + size > 1.0 - 0.1 * size else before.s + size
                 attempt = self._attempt(s)
                 if isinstance(attempt, Unsolved):
                     self._balance.work.rejected += 1
@@ -88,31 +85,20 @@ class LoadPath:
         return stable[-1] if stable else 0.0
 
     def _attempt(self, s: float) -> tuple[PathPoint, int] | Unsolved:
-        """Solve at s, unless that was done, and see whether it is the same path."""
+        """Solve at s from the extrapolated path, and see whether it is the same path."""
         before, balance = self.places[-1], self._balance
-        place, iterations = self._solved_ahead(s), 0
-        if place is None:
-            point = balance.solve(s, *self._extrapolated(s))
-            if isinstance(point, Unsolved):
-                return point
-            tangent, iterations = balance.path_tangent(point.q, point.factors), point.iterations
-            # Whether it is stable is not known yet.
-            place = PathPoint(s, point.q, point.lam, *tangent, stable=False)
-        stable = None
-        if not self._jumped(before, place):
-            stable = softest(balance, s, place.q, place.lam).stable
-        if stable is None or (stable != before.stable and s - before.s > _SMALL):
-            self._ahead.append(place)
+        point = balance.solve(s, *self._extrapolated(s))
+        if isinstance(point, Unsolved):
+            return point
+        tangent = balance.path_tangent(point.q, point.factors)
+        # Whether it is stable is asked of a place on the path only.
+        place = PathPoint(s, point.q, point.lam, *tangent, stable=False)
+        if self._jumped(before, place):
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
-        return replace(place, stable=stable), iterations
-
-    def _solved_ahead(self, s: float) -> PathPoint | None:
-        """Return the place that was solved at s if the path leads there; forget it if not."""
-        if not self._ahead or self._ahead[-1].s != s:
-            return None
-        place, length = self._ahead.pop(), self._balance.length
-        missed = length(self._extrapolated(s)[0] - place.q)
-        return place if missed <= _BEND * length(place.q - self.places[-1].q) else None
+        stable = softest(balance, s, place.q, place.lam).stable
+        if stable != before.stable and s - before.s > _SMALL:
+            return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
+        return replace(place, stable=stable), point.iterations
 
     def _jumped(self, a: PathPoint, b: PathPoint) -> bool:
         """Whether two places do not lie on one smooth path."""

@@ -101,6 +101,17 @@ def _left(size: float, rate: float, fresh: bool) -> float:
     return size * (min(1.0, rate * rate) if fresh else rate / max(1.0 - rate, 1e-3))
 
 
+def _slow(size: float, rate: float | None, tolerance: float, allowed: float) -> bool:
+    """Whether the matrix is to be replaced; the rate is None after the first correction.
+
+    The matrix of the guess serves as long as it converges quickly (measured: 2 iterations per step
+    at 1e-14; with that of the step before 5, and 3 where it serves one only).
+    """
+    if rate is None:  # Along the branch of short steps every correction must shrink quickly.
+        return size > _SLOW or allowed < math.inf
+    return rate > _SLOW or (size < _NEAR and size * rate**3 > tolerance)
+
+
 class Found(NamedTuple):
     """A solution, whether round-off disturbs it, and the slowest rate of the corrections."""
 
@@ -219,13 +230,8 @@ class StepSolver:
                     round_off = stuck or self._blurred(t, q, a, lam)
                 if settled > more:
                     return Found(equations.node(a, lam, now), round_off, slowest)
-            # The matrix of the guess serves as long as it converges quickly (measured: 2 iterations
-            # per step at 1e-14; with that of the step before 5, and 3 where it serves one only).
-            if last < math.inf:
-                slow = rate > _SLOW or (size < _NEAR and size * rate**3 > tolerance)
-            else:  # Along the branch of short steps every correction must shrink quickly.
-                slow = size > _SLOW or allowed < math.inf
-            if slow or settled:
+            first = last == math.inf
+            if settled or _slow(size, None if first else rate, tolerance, allowed):
                 jacobian = None
             last = size
         return Failure(Verdict.NO_CONVERGENCE, size)
