@@ -1,386 +1,50 @@
-"""First-order design sensitivities of flexible multibody systems in ANCF."""
+"""First-order design sensitivities of flexible multibody systems in ANCF.
 
-from ancfdae.assembly import AncfSystem, assemble
-from ancfdae.equations import (
-    ComplexStepSystem,
-    Conformance,
-    Direction,
-    EstimatedErrors,
-    MechanicalSystem,
-    Sensitivities,
-    Solution,
-    Statistics,
-    Traits,
-    check_system,
-)
-from ancfdae.equations.files import NotSaved
-from ancfdae.errors import (
-    AncfdaeError,
-    FailedDesign,
-    InconsistentStart,
-    Interrupted,
-    InvalidInput,
-    ManySteps,
-    MissingPackage,
-    Outcome,
-    RedundantConstraints,
-    StabilityWarning,
-    UnknownName,
-    Verdict,
-)
-from ancfdae.integrators import (
-    HHT,
-    IDA,
-    IDAS,
-    ControlledSteps,
-    Explicit,
-    FixedSteps,
-    GivenSteps,
-    IndexReduction,
-    Integrator,
-    Radau,
-)
-from ancfdae.model.bodies import (
-    Beam,
-    BodyShape,
-    CurvedBeam,
-    Point,
-    RigidBody,
-    RigidBox,
-    RigidCylinder,
-    RigidSphere,
-)
-from ancfdae.model.design import DesignVariable, distribution
-from ancfdae.model.elements import (
-    BEAM_2D,
-    BEAM_3D,
-    CABLE_2D,
-    CABLE_3D,
-    EnhancedContinuum,
-    PlaneStress,
-    SaintVenantKirchhoff,
-    StrainEnergy,
-)
-from ancfdae.model.joints import (
-    Clamp,
-    Cylindrical,
-    Distance,
-    Drive,
-    Guide,
-    Joint,
-    MovingBase,
-    Pin,
-    PlanarJoint,
-    PointOnLine,
-    Prismatic,
-    Revolute,
-    Spherical,
-    Universal,
-    Weld,
-)
-from ancfdae.model.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
-from ancfdae.model.loads import (
-    Bushing,
-    DistributedForce,
-    FollowerForce,
-    JointFriction,
-    Load,
-    Moment,
-    PointForce,
-    SlideFriction,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-)
-from ancfdae.model.material import Material
-from ancfdae.model.point_mass import PointMass
-from ancfdae.model.scene import Scene
-from ancfdae.model.sections import (
-    Box,
-    Circle,
-    ISection,
-    MomentSection,
-    PointSection,
-    Rectangle,
-    Section,
-    Tube,
-)
-from ancfdae.model.starts import AtRest, NodeState, RigidMotion
-from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
-from ancfdae.numerics.patterns import Pattern
-from ancfdae.sensitivity import (
-    Adjoint,
-    ComplexStep,
-    ContinuousAdjoint,
-    Direct,
-    FiniteDifference,
-    Gradient,
-    UnfinishedRun,
-)
-from ancfdae.sensitivity.objectives import (
-    AtTimes,
-    Integral,
-    NonFiniteObjective,
-    Objective,
-    SmoothMaximum,
-    Terminal,
-    UpperMaximum,
-)
-from ancfdae.sensitivity.observables import (
-    Observable,
-    angular_momentum,
-    apply,
-    axial_force,
-    axial_strain,
-    bending_moment,
-    centre_of_mass,
-    custom,
-    deflection,
-    design_value,
-    drive_torque,
-    elapsed_time,
-    guide_force,
-    inertia,
-    joint_power,
-    kinetic_energy,
-    linear_momentum,
-    load_power,
-    mass,
-    maximum_stress,
-    multiplier,
-    observe,
-    position,
-    reaction,
-    shear_force,
-    slope,
-    slope_angle,
-    strain_energy,
-    torque,
-    velocity,
-    von_mises,
-)
-from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
-from ancfdae.studies import (
-    AdjointError,
-    ErrorBars,
-    Evaluate,
-    Fit,
-    MassProperties,
-    Misfit,
-    Observations,
-    Response,
-    Responses,
-    Setting,
-    Sweep,
-    SweepRow,
-    TargetNotReached,
-    TaylorTest,
-    Tradeoff,
-    adjoint_error,
-    differentiate,
-    equilibrium,
-    error_bars,
-    evaluate,
-    gradient,
-    gradients,
-    mass_properties,
-    modes,
-    observations,
-    simulate,
-    static_gradient,
-    suggest_step,
-    sweep,
-    taylor_test,
-    tradeoff,
-)
+Every public name is listed once, in `__init__.pyi`, with the module that defines it; that module is
+imported when the name is first used.
+"""
+
+import ast
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "BEAM_2D",
-    "BEAM_3D",
-    "CABLE_2D",
-    "CABLE_3D",
-    "HHT",
-    "IDA",
-    "IDAS",
-    "Adjoint",
-    "AdjointError",
-    "AncfSystem",
-    "AncfdaeError",
-    "AtRest",
-    "AtTimes",
-    "Beam",
-    "BodyShape",
-    "Box",
-    "Bushing",
-    "Circle",
-    "Clamp",
-    "ComplexStep",
-    "ComplexStepSystem",
-    "Configuration",
-    "Conformance",
-    "Constant",
-    "ContinuousAdjoint",
-    "ControlledSteps",
-    "CurvedBeam",
-    "Cylindrical",
-    "DesignVariable",
-    "Direct",
-    "Direction",
-    "Distance",
-    "DistributedForce",
-    "Drive",
-    "EnhancedContinuum",
-    "Equilibrium",
-    "ErrorBars",
-    "EstimatedErrors",
-    "Evaluate",
-    "Explicit",
-    "FailedDesign",
-    "FiniteDifference",
-    "Fit",
-    "FixedSteps",
-    "FollowerForce",
-    "FreeMechanism",
-    "GivenSteps",
-    "Gradient",
-    "Guide",
-    "Harmonic",
-    "ISection",
-    "InconsistentStart",
-    "IndexReduction",
-    "Integral",
-    "Integrator",
-    "Interrupted",
-    "InvalidInput",
-    "Joint",
-    "JointFriction",
-    "Law",
-    "Load",
-    "LoadOutcome",
-    "ManySteps",
-    "MassProperties",
-    "Material",
-    "MechanicalSystem",
-    "Misfit",
-    "MissingPackage",
-    "Modes",
-    "Moment",
-    "MomentSection",
-    "MotionKind",
-    "MovingBase",
-    "NoEquilibrium",
-    "NodeState",
-    "NonFiniteObjective",
-    "NotSaved",
-    "Objective",
-    "Observable",
-    "Observations",
-    "Outcome",
-    "Pattern",
-    "Pin",
-    "PlanarJoint",
-    "PlaneStress",
-    "Point",
-    "PointForce",
-    "PointMass",
-    "PointOnLine",
-    "PointSection",
-    "Prismatic",
-    "Radau",
-    "Ramp",
-    "Rectangle",
-    "RedundantConstraints",
-    "Response",
-    "Responses",
-    "Revolute",
-    "RigidBody",
-    "RigidBox",
-    "RigidCylinder",
-    "RigidMotion",
-    "RigidSphere",
-    "SaintVenantKirchhoff",
-    "Scene",
-    "Section",
-    "Sensitivities",
-    "Setting",
-    "SlideFriction",
-    "SmoothMaximum",
-    "Solution",
-    "Spherical",
-    "Spline",
-    "SpringDamper",
-    "StabilityWarning",
-    "Statistics",
-    "StepSuggestion",
-    "StrainEnergy",
-    "Sweep",
-    "SweepRow",
-    "TargetNotReached",
-    "TaylorTest",
-    "Terminal",
-    "Torque",
-    "TorsionSpring",
-    "Tradeoff",
-    "Traits",
-    "Tube",
-    "UnfinishedRun",
-    "Uniform",
-    "Universal",
-    "UnknownName",
-    "UpperMaximum",
-    "UserLaw",
-    "Verdict",
-    "Weld",
-    "__version__",
-    "adjoint_error",
-    "angular_momentum",
-    "apply",
-    "assemble",
-    "axial_force",
-    "axial_strain",
-    "bending_moment",
-    "centre_of_mass",
-    "check_system",
-    "custom",
-    "deflection",
-    "design_value",
-    "differentiate",
-    "distribution",
-    "drive_torque",
-    "elapsed_time",
-    "equilibrium",
-    "error_bars",
-    "evaluate",
-    "gradient",
-    "gradients",
-    "guide_force",
-    "inertia",
-    "joint_power",
-    "kinetic_energy",
-    "linear_momentum",
-    "load_power",
-    "mass",
-    "mass_properties",
-    "maximum_stress",
-    "modes",
-    "multiplier",
-    "observations",
-    "observe",
-    "position",
-    "reaction",
-    "shear_force",
-    "simulate",
-    "slope",
-    "slope_angle",
-    "static_gradient",
-    "strain_energy",
-    "suggest_step",
-    "sweep",
-    "taylor_test",
-    "torque",
-    "tradeoff",
-    "velocity",
-    "von_mises",
-]
+_LISTED = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
+# Public names, each with the module it comes from.
+_MODULES = {
+    name.name: str(line.module)
+    for line in _LISTED
+    if isinstance(line, ast.ImportFrom)
+    for name in line.names
+}
+__all__ = [*_MODULES, "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a public name, and keep it for the next time."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names and what is imported already."""
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    """A package whose public names no module of it replaces: `modes` is a function."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute; the import system does so with every module that it has loaded."""
+        if not (name in _MODULES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

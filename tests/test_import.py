@@ -1,23 +1,58 @@
-"""`import ancfdae` loads what every run needs; the rest is loaded where it is used."""
+"""`import ancfdae` loads nothing; its names load what they need, the rest where it is used."""
 
+import ast
 import builtins
 import subprocess
 import sys
+import types
+from pathlib import Path
 
 import ancfdae
 
-# SciPy loads its parts at their first use, which `import ancfdae` must not be.
-HEAVY = {"matplotlib", "pandas", "sksundae", "sundials4py", "tqdm", "distributed"}
-HEAVY |= {f"scipy.{part}" for part in ("sparse", "linalg", "interpolate", "integrate", "optimize")}
+# SciPy loads its parts at their first use, which an import must not be.
+HEAVY = {f"scipy.{part}" for part in ("sparse", "linalg", "interpolate", "integrate", "special")}
 
 
-def test_import_loads_nothing_that_a_declared_scene_does_not_need() -> None:
-    program = "import sys, ancfdae; print(*sys.modules)"
+def packages_after(program: str) -> set[str]:
+    """Packages that a program loads in a new process, beyond those of an empty one."""
+    loaded, told = [], "print(*(x for x, m in sys.modules.items() if hasattr(m, '__path__')))"
+    for each in ("", program):
+        call = [sys.executable, "-c", f"import sys\n{each}\n{told}"]
+        run = subprocess.run(call, capture_output=True, text=True, check=True)
+        loaded.append(set(run.stdout.split()))
+    return loaded[1] - loaded[0]
+
+
+def third_party(packages: set[str]) -> set[str]:
+    """Top-level ones that are neither Python's nor this one."""
+    return {name.partition(".")[0] for name in packages} - sys.stdlib_module_names - {"ancfdae"}
+
+
+def test_the_import_alone_loads_no_other_package_and_no_room() -> None:
+    loaded = packages_after("import ancfdae")
+    assert third_party(loaded) == set()
+    assert [name for name in loaded if name.startswith("ancfdae")] == ["ancfdae"]
+
+
+def test_all_public_names_load_numpy_and_scipy_and_no_part_of_scipy() -> None:
+    loaded = packages_after("from ancfdae import *")
+    assert third_party(loaded) == {"numpy", "scipy"}
+    assert HEAVY.isdisjoint(loaded)
+
+
+def test_every_listed_name_is_the_one_of_its_module() -> None:
+    for name, module in ancfdae._MODULES.items():
+        assert getattr(ancfdae, name) is getattr(sys.modules[module], name)
+    text = Path(ancfdae.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    (listed,) = (x for x in ast.parse(text).body if isinstance(x, ast.Assign))
+    assert sorted(ast.literal_eval(listed.value)) == sorted(ancfdae.__all__)
+
+
+def test_a_module_of_the_name_of_a_function_does_not_replace_it() -> None:
+    program = "import ancfdae.modes.solver, ancfdae; print(type(ancfdae.modes).__name__)"
     call = [sys.executable, "-c", program]
     run = subprocess.run(call, capture_output=True, text=True, check=True)
-    loaded = run.stdout.split()
-    assert "ancfdae" in loaded
-    assert HEAVY.isdisjoint(loaded)
+    assert run.stdout.split() == [types.FunctionType.__name__]
 
 
 def test_a_star_import_replaces_no_module_and_no_builtin() -> None:

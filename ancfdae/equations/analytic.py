@@ -15,7 +15,7 @@ from ancfdae.equations.motion import Motion
 from ancfdae.equations.system import MechanicalSystem
 from ancfdae.errors import InvalidInput
 from ancfdae.kernels import norm
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.contour import circle_size
 
 # Radii tried: powers of this factor around the size of the start, and around a unit of time.
@@ -25,7 +25,6 @@ _SIZES, _TIMES = range(4, -9, -1), range(15, -21, -1)
 _PART = 0.5
 # Reach in a design variable, relative to its value.
 _DESIGN = 0.125
-_STEP = 1e-40
 # Relative difference of complex step and finite difference that is refused, the steps of these and
 # their round-off against a value.
 _DISAGREE = 1e-3
@@ -132,7 +131,7 @@ def _require_analytic(system: MechanicalSystem) -> None:
             try:
                 with warnings.catch_warnings(), np.errstate(all="ignore"):
                     warnings.simplefilter("error", np.exceptions.ComplexWarning)
-                    value, moved = np.asarray(along(0.0)), np.asarray(along(1j * _STEP))
+                    value, moved = np.asarray(along(0.0)), np.asarray(along(1j * STEP))
                     refused = value.shape == shape and not _agrees(along, value, moved)
             except (TypeError, np.exceptions.ComplexWarning) as error:
                 raise _unsafe(where, f"{type(error).__name__}: {error}") from error
@@ -153,7 +152,7 @@ def _agrees(along: Callable[[complex], Array], value: Array, moved: Array) -> bo
     Of central differences that is the one whose change to the next smaller step, which is its
     error, and round-off are least.
     """
-    slope = moved.imag / _STEP
+    slope = moved.imag / STEP
     # Complex numbers throughout, so that differences try the same code.
     differences = np.array(
         [np.real(np.asarray(along(complex(s))) - along(complex(-s))) / (2 * s) for s in _STEPS]

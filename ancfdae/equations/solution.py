@@ -31,11 +31,8 @@ from ancfdae.errors.text import listed, page
 from ancfdae.model.bodies import Point, Quantity, require_point
 from ancfdae.model.elements import BeamElement
 from ancfdae.model.naming import Naming
-from ancfdae.numerics.arrays import Array, Numbers
+from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
-
-# Imaginary perturbation of the states: any value whose square underflows against one is exact.
-_STEP = 1e-40
 
 
 @final
@@ -152,11 +149,11 @@ class Solution:
         columns, states_b = [], {"q": s.q_b, "v": s.v_b, "a": s.a_b, "lam": s.lam_b}
         for i in range(len(s.names)):
             if naming is not None and self.naming is not None:
-                lengths = self.naming.lengths + 1j * _STEP * naming.lengths_b[:, i]
+                lengths = self.naming.lengths + 1j * STEP * naming.lengths_b[:, i]
                 naming = replace(self.naming, lengths=lengths)
             shifted = replace(
                 self,
-                **{x: getattr(self, x) + 1j * _STEP * x_b[..., i] for x, x_b in states_b.items()},
+                **{x: getattr(self, x) + 1j * STEP * x_b[..., i] for x, x_b in states_b.items()},
                 naming=naming,
                 sensitivities=None,
             )
@@ -168,7 +165,7 @@ class Solution:
                     f"a result of type {value.dtype}",
                     "Replace abs, norm and comparisons by complex-safe operations.",
                 )
-            columns.append(value.imag / _STEP)
+            columns.append(value.imag / STEP)
         return np.stack(columns, axis=-1)
 
     def at(self, times: Numbers) -> Solution:

@@ -1,6 +1,6 @@
 """Array type and norms that keep complex perturbations out of decisions.
 
-A complex-step run carries a perturbation of size 1e-40 in the imaginary
+A complex-step run carries a perturbation of size `STEP` in the imaginary
 part. Values must keep it (no ``abs``, no conjugation); decisions, such as
 convergence tests, must look at the real part only.
 """
@@ -15,7 +15,9 @@ import numpy.typing as npt
 Array: TypeAlias = npt.NDArray[Any]
 # Numbers as a user gives them.
 Numbers: TypeAlias = Sequence[float] | Array
-# Imaginary step of derivatives: its square vanishes, and as a power of two it adds no round-off.
+# Imaginary step of derivatives, about 1e-40, relative to what it is added to. Its square vanishes
+# against one, it stays far above the smallest normal number after division by beta h^2 or
+# multiplication with small lengths, and as a power of two it adds no round-off.
 STEP = 2.0**-133
 
 

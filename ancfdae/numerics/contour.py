@@ -1,7 +1,7 @@
 """Derivatives of analytic functions of any order, by sums over circles in the complex plane.
 
-One first derivative is a complex step, Im f(i s)/s with s = 1e-40 radii: exact but for round-off.
-Higher and mixed ones need several perturbations at once, and one of 1e-40 would be lost next to
+One first derivative is a complex step, Im f(i s)/s with s = `STEP` radii: exact but for round-off.
+Higher and mixed ones need several perturbations at once, and one as small would be lost next to
 the imaginary part of another. They come from Cauchy's formula (Lyness & Moler 1967).
 
 For f(z_1, ..., z_p) analytic and real for real arguments, wanted is the derivative of order k in
@@ -36,13 +36,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ancfdae.errors import InvalidInput
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 
 # Points on a circle.
 _POINTS = 24
 _UPPER = np.exp(1j * np.pi * (2 * np.arange(_POINTS // 2) + 1) / _POINTS)
-# Relative step of a first derivative: its square vanishes against one.
-_STEP = 1e-40
 # Coefficients of the highest degrees that count as round-off, against the size of their own
 # component and against that of the largest one.
 _OWN, _LARGEST = 1e-13, 1e-15
@@ -71,7 +69,7 @@ def derivative(
         it. Asked for where the values on the circle do not explain the residual.
     """
     if len(radii) == 1 and order == 1:
-        step = _STEP * radii[0]
+        step = STEP * radii[0]
         return np.asarray(np.imag(f(1j * step)) / step)
     terms = cache(lambda: float(np.max(np.abs(scale()), initial=0.0)))
     for _ in range(_SHRINKS):

@@ -16,13 +16,10 @@ import numpy as np
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities
 from ancfdae.errors import InvalidInput, require_flag, require_positive
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.sensitivity.method import Gradient, Method, Run
 from ancfdae.sensitivity.objectives import Objective
 
-# Relative imaginary perturbation: its square vanishes against one, and it stays far above
-# the smallest normal number after division by beta h^2 or multiplication with small lengths.
-_STEP = 1e-40
 _STATES = ("q", "v", "a", "lam")
 
 
@@ -154,8 +151,8 @@ class ComplexStep(Perturbation):
 
     def changes(self, b: float) -> Sequence[complex]:
         """One imaginary change, relative unless the value is zero."""
-        return (1j * _STEP * (abs(b) or 1.0),)
+        return (1j * STEP * (abs(b) or 1.0),)
 
     def quotient(self, b: float, base: Array, moved: Sequence[Array]) -> Array:
         """Imaginary part over the step."""
-        return np.asarray(moved[0].imag / (_STEP * (abs(b) or 1.0)))
+        return np.asarray(moved[0].imag / (STEP * (abs(b) or 1.0)))
