@@ -462,6 +462,12 @@ def test_a_run_that_a_smaller_step_may_cure_tells_the_periods():
     slow = suggest_step(hanging(), follow=1).slowest
     assert f"to {slow:.3g}" in str(run.outcome)
     assert "suggest_step" in str(run.outcome)
+    # Said once, of a run that is taken up again and fails at the same place as well; an integrator
+    # alone says nothing, for it knows no modes.
+    again = simulate(hanging(), 1.0, HHT(0.1, max_iterations=1), after=run)
+    assert str(again.outcome).count("suggest_step") == 1
+    alone = HHT(0.1, max_iterations=1).integrate(assemble(hanging()), 1.0)
+    assert "suggest_step" not in str(alone.outcome)
     good = simulate(simply_supported(2), 0.1, HHT(0.1))
     assert good.outcome.advice == ""
     # A message must not take longer than the run: none where modes are expensive.

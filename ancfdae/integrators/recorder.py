@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import TypeAlias, final
 
 import numpy as np
@@ -11,13 +10,11 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Sensitivities, Statistics
-from ancfdae.errors import InvalidInput, Outcome, Verdict
-from ancfdae.modes import advice
+from ancfdae.errors import InvalidInput, Outcome
 from ancfdae.numerics.arrays import Array
 
 # Rows of q, v, a and lam.
 Rows: TypeAlias = tuple[Array, Array, Array, Array]
-_CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT)
 
 
 @final
@@ -147,7 +144,7 @@ class Recorder:
                 continued=self.continued,
                 wall_seconds=time.perf_counter() - self._started,
             ),
-            outcome=self._advised(outcome),
+            outcome=outcome,
             naming=system.naming,
             sensitivities=Sensitivities(system.design_names, system.b, *derivatives)
             if derivatives
@@ -155,11 +152,3 @@ class Recorder:
             degree=self._degree,
             control=self._control,
         )
-
-    def _advised(self, outcome: Outcome) -> Outcome:
-        """Add the periods of small motions where a run ended that another step may cure."""
-        _, q, _, _, lam = (array[max(self._rows - 1, 0)] for array in self._arrays[:5])
-        if outcome.verdict not in _CURED_BY_STEP or not self._rows or np.iscomplexobj(q):
-            return outcome
-        periods = advice(self._system, self.time, q, lam)
-        return replace(outcome, advice=" ".join(filter(None, (outcome.advice, periods))))

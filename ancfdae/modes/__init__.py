@@ -3,5 +3,5 @@
 from ancfdae.modes.adjoint import PullBack
 from ancfdae.modes.analysis import modes_about
 from ancfdae.modes.configuration import Configuration
-from ancfdae.modes.periods import StepSuggestion, advice, suggestion
+from ancfdae.modes.periods import StepSuggestion, advice, advised, suggestion
 from ancfdae.modes.result import ModeDerivatives, Modes, MotionKind

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 import scipy
 
-from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import AncfdaeError, InvalidInput
+from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.errors import AncfdaeError, InvalidInput, Verdict
 from ancfdae.modes.configuration import Configuration
 from ancfdae.modes.linearised import Linearised
 from ancfdae.modes.solver import solve
@@ -61,6 +61,7 @@ def suggestion(
 
 # Coordinates up to which all modes take a fraction of a second by dense methods.
 _QUICK = 120
+_CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT)
 
 
 def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
@@ -79,6 +80,17 @@ def advice(system: MechanicalSystem, t: float, q: Array, lam: Array) -> str:
         f"Small motions there have periods from {near.fastest:.3g} to {near.slowest:.3g}; the "
         "step decides which of them are followed (`suggest_step`)."
     )
+
+
+def advised(system: MechanicalSystem, run: Solution) -> Solution:
+    """Add the periods of small motions to the outcome of a run that another step may cure."""
+    outcome = run.outcome
+    if outcome.verdict not in _CURED_BY_STEP or not len(run.t) or np.iscomplexobj(run.q):
+        return run
+    periods = advice(system, float(run.t[-1]), run.q[-1], run.lam[-1])
+    if not periods or periods in outcome.advice:  # as of a run that did not go on
+        return run
+    return replace(run, outcome=replace(outcome, advice=f"{outcome.advice} {periods}".lstrip()))
 
 
 def _speeds(small: Linearised, count: int, highest: bool) -> Array:

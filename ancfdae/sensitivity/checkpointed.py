@@ -20,6 +20,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import InvalidInput, require_package, require_positive
 from ancfdae.integrators import AdjointIntegrator, PartwiseIntegrator, RunInParts, Seeds
+from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
@@ -190,7 +191,7 @@ class _Backward:
     def _forward(self, k: int, hold: bool) -> None:
         first, begin = self._ends[k], self._node
         solution, self._node = self._replay.part(begin, first, self._ends[k + 1])
-        finished(solution)
+        finished(advised(self._system, solution))
         if hold:
             self._held = solution, begin
         if k == self._seen:

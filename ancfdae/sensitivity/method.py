@@ -26,6 +26,7 @@ from ancfdae.errors import (
 )
 from ancfdae.errors.text import columns, page
 from ancfdae.integrators import Integrator, QuadratureIntegrator
+from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
@@ -123,10 +124,10 @@ class Run:
 
     def solution(self, *, sensitivities: bool = False) -> Solution:
         """Integrate."""
-        if self.after is not None:
-            settings = {"sensitivities": sensitivities, "progress": self.progress}
-            return self.integrator.resume(self.system, self.t_end, self.after, **settings)
         settings = {"sensitivities": sensitivities, "progress": self.progress}
+        if self.after is not None:
+            run = self.integrator.resume(self.system, self.t_end, self.after, **settings)
+            return advised(self.system, run)
         return self._told(
             self.integrator.integrate(self.system, self.t_end, **settings), sensitivities
         )
@@ -148,7 +149,7 @@ class Run:
         return finished(self._told(run, sensitivities)), totals
 
     def _told(self, run: Solution, sensitivities: bool) -> Solution:
-        """Refuse a run of an integrator, of a user's say, that left out what was asked for."""
+        """Return a run with advice; refuse one without the derivatives that were asked for."""
         if sensitivities and run.sensitivities is None and run.outcome.success:
             raise InvalidInput(
                 f"integrator {type(self.integrator).__name__}",
@@ -156,7 +157,7 @@ class Run:
                 "a run without",
                 "Refuse there, and take method=ComplexStep() or FiniteDifference().",
             )
-        return run
+        return advised(self.system, run)
 
     def values(self, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
         """Return a finished run and the values of objectives, without derivatives."""

@@ -13,6 +13,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.equations.solution_parts import Statistics
 from ancfdae.errors import InvalidInput, require_array, require_count
 from ancfdae.integrators import Integrator, PartwiseIntegrator
+from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array
 
 # One instant of so many steps, with the start and the end; or these instants.
@@ -39,7 +40,8 @@ class RunOfParts:
             rule = "needs one whose runs can be taken part by part, such as HHT"
             repair = "The others keep the instants of their intervals."
             raise InvalidInput("keep, integrator", rule, repr(integrator), repair)
-        self._run, self._progress = integrator.replay(system, t_end), progress
+        self._system, self._progress = system, progress
+        self._run = integrator.replay(system, t_end)
         t, self._between = self._run.t, not isinstance(keep, int)
         if isinstance(keep, int):
             require_count("keep", keep, "keep=100 keeps one instant of 100.")
@@ -57,6 +59,7 @@ class RunOfParts:
         with tqdm(total=last, disable=not self._progress, unit="step") as bar:
             for first in range(0, last, self._length):
                 part, node = self._run.part(node, first, min(first + self._length, last))
+                part = advised(self._system, part)
                 bar.update(len(part.t) - 1)
                 lowest = -np.inf if first == 0 else part.t[0]
                 times = self.times[(self.times > lowest) & (self.times <= part.t[-1])]

@@ -14,6 +14,7 @@ from ancfdae.errors.text import columns
 from ancfdae.integrators import Integrator
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
+from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array, Numbers
 from ancfdae.sensitivity.method import Gradient, GradientMethod, finished
 from ancfdae.sensitivity.objectives import Objective
@@ -109,7 +110,7 @@ def taylor_test(
     changes = []
     for size in s:
         moved = system.with_values(system.b + size * db)
-        run = finished(frozen.integrate(moved, t_end))
+        run = finished(advised(moved, frozen.integrate(moved, t_end)))
         changes.append(objective.value(moved, states_of(run)) - base.value)
     change = np.array(changes)
     return TaylorTest(base, s, np.abs(change), np.abs(change - s * (base.gradient @ db)))
