@@ -41,7 +41,7 @@ class JointInput:
 
     def shaped(self, held: HeldAngles) -> JointInput:
         """Leave out right angles that are held without this joint."""
-        c = self.joint.coefficients(self.p, self.reference)
+        c = self.joint.checked_coefficients(self.p, self.reference)
         shapes = enumerate(c.shapes, len(c.offset) - len(c.shapes))
         return replace(self, dropped=tuple(row for row, angle in shapes if not held.add(angle)))
 

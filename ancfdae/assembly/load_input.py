@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.vectors import Vectors
+from ancfdae.errors import InvalidInput
 from ancfdae.kernels import LoadPlan
 from ancfdae.model.loads import Load
 from ancfdae.numerics.arrays import STEP, Array
@@ -58,17 +59,30 @@ class LoadInput:
         Raises
         ------
         InvalidInput
-            For a force that is made of other functions than jets have.
+            For a force that is made of other functions than jets have, or that is no force on each
+            of its vectors.
         """
         shape, size, vectors = self.reference.shape, self.reference.size, self.vectors
         operations = Operations(2 * size)
         U, V = (Listed(operations, x) for x in np.arange(2 * size).reshape(2, *shape))
         F = self.load.force(U, V, self.p, self.reference)
-        results = np.broadcast_to(U.numbers(F), shape)
+        results = self._on_vectors(F, U)
         constants, *lists = operations.arrays(results.ravel())
         arrays = vectors.first, vectors.column, *lists, pattern.index(*self.couplings)
         indices = tuple(np.asarray(x, np.int32) for x in arrays)
         return LoadPlan(indices, (vectors.value, constants), vectors.n_q, pattern.size)
+
+    def _on_vectors(self, F: object, U: Listed) -> Array:
+        """Return the numbers of the forces; refuse what are no forces on the vectors."""
+        shape = self.reference.shape
+        try:
+            return np.broadcast_to(U.numbers(F), shape)
+        except InvalidInput:
+            raise
+        except (TypeError, ValueError) as error:
+            where, rule = f"force of load {self.load.name!r}", f"must have the shape {shape} here"
+            repair = "Return an array of the shape of U, made by functions of NumPy."
+            raise InvalidInput(where, rule, repr(F), repair) from error
 
     @property
     def active(self) -> list[int]:

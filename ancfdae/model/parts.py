@@ -66,6 +66,13 @@ class Direction:
 Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | Direction, ...]
 
 
+def _is_vector(name: object) -> bool:
+    """Whether it is one of `Vectors`."""
+    if isinstance(name, tuple):
+        return len(name) == 2 and isinstance(name[0], Point) and isinstance(name[1], Quantity)
+    return isinstance(name, Normal | CentreLine | Direction)
+
+
 class Part(Designable, abc.ABC):
     """A named joint or load.
 
@@ -92,6 +99,8 @@ class Part(Designable, abc.ABC):
     needs_other_end: ClassVar[bool] = False
     spatial: ClassVar[bool] = False
     stroke: ClassVar[Stroke | None] = None
+    #: Fields that it has beside those of its design.
+    needed_fields: ClassVar[tuple[str, ...]] = ("name",)
     #: What it says to a second point in the place of its name.
     no_second_point: ClassVar[str] = "It joins no second point here."
 
@@ -99,6 +108,7 @@ class Part(Designable, abc.ABC):
 
     def __post_init__(self) -> None:
         """Name and validate."""
+        self._check_declared()
         name: object = self.name
         if not isinstance(name, str):
             raise InvalidInput(
@@ -198,7 +208,7 @@ class Part(Designable, abc.ABC):
             raise InvalidInput(
                 where, "is spatial", f"a scene in {d} dimensions", "Use a planar one, such as Pin."
             )
-        for vector in self.vectors(elements):
+        for vector in self._known_vectors(elements):
             if isinstance(vector, tuple) and vector[0].fraction is not None:
                 point, quantity = vector
                 elements.at(point).require(where, quantity, point.y, point.z)
@@ -216,6 +226,30 @@ class Part(Designable, abc.ABC):
                 require_axial(f"{where}, {name}", value, d)
             elif np.ndim(value) == 1 and name not in self.indexed_fields:
                 require_vector(f"{where}, {name}", value, (d,))
+
+    def _check_declared(self) -> None:
+        """Refuse a class that lacks fields which it needs."""
+        given = self._given()
+        for name in (*self.needed_fields, *(name for name, _ in self.design_fields)):
+            if name not in given:
+                raise InvalidInput(
+                    f"{self.role} of class {type(self).__name__}",
+                    f"must have the fields {', '.join(self.needed_fields)} and its `design_fields`",
+                    f"no field {name!r}",
+                    "Write it among the fields of the dataclass.",
+                )
+
+    def _known_vectors(self, elements: Elements) -> Vectors:
+        """Return the vectors that it names; refuse what are none."""
+        vectors: object = self.vectors(elements)
+        if not isinstance(vectors, tuple) or not vectors or not all(map(_is_vector, vectors)):
+            raise InvalidInput(
+                f"vectors of {self.role} {self.name!r}",
+                "must be a tuple of one or more vectors of points",
+                repr(vectors),
+                "For example ((self.point, Quantity.POSITION),).",
+            )
+        return vectors
 
     def _given(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]

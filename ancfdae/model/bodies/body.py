@@ -281,6 +281,7 @@ class BeamBody(Placed):
                 repr(given),
                 f"Leave it out, or choose among {names}.",
             )
+        given.check(f"element of beam {self.name!r}")
         self._check_turn(f"beam {self.name!r}")
         self._check_part(self.section, Section)
         self._check_part(self.material, Material)

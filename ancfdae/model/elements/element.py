@@ -19,7 +19,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_text
 from ancfdae.model.elements.energy import StrainEnergy
 from ancfdae.model.sections import Section
 from ancfdae.numerics.arrays import STEP, Array
@@ -334,6 +334,26 @@ class BeamElement(abc.ABC):
     def can_kink(self) -> bool:
         """Whether r_x may jump at a node: where sections bend, not where r_x does."""
         return Quantity.SLOPE_Y in self.quantities
+
+    @final
+    def check(self, where: str) -> None:
+        """Refuse an element whose declarations do not fit each other.
+
+        Raises
+        ------
+        InvalidInput
+        """
+        require_text(f"{where}, name", self.name)
+        if self.quantities[:2] != (Quantity.POSITION, Quantity.SLOPE_X):
+            rule, repair = "must be a position and the slope along the beam first", "Declare them."
+            raise InvalidInput(f"{where}, quantities", rule, self.quantities, repair)
+        for quantity in self.quantities:
+            given: object = self.vector_weights(quantity, 0.5, 0.0, 0.0)
+            shapes = [np.shape(x) for x in given] if isinstance(given, tuple) else repr(given)
+            if shapes != 2 * [(self.n_a,)]:
+                rule = f"must be weights and powers of the length, ({self.n_a},) each"
+                repair = "Give one for each vector of both nodes."
+                raise InvalidInput(f"{where}, vector_weights", rule, shapes, repair)
 
     def check_section(self, where: str, section: Section) -> None:
         """Refuse a section that the element cannot stand for.

@@ -18,11 +18,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from ancfdae.errors import require_kind
 from ancfdae.kernels import gram
 from ancfdae.model.elements.element import (
     Batch,
     BeamElement,
     ElementParameter,
+    Integrals,
     InvariantPartial,
     Invariants,
 )
@@ -70,6 +72,8 @@ def _invariants(
 ) -> Invariants:
     """Multiply the integrals by powers of the length; the product rule."""
     integrals = element.integrals(own, owners)
+    where, repair = f"integrals of the element {element.name}", "Return an `Integrals`."
+    require_kind(where, integrals, (Integrals,), repair)
     lengths = [own.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
     whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]

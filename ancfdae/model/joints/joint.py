@@ -19,7 +19,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.errors import require_direction
+from ancfdae.errors import InvalidInput, require_direction, require_kind
 from ancfdae.model.bodies import Point
 from ancfdae.model.drawing import Sign
 from ancfdae.model.elements import Quantity
@@ -121,6 +121,19 @@ class Joint(Part):
         `p` has the values of `parameters`, as `split` takes them, and `reference` the vectors in
         the reference configuration, (n_vectors, d); complex ones must go through.
         """
+
+    @final
+    def checked_coefficients(self, p: Array, reference: Array) -> Equations:
+        """Return the coefficients; InvalidInput if their arrays do not fit their vectors."""
+        where, (n, d) = f"coefficients of joint {self.name!r}", reference.shape
+        c: object = self.coefficients(p, reference)
+        require_kind(where, c, (Equations,), "Begin with `empty_coefficients`.")
+        assert isinstance(c, Equations)
+        rows, shapes = len(c.offset), (c.linear.shape, c.bilinear.shape, c.offset.shape)
+        if shapes != ((rows, n, d), (rows, n, n), (rows,)):
+            rule = f"{rows} equations in {n} vectors need ({rows}, {n}, {d}), ({rows}, {n}, {n})"
+            raise InvalidInput(where, rule, shapes[:2], "Begin with `empty_coefficients`.")
+        return c
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
         """Return what goes with each of the `factors`; arguments as in `coefficients`."""

@@ -44,6 +44,7 @@ class Load(Part):
     """
 
     role = "load"
+    needed_fields = ("name", "law")
     constant: ClassVar[bool] = False
     elastic: ClassVar[bool] = False
     damping_fields: ClassVar[tuple[str, ...]] = ()
