@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
 
 from ancfdae.equations.saddle_points import solve
 from ancfdae.errors import SingularMatrix
@@ -76,8 +76,8 @@ def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -
 
 def _orthonormal(X: Array) -> Array:
     """Return an orthonormal basis of columns; without the checks that cost a small one more."""
-    reflectors, tau, *_ = lapack.dgeqrf(X)
-    Q: Array = lapack.dorgqr(reflectors, tau)[0]
+    reflectors, tau, *_ = scipy.linalg.lapack.dgeqrf(X)
+    Q: Array = scipy.linalg.lapack.dorgqr(reflectors, tau)[0]
     return Q
 
 
