@@ -8,7 +8,10 @@ import ancfdae
 
 # SciPy loads its parts at their first use, which `import ancfdae` must not be.
 HEAVY = {"matplotlib", "pandas", "sksundae", "sundials4py", "tqdm", "distributed"}
-HEAVY |= {f"scipy.{part}" for part in ("sparse", "linalg", "interpolate", "integrate", "optimize")}
+HEAVY |= {
+    f"scipy.{part}"
+    for part in ("sparse", "linalg", "special", "interpolate", "integrate", "optimize")
+}
 
 
 def test_import_loads_nothing_that_a_declared_scene_does_not_need() -> None:

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from scipy.special import ndtri
+import scipy
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
@@ -220,7 +220,7 @@ class Fit:
         require_positive("level", level)
         if level >= 1:
             raise InvalidInput("level", "must be below 1", level, "0.95 is the usual one.")
-        half = ndtri(0.5 * (1 + level)) * np.sqrt(np.diag(self.covariance(b)))
+        half = scipy.special.ndtri(0.5 * (1 + level)) * np.sqrt(np.diag(self.covariance(b)))
         limits = zip((b - half).tolist(), (b + half).tolist(), strict=True)
         return dict(zip(self.design_names, limits, strict=True))
 
