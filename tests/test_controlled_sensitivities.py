@@ -100,7 +100,9 @@ def test_derivatives_along_are_those_of_the_frozen_steps(build, t_end):
     assert len(np.unique(np.round(np.diff(run.t), 12))) > 15
     for name in STATES:
         ours = getattr(run.sensitivities, name)
-        for other, bound in ((batched, 1e-11), (check, 1e-9)):
+        # Complex runs take other operations: round-off in q counts 1/(beta h^2) times in a (another
+        # Newton tolerance moves a_b by 1e-9).
+        for other, bound in ((batched, 1e-11), (check, 1e-8)):
             theirs = getattr(other.sensitivities, name)
             assert np.max(np.abs(ours - theirs)) < bound * np.max(np.abs(theirs)), name
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import ancfdae
 
 # SciPy loads its parts at their first use, which an import must not be.
-HEAVY = {f"scipy.{part}" for part in ("sparse", "linalg", "interpolate", "integrate", "special")}
+PARTS = ("sparse", "linalg", "special", "interpolate", "integrate", "optimize")
+HEAVY = {f"scipy.{part}" for part in PARTS}
 
 
 def packages_after(program: str) -> set[str]:

@@ -332,7 +332,7 @@ def test_stresses_of_many_states_are_those_of_each(monkeypatch):
     states = [States(np.zeros(1), q[k], v[k], np.zeros((1, 0))) for k in rows]
     each = [stress.partials(system, state) for state in states]
     points = system.sections.stress_over("rod")
-    monkeypatch.setattr(stress_points, "_TOGETHER", 3 * points._law.D[..., 0].size)
+    monkeypatch.setattr(stress_points, "_TOGETHER", 3 * points._law.count)
     whole = stress.partials(system, States(np.zeros(7), q, v, np.zeros((7, 0))))
     for name in ("value", "q", "v"):
         expected = np.concatenate([getattr(one, name) for one in each])

@@ -244,7 +244,7 @@ def test_a_setting_that_meets_its_limit_of_time_is_a_row(threads):
     assert [row.finished for row in table.rows] == [True, False, True]
     assert table.rows[1].outcome == "the limit of time (time_limit = 1 s) was reached"
     # It took a part of the second; the run would take minutes.
-    assert 0 < table.rows[1].seconds < 3
+    assert 0 < table.rows[1].seconds < 10
 
 
 class Pressing(CartesianPendulum):

@@ -14,8 +14,6 @@ from ancfdae.numerics.patterns import Pattern
 # Singular-value ratio under which scaled constraint rows count as dependent; round-off leaves
 # dependent rows at 1e-16 times their number.
 _DEPENDENT = 1e-11
-
-
 # Entries of a Phi_q up to which one dense decomposition is cheaper than its graph.
 _SMALL = 10_000
 
@@ -93,7 +91,7 @@ def _independent(pattern: Pattern, scaled: Array) -> bool:
     A = np.zeros(pattern.shape)
     A[pattern.rows, pattern.columns] = scaled
     length = np.sqrt(np.sum(A * A, axis=1))
-    if len(A) > A.shape[1] or not np.all(length > 0):
+    if len(A) > A.shape[1] or not (np.all(length > 0) and np.all(np.isfinite(length))):
         return False
     s = np.linalg.svd(A / length[:, None], compute_uv=False)
     return bool(s[-1] > _DEPENDENT * s[0])

@@ -34,14 +34,14 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_finite, require_flag
 from ancfdae.kernels import Plan
 from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import Array
@@ -92,6 +92,13 @@ class Traits:
     symmetric: bool = False
     project_start: bool = False
     force_round_off: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        *flags, round_off = fields(self)
+        for flag in flags:
+            require_flag(f"Traits.{flag.name}", getattr(self, flag.name))
+        require_finite(f"Traits.{round_off.name}", self.force_round_off)
 
 
 @final

@@ -68,6 +68,7 @@ class Evaluate:
 
     def __post_init__(self) -> None:
         """Validate."""
+        require_flag("Evaluate.gradient", self.gradient)
         kinds = (Objective,) if self.gradient else (Objective, Observable)
         require_kind("Evaluate.of", self.of, kinds, "For example Terminal(position(...)).")
         require_kind("Evaluate.integrator", self.integrator, (Integrator,), "Give HHT(step=0.01).")
