@@ -49,7 +49,7 @@ from ancfdae.assembly.rigidity import Rigidity
 from ancfdae.errors import InvalidInput
 from ancfdae.model import joints
 from ancfdae.model.joints import DrivenJoint, Joint
-from ancfdae.model.joints.frames import Section, across, unit
+from ancfdae.model.joints.frames import SectionFrame, across, unit
 from ancfdae.model.parts import Elements, Normal
 
 from by_hand import turns_by_hand, vector_by_hand
@@ -504,7 +504,7 @@ def test_a_section_carries_a_direction_by_a_combination_of_its_own_slopes():
     slopes = np.eye(3) + 0.2 * rng.uniform(-1, 1, (3, 3))
     direction = rng.uniform(-1, 1, 3)
     reference = np.vstack([rng.uniform(-1, 1, (2, 3)), slopes, rng.uniform(-1, 1, (3, 3))])
-    weights = Section(Point("rod", 0.0), reference, 2).carried(direction)
+    weights = SectionFrame(Point("rod", 0.0), reference, 2).carried(direction)
     assert_close(weights @ reference, direction, 1e-15 * 10)
     assert not np.any(weights[[0, 1, 5, 6, 7]])
 

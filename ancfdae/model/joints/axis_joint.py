@@ -12,7 +12,7 @@ from ancfdae.errors import require_direction, require_vector
 from ancfdae.model.bodies import Point
 from ancfdae.model.joints.frames import (
     Carrier,
-    Section,
+    SectionFrame,
     axis_shapes,
     carrier_of,
     hold_axis,
@@ -86,7 +86,7 @@ class AxisJoint(Joint):
         axis, carrier, _ = self.around(p, reference)
         both = sections(self.points, reference)
         own = both[0]
-        if isinstance(carrier, Section) and own.holds(axis) and not carrier.holds(axis):
+        if isinstance(carrier, SectionFrame) and own.holds(axis) and not carrier.holds(axis):
             own, carrier = carrier, own
         every = tuple(dict.fromkeys((*axis_shapes(own, carrier, axis), *shapes)))
         c = empty_coefficients(rows, p, reference, every)

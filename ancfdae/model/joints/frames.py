@@ -76,7 +76,7 @@ class Ground(Carrier):
 
 
 @final
-class Section(Carrier):
+class SectionFrame(Carrier):
     """The section of a point, by its d slopes among the vectors of a joint.
 
     A direction w of the reference is carried along as F w, the combination of the slopes that
@@ -156,27 +156,27 @@ def _angle(point: Point, first: Quantity, second: Quantity) -> RightAngle:
     return RightAngle(point.beam, point.fraction, point.before, frozenset((first, second)))
 
 
-def sections(points: Sequence[Point], reference: Array) -> list[Section]:
+def sections(points: Sequence[Point], reference: Array) -> list[SectionFrame]:
     """Return the sections of points whose slopes are the last vectors of a joint."""
     n, d = reference.shape
     firsts = range(n - d * len(points), n, d)
-    return [Section(point, reference, k) for point, k in zip(points, firsts, strict=True)]
+    return [SectionFrame(point, reference, k) for point, k in zip(points, firsts, strict=True)]
 
 
-def carrier_of(others: Sequence[Section]) -> Carrier:
+def carrier_of(others: Sequence[SectionFrame]) -> Carrier:
     """Return the section of the other point, or the ground."""
     return others[0] if others else Ground()
 
 
 def square(carrier: Carrier, unless_it_holds: Array | None = None) -> tuple[RightAngle, ...]:
     """Return the right angles of what carries directions: those in the section may be enough."""
-    if not isinstance(carrier, Section):
+    if not isinstance(carrier, SectionFrame):
         return ()
     enough = unless_it_holds is not None and carrier.holds(unless_it_holds)
     return carrier.flat() if enough else carrier.square()
 
 
-def place_shapes(c: Equations, at: Sequence[Section]) -> None:
+def place_shapes(c: Equations, at: Sequence[SectionFrame]) -> None:
     """Enter the last equations, the right angles of sections."""
     points = (section.point for section in at)
     places = dict(zip(((x.beam, x.fraction, x.before) for x in points), at, strict=True))
@@ -184,22 +184,22 @@ def place_shapes(c: Equations, at: Sequence[Section]) -> None:
         places[angle.beam, angle.fraction, angle.before].place_right_angle(c, row, angle)
 
 
-def is_fixed_in(own: Section, carrier: Carrier, axis: Array) -> bool:
+def is_fixed_in(own: SectionFrame, carrier: Carrier, axis: Array) -> bool:
     """Tell whether an axis is fixed to ground and lies in the section: linear equations do then."""
     return isinstance(carrier, Ground) and own.share(axis) < _LINEAR
 
 
-def axis_torque(section: Section, axis: Array) -> tuple[RightAngle, ...]:
+def axis_torque(section: SectionFrame, axis: Array) -> tuple[RightAngle, ...]:
     """Return the right angle through which a section feels a torque about an axis off it."""
     return () if section.holds(axis) else section.flat()
 
 
-def axis_shapes(own: Section, carrier: Carrier, axis: Array) -> tuple[RightAngle, ...]:
+def axis_shapes(own: SectionFrame, carrier: Carrier, axis: Array) -> tuple[RightAngle, ...]:
     """Return the right angles that `hold_axis` stands on."""
     return own.flat() + square(carrier, unless_it_holds=axis)
 
 
-def hold_axis(c: Equations, rows: slice, own: Section, carrier: Carrier, axis: Array) -> None:
+def hold_axis(c: Equations, rows: slice, own: SectionFrame, carrier: Carrier, axis: Array) -> None:
     """Enter two equations: the axis stays where the carrier has it, as the section has it.
 
     With e_1, e_2 across the axis a they say F e_j . a = 0, less the strain of the slopes that would
@@ -219,7 +219,7 @@ def hold_axis(c: Equations, rows: slice, own: Section, carrier: Carrier, axis: A
         own.take_out_shear(c, row, np.cross(e, axis), 1.0)
 
 
-def hold_turn(c: Equations, rows: slice, own: Section, other: Section) -> None:
+def hold_turn(c: Equations, rows: slice, own: SectionFrame, other: SectionFrame) -> None:
     """Enter one equation for every turn of a section against another.
 
     e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of both.
@@ -239,7 +239,7 @@ def hold_place(c: Equations, row: int, carrier: Carrier, e: Array, offset: Array
     """Enter e . (r - r') = offset, where e is carried along; r' = 0 on the ground."""
     gap = np.zeros(c.linear.shape[1])
     gap[0] = 1.0
-    if isinstance(carrier, Section):
+    if isinstance(carrier, SectionFrame):
         gap[1] = -1.0
     carrier.meet(c, row, gap, e)
     c.offset[row] = offset

@@ -12,7 +12,7 @@ from ancfdae.errors import require_axial, require_vector
 from ancfdae.model.bodies import Point, Quantity
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
-from ancfdae.model.loads.sections import Carrier, rate_of, section_of, turn
+from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, dot
@@ -89,7 +89,7 @@ class Bushing(Load):
     def _travel(self, U: Any, U_o: Array) -> tuple[Any, Any]:
         """Return components of r - r_other beyond the reference, (..., d, 1, 1), and gradients."""
         d, n = U_o.shape[1], len(self.points)
-        rows, carrier = np.eye(d)[:, None, :], Carrier(U[..., n + d - 1 :, :], U_o[n + d - 1 :])
+        rows, carrier = np.eye(d)[:, None, :], CarriedAxes(U[..., n + d - 1 :, :], U_o[n + d - 1 :])
         axes = carrier.of(rows) + 0.0 * U[..., :1, :]
         still = 0.0 * (U[..., n : n + d - 1, :] + axes)
         if self.other is None:

@@ -37,7 +37,7 @@ def section_of(points: tuple[Point, ...], elements: Elements) -> Vectors:
 
 @final
 @dataclass(frozen=True)
-class Carrier:
+class CarriedAxes:
     """A section with slopes U, U_o in the reference, that carries directions; none: the ground."""
 
     U: Any
@@ -89,7 +89,7 @@ def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
     U = U[..., None, :, :]
     if d == 2:
         return _planar_turn(U, U_o)
-    own, carrier = U[..., :2, :], Carrier(U[..., 2:, :], U_o[2:])
+    own, carrier = U[..., :2, :], CarriedAxes(U[..., 2:, :], U_o[2:])
     rows, start = axes[:, None, :], _basis(U_o[:2])
     size, a = direction(carrier.of(rows))
     r, d_k = _basis(own), carrier.of(start)
@@ -109,7 +109,7 @@ def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
 
 def _planar_turn(U: Any, U_o: Array) -> tuple[Any, Any]:
     """Return the angle between two directions, or of one, since the reference."""
-    r, carrier = U[..., :1, :], Carrier(U[..., 1:, :], U_o[1:])
+    r, carrier = U[..., :1, :], CarriedAxes(U[..., 1:, :], U_o[1:])
     start = carrier.of(U_o[:1])
     theta = angle(dot(start @ QUARTER_TURN, r), dot(start, r))
     on_r = (r @ QUARTER_TURN) / dot(r, r)

@@ -11,7 +11,7 @@ from ancfdae.model.bodies import Point, Quantity
 from ancfdae.model.laws import Law
 from ancfdae.model.loads.friction import DAMPING, LEVELS, friction, require_stribeck
 from ancfdae.model.loads.load import LAW, Load
-from ancfdae.model.loads.sections import Carrier, rate_of, section_of
+from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, direction, dot
@@ -73,7 +73,7 @@ class SlideFriction(Load):
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-R(x') x_U with x = a . (r - r_other)."""
         along, *levels, _ = self.split(p)
-        rows, carrier = along[None], Carrier(U[..., 2:, :], U_o[2:])
+        rows, carrier = along[None], CarriedAxes(U[..., 2:, :], U_o[2:])
         size, a = direction(carrier.of(rows))
         gradient = a + 0.0 * U[..., :1, :]
         if self.other is not None:

@@ -41,7 +41,7 @@ class Component(IntEnum):
 
 def axial_force(point: Point) -> Observable:
     """Return the axial force in a beam at a point of its axis, positive in tension; N."""
-    return Section(point, Component.AXIAL_FORCE)
+    return SectionForce(point, Component.AXIAL_FORCE)
 
 
 def shear_force(point: Point, along: int = 1) -> Observable:
@@ -50,7 +50,7 @@ def shear_force(point: Point, along: int = 1) -> Observable:
     `along` is 1 for the height of the section and 2 for its width.
     """
     components = (Component.SHEAR_FORCE_Y, Component.SHEAR_FORCE_Z)
-    return Section(point, components[_across("shear_force, along", along)])
+    return SectionForce(point, components[_across("shear_force, along", along)])
 
 
 def bending_moment(point: Point, about: int = 2) -> Observable:
@@ -60,12 +60,12 @@ def bending_moment(point: Point, about: int = 2) -> Observable:
     A positive moment about z bends the beam towards its height axis.
     """
     components = (Component.BENDING_MOMENT_Y, Component.BENDING_MOMENT_Z)
-    return Section(point, components[_across("bending_moment, about", about)])
+    return SectionForce(point, components[_across("bending_moment, about", about)])
 
 
 def torque(point: Point) -> Observable:
     """Return the torque in a spatial beam at a point of its axis; N m."""
-    return Section(point, Component.TORQUE)
+    return SectionForce(point, Component.TORQUE)
 
 
 def _across(where: str, axis: int) -> int:
@@ -80,7 +80,7 @@ def _across(where: str, axis: int) -> int:
 
 @final
 @dataclass(frozen=True)
-class Section(Leaf):
+class SectionForce(Leaf):
     """A force or moment in a beam, in the axes of its section."""
 
     point: Point
