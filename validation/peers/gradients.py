@@ -16,7 +16,7 @@ from validation.report import Agreement, Report
 
 __all__ = ["fill"]
 
-_STEP, _STEPS, _NEWTON = 2.0**-10, 256, 1e-10
+_STEP, _STEPS, _NEWTON = 2.0**-10, 256, 1e-8
 _CHANGES = 10.0 ** np.arange(-1, -8, -1)
 
 

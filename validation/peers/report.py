@@ -94,7 +94,7 @@ def _motion(report: Report, pairs: Sequence[Pair], steps: int, repeats: int) -> 
 def _times(pair: Pair, steps: int, repeats: int) -> tuple[float, float, str]:
     """Return median processor seconds of runs that take turns, and Exudyn's best setting."""
     exudyn, system = Exudyn(pair), assemble(pair.scene())
-    way = exudyn.fastest(_STEP, max(8, steps // 8), _NEWTON)
+    way = exudyn.fastest(_STEP, min(steps, 32), _NEWTON)
     hht = HHT(step=_STEP, newton_tolerance=_NEWTON)
     calls: list[Callable[[], object]] = [
         lambda: simulate(system, steps * _STEP, hht),
@@ -114,7 +114,7 @@ def _apart(pair: Pair) -> float:
         return pair.end(_COMPARED, HHT(step=h, newton_tolerance=1e-12))
 
     def theirs(h: float) -> Array:
-        return exudyn.end(h, round(_COMPARED / h), 1e-10, way)
+        return exudyn.end(h, round(_COMPARED / h), _NEWTON, way)
 
     for end in (ours, theirs):
         coarse, fine = end(_STEP / 2), end(_STEP / 4)
