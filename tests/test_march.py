@@ -175,6 +175,13 @@ def test_more_steps_than_a_packet_are_the_same_in_the_kernel():
     assert compared(pendulum(), HHT(2.0**-12), 300 * 2.0**-12).statistics.steps == 300
 
 
+def test_a_node_that_is_kept_holds_no_rows_of_its_part():
+    # Checkpoints are nodes: views would keep the states of every part in memory.
+    replay = HHT(2.0**-7).replay(assemble(pendulum()), 2.0**-3)
+    _, node = replay.part(replay.start(), 0, 8)
+    assert all(x.base is None for x in (node.q, node.v, node.a, node.lam, node.A))
+
+
 def test_a_hard_step_in_a_packet_is_taken_by_python(monkeypatch):
     # Four iterations do not solve every step from the guess; continuation does, in both.
     system, integrator = assemble(crank_slider()), HHT(2.0**-6, max_iterations=4)

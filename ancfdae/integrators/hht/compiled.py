@@ -131,7 +131,8 @@ class CompiledSteps:
             self._kernel.add_band()
         self._count(counts)
         if taken:
-            q, v, A, lam = (row[taken - 1] for row in rows)
+            # Copies: a node that is kept must not keep the rows of a whole part.
+            q, v, A, lam = (row[taken - 1].copy() for row in rows)
             return taken, Node(float(ends[taken - 1]), q, v, a, lam, A, motion)
         again = why in (NEEDS_GAUSS, INDEFINITE)
         return self.march(before, h, ends, rows) if again else (0, before)
