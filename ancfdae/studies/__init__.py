@@ -11,6 +11,8 @@ from ancfdae.studies.calls import (
     simulate,
 )
 from ancfdae.studies.error_bars import ErrorBars, error_bars
+from ancfdae.studies.ladder import choose_model
+from ancfdae.studies.ladder_result import Choice, ModelLadder, NoModel, Rung, RungRun
 from ancfdae.studies.mass_properties import MassProperties, mass_properties
 from ancfdae.studies.misfit import Fit, Misfit
 from ancfdae.studies.modes import modes, suggest_step
