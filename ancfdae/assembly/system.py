@@ -122,10 +122,8 @@ class AncfSystem(PlannedSystem):
         blocks = (element_masses(self._numbering, soft, block), *others)
         self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, self._gravity())
         self._describe()
-        self.inputs, start = (
-            inputs,
-            (mapping, self._reference, self._constraints, self.pattern, self.b),
-        )
+        self.inputs = inputs
+        start = mapping, self._reference, self._constraints, self.pattern, self.b
         self._start = AssembledStart(scene, numbering, *start)
 
     @cached_property
