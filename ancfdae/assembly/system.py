@@ -31,7 +31,7 @@ from ancfdae.equations.system import (
     DesignPartials,
     Direction,
     Linearisation,
-    MechanicalSystem,
+    PlannedSystem,
     States,
     Traits,
 )
@@ -68,7 +68,7 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
 
 
 @final
-class AncfSystem(MechanicalSystem):
+class AncfSystem(PlannedSystem):
     """A scene at given values of its design variables; made by `assemble`.
 
     Parameters
@@ -84,11 +84,6 @@ class AncfSystem(MechanicalSystem):
     ----------
     naming : SceneNaming
         Positions of beams and joints in q and lam, and the element lengths.
-    energies : Energies
-    sections : BeamSections
-        Forces and stresses of beams.
-    works : Works
-        Power of driven joints and of loads.
     inputs : PartInputs
         What joints and loads are made of, and vectors of points in the reference.
     """
@@ -127,12 +122,25 @@ class AncfSystem(MechanicalSystem):
         blocks = (element_masses(self._numbering, soft, block), *others)
         self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, self._gravity())
         self._describe()
-        layout = self.naming.layout
-        self.energies = Energies(self._elastic, self._inertia, numbering, layout)
-        self.sections = BeamSections(scene, layout, numbering, mapping, self.b)
-        self.inputs, self.works = inputs, Works(scene, inputs, layout, self.n_b)
+        self.inputs = inputs
         start = mapping, self._reference, self._constraints, self.pattern, self.b
         self._start = AssembledStart(scene, numbering, *start)
+
+    @cached_property
+    def energies(self) -> Energies:
+        """Energies of beams and bodies."""
+        return Energies(self._elastic, self._inertia, self._numbering, self.naming.layout)
+
+    @cached_property
+    def sections(self) -> BeamSections:
+        """Forces and stresses of beams."""
+        layout, numbering = self.naming.layout, self._numbering
+        return BeamSections(self._scene, layout, numbering, self._mapping, self.b)
+
+    @cached_property
+    def works(self) -> Works:
+        """Power of driven joints and of loads."""
+        return Works(self._scene, self.inputs, self.naming.layout, self.n_b)
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""
