@@ -89,6 +89,8 @@ def refined_runs(
     steps, left = _FIRST, None
     while steps <= _MOST:
         try:
+            if not runs:  # What a system makes at first use is not to be timed.
+                question.numbers(system, HHT(question.t_end / steps))
             runs.append(_timed(system, question, question.t_end / steps))
         except UnfinishedRun as failed:
             left = failed

@@ -60,7 +60,7 @@ def run(report: Report, quick: bool) -> None:
                 0.1 if quick else _TOLERANCES[-1],
                 design=case.design,
                 alternatives=case.alternatives,
-                doublings=1 if quick else 3,
+                doublings=1 if quick else 2,
             )
             truth = _truth(case, objective, ladder)
             report.heading(f"{case.title}: {name}", 3)
