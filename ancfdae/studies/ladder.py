@@ -40,6 +40,7 @@ def choose_model(
     design: Sequence[str | DesignVariable],
     alternatives: Mapping[str, Scene] | None = None,
     doublings: int = 1,
+    max_steps: int = 8192,
     progress: bool = False,
 ) -> ModelLadder:
     """Measure which model, mesh and step a value and its gradient need.
@@ -62,6 +63,8 @@ def choose_model(
         for a spatial one, say.
     doublings : int
         How often the elements may be doubled to see their error.
+    max_steps : int
+        Steps of the longest run; what errs more by its step says so in that part.
     progress : bool
         Whether to show a progress bar.
 
@@ -73,12 +76,13 @@ def choose_model(
     require_kind("scene", scene, (Scene,), "Pass a Scene.")
     require_positive("tolerance", tolerance)
     require_count("doublings", doublings, "An error is seen in two meshes.")
+    require_count("max_steps", max_steps, "Runs begin with 32 steps.")
     require_flag("progress", progress)
     variables = as_design(design)
     system = differentiable(scene, variables)
     require_objectives(system, [objective], t_end)
     scale = np.append(1.0, np.where(system.b == 0, 1.0, system.b))
-    question = Question(objective, t_end, variables, scale, tolerance)
+    question = Question(objective, t_end, variables, scale, tolerance, max_steps)
     *simpler, declared = model_kinds(scene, alternatives or {})
     with tqdm(disable=not progress, unit="rung") as bar:
         richest: list[Rung] = []

@@ -147,6 +147,10 @@ class ModelLadder:
     mesh_bar: Array
     mesh_orders: Array
 
+    def __repr__(self) -> str:
+        """Return the table."""
+        return self.table()
+
     @property
     def richest(self) -> Rung:
         """What all are measured against."""

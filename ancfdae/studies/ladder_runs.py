@@ -26,8 +26,8 @@ from ancfdae.studies.ladder_result import KINDS, Rung, RungRun, error
 _SHARE = 1 / 8
 # A model that errs by more needs its value no better than to this share of that.
 _KNOWN = 1 / 8
-# Steps of the first and the longest run; shorter runs than so many seconds are timed thrice.
-_FIRST, _MOST, _SHORT = 32, 2**15, 0.05
+# Steps of the first run; shorter runs than so many seconds are timed thrice.
+_FIRST, _SHORT = 32, 0.05
 # Runs whose differences show the order.
 _SEEN = 3
 
@@ -42,6 +42,7 @@ class Question:
     design: tuple[DesignVariable, ...]
     scale: Array
     tolerance: float
+    max_steps: int
 
     def numbers(self, system: MechanicalSystem, integrator: HHT) -> Array:
         """Return what `RungRun` holds; derivatives are zero in variables that a rung lacks."""
@@ -87,7 +88,7 @@ def refined_runs(
     """
     system, runs = assemble(model, design), list[RungRun]()
     steps, left = _FIRST, None
-    while steps <= _MOST:
+    while steps <= question.max_steps:
         try:
             if not runs:  # What a system makes at first use is not to be timed.
                 question.numbers(system, HHT(question.t_end / steps))
@@ -101,7 +102,9 @@ def refined_runs(
             break
         steps *= 2
     if len(runs) < _SEEN:
-        raise left or InvalidInput("t_end", "must take some steps", question.t_end, "Raise it.")
+        raise left or InvalidInput(
+            "max_steps", "must be 128 at least", question.max_steps, "Raise it."
+        )
     return tuple(runs), _bar(runs)
 
 
