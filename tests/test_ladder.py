@@ -48,13 +48,13 @@ SINK = Integral(position(swinging().beams[0].at_end, 1) ** 2)
 
 @pytest.fixture(scope="module")
 def ladder():
-    return choose_model(swinging(), SINK, T_END, 0.02, design=DESIGN)
+    return choose_model(swinging(4), SINK, T_END, 0.02, design=DESIGN)
 
 
 def test_rungs_are_those_that_the_scene_has(ladder):
     names = list(dict.fromkeys(rung.name for rung in ladder.rungs))
     assert names == ["rigid", "all CABLE_2D", "undamped", "as declared"]
-    assert [x.elements for x in ladder.rungs if x.name == "as declared"] == [1, 2, 4]
+    assert [x.elements for x in ladder.rungs if x.name == "as declared"] == [1, 2, 4, 8]
     # One that deforms has no rung of its own; without damping and rigid nothing is left.
     assert [kind.name for kind in model_kinds(swinging(rigid=True), {})] == ["as declared"]
 
@@ -126,16 +126,16 @@ def test_models_of_ones_own_are_rungs():
     ladder = choose_model(
         swinging(), SINK, T_END, 0.5, design=["arm.height"], alternatives={"stiffer": other}
     )
-    own = [rung for rung in ladder.rungs if rung.name == "stiffer"]
-    assert own[0].scene.beams[0].material.youngs_modulus == 2e8
-    wrong = swinging(name="leg")
-    wrong = replace(wrong, joints=[Pin(wrong.beams[0].at_start)])
+    (own,) = (x for x in ladder.rungs if x.name == "stiffer" and x.level == 0)
+    assert own.scene.beams[0].material.youngs_modulus == 2e8
+    leg = replace(swinging().beams[0], name="leg")
+    wrong = Scene([leg], [Pin(leg.at_start)], gravity=(0, -9.81))
     told = choose_model(
         swinging(), SINK, T_END, 0.5, design=["arm.height"], alternatives={"leg": wrong}
     )
-    (leg,) = (rung for rung in told.rungs if rung.name == "leg")
-    assert "arm" in leg.outcome
-    assert not leg.runs
+    (rung,) = (each for each in told.rungs if each.name == "leg")
+    assert "arm" in rung.outcome
+    assert not rung.runs
 
 
 def test_a_variable_of_an_element_follows_it_to_other_meshes():
@@ -228,7 +228,7 @@ def test_tradeoff_ranks_models_beside_settings():
 
 def test_stress_gradients_where_coordinates_of_others_lie_between():
     scene = hoeken(4)
-    stress = Integral((von_mises(scene.beams[1].at(0.5, y=0.004)) / 1e6) ** 2)
+    stress = Integral((von_mises(scene.beams[1].at(0.5, y=0.003)) / 1e6) ** 2)
     design, call = ["coupler.height"], (0.02, HHT(0.001))
     found = gradient(scene, stress, *call, design=design)
     height = scene.beams[1].section.height

@@ -19,6 +19,7 @@ __all__ = ["run"]
 Array = npt.NDArray[np.float64]
 
 _TOLERANCES: Final = (1e-1, 1e-2, 1e-3)
+_STEPS: Final = 4096
 # A motion that is right to this, and a gradient that is wrong by that.
 _RIGHT, _WRONG = 1e-2, 1e-1
 
@@ -61,6 +62,7 @@ def run(report: Report, quick: bool) -> None:
                 design=case.design,
                 alternatives=case.alternatives,
                 doublings=1 if quick else 2,
+                max_steps=_STEPS,
             )
             truth = _truth(case, objective, ladder)
             report.heading(f"{case.title}: {name}", 3)
@@ -235,7 +237,7 @@ _CAPTION = (
 
 _METHOD = """
 `choose_model` runs every model that a scene can be simplified to, on meshes from a quarter of the
-elements declared up, with steps halved until they err by an eighth of the tolerance, and adds up
+elements declared up, with steps halved until they err by an eighth of the tolerance (4096 at most), and adds up
 four parts of an error relative to value or gradient (derivatives times their variables):
 
 - *model*: this kind of model against the richest one, each on its finest mesh;

@@ -160,8 +160,8 @@ class Beam(BeamBody):
         return replace(
             self,
             elements=count,
-            section=[sections[k.start] for k in places],
-            material=[materials[k.start] for k in places],
+            section=tuple(sections[k.start] for k in places),
+            material=tuple(materials[k.start] for k in places),
         )
 
     @property
