@@ -8,10 +8,8 @@ bar of that) and the *reference* (bars of mesh and step of the richest model its
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, final
+from typing import Final, Literal, final
 
 import numpy as np
 
@@ -21,9 +19,6 @@ from ancfdae.integrators import HHT
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    from ancfdae.plotting import Panel
 
 ErrorOf = Literal["objective", "gradient"]
 KINDS: Final[tuple[ErrorOf, ...]] = ("objective", "gradient")
@@ -199,30 +194,6 @@ class ModelLadder:
         exact = self.richest.numbers
         bars = ", ".join(f"{of} {error(self.mesh_bar, exact, of):.2g}" for of in KINDS)
         return f"{columns(rows, shorten=False)}\nmesh of the last: {bars}; orders {orders}"
-
-    def plot(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
-        """Draw errors of value and gradient over processor time; return the SVG and the PNG."""
-        from ancfdae import plotting
-
-        return plotting.save(plotting.draw(self.panels(), columns=2), path)
-
-    def panels(self) -> list[Panel]:
-        """Return the panels of `plot`: one line a rung, along its steps."""
-        from ancfdae.plotting import Panel, Series
-
-        panels = []
-        for of in KINDS:
-            lines: dict[str, list[Choice]] = {}
-            for each in self.choices(of):
-                lines.setdefault(f"{each.rung.name}, {each.rung.elements}", []).append(each)
-            series = [
-                Series(name, [x.run.seconds for x in own], [x.error for x in own], marker=True)
-                for name, own in lines.items()
-            ]
-            axes = ("processor time [s]", "relative error [-]")
-            panel = Panel(f"Error of the {of}", *axes, series, x_scale="log", y_scale="log")
-            panels.append(panel)
-        return panels
 
     def choice(self, rung: Rung, run: RungRun, of: ErrorOf) -> Choice:
         """Return a run of a rung with the parts of its error in the value or the gradient."""

@@ -74,8 +74,8 @@ def model_kinds(scene: Scene, alternatives: Mapping[str, Scene]) -> Iterator[Kin
     if damped:
         yield Kind("undamped", partial(_exchanged, scene, damped, _undamped), "damping_time")
     for name, other in alternatives.items():
-        yield Kind(name, partial(_exchanged, other, (), _rigid))
-    yield Kind(DECLARED, partial(_exchanged, scene, (), _rigid))
+        yield Kind(name, partial(replace, other))
+    yield Kind(DECLARED, partial(replace, scene))
 
 
 def _exchanged(
