@@ -257,8 +257,9 @@ def assert_same_by_the_kernel(scene, t_end=2.0**-8, **settings):
         patch.setattr(StageSolver, "_prepared", lambda self: None)
         slow = simulate(system, t_end, integrator)
     assert fast.outcome.verdict is slow.outcome.verdict is Verdict.FINISHED
-    assert abs(fast.statistics.iterations - slow.statistics.iterations) <= len(fast.t)
     root, inertia = np.sqrt(system.weights), np.max(np.abs(slow.a * system.weights))
+    if inertia > 1e-6:  # At rest, 1e-10 N, round-off decides which iteration is the last.
+        assert abs(fast.statistics.iterations - slow.statistics.iterations) <= len(fast.t)
     for name, factor in (("t", 1), ("q", root), ("v", root), ("a", root)):
         x, y = (getattr(run, name) * factor for run in (fast, slow))
         assert np.max(np.abs(x - y)) <= 2e-9 * np.max(np.abs(y)), name

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import reaction
+from ancfdae.equations import PlannedSystem, reaction
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.stages import (
@@ -83,7 +83,8 @@ class StageSolver:
 
     def _prepared(self) -> tuple[Plan, object, Any] | None:
         """Return plan, plan as a kernel takes it, and the matrix; None where there are none."""
-        plan, layout = self._problem.system.plan, self._problem.matrices.layout(band=False)
+        system, layout = self._problem.system, self._problem.matrices.layout(band=False)
+        plan = system.plan if isinstance(system, PlannedSystem) else None
         coupled = self._matrices.arrays
         if plan is None or layout is None or coupled is None:
             return None
@@ -98,11 +99,11 @@ class StageSolver:
         instants = np.append(begin.times, begin.t)
         joints, still = plan.joint_factors, np.ones((1, 1))
         factors = still if joints is None else joints(instants, 1)[0]
+        tables = factors, plan.load_factors(instants), _TABLEAU, self._rules
         self._rules[0] = begin.h
         ends, size, (iterations, factorisations, stuck) = solve_stages(
-            prepared, coupled, (q, v, a, lam_0), x, lam, factors, plan.load_factors(instants), _TABLEAU,
-            self._rules,
-        )  # fmt: skip
+            prepared, coupled, (q, v, a, lam_0), x, lam, *tables
+        )
         self._recorder.residuals += 3 * iterations
         self._recorder.iterations += iterations
         self._recorder.factorisations += factorisations
