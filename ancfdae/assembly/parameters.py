@@ -63,7 +63,7 @@ class ParameterMap:
 
     def holding(self, owner: str, numbers: Sequence[float]) -> ParameterMap:
         """Return the same map with the numbers of an owner held at others."""
-        slots = {name: own for name, own in self.slots.items() if name != owner}
+        slots = {name: slot for name, slot in self.slots.items() if name != owner}
         return replace(self, declared=self.declared | {owner: tuple(numbers)}, slots=slots)
 
     def values(self, b: Array) -> Array:
@@ -76,12 +76,12 @@ class ParameterMap:
         """Return what is written to some elements, numbered in the order given."""
         places = np.full(len(self.base), -1)
         places[rows] = np.arange(len(rows))
-        own = places[self.elements]
-        kept = own >= 0
+        chosen = places[self.elements]
+        kept = chosen >= 0
         return replace(
             self,
             base=self.base[rows],
-            elements=own[kept],
+            elements=chosen[kept],
             parameters=self.parameters[kept],
             variables=self.variables[kept],
             weights=self.weights[kept],
