@@ -17,9 +17,11 @@ from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
 from ancfdae.assembly.inertia import Inertia
 from ancfdae.assembly.joint_structure import JointStructure
+from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
 from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.mass_blocks import element_masses, other_masses
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
 from ancfdae.assembly.part_inputs import PartInputs
@@ -39,7 +41,6 @@ from ancfdae.errors.text import listed
 from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.naming import Layout, Naming
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.patterns import Pattern
@@ -82,7 +83,7 @@ class AncfSystem(MechanicalSystem):
 
     Attributes
     ----------
-    naming : Naming
+    naming : SceneNaming
         Positions of beams and joints in q and lam, and the element lengths.
     energies : Energies
     sections : BeamSections
@@ -93,7 +94,7 @@ class AncfSystem(MechanicalSystem):
         What joints and loads are made of, and vectors of points in the reference.
     """
 
-    naming: Naming
+    naming: SceneNaming
 
     def __init__(
         self,
@@ -112,7 +113,7 @@ class AncfSystem(MechanicalSystem):
         masses = tuple(mass.name for mass in scene.point_masses)
         numbering = self._numbering
         layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
-        self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
+        self.naming = SceneNaming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
         inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
         joints, loads = inputs.joints(), inputs.loads()

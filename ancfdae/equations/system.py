@@ -41,9 +41,9 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
+from ancfdae.equations.naming import Naming
 from ancfdae.errors import InvalidInput, require_finite, require_flag
 from ancfdae.kernels import Plan
-from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
