@@ -63,8 +63,8 @@ class ParameterMap:
 
     def holding(self, owner: str, numbers: Sequence[float], count: int) -> ParameterMap:
         """Return the same map with the first numbers of an owner, so many, held at others."""
-        moved, kept = len(numbers) - count, self.slots.get(owner, [])
-        slots = [(place + moved, *slot) for place, *slot in kept if place >= count]
+        moved, kept = len(numbers) - count, (x for x in self.slots.get(owner, []) if x[0] >= count)
+        slots = [(place + moved, index, weight, offset) for place, index, weight, offset in kept]
         own = (*numbers, *self.declared[owner][count:])
         declared = self.declared | {owner: own}
         return replace(self, declared=declared, slots=self.slots | {owner: slots})

@@ -279,7 +279,7 @@ class AncfSystem(MechanicalSystem):
         dt, *rates = direction
         dQ = self._elastic.force_along((q, v), (rates[0], rates[1]))
         if self._turning is not None:
-            dQ = dQ - self._turning.force_along(*rates)
+            dQ = dQ - self._turning.force_along(rates[0], rates[1])
         if self._scene.loads:
             states, moving = (q[None], v[None]), (rates[0][None], rates[1][None])
             dQ = dQ + self._loads.force_along(states, moving, np.array([t]), dt)[0]
@@ -371,7 +371,7 @@ class AncfSystem(MechanicalSystem):
         moved_by = q_b, v_b, *direction_b
         total = -self._elastic.force_along_total((q, v), tuple(rates), moved_by)
         if self._turning is not None:
-            total += self._turning.along_total(*rates, *direction_b)
+            total += self._turning.along_total(rates[0], rates[1], *direction_b)
         if self._scene.loads:
             time = np.array([t])
             total -= self._loads.force_along_total((q, v), tuple(rates), time, dt, moved_by)
@@ -390,7 +390,7 @@ class AncfSystem(MechanicalSystem):
         Q_q, Q_v = self._elastic.tangent_rates(q, v, moving)
         on_b = -self._elastic.pull_back_rate(q, v, moving, mu)
         if self._turning is not None:
-            on_b = on_b + self._turning.along_pull_back(*rates, mu)
+            on_b = on_b + self._turning.along_pull_back(rates[0], rates[1], mu)
         if self._scene.loads:
             Q_v = np.zeros_like(Q_q) if Q_v is None else Q_v
             self._loads.add_tangents_along((q, v), moving, time, dt, Q_q, Q_v)

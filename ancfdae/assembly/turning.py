@@ -53,9 +53,8 @@ class TurningForces:
     def potential(self, q: Array) -> Array:
         """Return the potential of the centrifugal force for rows of q, shape (k,)."""
         rate, J, through = self._frame.turn(self._p, self._d)
-        arms = self._arms(q, through)
-        momenta = self._inertia.times((rate * arms @ J.T).reshape(q.shape).T).T
-        return -0.5 * np.sum((rate * arms @ J.T).reshape(q.shape) * momenta, axis=1)
+        v = (rate * self._arms(q, through) @ J.T).reshape(q.shape)
+        return np.asarray(-0.5 * np.sum(v * self._inertia.times(v.T).T, axis=1))
 
     # -- design derivatives ------------------------------------------------------------------------
 
