@@ -32,7 +32,7 @@ from ancfdae.equations.system import (
     DesignPartials,
     Direction,
     Linearisation,
-    MechanicalSystem,
+    PlannedSystem,
     States,
     Traits,
 )
@@ -69,7 +69,7 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
 
 
 @final
-class AncfSystem(MechanicalSystem):
+class AncfSystem(PlannedSystem):
     """A scene at given values of its design variables; made by `assemble`.
 
     Parameters
@@ -85,11 +85,6 @@ class AncfSystem(MechanicalSystem):
     ----------
     naming : SceneNaming
         Positions of beams and joints in q and lam, and the element lengths.
-    energies : Energies
-    sections : BeamSections
-        Forces and stresses of beams.
-    works : Works
-        Power of driven joints and of loads.
     inputs : PartInputs
         What joints and loads are made of, and vectors of points in the reference.
     """
@@ -132,13 +127,26 @@ class AncfSystem(MechanicalSystem):
         if scene.frame is not None:
             self._turning = TurningForces(scene.frame, frame, self._inertia, self.pattern)
         self._describe()
-        layout = self.naming.layout
-        potential = None if self._turning is None else self._turning.potential
-        self.energies = Energies(self._elastic, self._inertia, numbering, layout, potential)
-        self.sections = BeamSections(scene, layout, numbering, mapping, self.b)
-        self.inputs, self.works = inputs, Works(scene, inputs, layout, self.n_b)
+        self.inputs = inputs
         start = mapping, self._reference, self._constraints, self.pattern, self.b
         self._start = AssembledStart(scene, numbering, *start)
+
+    @cached_property
+    def energies(self) -> Energies:
+        """Energies of beams and bodies."""
+        parts = self._elastic, self._inertia, self._numbering, self.naming.layout
+        return Energies(*parts, None if self._turning is None else self._turning.potential)
+
+    @cached_property
+    def sections(self) -> BeamSections:
+        """Forces and stresses of beams."""
+        layout, numbering = self.naming.layout, self._numbering
+        return BeamSections(self._scene, layout, numbering, self._mapping, self.b)
+
+    @cached_property
+    def works(self) -> Works:
+        """Power of driven joints and of loads."""
+        return Works(self._scene, self.inputs, self.naming.layout, self.n_b)
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""

@@ -15,6 +15,7 @@ from ancfdae.equations.system import (
     Direction,
     Linearisation,
     MechanicalSystem,
+    PlannedSystem,
     Traits,
     reaction,
 )

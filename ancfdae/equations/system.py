@@ -167,11 +167,6 @@ class MechanicalSystem(ComplexSteps):
         """Pattern of Phi_q."""
         return Pattern.full((self.n_lam, self.n_q))
 
-    @property
-    def plan(self) -> Plan | None:
-        """The same system as arrays from which a kernel takes steps; None where there is none."""
-        return None
-
     @cached_property
     def weights(self) -> Array:
         """Diagonal of M at the start."""
@@ -366,6 +361,15 @@ class MechanicalSystem(ComplexSteps):
 
     def _residual_v(self, t: float, q: Array, v: Array) -> Array:
         return self._by_coordinate(lambda x: -self.force(t, q, x), v, self.pattern)
+
+
+class PlannedSystem(MechanicalSystem):
+    """A system that a kernel can march by itself."""
+
+    @property
+    @abc.abstractmethod
+    def plan(self) -> Plan | None:
+        """The same system as arrays; None at complex values of the design."""
 
 
 def residual(
