@@ -116,6 +116,7 @@ from ancfdae.model.sections import (
     Tube,
 )
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion
+from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity import (
@@ -172,6 +173,7 @@ from ancfdae.sensitivity.observables import (
 from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.studies import (
     AdjointError,
+    Campbell,
     ErrorBars,
     Evaluate,
     Fit,
@@ -187,6 +189,7 @@ from ancfdae.studies import (
     TaylorTest,
     Tradeoff,
     adjoint_error,
+    campbell,
     differentiate,
     equilibrium,
     error_bars,
@@ -224,6 +227,7 @@ __all__ = [
     "BodyShape",
     "Box",
     "Bushing",
+    "Campbell",
     "Change",
     "Circle",
     "Clamp",
@@ -337,6 +341,7 @@ __all__ = [
     "Tradeoff",
     "Traits",
     "Tube",
+    "TurningFrame",
     "UnfinishedRun",
     "Uniform",
     "Universal",
@@ -353,6 +358,7 @@ __all__ = [
     "axial_force",
     "axial_strain",
     "bending_moment",
+    "campbell",
     "centre_of_mass",
     "check_system",
     "custom",
