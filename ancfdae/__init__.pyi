@@ -78,7 +78,17 @@ from ancfdae.model.joints import (
     Universal,
     Weld,
 )
-from ancfdae.model.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
+from ancfdae.model.laws import (
+    Change,
+    Constant,
+    Harmonic,
+    Law,
+    Ramp,
+    RunUp,
+    Spline,
+    Uniform,
+    UserLaw,
+)
 from ancfdae.model.loads import (
     Bushing,
     DistributedForce,
@@ -218,6 +228,7 @@ __all__ = [
     "Box",
     "Bushing",
     "Campbell",
+    "Change",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -304,6 +315,7 @@ __all__ = [
     "RigidCylinder",
     "RigidMotion",
     "RigidSphere",
+    "RunUp",
     "SaintVenantKirchhoff",
     "Scene",
     "Section",

@@ -73,7 +73,8 @@ class Designable:
             if changed == numbers:
                 continue
             if isinstance(value, Designable):
-                new[name] = value.with_parameters(changed)
+                inner = zip(value.parameters(), changed.values(), strict=True)
+                new[name] = value.with_parameters(dict(inner))
             else:
                 new[name] = changed[name] if np.ndim(value) == 0 else tuple(changed.values())
         return replace(self, **new)  # type: ignore[type-var]
