@@ -103,19 +103,19 @@ class Stepper(OneStepMethod[State]):
         """Solve the equations of the step to t, and complete its stages."""
         t_0, *last = (x[-1] for x in before.rows)
         begin = Begin(h, float(t_0), *last)
-        found = self._solved(begin, before)
-        if isinstance(found, Failure):
-            return found
+        solved = self._solved(begin, before)
+        if isinstance(solved, Failure):
+            return solved
         system, accelerations = self._problem.system, self._problem.accelerations
         times = np.append(begin.times[:2], t)
         counted, rows = accelerations.factorisations, []
-        stages = begin.stages(found.x, found.lam)
+        stages = begin.stages(solved.x, solved.lam)
         for s, q, v in zip(times.tolist(), stages.q, stages.v, strict=True):
             rows.append((q, *completed(system, accelerations.factors(s, q), s, q, v)))
         self._recorder.factorisations += accelerations.factorisations - counted
         columns = (np.array(x) for x in zip(last, *rows, strict=True))
         after = State(h, (np.append(t_0, times), *columns))
-        return self._controlled(found.x, before, after) if self._tolerances else after
+        return self._controlled(solved.x, before, after) if self._tolerances else after
 
     def _solved(self, begin: Begin, before: State) -> Solved | Failure:
         """Solve the equations of a step, by way of shorter ones from its start if need be."""
@@ -124,19 +124,19 @@ class Stepper(OneStepMethod[State]):
         x, lam = still, np.tile(before.rows[4][-1], (3, 1))
         if len(before.rows[0]) > 1:
             x = at_stages(BUTCHER, continued(before.rows[2], 1 + h / before.h * PLACES) - v) / h
-        found = self._solver.solve(begin, (x, lam))
+        solved = self._solver.solve(begin, (x, lam))
         # Where steps are controlled a smaller one is the better cure.
-        while isinstance(found, Failure) and part > _SHORTEST and not self._tolerances:
+        while isinstance(solved, Failure) and part > _SHORTEST and not self._tolerances:
             part /= 4
-            found = self._solver.solve(begin._replace(h=part * h), (still, lam))
-        self._recorder.continued += part < 1 and not isinstance(found, Failure)
-        while part < 1 and not isinstance(found, Failure):
-            V = begin._replace(h=part * h).stages(found.x, found.lam).v
+            solved = self._solver.solve(begin._replace(h=part * h), (still, lam))
+        self._recorder.continued += part < 1 and not isinstance(solved, Failure)
+        while part < 1 and not isinstance(solved, Failure):
+            V = begin._replace(h=part * h).stages(solved.x, solved.lam).v
             part *= 2
             ahead = continued(np.concatenate([v[None], V]), 2 * PLACES)
-            guess = at_stages(BUTCHER, ahead - v) / (part * h), found.lam
-            found = self._solver.solve(begin._replace(h=part * h), guess)
-        return found
+            guess = at_stages(BUTCHER, ahead - v) / (part * h), solved.lam
+            solved = self._solver.solve(begin._replace(h=part * h), guess)
+        return solved
 
     def _controlled(self, x: Array, before: State, after: State) -> State:
         """Add the estimated errors, and derivatives with theirs."""
