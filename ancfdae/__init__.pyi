@@ -25,6 +25,7 @@ from ancfdae.errors import (
     Outcome,
     RedundantConstraints,
     StabilityWarning,
+    ToleranceMissed,
     UnknownName,
     Verdict,
 )
@@ -109,6 +110,7 @@ from ancfdae.model.starts import AtRest, NodeState, RigidMotion
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity import (
+    Accuracy,
     Adjoint,
     ComplexStep,
     ContinuousAdjoint,
@@ -204,6 +206,7 @@ __all__ = [
     "HHT",
     "IDA",
     "IDAS",
+    "Accuracy",
     "Adjoint",
     "AdjointError",
     "AncfSystem",
@@ -320,6 +323,7 @@ __all__ = [
     "TargetNotReached",
     "TaylorTest",
     "Terminal",
+    "ToleranceMissed",
     "Torque",
     "TorsionSpring",
     "Tradeoff",
