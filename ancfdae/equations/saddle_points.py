@@ -6,16 +6,17 @@ import numpy as np
 import scipy
 
 from ancfdae.equations.system import MechanicalSystem
-from ancfdae.errors import RedundantConstraints
+from ancfdae.errors import RedundantConstraints, SingularMatrix
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.numerics.patterns import Pattern
 
 # Singular-value ratio under which scaled constraint rows count as dependent; round-off leaves
 # dependent rows at 1e-16 times their number.
 _DEPENDENT = 1e-11
-# Entries of a Phi_q up to which one dense decomposition is cheaper than its graph.
-_SMALL = 10_000
+# Smallest eigenvalue of B B^T, rows of unit length, that its factors still tell from zero: above it
+# the singular values are far from dependent.
+_CLEAR = 1e-12
+_SWEEPS = 3
 
 
 def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> SaddlePoint:
@@ -24,9 +25,10 @@ def saddle_point(system: MechanicalSystem, t: float, q: Array | None = None) -> 
     They are checked and scaled at q, by default the start; RedundantConstraints if dependent.
     """
     values = system.constraint_q(t, system.start()[0] if q is None else q)
-    refuse_redundant(system, values)
     patterns = system.pattern, system.constraint_pattern
-    return SaddlePoint(*patterns, system.weights, values, system.traits.symmetric)
+    matrices = SaddlePoint(*patterns, system.weights, values, system.traits.symmetric)
+    refuse_redundant(system, matrices, values)
+    return matrices
 
 
 def solve(factors: Factorization, force: Array, side: Array) -> tuple[Array, Array]:
@@ -41,14 +43,12 @@ def solve_transposed(factors: Factorization, force: Array, side: Array) -> tuple
     return x[: len(force)], x[len(force) :]
 
 
-def refuse_redundant(system: MechanicalSystem, values: Array) -> None:
+def refuse_redundant(system: MechanicalSystem, matrices: SaddlePoint, values: Array) -> None:
     """Find dependent rows of the scaled Phi_q, component by component of its graph."""
-    if system.n_lam == 0:
+    if system.n_lam == 0 or _independent(system, matrices, values.real):
         return
     pattern = system.constraint_pattern
     scaled = values.real / np.sqrt(system.weights[pattern.columns])
-    if system.n_lam * system.n_q <= _SMALL and _independent(pattern, scaled):
-        return
     matrix = pattern.csr(scaled).tocsr()
     length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel())
     empty = np.flatnonzero(length == 0)
@@ -86,12 +86,21 @@ def refuse_redundant(system: MechanicalSystem, values: Array) -> None:
         )
 
 
-def _independent(pattern: Pattern, scaled: Array) -> bool:
-    """Whether rows are independent, of all components of the graph together."""
-    A = np.zeros(pattern.shape)
-    A[pattern.rows, pattern.columns] = scaled
-    length = np.sqrt(np.sum(A * A, axis=1))
-    if len(A) > A.shape[1] or not (np.all(length > 0) and np.all(np.isfinite(length))):
+def _independent(system: MechanicalSystem, matrices: SaddlePoint, B: Array) -> bool:
+    """Whether rows are clearly independent, by inverse iteration with B W^-1 B^T.
+
+    This is the Schur complement of the saddle-point matrix of the weights W.
+    """
+    pattern, diagonal = system.constraint_pattern, np.arange(system.n_q)
+    W = np.zeros(system.pattern.size)
+    W[system.pattern.index(diagonal, diagonal)] = system.weights
+    length = np.sqrt(np.bincount(pattern.rows, B * B / system.weights[pattern.columns]))
+    none, x = np.zeros(system.n_q), np.random.default_rng(5).standard_normal(system.n_lam)
+    try:
+        factors = matrices.factor(W, B)
+    except SingularMatrix:
         return False
-    s = np.linalg.svd(A / length[:, None], compute_uv=False)
-    return bool(s[-1] > _DEPENDENT * s[0])
+    for _ in range(_SWEEPS):
+        x /= np.linalg.norm(x)
+        x = length * solve(factors, none, -length * x)[1]
+    return bool(np.linalg.norm(x) < 1 / _CLEAR)

@@ -74,7 +74,7 @@ def consistent_start(system: MechanicalSystem, matrices: SaddlePoint, t: float) 
     with np.errstate(all="ignore"):
         q, _ = _project_position(system, matrices, q, t)
         if not system.traits.linear_constraints:
-            refuse_redundant(system, system.constraint_q(t, q))
+            refuse_redundant(system, matrices, system.constraint_q(t, q))
         factors = _factor_mass(system, matrices, q, t)
         v = solve(factors, system.mass_times(q, v), velocity_side(system, t, q))[0]
         Q = system.force(t, q, v)
@@ -277,7 +277,7 @@ def _close_gap(
         try:
             factors = _factor_position(system, matrices, q_start, q, sigma_q, t)
         except SingularMatrix:
-            refuse_redundant(system, system.constraint_q(t, q))
+            refuse_redundant(system, matrices, system.constraint_q(t, q))
             break
         dq, change = solve(factors, force, left - system.constraint(t, q))
         q, sigma_q = q + dq, sigma_q + change

@@ -1,4 +1,4 @@
-/* Steps of HHT-I3 with Newton's method (docs/theory.md, section 5), for one scalar type.
+/* Steps of HHT-I3 with Newton's method (docs/theory/05-hht-i3.md), for one scalar type.
  *
  * The formulas, and what stops an iteration, are those of `integrators/hht`: `newton.py` says why.
  * A step that is not solved here is left to them, which find out what is wrong with it, so that

@@ -69,6 +69,8 @@ class Exudyn:
         # far below 1e-10 N, the value by default.
         integration.newton.relativeTolerance = integration.newton.absoluteTolerance = newton
         integration.newton.useModifiedNewton = way.modified_newton
+        # Equal steps on both sides; a way that does not converge with them has failed.
+        integration.adaptiveStep = False
         try:
             done = self._mbs.SolveDynamic(asked, storeSolver=False, autoAssemble=False)
         except self._exu.SolverError:

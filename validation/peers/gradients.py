@@ -32,7 +32,7 @@ def fill(report: Report, quick: bool) -> None:
     for pair, number in cases:
         case = _Case(pair, number, 8 if quick else _STEPS)
         errors = case.errors_of_differences()
-        title = f"{pair.title}, {number} variables"
+        title = f"{pair.title}, {number} variable{'s' * (number > 1)}"
         curves.append(Series(title, _CHANGES, errors, marker=True))
         best = int(np.nanargmin(errors))
         direct, adjoint, differences = case.times(float(_CHANGES[best]), 1 if quick else 3)

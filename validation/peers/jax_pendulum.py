@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,15 +45,19 @@ def _jax() -> Any:
     return jax
 
 
-def _height(elements: int, step: float, steps: int) -> Callable[[Array], Any]:
-    """Return the height of the free end as a function of b."""
-    jax = _jax()
+class _Beam(NamedTuple):
+    """Mass matrix, weights and elastic forces of the beam as functions of b and q."""
+
+    inertia: Callable[[Any], tuple[Any, Any]]
+    elastic: Callable[[Any], tuple[Callable[[Any], Any], Callable[[Any], Any]]]
+
+
+def _beam(jax: Any, elements: int) -> _Beam:
+    """Return the planar 12-dof elements of a beam, integrated at 5 x 3 points each."""
     jnp: Any = jax.numpy
-    n, length, alpha = 6 * (elements + 1), _LENGTH / elements, -0.3
-    beta, gamma = (1 - alpha) ** 2 / 4, 0.5 - alpha
+    length, where = _LENGTH / elements, _where(elements)
     x5, w5 = np.polynomial.legendre.leggauss(5)
     y3, w3 = np.polynomial.legendre.leggauss(3)
-    where = 6 * np.arange(elements)[:, None] + np.arange(12)
 
     def shapes(x: Any, y: Any) -> Any:
         s1, s3 = 1 - 3 * x**2 + 2 * x**3, 3 * x**2 - 2 * x**3
@@ -75,7 +79,7 @@ def _height(elements: int, step: float, steps: int) -> Callable[[Array], Any]:
         return weights @ (lame * trace**2 / 2 + mu * jnp.sum(E * E, (1, 2)))
 
     def inertia(b: Any) -> tuple[Any, Any]:
-        _, height, density = b
+        n, (_, height, density) = 6 * (elements + 1), b
         at, weights = points(height)
         S = jax.vmap(lambda z: shapes(z[0], z[1]))(at)
         m = density * jnp.einsum("p,pi,pj->ij", weights, S, S)
@@ -83,18 +87,40 @@ def _height(elements: int, step: float, steps: int) -> Callable[[Array], Any]:
         weight = density * jnp.kron(weights @ S, jnp.array([0.0, -_GRAVITY]))
         return M, jnp.zeros(n).at[where].add(weight)
 
-    node = np.array([[0.0, 0], [1, 0], [0, 1]])
-    places = length * np.arange(elements + 1)
-    start = np.concatenate([node + np.outer([1, 0, 0], [x, 0]) for x in places])
-    fixed = np.eye(2, n)
-
-    def run(b: Any) -> Any:
-        M, weight = inertia(b)
+    def elastic(b: Any) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
         at, weights = points(b[1])
         constants = b[0], along(at) / jnp.array([length, 1.0]), weights
         gradient, hessian = (
             jax.vmap(lambda e, d=d: d(energy)(e, *constants)) for d in (jax.grad, jax.hessian)
         )
+        return gradient, hessian
+
+    return _Beam(inertia, elastic)
+
+
+def _where(elements: int) -> Any:
+    """Return the coordinates of each element."""
+    return 6 * np.arange(elements)[:, None] + np.arange(12)
+
+
+def _start(elements: int) -> Any:
+    """Return the coordinates of the straight beam."""
+    node = np.array([[0.0, 0], [1, 0], [0, 1]])
+    places = _LENGTH / elements * np.arange(elements + 1)
+    return np.concatenate([node + np.outer([1, 0, 0], [x, 0]) for x in places]).ravel()
+
+
+def _height(elements: int, step: float, steps: int) -> Callable[[Array], Any]:
+    """Return the height of the free end as a function of b."""
+    jax = _jax()
+    jnp: Any = jax.numpy
+    n, alpha = 6 * (elements + 1), -0.3
+    beta, gamma = (1 - alpha) ** 2 / 4, 0.5 - alpha
+    beam, where, fixed = _beam(jax, elements), _where(elements), np.eye(2, n)
+
+    def run(b: Any) -> Any:
+        M, weight = beam.inertia(b)
+        gradient, hessian = beam.elastic(b)
 
         def force(q: Any) -> Any:
             return weight - jnp.zeros(n).at[where].add(gradient(q[where]))
@@ -104,28 +130,23 @@ def _height(elements: int, step: float, steps: int) -> Callable[[Array], Any]:
             q = q_p + beta * step**2 * a
             K = jnp.zeros((n, n)).at[where[:, :, None], where[:, None, :]].add(hessian(q[where]))
             R = M @ a / (1 + alpha) + fixed.T @ lam - force(q) - alpha / (1 + alpha) * rest
-            J = jnp.block(
-                [
-                    [M / (1 + alpha) + beta * step**2 * K, fixed.T],
-                    [fixed, jnp.zeros((2, 2))],
-                ]
-            )
+            top = [M / (1 + alpha) + beta * step**2 * K, fixed.T]
+            J = jnp.block([top, [fixed, jnp.zeros((2, 2))]])
             x = jnp.linalg.solve(J, jnp.concatenate([R, fixed @ q / (beta * step**2)]))
             return a - x[:n], lam - x[n:]
 
         def take(state: Any, _: Any) -> Any:
             q, v, a, lam, rest = state
             q_p = q + step * v + step**2 * (0.5 - beta) * a
-            known = q_p, rest
             guess = a, lam
             for _ in range(_ITERATIONS):
-                guess = newton(known, guess)
+                guess = newton((q_p, rest), guess)
             new, lam = guess
             q = q_p + beta * step**2 * new
             v = v + step * ((1 - gamma) * a + gamma * new)
             return (q, v, new, lam, fixed.T @ lam - force(q)), None
 
-        q = jnp.asarray(start.ravel())
+        q = jnp.asarray(_start(elements))
         J = jnp.block([[M, fixed.T], [fixed, jnp.zeros((2, 2))]])
         x = jnp.linalg.solve(J, jnp.concatenate([force(q), jnp.zeros(2)]))
         first = q, jnp.zeros(n), x[:n], x[n:], fixed.T @ x[n:] - force(q)

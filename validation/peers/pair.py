@@ -51,6 +51,11 @@ class Pair(ABC):
         `exu` is the module ``exudyn``, `items` its ``utilities``.
         """
 
+    @property
+    def newton(self) -> float:
+        """Tolerance of Newton's method."""
+        return 1e-8
+
     def design(self) -> list[str]:
         """Return the design variables, in the order of `Model.vary`."""
         return []

@@ -11,7 +11,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem
+from ancfdae.equations import MechanicalSystem, PlannedSystem
 from ancfdae.integrators.hht.equations import Node
 from ancfdae.integrators.hht.small_steps import PLACES
 from ancfdae.integrators.recorder import Recorder, Rows
@@ -48,7 +48,8 @@ class Prepared:
     @classmethod
     def of(cls, system: MechanicalSystem, matrices: SaddlePoint, rules: Array) -> Prepared | None:
         """Return None for a system that is no plan, or whose matrices need another solver."""
-        plan, layout = system.plan, matrices.layout(band=False)
+        plan = system.plan if isinstance(system, PlannedSystem) else None
+        layout = matrices.layout(band=False)
         return plan and layout and cls(plan, layout, matrices, rules)
 
     def add_band(self) -> None:
