@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ancfdae import (
     CABLE_2D,
@@ -190,7 +191,7 @@ class Guided(ComplexStepSystem):
     n_q, n_lam = 2, 1
     design_names = ("m2", "L1", "c")
 
-    def __init__(self, b: Sequence[float] = (1.5, 1.0, 0.3)) -> None:
+    def __init__(self, b: npt.ArrayLike = (1.5, 1.0, 0.3)) -> None:
         super().__init__(np.asarray(b))
 
     def with_values(self, b: Array) -> "Guided":
@@ -246,7 +247,7 @@ def _slider(damped: bool, t_end: float, reference: Integrator) -> Case:
         Pin(crank.at(0.1), rod.at_start),
         PointOnLine(rod.at_end, direction=(1, 0)),
     ]
-    bodies = [crank, PointMass(rod.at_end, 0.2, name="slider")]
+    bodies: list[RigidBody | PointMass] = [crank, PointMass(rod.at_end, 0.2, name="slider")]
     start = [RigidMotion("crank", 20.0, (0, 0))]
     scene = Scene([rod], joints, start=start, bodies=bodies, project_start=True)
     objective: Objective = Terminal(position(rod.at(0.5), 1))

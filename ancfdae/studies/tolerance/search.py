@@ -105,11 +105,12 @@ def search(sequences: list[Sequence], measure: Measure, sizes: Sizes, tolerance:
     failures: list[Exception] = []
     spent = 0.0
     while True:
-        state = min(states, key=lambda each: each.left(tolerance))
         best = min(states, key=lambda each: each.error)
-        spent += state.sequence.work()
-        if best.error <= tolerance or spent > _MOST:
+        going = [each for each in states if spent + each.sequence.work() <= _MOST]
+        if best.error <= tolerance or not going:
             break
+        state = min(going, key=lambda each: each.left(tolerance))
+        spent += state.sequence.work()
         trial, sample = state.advance(measure, sizes)
         trials.append(trial)
         if sample.vectors:

@@ -8,8 +8,7 @@ import warnings
 from collections.abc import Callable
 from typing import NamedTuple, final
 
-
-from ancfdae.equations import EstimatedErrors, MechanicalSystem
+from ancfdae.equations import EstimatedErrors, MechanicalSystem, PlannedSystem
 from ancfdae.errors import ManySteps
 from ancfdae.integrators import HHT, Explicit, Integrator, Radau
 from ancfdae.numerics.arrays import Array
@@ -210,7 +209,7 @@ class Eighth(Sequence):
     name, gain, needed = "Explicit", 30.0, 2
     words = "Explicit follows every wave; errors fall with its tolerance"
     # The error falls with the power 8 of the step.
-    _dearer = gain ** (1 / 8)
+    _dearer: float = gain ** (1 / 8)
 
     def __init__(self, system: MechanicalSystem, t_end: float, tolerance: float) -> None:
         super().__init__(system, t_end)
