@@ -107,6 +107,7 @@ from ancfdae.model.sections import (
     Tube,
 )
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion
+from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity import (
@@ -164,6 +165,7 @@ from ancfdae.sensitivity.observables import (
 from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.studies import (
     AdjointError,
+    Campbell,
     ErrorBars,
     Evaluate,
     Fit,
@@ -179,6 +181,7 @@ from ancfdae.studies import (
     TaylorTest,
     Tradeoff,
     adjoint_error,
+    campbell,
     differentiate,
     equilibrium,
     error_bars,
@@ -217,6 +220,7 @@ __all__ = [
     "BodyShape",
     "Box",
     "Bushing",
+    "Campbell",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -329,6 +333,7 @@ __all__ = [
     "Tradeoff",
     "Traits",
     "Tube",
+    "TurningFrame",
     "UnfinishedRun",
     "Uniform",
     "Universal",
@@ -345,6 +350,7 @@ __all__ = [
     "axial_force",
     "axial_strain",
     "bending_moment",
+    "campbell",
     "centre_of_mass",
     "check_system",
     "custom",

@@ -77,11 +77,16 @@ class Numbering:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
         return vectors[..., None] * self.d + np.arange(self.d)
 
-    def couplings(self) -> tuple[Array, Array]:
-        """Return rows and columns that couple coordinates of an element, or of a rigid body."""
+    def couplings(self, turning: bool) -> tuple[Array, Array]:
+        """Return rows and columns that couple coordinates of an element, or of a rigid body.
+
+        Directions of space are coupled within rigid bodies by a turning frame only.
+        """
         size = self.vectors.shape[1] * self.d
         own = self.coordinates(self.vectors).reshape(-1, size)
         frames = self.coordinates(self.frames)
+        if turning:
+            frames = frames.reshape(len(frames), (self.d + 1) * self.d, 1)
         elements = np.broadcast_arrays(own[:, :, None], own[:, None, :])
         bodies = np.broadcast_arrays(frames[:, :, None], frames[:, None])
         rows, columns = (
