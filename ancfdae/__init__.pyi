@@ -79,7 +79,17 @@ from ancfdae.model.joints import (
     Universal,
     Weld,
 )
-from ancfdae.model.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
+from ancfdae.model.laws import (
+    Change,
+    Constant,
+    Harmonic,
+    Law,
+    Ramp,
+    RunUp,
+    Spline,
+    Uniform,
+    UserLaw,
+)
 from ancfdae.model.loads import (
     Bushing,
     DistributedForce,
@@ -221,6 +231,7 @@ __all__ = [
     "Box",
     "Bushing",
     "Campbell",
+    "Change",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -307,6 +318,7 @@ __all__ = [
     "RigidCylinder",
     "RigidMotion",
     "RigidSphere",
+    "RunUp",
     "SaintVenantKirchhoff",
     "Scene",
     "Section",
