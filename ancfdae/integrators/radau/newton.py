@@ -58,7 +58,7 @@ _LAG = 4
 _TABLEAU = np.concatenate([x.ravel() for x in (PLACES, INVERSE, SQUARED)])
 
 
-class Solved(NamedTuple):
+class SolvedStages(NamedTuple):
     """Scaled displacements and multipliers of the stages."""
 
     x: Array
@@ -90,7 +90,7 @@ class StageSolver:
             return None
         return plan, prepare(plan, layout, np.zeros(RULES)), coupled
 
-    def solve(self, begin: Begin, guess: tuple[Array, Array]) -> Solved | Failure:
+    def solve(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
         """Solve the equations of a step from a guess of x and of the multipliers."""
         if self._kernel is None or guess[0].dtype.kind == "c":
             return self._iterated(begin, guess)
@@ -111,11 +111,11 @@ class StageSolver:
         if ends == STAGES_SINGULAR:
             raise SingularMatrix("the matrix of the stages is singular")
         if ends == STAGES_SOLVED:
-            return Solved(x, lam)
+            return SolvedStages(x, lam)
         why = Verdict.NOT_FINITE if ends == STAGES_NOT_FINITE else Verdict.NO_CONVERGENCE
         return Failure(why, size)
 
-    def _iterated(self, begin: Begin, guess: tuple[Array, Array]) -> Solved | Failure:
+    def _iterated(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
         (x, lam), system, n_q = guess, self._problem.system, self._problem.system.n_q
         usual = self._usual(begin)
         most = _MOST * usual if usual > _TINY else math.inf
@@ -149,7 +149,7 @@ class StageSolver:
                 if settled == 1:
                     self._recorder.round_off_steps += stuck
                 if settled > lag:
-                    return Solved(x, lam)
+                    return SolvedStages(x, lam)
             elif last < math.inf and size * rate**_MORE > self._tolerance:
                 matrix = None
             last = size

@@ -24,8 +24,8 @@ from ancfdae.equations import Linearisation
 from ancfdae.equations.saddle_points import solve
 from ancfdae.integrators.completion import completed
 from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.radau.linear_passes import LinearSteps
-from ancfdae.integrators.radau.newton import Solved, StageSolver
+from ancfdae.integrators.radau.linear_passes import LinearStages
+from ancfdae.integrators.radau.newton import SolvedStages, StageSolver
 from ancfdae.integrators.radau.stages import Begin, linearised, stage_matrices
 from ancfdae.integrators.radau.tableau import (
     BUTCHER,
@@ -61,7 +61,7 @@ class State(NamedTuple):
 
 
 @final
-class Stepper(OneStepMethod[State]):
+class RadauStepper(OneStepMethod[State]):
     """Takes the steps of a run, with derivatives where those of the start are given.
 
     Tolerances are those of positions and of velocities; none where nothing controls the error.
@@ -117,7 +117,7 @@ class Stepper(OneStepMethod[State]):
         after = State(h, (np.append(t_0, times), *columns))
         return self._controlled(solved.x, before, after) if self._tolerances else after
 
-    def _solved(self, begin: Begin, before: State) -> Solved | Failure:
+    def _solved(self, begin: Begin, before: State) -> SolvedStages | Failure:
         """Solve the equations of a step, by way of shorter ones from its start if need be."""
         h, v, part = begin.h, begin.v, 1.0
         still = np.multiply.outer(PLACES[:, 0] ** 2 / 2, before.rows[3][-1])
@@ -146,7 +146,7 @@ class Stepper(OneStepMethod[State]):
             return after._replace(errors=errors)
         self._recorder.factorisations += 1
         t, *states = (x[None] for x in after.rows)
-        steps = LinearSteps.of(self._problem, np.array([after.h]), t, states)
+        steps = LinearStages.of(self._problem, np.array([after.h]), t, states)
         first = [x[-1:] for x in before.derivatives]
         rows, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
         derivatives = tuple(map(np.concatenate, zip(first, rows, strict=True)))
