@@ -1,6 +1,6 @@
 """First-order design sensitivities of flexible multibody systems in ANCF."""
 
-from ancfdae.assembly import AncfSystem, assemble
+from ancfdae.assembly import AncfSystem, assemble, load_solution
 from ancfdae.equations import (
     ComplexStepSystem,
     Conformance,
@@ -361,6 +361,7 @@ __all__ = [
     "kinetic_energy",
     "linear_momentum",
     "load_power",
+    "load_solution",
     "mass",
     "mass_properties",
     "maximum_stress",

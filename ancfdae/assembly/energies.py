@@ -6,8 +6,8 @@ import numpy as np
 
 from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.inertia import Inertia
+from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.numbering import Numbering
-from ancfdae.model.naming import Layout
 from ancfdae.numerics.arrays import Array
 
 

@@ -9,10 +9,10 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.assembly.layout import BeamLayout, BodyLayout, RigidNodes
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.model.bodies import BeamBody, RigidBody
 from ancfdae.model.elements import BeamElement, default_element
-from ancfdae.model.naming import BeamLayout, BodyLayout, RigidNodes
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 

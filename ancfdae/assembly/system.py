@@ -17,9 +17,11 @@ from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
 from ancfdae.assembly.inertia import Inertia
 from ancfdae.assembly.joint_structure import JointStructure
+from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
 from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.mass_blocks import element_masses, other_masses
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
 from ancfdae.assembly.part_inputs import PartInputs
@@ -29,7 +31,7 @@ from ancfdae.equations.system import (
     DesignPartials,
     Direction,
     Linearisation,
-    MechanicalSystem,
+    PlannedSystem,
     States,
     Traits,
 )
@@ -38,7 +40,6 @@ from ancfdae.errors.text import listed
 from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.naming import Layout, Naming
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.patterns import Pattern
@@ -67,7 +68,7 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
 
 
 @final
-class AncfSystem(MechanicalSystem):
+class AncfSystem(PlannedSystem):
     """A scene at given values of its design variables; made by `assemble`.
 
     Parameters
@@ -81,18 +82,13 @@ class AncfSystem(MechanicalSystem):
 
     Attributes
     ----------
-    naming : Naming
+    naming : SceneNaming
         Positions of beams and joints in q and lam, and the element lengths.
-    energies : Energies
-    sections : BeamSections
-        Forces and stresses of beams.
-    works : Works
-        Power of driven joints and of loads.
     inputs : PartInputs
         What joints and loads are made of, and vectors of points in the reference.
     """
 
-    naming: Naming
+    naming: SceneNaming
 
     def __init__(
         self,
@@ -111,7 +107,7 @@ class AncfSystem(MechanicalSystem):
         masses = tuple(mass.name for mass in scene.point_masses)
         numbering = self._numbering
         layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
-        self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
+        self.naming = SceneNaming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
         inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
         joints, loads = inputs.joints(), inputs.loads()
@@ -126,12 +122,25 @@ class AncfSystem(MechanicalSystem):
         blocks = (element_masses(self._numbering, soft, block), *others)
         self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, self._gravity())
         self._describe()
-        layout = self.naming.layout
-        self.energies = Energies(self._elastic, self._inertia, numbering, layout)
-        self.sections = BeamSections(scene, layout, numbering, mapping, self.b)
-        self.inputs, self.works = inputs, Works(scene, inputs, layout, self.n_b)
+        self.inputs = inputs
         start = mapping, self._reference, self._constraints, self.pattern, self.b
         self._start = AssembledStart(scene, numbering, *start)
+
+    @cached_property
+    def energies(self) -> Energies:
+        """Energies of beams and bodies."""
+        return Energies(self._elastic, self._inertia, self._numbering, self.naming.layout)
+
+    @cached_property
+    def sections(self) -> BeamSections:
+        """Forces and stresses of beams."""
+        layout, numbering = self.naming.layout, self._numbering
+        return BeamSections(self._scene, layout, numbering, self._mapping, self.b)
+
+    @cached_property
+    def works(self) -> Works:
+        """Power of driven joints and of loads."""
+        return Works(self._scene, self.inputs, self.naming.layout, self.n_b)
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""
