@@ -150,7 +150,9 @@ class Assembly:
         At values nearby bodies come as near to the joints as they can, and are strained.
         """
         none = np.zeros(0)
-        y, rates = ((found[0].real, none, none) for found in (self._positions, self._velocities))
+        y, rates = (
+            (unknowns[0].real, none, none) for unknowns in (self._positions, self._velocities)
+        )
         inverses = LeastNorm(self._position_matrix(y)), LeastNorm(self._velocity_matrix(1))
         return self._followed(moved, y, rates, inverses)
 
@@ -185,14 +187,14 @@ class Assembly:
             # What is declared stands; a perturbation follows it.
             F = self._position_equations(self._declared, y)
             return _plus(y, -1j * LeastNorm(self._position_matrix(y)).solve(F.imag))
-        found = self._search(True) if self._soft else self._nearest
-        if found is not None and (self._soft or self._fits(found)):
-            return found
+        closing = self._search(True) if self._soft else self._nearest
+        if closing is not None and (self._soft or self._fits(closing)):
+            return closing
         closed = [] if self._soft else self._from_elsewhere()
         if closed:
             return min(closed, key=self._turned)
-        if found is not None:
-            return found
+        if closing is not None:
+            return closing
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
@@ -203,12 +205,12 @@ class Assembly:
 
     def _from_elsewhere(self) -> list[_Unknowns]:
         """Newton's method from bodies turned at random, the same each time; what fits."""
-        generator, found = np.random.default_rng(0), []
+        generator, unknowns = np.random.default_rng(0), []
         for _ in range(_RESTARTS):
             x, sigma, rho = self._start(False)
             x[~self._shift] = generator.uniform(-_FARTHEST, _FARTHEST, np.sum(~self._shift))
-            found.append(self._search(False, (self._nearer(x), sigma, rho)))
-        return [y for y in found if y is not None and self._fits(y)]
+            unknowns.append(self._search(False, (self._nearer(x), sigma, rho)))
+        return [y for y in unknowns if y is not None and self._fits(y)]
 
     def _nearer(self, x: Array) -> Array:
         """Damped steps of Gauss and Newton towards closed joints, where Newton's goes anywhere."""
