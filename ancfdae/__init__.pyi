@@ -78,7 +78,17 @@ from ancfdae.model.joints import (
     Universal,
     Weld,
 )
-from ancfdae.model.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
+from ancfdae.model.laws import (
+    Change,
+    Constant,
+    Harmonic,
+    Law,
+    Ramp,
+    RunUp,
+    Spline,
+    Uniform,
+    UserLaw,
+)
 from ancfdae.model.loads import (
     Bushing,
     DistributedForce,
@@ -106,6 +116,7 @@ from ancfdae.model.sections import (
     Tube,
 )
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion
+from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity import (
@@ -162,6 +173,7 @@ from ancfdae.sensitivity.observables import (
 from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.studies import (
     AdjointError,
+    Campbell,
     ErrorBars,
     Evaluate,
     Fit,
@@ -177,6 +189,7 @@ from ancfdae.studies import (
     TaylorTest,
     Tradeoff,
     adjoint_error,
+    campbell,
     differentiate,
     equilibrium,
     error_bars,
@@ -214,6 +227,8 @@ __all__ = [
     "BodyShape",
     "Box",
     "Bushing",
+    "Campbell",
+    "Change",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -300,6 +315,7 @@ __all__ = [
     "RigidCylinder",
     "RigidMotion",
     "RigidSphere",
+    "RunUp",
     "SaintVenantKirchhoff",
     "Scene",
     "Section",
@@ -325,6 +341,7 @@ __all__ = [
     "Tradeoff",
     "Traits",
     "Tube",
+    "TurningFrame",
     "UnfinishedRun",
     "Uniform",
     "Universal",
@@ -341,6 +358,7 @@ __all__ = [
     "axial_force",
     "axial_strain",
     "bending_moment",
+    "campbell",
     "centre_of_mass",
     "check_system",
     "custom",
