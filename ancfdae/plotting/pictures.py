@@ -205,7 +205,7 @@ def _film(
     brush.settle(figure)
     writer = writers[file.suffix](fps=rate)
     with writer.saving(figure, file, dpi):
-        _freeze(figure, brush)
+        _freeze(figure, brush, dpi)
         clock = figure.text(0.02, 0.98, "", va="top", fontsize=10)
         times = tqdm(shown.motion.t.tolist(), "film", disable=not progress, unit="frame")
         for k, t in enumerate(times):
@@ -218,11 +218,12 @@ def _film(
                 artist.remove()
 
 
-def _freeze(figure: Figure, brush: Painter) -> None:
+def _freeze(figure: Figure, brush: Painter, dpi: int) -> None:
     """Put an image of all that stands still behind what moves; drawing it takes longer."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    image = np.array(canvas.buffer_rgba())
+    drawing = FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    drawing.draw()
+    image = np.array(drawing.buffer_rgba())
     for artist in figure.get_children():
         artist.set_visible(artist is brush.axes)
     brush.axes.set_axis_off()
