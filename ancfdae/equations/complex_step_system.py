@@ -43,7 +43,7 @@ import numpy as np
 
 from ancfdae.equations.analytic import Reach, require_analytic
 from ancfdae.equations.motion import Motion, require_perturbation
-from ancfdae.equations.rows import Rows
+from ancfdae.equations.rows import RowCalls
 from ancfdae.equations.system import Direction, MechanicalSystem
 from ancfdae.errors import InvalidInput
 from ancfdae.numerics.arrays import STEP, Array
@@ -345,9 +345,9 @@ class ComplexStepSystem(MechanicalSystem):
         return np.asarray(result.ravel())
 
     @cached_property
-    def rows(self) -> Rows:
+    def rows(self) -> RowCalls:
         """What evaluates Phi, M and Q at many states."""
-        return Rows({self.n_q, 2 * self.n_q, self.n_lam})
+        return RowCalls({self.n_q, 2 * self.n_q, self.n_lam})
 
     @cached_property
     def _d(self) -> Differentiator:
@@ -399,5 +399,5 @@ def _constraint_rate(system: MechanicalSystem, m: Motion, s: complex, changes: A
     return _constraint_moved(system, m.at(s), changes)
 
 
-def _rows(system: MechanicalSystem) -> Rows:
+def _rows(system: MechanicalSystem) -> RowCalls:
     return cast(ComplexStepSystem, system).rows

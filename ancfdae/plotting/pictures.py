@@ -220,7 +220,7 @@ def _film(
 
 def _freeze(figure: Figure, brush: Painter, dpi: int) -> None:
     """Put an image of all that stands still behind what moves; drawing it takes longer."""
-    drawing = FigureCanvasAgg(figure)
+    drawing: Any = FigureCanvasAgg(figure)
     figure.set_dpi(dpi)
     drawing.draw()
     image = np.array(drawing.buffer_rgba())
