@@ -6,8 +6,6 @@
 [ B_1 .. B_s           0       ]
 """
 
-from __future__ import annotations
-
 from typing import final
 
 import numpy as np
