@@ -25,6 +25,7 @@ from ancfdae.errors import (
     Outcome,
     RedundantConstraints,
     StabilityWarning,
+    ToleranceMissed,
     UnknownName,
     Verdict,
 )
@@ -78,7 +79,17 @@ from ancfdae.model.joints import (
     Universal,
     Weld,
 )
-from ancfdae.model.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
+from ancfdae.model.laws import (
+    Change,
+    Constant,
+    Harmonic,
+    Law,
+    Ramp,
+    RunUp,
+    Spline,
+    Uniform,
+    UserLaw,
+)
 from ancfdae.model.loads import (
     Bushing,
     DistributedForce,
@@ -106,9 +117,11 @@ from ancfdae.model.sections import (
     Tube,
 )
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion
+from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity import (
+    Accuracy,
     Adjoint,
     ComplexStep,
     ContinuousAdjoint,
@@ -162,7 +175,11 @@ from ancfdae.sensitivity.observables import (
 from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.studies import (
     AdjointError,
+<<<<<<< HEAD
     Choice,
+=======
+    Campbell,
+>>>>>>> main
     ErrorBars,
     Evaluate,
     Fit,
@@ -182,7 +199,11 @@ from ancfdae.studies import (
     TaylorTest,
     Tradeoff,
     adjoint_error,
+<<<<<<< HEAD
     choose_model,
+=======
+    campbell,
+>>>>>>> main
     differentiate,
     equilibrium,
     error_bars,
@@ -210,6 +231,7 @@ __all__ = [
     "HHT",
     "IDA",
     "IDAS",
+    "Accuracy",
     "Adjoint",
     "AdjointError",
     "AncfSystem",
@@ -220,7 +242,12 @@ __all__ = [
     "BodyShape",
     "Box",
     "Bushing",
+<<<<<<< HEAD
     "Choice",
+=======
+    "Campbell",
+    "Change",
+>>>>>>> main
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -309,8 +336,12 @@ __all__ = [
     "RigidCylinder",
     "RigidMotion",
     "RigidSphere",
+<<<<<<< HEAD
     "Rung",
     "RungRun",
+=======
+    "RunUp",
+>>>>>>> main
     "SaintVenantKirchhoff",
     "Scene",
     "Section",
@@ -331,11 +362,13 @@ __all__ = [
     "TargetNotReached",
     "TaylorTest",
     "Terminal",
+    "ToleranceMissed",
     "Torque",
     "TorsionSpring",
     "Tradeoff",
     "Traits",
     "Tube",
+    "TurningFrame",
     "UnfinishedRun",
     "Uniform",
     "Universal",
@@ -352,6 +385,7 @@ __all__ = [
     "axial_force",
     "axial_strain",
     "bending_moment",
+    "campbell",
     "centre_of_mass",
     "check_system",
     "choose_model",

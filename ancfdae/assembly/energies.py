@@ -1,7 +1,6 @@
 """Energies and momenta of a scene and of its parts; instants are rows."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from typing import final
 
 import numpy as np
@@ -18,12 +17,18 @@ class Energies:
     """Strain and kinetic energy of everything, or of one owner: a beam, a body, a point mass.
 
     The layout knows the owners by name. `places`, shape (n_q / d,), is one for vectors that are
-    positions, zero for slopes.
+    positions, zero for slopes. `centrifugal` is the potential of a turning frame.
     """
 
     def __init__(
-        self, elastic: ElasticForces, inertia: Inertia, numbering: Numbering, layout: Layout
+        self,
+        elastic: ElasticForces,
+        inertia: Inertia,
+        numbering: Numbering,
+        layout: Layout,
+        centrifugal: Callable[[Array], Array] | None = None,
     ) -> None:
+        self._centrifugal = centrifugal
         self._elastic, self._inertia = elastic, inertia
         self._owners, self._layout, self.places = numbering.owners, layout, inertia.places
 
@@ -61,8 +66,9 @@ class Energies:
         return -np.asarray(q @ self._inertia.gravity)
 
     def total(self, q: Array, v: Array) -> Array:
-        """Return kinetic and strain energy and the potential of gravity together, shape (k,)."""
-        return self.kinetic(v) + self.strain(q) + self.gravity(q)
+        """Return kinetic and strain energy and the potentials together, shape (k,)."""
+        total = self.kinetic(v) + self.strain(q) + self.gravity(q)
+        return total if self._centrifugal is None else total + self._centrifugal(q)
 
     def _chosen(self, owner: str | None) -> Array:
         """One for the elements of an owner, or for all, that deform, shape (n,)."""

@@ -10,6 +10,7 @@ from ancfdae.studies.calls import (
     gradients,
     simulate,
 )
+from ancfdae.studies.campbell import Campbell, campbell
 from ancfdae.studies.error_bars import ErrorBars, error_bars
 from ancfdae.studies.ladder import choose_model
 from ancfdae.studies.ladder_result import Choice, ModelLadder, NoModel, Rung, RungRun

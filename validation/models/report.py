@@ -238,7 +238,8 @@ _CAPTION = (
 _METHOD = """
 `choose_model` runs every model that a scene can be simplified to, on meshes from a quarter of the
 elements declared up, with steps halved until they err by an eighth of the tolerance (4096 at most),
-and adds up four parts of an error relative to value or gradient (derivatives times their variables):
+and adds up four parts of an error, relative to the value or the gradient (derivatives times their
+variables):
 
 - *model*: this kind of model against the richest one, each on its finest mesh;
 - *mesh*: this mesh against the finest one of the same kind;
