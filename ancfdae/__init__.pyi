@@ -175,11 +175,8 @@ from ancfdae.sensitivity.observables import (
 from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.studies import (
     AdjointError,
-<<<<<<< HEAD
-    Choice,
-=======
     Campbell,
->>>>>>> main
+    Choice,
     ErrorBars,
     Evaluate,
     Fit,
@@ -199,11 +196,8 @@ from ancfdae.studies import (
     TaylorTest,
     Tradeoff,
     adjoint_error,
-<<<<<<< HEAD
-    choose_model,
-=======
     campbell,
->>>>>>> main
+    choose_model,
     differentiate,
     equilibrium,
     error_bars,
@@ -242,12 +236,9 @@ __all__ = [
     "BodyShape",
     "Box",
     "Bushing",
-<<<<<<< HEAD
-    "Choice",
-=======
     "Campbell",
     "Change",
->>>>>>> main
+    "Choice",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -336,12 +327,9 @@ __all__ = [
     "RigidCylinder",
     "RigidMotion",
     "RigidSphere",
-<<<<<<< HEAD
+    "RunUp",
     "Rung",
     "RungRun",
-=======
-    "RunUp",
->>>>>>> main
     "SaintVenantKirchhoff",
     "Scene",
     "Section",
