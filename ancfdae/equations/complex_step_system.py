@@ -150,7 +150,6 @@ class Differentiator:
         return derivative(moved, (*radii, radius), order, lambda: self.terms(kernel, m, radii))
 
     def _at(self, db: Array) -> MechanicalSystem:
-        """Return the system at other design values; the same ones come again and again."""
         key = db.tobytes()
         if key not in self._moved:
             if len(self._moved) >= _KEPT:
