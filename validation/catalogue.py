@@ -131,7 +131,7 @@ CATALOGUE: tuple[Definition, ...] = (
         question="Are equilibria, modes and their derivatives in a turning frame those of rotating "
         "blades and whirling shafts, over the speed?",
         run=rotation.run,
-        source="issue",
+        source="aim",
     ),
     Definition(
         name="design",

@@ -64,7 +64,8 @@ def shafts(report: Report, quick: bool) -> list[Requirement]:
     names = [f"backward {k + 1}" for k in range(counts[0])][::-1]
     names += [f"forward {k + 1}" for k in range(counts[1])]
     report.table(["rate [rad/s]", *(f"{name} (reference)" for name in names)], rows)
-    report.plot("shaft", _panels(rates, names, speeds, exact, diagram.frequencies), 2, _TITLE)
+    panels = _panels(rates, names, speeds, exact, diagram.frequencies)
+    report.plot("shaft", panels, 2, _TITLE, _CAPTION)
     report.claim(
         "Forward and backward whirl of a shaft with a disc",
         "within 0.2 % of the Euler-Bernoulli shaft",
@@ -118,6 +119,10 @@ def _determinant(speed: float, rate: float) -> float:
 
 
 _TITLE = "Whirling shaft: Campbell diagram seen at rest and in the turning frame"
+_CAPTION = """
+Right: mode 2 is torsion; modes 1 and 4, forward whirl, have the frequency |whirl - rate| and touch
+zero at their critical speeds, where the rate crosses their lines on the left.
+"""
 _TEXT = """
 A round steel shaft (radius 5 mm, length 1 m) that is held at one end and carries a disc (radius
 0.1 m, thickness 1 cm) at the other. *Reference*: the Euler-Bernoulli shaft with distributed mass
