@@ -25,6 +25,7 @@ from ancfdae.errors import (
     Outcome,
     RedundantConstraints,
     StabilityWarning,
+    ToleranceMissed,
     UnknownName,
     Verdict,
 )
@@ -78,7 +79,17 @@ from ancfdae.model.joints import (
     Universal,
     Weld,
 )
-from ancfdae.model.laws import Constant, Harmonic, Law, Ramp, Spline, Uniform, UserLaw
+from ancfdae.model.laws import (
+    Change,
+    Constant,
+    Harmonic,
+    Law,
+    Ramp,
+    RunUp,
+    Spline,
+    Uniform,
+    UserLaw,
+)
 from ancfdae.model.loads import (
     Bushing,
     DistributedForce,
@@ -110,6 +121,7 @@ from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity import (
+    Accuracy,
     Adjoint,
     ComplexStep,
     ContinuousAdjoint,
@@ -207,6 +219,7 @@ __all__ = [
     "HHT",
     "IDA",
     "IDAS",
+    "Accuracy",
     "Adjoint",
     "AdjointError",
     "AncfSystem",
@@ -218,6 +231,7 @@ __all__ = [
     "Box",
     "Bushing",
     "Campbell",
+    "Change",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -304,6 +318,7 @@ __all__ = [
     "RigidCylinder",
     "RigidMotion",
     "RigidSphere",
+    "RunUp",
     "SaintVenantKirchhoff",
     "Scene",
     "Section",
@@ -324,6 +339,7 @@ __all__ = [
     "TargetNotReached",
     "TaylorTest",
     "Terminal",
+    "ToleranceMissed",
     "Torque",
     "TorsionSpring",
     "Tradeoff",

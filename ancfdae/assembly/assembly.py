@@ -148,7 +148,9 @@ class Assembly:
         At values nearby bodies come as near to the joints as they can, and are strained.
         """
         none = np.zeros(0)
-        y, rates = ((found[0].real, none, none) for found in (self._positions, self._velocities))
+        y, rates = (
+            (unknowns[0].real, none, none) for unknowns in (self._positions, self._velocities)
+        )
         inverses = LeastNorm(self._position_matrix(y)), LeastNorm(self._velocity_matrix(1))
         return self._followed(moved, y, rates, inverses)
 
@@ -183,14 +185,14 @@ class Assembly:
             # What is declared stands; a perturbation follows it.
             F = self._position_equations(self._declared, y)
             return _plus(y, -1j * LeastNorm(self._position_matrix(y)).solve(F.imag))
-        found = self._search(self._soft)
-        if found is not None and (self._soft or self._fits(found)):
-            return found
+        closing = self._search(self._soft)
+        if closing is not None and (self._soft or self._fits(closing)):
+            return closing
         closed = [] if self._soft else self._from_elsewhere()
         if closed:
             return min(closed, key=self._turned)
-        if found is not None:
-            return found
+        if closing is not None:
+            return closing
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
@@ -201,12 +203,12 @@ class Assembly:
 
     def _from_elsewhere(self) -> list[_Unknowns]:
         """Newton's method from bodies turned at random, the same each time; what fits."""
-        generator, found = np.random.default_rng(0), []
+        generator, unknowns = np.random.default_rng(0), []
         for _ in range(_RESTARTS):
             x, sigma, rho = self._start(False)
             x[~self._shift] = generator.uniform(-_FARTHEST, _FARTHEST, np.sum(~self._shift))
-            found.append(self._search(False, (self._nearer(x), sigma, rho)))
-        return [y for y in found if y is not None and self._fits(y)]
+            unknowns.append(self._search(False, (self._nearer(x), sigma, rho)))
+        return [y for y in unknowns if y is not None and self._fits(y)]
 
     def _nearer(self, x: Array) -> Array:
         """Damped steps of Gauss and Newton towards closed joints, where Newton's goes anywhere."""
@@ -242,8 +244,8 @@ class Assembly:
         """Whether bodies only come as near to their joints as rigid motions can."""
         if not (self._moves and self._strains):
             return False
-        found = self._search(False)
-        return found is None or self._open(found[0]) > _CLOSED
+        closing = self._search(False)
+        return closing is None or self._open(closing[0]) > _CLOSED
 
     def _start(self, soft: bool) -> _Unknowns:
         rows = np.zeros(0 if soft else self._rows)
@@ -292,8 +294,8 @@ class Assembly:
         constraints, matrix = self._declared.constraints, self._motions.matrix(T)
         values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
         force = constraints.reaction(0.0, q, lam).real
-        own = self._motions.curvature(Z, motion, force)
-        bend = matrix.T @ (self._pattern.csr(values) @ matrix) + self._motions.blocks(own)
+        curvature = self._motions.curvature(Z, motion, force)
+        bend = matrix.T @ (self._pattern.csr(values) @ matrix) + self._motions.blocks(curvature)
         return self._scaled(bend.tocsr()[self._free], self._units)
 
     @cached_property
@@ -388,9 +390,9 @@ class Assembly:
 
     def _scaled(self, matrix: scipy.sparse.csr_array, rows: Array) -> scipy.sparse.csr_array:
         """Return columns of free motions in their units, and rows in those given."""
-        own = matrix[:, self._free].tocoo()
-        values = own.data * rows[own.row] * self._units[own.col]
-        return scipy.sparse.csr_array((values, (own.row, own.col)), shape=own.shape)
+        free = matrix[:, self._free].tocoo()
+        values = free.data * rows[free.row] * self._units[free.col]
+        return scipy.sparse.csr_array((values, (free.row, free.col)), shape=free.shape)
 
     def _matrix(
         self, J: scipy.sparse.csr_array, bends: Sequence[scipy.sparse.csr_array]

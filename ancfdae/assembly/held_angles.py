@@ -45,8 +45,8 @@ class HeldAngles:
         weights = np.zeros((1, beam.element_count + 1))
         weights[0, element], weights[0, element + 1] = 1 - xi, xi
         held = self._flat.get(angle.beam, weights[:0])
-        found = np.vstack([held, weights])
-        if np.linalg.matrix_rank(found, tol=_NEAR) == len(held):
+        both = np.vstack([held, weights])
+        if np.linalg.matrix_rank(both, tol=_NEAR) == len(held):
             return False
-        self._flat[angle.beam] = found
+        self._flat[angle.beam] = both
         return True

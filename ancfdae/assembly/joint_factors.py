@@ -72,6 +72,6 @@ class JointFactors:
             for i in np.flatnonzero(np.any(slot.item.p_b, axis=0)).tolist():
                 moved = slot.item.moved(i)
                 for order in range(orders):
-                    own = moved.factors(t, order).imag.T / STEP
-                    result[i, order, :, slot.parts] = own
+                    slopes = moved.factors(t, order).imag.T / STEP
+                    result[i, order, :, slot.parts] = slopes
         return result

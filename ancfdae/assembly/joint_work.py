@@ -62,6 +62,6 @@ class _UnitRate(Law):
 
 def at_unit_rate(joint: DrivenJoint) -> DrivenJoint:
     """Return the joint with its law at a rate of one."""
-    found = {each.name: getattr(joint, each.name) for each in fields(joint)}  # type: ignore[arg-type]
-    laws = {name: _UnitRate(law) for name, law in found.items() if isinstance(law, Law)}
+    values = {each.name: getattr(joint, each.name) for each in fields(joint)}  # type: ignore[arg-type]
+    laws = {name: _UnitRate(law) for name, law in values.items() if isinstance(law, Law)}
     return replace(joint, **laws)  # type: ignore[type-var]

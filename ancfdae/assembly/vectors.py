@@ -107,15 +107,15 @@ def point_vectors(
     naming: SceneNaming, names: Names, places: Mapping[Point, tuple[Array, Array]] | None = None
 ) -> list[PointVector]:
     """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
-    own = []
+    vectors = []
     for name in names:
         if isinstance(name, CentreLine):
-            own.append(naming.centre_line(name.beam))
+            vectors.append(naming.centre_line(name.beam))
         elif isinstance(name, Direction):
-            own.append(naming.direction(name.body, name.number))
+            vectors.append(naming.direction(name.body, name.number))
         elif isinstance(name, Normal):
             place = None if places is None else places[name.point]
-            own.append(replace(naming.vector(name.point, Quantity.SLOPE_X, place), turned=True))
+            vectors.append(replace(naming.vector(name.point, Quantity.SLOPE_X, place), turned=True))
         else:
-            own.append(naming.vector(*name, None if places is None else places[name[0]]))
-    return own
+            vectors.append(naming.vector(*name, None if places is None else places[name[0]]))
+    return vectors

@@ -54,8 +54,8 @@ class CoupledSaddlePoints:
         rows, columns = K.rows.astype(int) + n * i, K.columns.astype(int) + n * j
         pattern = Pattern((copies * n, copies * n), rows.ravel(), columns.ravel())
         self._places = pattern.index(rows, columns)
-        own = np.arange(copies)[:, None]
-        B_rows, B_columns = B.rows.astype(int) + m * own, B.columns.astype(int) + n * own
+        copy = np.arange(copies)[:, None]
+        B_rows, B_columns = B.rows.astype(int) + m * copy, B.columns.astype(int) + n * copy
         constraints = Pattern((copies * m, copies * n), B_rows.ravel(), B_columns.ravel())
         scales = np.tile(weights, copies), np.tile(constraint_values, copies)
         self._matrices = SaddlePoint(pattern, constraints, *scales)

@@ -143,8 +143,8 @@ class _Description:
         computed = {
             name
             for each in kind.__mro__
-            for name, found in vars(each).items()
-            if isinstance(found, functools.cached_property)
+            for name, member in vars(each).items()
+            if isinstance(member, functools.cached_property)
         }
         for name in sorted(held.keys() - computed):
             yield name.encode()

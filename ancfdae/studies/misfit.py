@@ -253,10 +253,10 @@ def _along(
     observable: Observable, system: MechanicalSystem, solution: Solution
 ) -> tuple[Array, Array]:
     """Values of an observable and their total derivatives, shape (k,) and (k, n_b)."""
-    states, own = states_of(solution), solution.sensitivities
-    assert own is not None  # asked for
+    states, sensitivities = states_of(solution), solution.sensitivities
+    assert sensitivities is not None  # asked for
     p = observable.partials(system, states)
-    total = p.total(own.q_b, own.v_b, own.lam_b)
+    total = p.total(sensitivities.q_b, sensitivities.v_b, sensitivities.lam_b)
     bad = ~np.isfinite(p.value) | ~np.isfinite(total).all(axis=1)
     if np.any(bad):
         raise NonFiniteObjective("Misfit", "an observable", float(states.t[np.argmax(bad)]))

@@ -113,9 +113,9 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         assert derivative is not None
         first = RecurrenceStart.of(problem, steps.first)
         nodes = Nodes(problem, run, steps, first.node)
-        found = linear_passes.differentiate(nodes, first.sensitivity(derivative), progress)
-        found[0][1][0] = derivative.v_b  # A solution reports the consistent start.
-        return found
+        derivatives = linear_passes.differentiate(nodes, first.sensitivity(derivative), progress)
+        derivatives[0][1][0] = derivative.v_b  # A solution reports the consistent start.
+        return derivatives
 
     def _estimated(self, solution: Solution, scales: Scales) -> Solution:
         """Return the solution with estimates of its errors.
@@ -125,8 +125,8 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         scale = constraint_error(Coefficients(1.0, self.hht_alpha)) * np.diff(solution.t) ** 2
         with np.errstate(over="ignore", invalid="ignore"):
             rise = np.diff(solution.a.real, axis=0)
-        found = estimated_errors(scales, scale, rise, solution.sensitivities)
-        return replace(solution, estimated_errors=found)
+        errors = estimated_errors(scales, scale, rise, solution.sensitivities)
+        return replace(solution, estimated_errors=errors)
 
     def pull_back(
         self, system: MechanicalSystem, solution: Solution, seeds: Seeds, progress: bool = False

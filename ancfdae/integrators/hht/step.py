@@ -138,13 +138,13 @@ class Stepper(OneStepMethod[State]):
 
     def start_error(self) -> float:
         """Return e of a first step of size 1, from the third derivative at the start."""
-        own, still = self._problem.derivative, Coefficients(0.0, self._alpha)
+        derivative, still = self._problem.derivative, Coefficients(0.0, self._alpha)
         start = RecurrenceStart.of(self._problem, still)
         motion = start.jerks[0].jerk.real, np.abs(self._problem.initial.q.real)
-        if own is None:
+        if derivative is None:
             return self._error(1.0, *motion)
-        jerk_b = start.jerk_total(start.jerks[0], own, own.a_b)
-        return self._error(1.0, *motion, jerk_b, np.abs(own.q_b))
+        jerk_b = start.jerk_total(start.jerks[0], derivative, derivative.a_b)
+        return self._error(1.0, *motion, jerk_b, np.abs(derivative.q_b))
 
     def _error(
         self,

@@ -57,8 +57,8 @@ class LinearSteps:
             x = begin.displacements(states[0][s, 1:])
             rough.append(begin.stages(x, states[3][s, 1:]))
         V, A = (np.concatenate(x) for x in zip(*((x.v, x.a) for x in rough), strict=True))
-        found = [_before(problem, *x) for x in zip(times.tolist(), q, V, A, strict=True)]
-        factors, *columns = zip(*found, strict=True)
+        factored = [_before(problem, *x) for x in zip(times.tolist(), q, V, A, strict=True)]
+        factors, *columns = zip(*factored, strict=True)
         stage_a, stage_lam, dv, sigma = map(np.array, columns)
         stages = Stages(q, V, stage_a, stage_lam)
         completion = Completion.of(problem.system, factors, times, (q, v, a, lam), (dv, sigma))
@@ -73,8 +73,8 @@ class LinearSteps:
         at, local = slice(3 * s, 3 * s + 3), self.local
         M = local.M if len(local.M) == 1 else local.M[at]
         f_v = None if local.f_v is None else local.f_v[at]
-        own = Linearisation(M, local.f_q[at], f_v, local.Phi_q[at])
-        return exact(matrices, float(self.h[s]), own)
+        jacobians = Linearisation(M, local.f_q[at], f_v, local.Phi_q[at])
+        return exact(matrices, float(self.h[s]), jacobians)
 
     def advance(
         self, s: int, matrices: CoupledSaddlePoints, q_b: Array, v_b: Array
@@ -187,11 +187,11 @@ def pull_back(
         for s in range(len(linear.h) - 1, -1, -1):
             n = 3 * (steps.start + s) + 1
             at = slice(n, n + 3)
-            own = np.array([on_q[at], on_v[at]])
-            own[:, 2] += on
+            on_states = np.array([on_q[at], on_v[at]])
+            on_states[:, 2] += on
             lam = None if seeds.lam is None else seeds.lam[at]
-            on, found = linear.back(s, matrices, (own[0], own[1], lam))
-            covectors.insert(0, found)
+            on, covector = linear.back(s, matrices, (on_states[0], on_states[1], lam))
+            covectors.insert(0, covector)
         gradient += linear.pull_back(*map(np.concatenate, zip(*covectors, strict=True)))
     return gradient, on
 

@@ -100,19 +100,19 @@ class Stepper(OneStepMethod[State]):
         """Solve the equations of the step to t, and complete its stages."""
         t_0, *last = (x[-1] for x in before.rows)
         begin = Begin(float(t_0), last[0], last[1], h)
-        found = self._solved(begin, before)
-        if isinstance(found, Failure):
-            return found
+        solved = self._solved(begin, before)
+        if isinstance(solved, Failure):
+            return solved
         system, accelerations = self._problem.system, self._problem.accelerations
         times = np.append(begin.times[:2], t)
         counted, rows = accelerations.factorisations, []
-        stages = begin.stages(found.x, found.lam)
+        stages = begin.stages(solved.x, solved.lam)
         for s, q, v in zip(times.tolist(), stages.q, stages.v, strict=True):
             rows.append((q, *completed(system, accelerations.factors(s, q), s, q, v)))
         self._recorder.factorisations += accelerations.factorisations - counted
         columns = (np.array(x) for x in zip(last, *rows, strict=True))
         after = State(h, (np.append(t_0, times), *columns))
-        return self._controlled(found, before, after) if self._tolerances else after
+        return self._controlled(solved, before, after) if self._tolerances else after
 
     def _solved(self, begin: Begin, before: State) -> Solved | Failure:
         """Solve the equations of a step, by way of shorter ones from its start if need be."""
@@ -122,23 +122,23 @@ class Stepper(OneStepMethod[State]):
         usual = self._solver.usual(begin.t, *(row[-1] for row in before.rows[1:]))
         if len(before.rows[0]) > 1:
             x = at_stages(BUTCHER, continued(before.rows[2], 1 + h / before.h * PLACES) - v) / h
-        found = self._solver.solve(begin, (x, lam), usual)
+        solved = self._solver.solve(begin, (x, lam), usual)
         # Where steps are controlled a smaller one is the better cure.
-        while isinstance(found, Failure) and part > _SHORTEST and not self._tolerances:
+        while isinstance(solved, Failure) and part > _SHORTEST and not self._tolerances:
             part /= 4
-            found = self._solver.solve(begin._replace(h=part * h), (still, lam), usual)
-        self._recorder.continued += part < 1 and not isinstance(found, Failure)
-        while part < 1 and not isinstance(found, Failure):
-            V = begin._replace(h=part * h).stages(found.x, found.lam).v
+            solved = self._solver.solve(begin._replace(h=part * h), (still, lam), usual)
+        self._recorder.continued += part < 1 and not isinstance(solved, Failure)
+        while part < 1 and not isinstance(solved, Failure):
+            V = begin._replace(h=part * h).stages(solved.x, solved.lam).v
             part *= 2
             ahead = continued(np.concatenate([v[None], V]), 2 * PLACES)
-            guess = at_stages(BUTCHER, ahead - v) / (part * h), found.lam
-            found = self._solver.solve(begin._replace(h=part * h), guess, usual)
-        return found
+            guess = at_stages(BUTCHER, ahead - v) / (part * h), solved.lam
+            solved = self._solver.solve(begin._replace(h=part * h), guess, usual)
+        return solved
 
-    def _controlled(self, found: Solved, before: State, after: State) -> State:
+    def _controlled(self, solved: Solved, before: State, after: State) -> State:
         """Add the estimated errors, and derivatives with theirs."""
-        errors = self._embedded(found, after.h, before.rows[3][-1].real, found.x.real)
+        errors = self._embedded(solved, after.h, before.rows[3][-1].real, solved.x.real)
         if self._matrices is None:
             return after._replace(errors=errors)
         self._recorder.factorisations += 1
@@ -147,19 +147,19 @@ class Stepper(OneStepMethod[State]):
         first = [x[-1:] for x in before.derivatives]
         rows, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
         derivatives = tuple(map(np.concatenate, zip(first, rows, strict=True)))
-        errors += self._embedded(found, after.h, first[2][0], x_b)
+        errors += self._embedded(solved, after.h, first[2][0], x_b)
         return after._replace(derivatives=derivatives, errors=errors)
 
-    def _embedded(self, found: Solved, h: float, a: Array, x: Array) -> tuple[Array, ...]:
+    def _embedded(self, solved: Solved, h: float, a: Array, x: Array) -> tuple[Array, ...]:
         """Return dq and dv; columns of derivatives alike."""
-        system, local = self._problem.system, found.matrix.local
+        system, local = self._problem.system, solved.matrix.local
         r_q = h * at_stages(EMBEDDED, x)[0]
         r_v = a + at_stages(EMBEDDED @ INVERSE, x)[0]
         right = system.pattern.dot(local.M[0], r_v + GAMMA / h * r_q)
         if local.f_v is not None:
             right = right + system.pattern.dot(local.f_v[0], r_q)
         side = np.zeros((system.n_lam, *right.shape[1:]))
-        dq = solve(found.matrix.real, h**2 * right, side)[0]
+        dq = solve(solved.matrix.real, h**2 * right, side)[0]
         return dq, GAMMA / h * dq - r_q
 
     def error(self, h: float, before: State, after: State) -> float:

@@ -54,8 +54,8 @@ class Load(Part):
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
         """Whether the force depends on velocities, given the parameters that are design targets."""
-        own = [self.numbers_of(name) for name in self.damping_fields]
-        return any(name in driven or x != 0 for numbers in own for name, x in numbers.items())
+        damping = [self.numbers_of(name) for name in self.damping_fields]
+        return any(name in driven or x != 0 for numbers in damping for name, x in numbers.items())
 
     @abc.abstractmethod
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

@@ -75,8 +75,8 @@ class Section(abc.ABC):
 
     def form(self) -> tuple[object, ...]:
         """Return what sections must share to differ in their sizes only."""
-        own = (getattr(self, each.name) for each in fields(self) if each.kw_only)
-        return (type(self), *own)
+        options = (getattr(self, each.name) for each in fields(self) if each.kw_only)
+        return (type(self), *options)
 
     @property
     @abc.abstractmethod
