@@ -25,6 +25,7 @@ from ancfdae.errors import (
     Outcome,
     RedundantConstraints,
     StabilityWarning,
+    ToleranceMissed,
     UnknownName,
     Verdict,
 )
@@ -120,6 +121,7 @@ from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity import (
+    Accuracy,
     Adjoint,
     ComplexStep,
     ContinuousAdjoint,
@@ -220,6 +222,7 @@ __all__ = [
     "HHT",
     "IDA",
     "IDAS",
+    "Accuracy",
     "Adjoint",
     "AdjointError",
     "AncfSystem",
@@ -342,6 +345,7 @@ __all__ = [
     "TargetNotReached",
     "TaylorTest",
     "Terminal",
+    "ToleranceMissed",
     "Torque",
     "TorsionSpring",
     "Tradeoff",

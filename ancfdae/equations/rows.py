@@ -22,7 +22,7 @@ _ROUND_OFF = 1e-9
 
 
 @final
-class Rows:
+class RowCalls:
     """Evaluates functions of one system at rows of states; numbers like t are shared."""
 
     def __init__(self, sizes: set[int]) -> None:

@@ -101,3 +101,8 @@ class ManySteps(UserWarning):
 @final
 class FailedDesign(UserWarning):
     """A design that an optimiser tried has no values; the message says why."""
+
+
+@final
+class ToleranceMissed(UserWarning):
+    """A tolerance is out of reach; the message says what was got and what more would cost."""

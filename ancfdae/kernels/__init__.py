@@ -81,7 +81,7 @@ class Plan(NamedTuple):
     moving: tuple[tuple[LoadPlan, bool], ...]
 
 
-class Layout(NamedTuple):
+class MatrixLayout(NamedTuple):
     """Order and scale of the unknowns, and where values stand in an envelope or in a band.
 
     The envelope is (first, chosen, places, signs) as for `ldl_factor`, and the band (half, flat,

@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from ancfdae.errors import SingularMatrix
-from ancfdae.kernels import Layout, add_scaled, band_factor, band_solve, ldl_factor, ldl_solve
+from ancfdae.kernels import MatrixLayout, add_scaled, band_factor, band_solve, ldl_factor, ldl_solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.orders import little_fill, narrow_band
 from ancfdae.numerics.patterns import Pattern
@@ -101,13 +101,13 @@ class SaddlePoint:
         """Number of unknowns."""
         return len(self.scale)
 
-    def layout(self, band: bool) -> Layout | None:
+    def layout(self, band: bool) -> MatrixLayout | None:
         """Return the positions of values, in a band where requested; None if it is too wide."""
         if self._half_width > _BAND_HALF_WIDTH:
             return None
         band_map = self._band.arrays if band or not self._envelope else None
         envelope = self._envelope.arrays if self._envelope else None
-        return Layout(self._order, self.scale, envelope, band_map)
+        return MatrixLayout(self._order, self.scale, envelope, band_map)
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.

@@ -42,7 +42,7 @@ State = tuple[Node, NodeSensitivity | None]
 
 
 @final
-class Stepper(OneStepMethod[State]):
+class HHTStepper(OneStepMethod[State]):
     """Takes the steps of a run, with derivatives where those of the start are given.
 
     The tolerance, of the error of a step, is None where nothing controls it; the counters of the

@@ -38,7 +38,7 @@ _CHUNK_NUMBERS = 200_000
 
 @final
 @dataclass(frozen=True)
-class LinearSteps:
+class LinearStages:
     """k steps of sizes h, (k,), linearised at their stages, which are rows, 3 k."""
 
     system: MechanicalSystem
@@ -48,7 +48,7 @@ class LinearSteps:
     completion: Completion
 
     @staticmethod
-    def of(problem: Problem, h: Array, t: Array, states: Sequence[Array]) -> LinearSteps:
+    def of(problem: Problem, h: Array, t: Array, states: Sequence[Array]) -> LinearStages:
         """Linearise steps of which start, stages and end are given, (k, 4, ...)."""
         q, v, a, lam = (np.concatenate(x[:, 1:]) for x in states)
         rough, times = list[Stages](), t[:, 1:].ravel()
@@ -63,7 +63,7 @@ class LinearSteps:
         stages = Stages(q, V, stage_a, stage_lam)
         completion = Completion.of(problem.system, factors, times, (q, v, a, lam), (dv, sigma))
         local = problem.system.linearise(times, *stages)
-        return LinearSteps(problem.system, h, stages, local, completion)
+        return LinearStages(problem.system, h, stages, local, completion)
 
     @cached_property
     def _partials(self) -> DesignPartials:
@@ -196,10 +196,10 @@ def pull_back(
     return gradient, on
 
 
-def _linearised(problem: Problem, run: Solution, h: Array, steps: slice) -> LinearSteps:
+def _linearised(problem: Problem, run: Solution, h: Array, steps: slice) -> LinearStages:
     rows = 3 * np.arange(steps.start, steps.stop)[:, None] + np.arange(4)
     states = [x[rows] for x in (run.q, run.v, run.a, run.lam)]
-    return LinearSteps.of(problem, h[steps], run.t[rows], states)
+    return LinearStages.of(problem, h[steps], run.t[rows], states)
 
 
 def _chunks(system: MechanicalSystem, n: int, columns: int) -> Sequence[slice]:

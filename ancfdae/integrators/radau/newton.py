@@ -43,7 +43,7 @@ _EPS, _TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 _LAG = 4
 
 
-class Solved(NamedTuple):
+class SolvedStages(NamedTuple):
     """Scaled displacements and multipliers of the stages, and the matrix they were found with."""
 
     x: Array
@@ -65,7 +65,9 @@ class StageSolver:
         self._matrices: CoupledSaddlePoints | None = None
         self._least = max(10 * system.traits.force_round_off, _TINY)
 
-    def solve(self, begin: Begin, guess: tuple[Array, Array], usual: float) -> Solved | Failure:
+    def solve(
+        self, begin: Begin, guess: tuple[Array, Array], usual: float
+    ) -> SolvedStages | Failure:
         """Solve the equations of a step from a guess of x and of the multipliers.
 
         `usual` is the size of the motion before.
@@ -103,7 +105,7 @@ class StageSolver:
                 if settled == 1:
                     self._recorder.round_off_steps += stuck
                 if settled > lag:
-                    return Solved(x, lam, simplified)
+                    return SolvedStages(x, lam, simplified)
             elif last < math.inf and size * rate**_MORE > self._tolerance:
                 matrix, size = None, math.inf
             last = size

@@ -21,8 +21,8 @@ import numpy as np
 from ancfdae.equations.saddle_points import solve
 from ancfdae.integrators.completion import completed
 from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.radau.linear_passes import LinearSteps
-from ancfdae.integrators.radau.newton import Solved, StageSolver
+from ancfdae.integrators.radau.linear_passes import LinearStages
+from ancfdae.integrators.radau.newton import SolvedStages, StageSolver
 from ancfdae.integrators.radau.stages import Begin, stage_matrices
 from ancfdae.integrators.radau.tableau import (
     BUTCHER,
@@ -58,7 +58,7 @@ class State(NamedTuple):
 
 
 @final
-class Stepper(OneStepMethod[State]):
+class RadauStepper(OneStepMethod[State]):
     """Takes the steps of a run, with derivatives where those of the start are given.
 
     Tolerances are those of positions and of velocities; none where nothing controls the error.
@@ -114,7 +114,7 @@ class Stepper(OneStepMethod[State]):
         after = State(h, (np.append(t_0, times), *columns))
         return self._controlled(solved, before, after) if self._tolerances else after
 
-    def _solved(self, begin: Begin, before: State) -> Solved | Failure:
+    def _solved(self, begin: Begin, before: State) -> SolvedStages | Failure:
         """Solve the equations of a step, by way of shorter ones from its start if need be."""
         h, v, part = begin.h, begin.v, 1.0
         still = np.multiply.outer(PLACES[:, 0] ** 2 / 2, before.rows[3][-1])
@@ -136,21 +136,21 @@ class Stepper(OneStepMethod[State]):
             solved = self._solver.solve(begin._replace(h=part * h), guess, usual)
         return solved
 
-    def _controlled(self, solved: Solved, before: State, after: State) -> State:
+    def _controlled(self, solved: SolvedStages, before: State, after: State) -> State:
         """Add the estimated errors, and derivatives with theirs."""
         errors = self._embedded(solved, after.h, before.rows[3][-1].real, solved.x.real)
         if self._matrices is None:
             return after._replace(errors=errors)
         self._recorder.factorisations += 1
         t, *states = (x[None] for x in after.rows)
-        steps = LinearSteps.of(self._problem, np.array([after.h]), t, states)
+        steps = LinearStages.of(self._problem, np.array([after.h]), t, states)
         first = [x[-1:] for x in before.derivatives]
         rows, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
         derivatives = tuple(map(np.concatenate, zip(first, rows, strict=True)))
         errors += self._embedded(solved, after.h, first[2][0], x_b)
         return after._replace(derivatives=derivatives, errors=errors)
 
-    def _embedded(self, solved: Solved, h: float, a: Array, x: Array) -> tuple[Array, ...]:
+    def _embedded(self, solved: SolvedStages, h: float, a: Array, x: Array) -> tuple[Array, ...]:
         """Return dq and dv; columns of derivatives alike."""
         system, local = self._problem.system, solved.matrix.local
         r_q = h * at_stages(EMBEDDED, x)[0]

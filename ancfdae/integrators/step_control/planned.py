@@ -48,7 +48,7 @@ class _KnownSteps(StepControl):
     ) -> Controller:
         """Return the plan."""
         t = self.instants(t_end)
-        return Plan(self.sizes(t), t[1:])
+        return StepPlan(self.sizes(t), t[1:])
 
     @final
     def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
@@ -168,7 +168,7 @@ class GivenSteps(_KnownSteps):
 
 
 @final
-class Plan(Controller):
+class StepPlan(Controller):
     """Sizes and ends of all steps, of the one that begins at instant n at place n."""
 
     def __init__(self, sizes: Array, ends: Array) -> None:
