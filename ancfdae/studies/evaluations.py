@@ -1,7 +1,5 @@
 """Designs that an optimiser asked for: each is computed once, and one may have no values."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -102,7 +102,7 @@ def coupler_path(quick: bool) -> Case:
     elements, steps = (2, 24) if quick else (4, 48)
     fit = path_fit(elements, steps)
     found = optimise(fit, 2 if quick else 40)
-    search = searched(found.evaluate, found.start, 0.1, 13 if quick else 150)
+    search = searched(found.evaluate, found.start, 0.1, 6 if quick else 150)
     before, after = (_rms(fit, x) for x in (found.start, found.optimum))
     return Case(
         key="coupler-path",

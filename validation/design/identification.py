@@ -111,8 +111,8 @@ def identification(quick: bool) -> Case:
     noise = _NOISE * np.random.default_rng(1).standard_normal(_STEPS)
     fit = record(noise)
     found = optimise(fit, np.array([1.5, 0.5]), 2 if quick else 40)
-    search = searched(found.evaluate, found.start, 0.2, 10 if quick else 100)
-    estimates, holds, runs = coverage(4 if quick else 100)
+    search = searched(found.evaluate, found.start, 0.2, 5 if quick else 100)
+    estimates, holds, runs = coverage(2 if quick else 100)
     shares = 100 * np.mean(holds, axis=0)
     half = 100 * _QUANTILE * np.sqrt(np.diag(fit.covariance(_TRUE * found.optimum))) / _TRUE
     return Case(
