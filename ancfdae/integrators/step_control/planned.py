@@ -66,6 +66,7 @@ class FixedSteps(_KnownSteps):
     step: float
 
     def __post_init__(self) -> None:
+        # Python's numbers: one of NumPy's of single precision would spread its precision.
         require_positive("FixedSteps.step", self.step)
         require_square("FixedSteps.step", float(self.step))
         object.__setattr__(self, "step", float(self.step))
