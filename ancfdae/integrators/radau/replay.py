@@ -39,8 +39,8 @@ class RadauReplay(RunInParts):
         """March over a plan of the known steps."""
         begin, end = first // self.degree, last // self.degree
         recorder = Recorder(self._problem.system, last - first + 1, self.degree)
-        t, *states = (x[-1] for x in node.rows)
-        recorder.record(float(t), *states, ())
+        t, q, v, a, lam = (x[-1] for x in node.rows)
+        recorder.record(float(t), q, v, a, lam, ())
         plan = StepPlan(self._h[:end], self._ends[1 : end + 1])
         begun = Reached(begin, float(t), node.h, node)
         stepper = self._stepper(recorder)
