@@ -1,7 +1,5 @@
 """HHT-I3 (eqs. 2-6, Fig. 1), with any control of its steps."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, replace
 from typing import ClassVar, final

@@ -21,7 +21,7 @@ from ancfdae.integrators.stepped import EXACT, SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 
 # The estimate of a step falls with h^4, the error of the run with h^5: its power 5/4.
-_SHARE, _POWER = 0.1, 4 / 5
+_SHARE, _POWER = 0.05, 4 / 5
 
 
 @final
