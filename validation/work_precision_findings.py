@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 
 from ancfdae import HHT, ControlledSteps, Setting, TargetNotReached, Tradeoff
-from ancfdae.integrators.stepped import SteppedIntegrator
 
 __all__ = [
     "Gain",
@@ -44,7 +43,7 @@ def controlled_both(row: Setting) -> bool:
 
 def control(row: Setting) -> ControlledSteps | None:
     """Return the error control of HHT-I3; None for other integrators and fixed steps."""
-    steps = row.integrator.steps if isinstance(row.integrator, SteppedIntegrator) else None
+    steps = row.integrator.steps if isinstance(row.integrator, HHT) else None
     return steps if isinstance(steps, ControlledSteps) else None
 
 

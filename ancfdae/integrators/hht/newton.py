@@ -110,7 +110,7 @@ def _slow(size: float, rate: float | None, tolerance: float, allowed: float) -> 
     return rate > _SLOW or (size < _NEAR and size * rate**3 > tolerance)
 
 
-class Found(NamedTuple):
+class SolvedStep(NamedTuple):
     """A solution, whether round-off disturbs it, and the slowest rate of the corrections."""
 
     node: Node
@@ -182,7 +182,7 @@ class StepSolver:
             return before.a
         return add_scaled(before.a, times, rise)
 
-    def follow(self, step: Step, guess: tuple[Array, Array], rough: float) -> Found | Failure:
+    def follow(self, step: Step, guess: tuple[Array, Array], rough: float) -> SolvedStep | Failure:
         """Solve them from a guess that is close to the solution.
 
         Where corrections do not shrink quickly from the first one on, the solution that they lead
@@ -190,7 +190,7 @@ class StepSolver:
         """
         return self._solve(step, guess, max(rough, self._tolerance), _CLOSE)
 
-    def accept(self, solved: Found) -> Node:
+    def accept(self, solved: SolvedStep) -> Node:
         """Count what was found as a step."""
         self._recorder.round_off_steps += solved.round_off
         return solved.node
@@ -202,7 +202,7 @@ class StepSolver:
         tolerance: float,
         allowed: float,
         patience: int = 1,
-    ) -> Found | Failure:
+    ) -> SolvedStep | Failure:
         """Iterate from a guess; corrections above round-off shrink at the allowed rate at least."""
         (c, before, t), system, n_q = step, self._system, self._system.n_q
         equations = _Equations(system, step, self._motion_before(before))
@@ -240,7 +240,7 @@ class StepSolver:
                 if settled == 1:
                     round_off = stuck or self._blurred(t, q, a, lam)
                 if settled > more:
-                    return Found(equations.node(a, lam, now), round_off, shrinking.slowest)
+                    return SolvedStep(equations.node(a, lam, now), round_off, shrinking.slowest)
             if settled or _slow(size, None if first else rate, tolerance, allowed):
                 jacobian = None
         return Failure(Verdict.NO_CONVERGENCE, size)
