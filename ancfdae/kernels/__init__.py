@@ -125,6 +125,7 @@ load_tangents = _kernels.load_tangents
 ldl_solve = _kernels.ldl_solve
 lifted = _kernels.lifted
 march = _kernels.march
+narrow_order = _kernels.narrow_order
 norm = _kernels.norm
 prepare = _kernels.prepare
 pull_back_steps = _kernels.pull_back_steps
