@@ -413,12 +413,11 @@ class Assembly:
         """One over the size for equations of lengths, which displacements change; else one."""
         Z = self._declared.Z.real
         constraints = self._declared.constraints
-        B = constraints.pattern.csr(constraints.constraint_q(0.0, Z.ravel()).real)
-        T = self._motions.matrix(self._motions.tangent(Z, self._motions.none))
-        J = abs(B @ T).tocsr()
-        shifts = np.arange(J.shape[1]) % self._motions.n_x < Z.shape[1]
+        B = constraints.constraint_q(0.0, Z.ravel()).real
+        T = self._motions.tangent(Z, self._motions.none)
+        by_shifts, by_any = self._motions.reach(constraints.pattern, B, T).T
         # Of a slope that is long in its own units nothing but round-off moves with the body.
-        is_length = J[:, shifts].max(axis=1).toarray() > 1e-9 * J.max(axis=1).toarray()
+        is_length = by_shifts > 1e-9 * by_any
         return np.where(is_length, 1.0 / self._size, 1.0)
 
     def _gaps(self, x: Array) -> Array:

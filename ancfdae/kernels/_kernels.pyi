@@ -148,9 +148,7 @@ def csr_rows_transposed(
 ) -> Array:
     """Return M^T x for rows of x; M has `size` columns."""
 
-def narrow_order(
-    first_K: Array, columns_K: Array, first_B: Array, columns_B: Array, /
-) -> Array:
+def narrow_order(first_K: Array, columns_K: Array, first_B: Array, columns_B: Array, /) -> Array:
     """Return an order of coordinates and multipliers in which [K, B^T; B, 0] has a narrow band.
 
     The better of the one given and that of Cuthill and McKee, reversed; K has a symmetric pattern.
