@@ -191,6 +191,7 @@ class AncfSystem(MechanicalSystem):
             self._constraints.factors.table,
             self._loads.factors,
             self._loads.plans(),
+            self._loads.turning,
         )
 
     # -- the protocol --------------------------------------------------------------------------

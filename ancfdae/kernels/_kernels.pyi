@@ -278,3 +278,19 @@ def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
 
 def finite(x: Array, /) -> bool:
     """Tell whether every entry is finite."""
+
+def rest(
+    prepared: Any,
+    state: tuple[Array, Array, Array, Array],
+    known: tuple[Array, Array | None, Array, Array],
+    factors: tuple[Array, Array, Array],
+    rules: Array,
+    /,
+) -> tuple[int, int, float, int]:
+    """Solve for an equilibrium under part of the load, from q and lam, by Newton's method.
+
+    The state (q, lam, q_s, lam_s) is written in place. Known are (q_0, anchor or None, r_0, Phi_0),
+    factors those of constraints, of loads as they act, and of those that turn. Returns why it ends
+    (`Rest`), iterations, the size of the last correction, and whether K is surely positive
+    definite.
+    """

@@ -86,6 +86,9 @@ static step_coefficients coefficients_of_step(double h, double alpha)
     return c;
 }
 
+/* Which tangent: in q, in v, or in q with stresses that are extrapolated. */
+enum { IN_Q, IN_V, EXTRAPOLATED };
+
 static double seconds_now(void)
 {
     struct timespec now;
@@ -109,6 +112,7 @@ static double seconds_now(void)
 #include "symmetric.h"
 #include "march.h"
 #include "passes.h"
+#include "rest.h"
 #undef T
 #undef NAME
 #undef MATH
@@ -1241,6 +1245,7 @@ FUNCTION(prepare, 3)
 FUNCTION(march, 8)
 FUNCTION(differentiate_steps, 6)
 FUNCTION(pull_back_steps, 6)
+FUNCTION(rest, 5)
 
 #define FUNCTION_OF_MANY(name)                                                                     \
     static PyObject *any_##name(PyObject *self, PyObject *const *args, Py_ssize_t count)           \
@@ -1288,6 +1293,7 @@ static PyMethodDef methods[] = {
     METHOD(march),
     METHOD(differentiate_steps),
     METHOD(pull_back_steps),
+    METHOD(rest),
     {NULL, NULL, 0, NULL},
 };
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import final
 
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Unsolved
+from ancfdae.statics.balance import Balance, Solved, Unsolved
 from ancfdae.statics.load_path import LoadPath, PathPoint
 from ancfdae.statics.mobility import free_mechanism
 from ancfdae.statics.outcome import LoadOutcome
@@ -36,23 +36,23 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     FreeMechanism
         If a motion is held by nothing.
     """
-    start = softest(balance, 0.0, balance.q_0, balance.lam_0)
-    if not start.stable or start.free.shape[1]:
-        return _settled(balance, start, max_steps)
-    followed = _followed(balance, start, max_steps)
+    first, start = balance.begun(), None
+    if isinstance(first, Unsolved) or not first.definite:
+        start = softest(balance, 0.0, balance.q_0, balance.lam_0)
+        if not start.stable or start.free.shape[1]:
+            return _settled(balance, start, max_steps)
+    followed = _followed(balance, first, max_steps)
     if followed.outcome.verdict not in _FAILED:
         return followed
     settled = _settled(balance, start, max_steps)
     return settled if settled.outcome.success else followed
 
 
-def _followed(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
-    q, lam = balance.q_0, balance.lam_0
-    try:
-        factors = balance.factor(balance.tangent(0.0, q, lam), balance.Phi_q(q))
-    except SingularMatrix:
-        return SearchEnd(q, lam, LoadOutcome(Verdict.SINGULAR, 0.0, 0, 0.0))
-    first = PathPoint(0.0, q, lam, *balance.path_tangent(q, factors), start.stable)
+def _followed(balance: Balance, start: Solved | Unsolved, max_steps: int) -> SearchEnd:
+    if isinstance(start, Unsolved):
+        outcome = LoadOutcome(start.verdict, 0.0, 0, 0.0)
+        return SearchEnd(balance.q_0, balance.lam_0, outcome)
+    first = PathPoint(0.0, start.q, start.lam, *start.path, stable=True)
     path = LoadPath(balance, first, max_steps)
     verdict, last = path.follow(), path.places[-1]
     outcome = LoadOutcome(verdict, last.s, len(path.places) - 1, path.residual, path.stable_to())
@@ -66,15 +66,15 @@ def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
     if isinstance(exact, Unsolved):
         outcome = replace(end.outcome, verdict=exact.verdict, residual=exact.residual)
         return replace(end, outcome=outcome)
-    outcome = replace(end.outcome, residual=exact.correction)
-    return SearchEnd(exact.q, exact.lam, outcome)
+    q, lam, correction = exact
+    return SearchEnd(q, lam, replace(end.outcome, residual=correction))
 
 
-def _settled(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
+def _settled(balance: Balance, start: Softness | None, max_steps: int) -> SearchEnd:
     downhill = Settling(balance, max_steps)
     verdict = downhill.run()
     q, lam, steps, residual = downhill.q, downhill.lam, downhill.steps, downhill.residual
-    if downhill.gone and start.free.shape[1]:
+    if downhill.gone and start and start.free.shape[1]:
         raise free_mechanism(balance.system.naming, balance.q_0, start.free)
     if verdict is not Verdict.EQUILIBRIUM:
         return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
