@@ -1,6 +1,6 @@
 """First-order design sensitivities of flexible multibody systems in ANCF."""
 
-from ancfdae.assembly import AncfSystem, assemble
+from ancfdae.assembly import AncfSystem, assemble, load_solution
 from ancfdae.equations import (
     ComplexStepSystem,
     Conformance,
@@ -106,6 +106,7 @@ from ancfdae.model.sections import (
     Tube,
 )
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion
+from ancfdae.model.turning_frame import TurningFrame
 from ancfdae.modes import Configuration, Modes, MotionKind, StepSuggestion
 from ancfdae.numerics.patterns import Pattern
 from ancfdae.sensitivity import (
@@ -162,6 +163,7 @@ from ancfdae.sensitivity.observables import (
 from ancfdae.statics import Equilibrium, FreeMechanism, LoadOutcome, NoEquilibrium
 from ancfdae.studies import (
     AdjointError,
+    Campbell,
     ErrorBars,
     Evaluate,
     Fit,
@@ -177,6 +179,7 @@ from ancfdae.studies import (
     TaylorTest,
     Tradeoff,
     adjoint_error,
+    campbell,
     differentiate,
     equilibrium,
     error_bars,
@@ -214,6 +217,7 @@ __all__ = [
     "BodyShape",
     "Box",
     "Bushing",
+    "Campbell",
     "Circle",
     "Clamp",
     "ComplexStep",
@@ -325,6 +329,7 @@ __all__ = [
     "Tradeoff",
     "Traits",
     "Tube",
+    "TurningFrame",
     "UnfinishedRun",
     "Uniform",
     "Universal",
@@ -341,6 +346,7 @@ __all__ = [
     "axial_force",
     "axial_strain",
     "bending_moment",
+    "campbell",
     "centre_of_mass",
     "check_system",
     "custom",
@@ -361,6 +367,7 @@ __all__ = [
     "kinetic_energy",
     "linear_momentum",
     "load_power",
+    "load_solution",
     "mass",
     "mass_properties",
     "maximum_stress",

@@ -39,6 +39,17 @@ def force(A, g_o, Y, V=None, tau=None, p_o=None):
     return in_Y(kernels.forces(own, coordinates(Y), None if V is None else coordinates(V)), Y)
 
 
+def force_partial(law, partial, Y, V=None, tau=None):
+    """Partials of the forces, of a law (A, g_o, p_o) in one variable of all elements."""
+    A, g_o, p_o = law
+    n, states = Y.shape[-3], (coordinates(Y), None if V is None else coordinates(V))
+    own = own_block(A, g_o, Y, tau, p_o)
+    rest_b = np.stack([partial.g_o, partial.p_o], axis=1)
+    pairs = np.zeros(0), np.arange(n + 1), np.arange(n), np.zeros(n, dtype=int)
+    rows = kernels.force_partials(own, *states, None, partial.A, rest_b, *pairs, 1)
+    return in_Y(rows.reshape(states[0].shape), Y)
+
+
 def force_rate(A, g_o, Y, V, Z, tau=None, p_o=None):
     own = own_block(A, g_o, Y, tau, p_o)
     q, v, a = map(coordinates, (Y, V, Z))

@@ -28,13 +28,13 @@ from ancfdae import (
     RigidBody,
     RigidMotion,
     Scene,
-    Solution,
     Terminal,
     Uniform,
     Weld,
     assemble,
     equilibrium,
     gradient,
+    load_solution,
     position,
     simulate,
     slope,
@@ -110,7 +110,7 @@ def test_saved_solution_knows_its_element(tmp_path):
     rod = cable()
     solution = simulate(Scene([rod], [Pin(rod.at_start)], gravity=(0.0, -9.81)), 0.125, HHT(2**-7))
     solution.save(tmp_path / "swing.npz")
-    again = Solution.load(tmp_path / "swing.npz")
+    again = load_solution(tmp_path / "swing.npz")
     assert again.naming.layout.beams[0].element is CABLE_2D
     assert np.array_equal(again.nodes("rod"), solution.nodes("rod"))
     assert again.nodes("rod").shape == (len(solution.t), 3, 2, 2)

@@ -43,8 +43,7 @@ class Flipped(MechanicalSystem):
         # Attributes shadow the properties of the class.
         for name in (*dir(MechanicalSystem), "n_q", "n_lam", "design_names", "b"):
             value = None if name.startswith("_") else getattr(right, name)
-            # A kernel that takes the plan would not ask the members.
-            if not (value is None or callable(value) or name == "plan"):
+            if not (value is None or callable(value)):
                 setattr(self, name, value)
 
     def with_values(self, b):

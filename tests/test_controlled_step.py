@@ -25,12 +25,12 @@ from ancfdae import (
     Point,
     Rectangle,
     Scene,
-    Solution,
     Terminal,
     assemble,
     custom,
     differentiate,
     gradient,
+    load_solution,
     simulate,
     taylor_test,
 )
@@ -213,7 +213,7 @@ def test_output_at_asked_times():
 
 def test_files_keep_controlled_runs(tmp_path):
     run = simulate(CartesianPendulum(), 0.5, HHT(rtol=1e-3))
-    again = Solution.load(run.save(tmp_path / "run.npz"))
+    again = load_solution(run.save(tmp_path / "run.npz"))
     assert again.statistics == run.statistics
     assert run.statistics.rejected >= 0
 

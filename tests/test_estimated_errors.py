@@ -13,13 +13,13 @@ from ancfdae import (
     EstimatedErrors,
     Explicit,
     Point,
-    Solution,
     Terminal,
     Traits,
     assemble,
     custom,
     differentiate,
     error_bars,
+    load_solution,
     simulate,
 )
 from validation.external.slider_crank import SliderCrank
@@ -137,7 +137,7 @@ def test_what_blew_up_has_infinite_errors():
 
 def test_files_keep_them(tmp_path):
     run = differentiate(CartesianPendulum(), 1.0, HHT(2.0**-5))
-    again = Solution.load(run.save(tmp_path / "run.npz"))
+    again = load_solution(run.save(tmp_path / "run.npz"))
     assert again.estimated_errors == run.estimated_errors
     plain = simulate(CartesianPendulum(), 1.0, Explicit(1e-4))
-    assert Solution.load(plain.save(tmp_path / "plain.npz")).estimated_errors is None
+    assert load_solution(plain.save(tmp_path / "plain.npz")).estimated_errors is None

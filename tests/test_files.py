@@ -6,7 +6,7 @@ import textwrap
 
 import pytest
 
-from ancfdae import HHT, Solution, simulate
+from ancfdae import HHT, load_solution, simulate
 from validation.scenes import pendulum
 
 # No file may grow beyond this, which a system tells like a full disk; bytes.
@@ -17,12 +17,12 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 sys.path.insert(0, "tests")
-from ancfdae import HHT, NotSaved, Solution, observations, position, sweep
+from ancfdae import HHT, NotSaved, load_solution, observations, position, sweep
 from validation.scenes import pendulum
 from mechanisms import CartesianPendulum
 
 folder, system = Path(sys.argv[1]), CartesianPendulum()
-solution = Solution.load(folder / "run.npz")
+solution = load_solution(folder / "run.npz")
 resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
 
 def refused(call):
@@ -60,7 +60,7 @@ def test_a_full_disk_is_told_and_harms_nothing(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[2:])
     assert (tmp_path / "x.npy").read_bytes() == b"old"
     for name in ("run.npz", "run.h5"):
-        assert (Solution.load(tmp_path / name).q == run.q).all()
+        assert (load_solution(tmp_path / name).q == run.q).all()
     # The first line and a whole row of an array of 3,000 ones in 15,000 bytes; nothing of another.
     assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 2
     assert (tmp_path / "rows.jsonl").read_text().endswith("\n")

@@ -27,12 +27,12 @@ from ancfdae import (
     Pin,
     Rectangle,
     Scene,
-    Solution,
     Terminal,
     Verdict,
     custom,
     differentiate,
     gradient,
+    load_solution,
     simulate,
 )
 from ancfdae.numerics.time_grid import TimeGrid
@@ -165,7 +165,7 @@ def test_the_missing_package_is_named():
 
 def test_files_keep_the_degree(tmp_path):
     run = simulate(CartesianPendulum(), 0.5, Explicit(intervals=2))
-    assert Solution.load(run.save(tmp_path / "run.npz")).degree == 8
+    assert load_solution(run.save(tmp_path / "run.npz")).degree == 8
 
 
 TROUBLE = {

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ancfdae.errors import InvalidInput
-from ancfdae.kernels import gram, strain, stressed
+from ancfdae.kernels import gram, stressed
 from ancfdae.model.elements import (
     ALL_ELEMENTS,
     Batch,
@@ -298,7 +298,7 @@ def test_force_partial_is_the_complex_step_of_the_oracle(case, which):
     X_o = case.moved_reference(values)
     by_step = case.oracle.force(X.astype(complex), E, nu, h, w, l, X_o, **case.rule).imag / size
     partial, Y = case.inv.partials[which], case.relative(X)
-    F_b = elastic.force_partial(partial.A, partial.c, strain(case.inv.g_o, Y, None, None), Y)
+    F_b = element_forces.force_partial((*case.law, case.inv.p_o), partial, Y)
     case.compare_partial(case.absolute(F_b), by_step, which)
 
 
@@ -309,8 +309,9 @@ def test_force_partial_is_the_complex_step_of_force(case, which, tau):
     partial, (values, size) = case.inv.partials[which], perturbed(which)
     inv = case.prepare(values)
     by_step = element_forces.force(inv.A, inv.g_o, Y, V, tau, inv.p_o).imag / size
-    x = strain(case.inv.g_o, Y, V, tau)
-    case.compare_partial(elastic.force_partial(partial.A, partial.c, x, Y), by_step, which)
+    tau = None if tau is None else np.array([tau])
+    F_b = element_forces.force_partial((*case.law, case.inv.p_o), partial, Y, V, tau)
+    case.compare_partial(F_b, by_step, which)
 
 
 def test_force_partial_in_the_damping_time_is_the_stress_of_the_strain_rate(case):
@@ -533,6 +534,11 @@ def test_block_of_different_states_is_each_state_alone(case):
         assert_close(own[k], one, CLOSE)
 
 
+def alike(partial, n):
+    """The partial of an element for n of them."""
+    return type(partial)(**{name: np.repeat(x, n, axis=0) for name, x in vars(partial).items()})
+
+
 def test_leading_axes_are_instants(case):
     # Five instants of three elements, undamped and damped, against each state alone.
     n, k = 3, 5
@@ -540,7 +546,7 @@ def test_leading_axes_are_instants(case):
     Y, V, Z = np.array(states).reshape(3, k, n, *case.Y_unit.shape[1:])
     A = case.inv.A * np.array([1.0, 1.1, 0.9])[:, None, None]
     g_o = case.inv.g_o * np.array([1.0, 0.9, 1.1])[:, None]
-    tau, A_b = np.array([0.0, 0.02, 0.03]), case.inv.partials[WIDTH].A
+    tau, partial = np.array([0.0, 0.02, 0.03]), case.inv.partials[WIDTH]
     functions = {
         "energy": lambda e, y, v, z: elastic.energy(A[e], g_o[e], y),
         "force": lambda e, y, v, z: element_forces.force(A[e], g_o[e], y),
@@ -550,8 +556,8 @@ def test_leading_axes_are_instants(case):
         "damping": lambda e, y, v, z: element_forces.damping_tangent(A[e], y, tau[e]),
         "rate": lambda e, y, v, z: element_forces.force_rate(A[e], g_o[e], y, v, z),
         "damped rate": lambda e, y, v, z: element_forces.force_rate(A[e], g_o[e], y, v, z, tau[e]),
-        "partial": lambda e, y, v, z: elastic.force_partial(
-            np.repeat(A_b, len(g_o[e]), axis=0), g_o[e], strain(g_o[e], y, v, tau[e]), y
+        "partial": lambda e, y, v, z: element_forces.force_partial(
+            (A[e], g_o[e], None), alike(partial, len(g_o[e])), y, v, tau[e]
         ),
     }
     for function in functions.values():

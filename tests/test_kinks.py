@@ -31,7 +31,6 @@ from ancfdae import (
     Rectangle,
     SaintVenantKirchhoff,
     Scene,
-    Solution,
     Spherical,
     SpringDamper,
     Terminal,
@@ -39,6 +38,7 @@ from ancfdae import (
     assemble,
     equilibrium,
     gradients,
+    load_solution,
     simulate,
     static_gradient,
 )
@@ -338,7 +338,7 @@ def test_an_equilibrium_with_another_load_is_a_start(tmp_path):
         assert run.ends("rod").shape == (len(run.t), 4, 2, 3, 2)
         np.testing.assert_allclose(run.ends("rod")[0], held.ends("rod")[0], rtol=0, atol=1e-15)
     path = run.save(tmp_path / "run.npz")
-    again = Solution.load(path)
+    again = load_solution(path)
     assert again.naming.layout == run.naming.layout
     np.testing.assert_array_equal(again.ends("rod"), run.ends("rod"))
     before, after = (run.slope(rod.at(0.5, before=side)) for side in (True, False))

@@ -23,7 +23,7 @@ INJECTIONS = [
     (
         "assembly/parameters.py",
         "from ancfdae.equations import MechanicalSystem",
-        "Of the assembler only the assembled system knows the protocol",
+        "Of the assembler only the assembled system, its names",
     ),
     (
         "sensitivity/direct.py",

@@ -242,6 +242,30 @@ def test_passes_of_every_element_are_the_same_in_the_kernel(kind, damping):
     assert_same_passes(system, Terminal(position(arm.at_end, 0)), HHT(given), 2.25 * STEP)
 
 
+def test_passes_of_driven_joints_are_the_same_in_the_kernel():
+    # Phi depends on time, and in the distance on products, which have a curvature.
+    rod, arm = KINDS["planar"]
+    held = [Pin(rod.at_start), Drive(rod.at_start, Harmonic(0.5, 40.0))]
+    held.append(Distance(rod.at_end, 0.3, arm.at_end))
+    scene = Scene([rod, arm], held, (0, -9.81), project_start=True)
+    system = assemble(scene, ["rod.youngs_modulus", "arm.density", "rod.length"])
+    assert_same_passes(system, Integral(position(arm.at_end, 1)), HHT(STEP), COUNT * STEP)
+
+
+def test_passes_of_every_load_are_the_same_in_the_kernel():
+    members = KINDS["planar"]
+    points = members[1].at(0.4), members[0].at(0.8)
+    moves, gravity = (
+        Integral(position(members[0].at_end, 1)),
+        (0.0, -9.81, 0.0)[: members[0].dimension],
+    )
+    for load in all_examples(loads, Load, members, points).values():
+        held = {"joints": [Clamp(members[0].at_start)], "gravity": gravity}
+        scene = replace(scene_of(members, load), project_start=True, **held)
+        system = assemble(scene, ["rod.density", "rod.height"])
+        assert_same_passes(system, moves, HHT(STEP), 2 * STEP)
+
+
 def test_passes_go_on_where_a_matrix_is_not_positive_definite(monkeypatch):
     # The envelope refuses every matrix, so that the band takes over, in the kernel and in Python.
     def spoilt(self, band):
@@ -297,16 +321,18 @@ def test_what_does_not_fit_together_is_no_plan(arguments):
 
 
 @pytest.mark.parametrize(
-    "spoilt", ["h", "f_q", "f_v", "Phi_q", "matrices", "right", "z", "on", "mu"]
+    "spoilt", ["h", "q", "v", "lam", "of_joints", "matrices", "right", "z", "on", "mu"]
 )
 def test_passes_take_only_what_fits_their_plan(spoilt):
-    n_q, n_lam, nnz, n_B = len(PLAN.gravity), 2, len(PLAN.mass[2]), len(PLAN.B[2])
+    n_q, n_lam = len(PLAN.gravity), 2
     prepared = kernels.prepare(PLAN, LAYOUT, RULES)
     shapes = {
         "h": (4,),
-        "f_q": (4, nnz),
-        "f_v": (4, nnz),
-        "Phi_q": (4, n_B),
+        "q": (4, n_q),
+        "v": (4, n_q),
+        "lam": (4, n_lam),
+        "of_joints": (1, 1),
+        "of_loads": (4, 0),
         "matrices": (4, 6, 4),
         "right": (4, 3, n_q + n_lam),
         "z": (4, 3, n_q),
@@ -318,9 +344,9 @@ def test_passes_take_only_what_fits_their_plan(spoilt):
     }
 
     def call(shapes):
-        *linear, right, z, states, lam_b, on, mu, zeta = (np.ones(x) for x in shapes.values())
-        kernels.differentiate_steps(prepared, tuple(linear), right, z, states, lam_b)
-        kernels.pull_back_steps(prepared, tuple(linear), (None, mu, zeta), on, mu, zeta)
+        *steps, right, z, states, lam_b, on, mu, zeta = (np.ones(x) for x in shapes.values())
+        kernels.differentiate_steps(prepared, tuple(steps), right, z, states, lam_b)
+        kernels.pull_back_steps(prepared, tuple(steps), (None, mu, zeta), on, mu, zeta)
 
     call(shapes)
     with pytest.raises(ValueError, match="shapes of a plan"):

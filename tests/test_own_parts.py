@@ -9,10 +9,10 @@ import pytest
 from ancfdae import (
     HHT,
     InvalidInput,
-    Solution,
     Terminal,
     UnknownName,
     gradient,
+    load_solution,
     position,
     simulate,
     sweep,
@@ -38,14 +38,14 @@ def string():
 def test_a_file_of_an_own_element_is_read_with_it(string, tmp_path):
     run = simulate(string["hanging"], 2.0**-5, HHT(2.0**-7))
     file = run.save(tmp_path / "run.npz")
-    again = Solution.load(file, elements=[string["STRING"]])
+    again = load_solution(file, elements=[string["STRING"]])
     assert np.array_equal(
         again.position(string["rope"].at_end), run.position(string["rope"].at_end)
     )
     with pytest.raises(UnknownName, match=r"'STRING_2D'.*BEAM_2D"):
-        Solution.load(file)
-    with pytest.raises(InvalidInput, match="load, elements"):
-        Solution.load(file, elements=["STRING_2D"])
+        load_solution(file)
+    with pytest.raises(InvalidInput, match="load_solution, elements"):
+        load_solution(file, elements=["STRING_2D"])
 
 
 def test_an_own_element_has_exact_gradients_and_sweeps(string):

@@ -25,13 +25,13 @@ from ancfdae import (
     RigidBody,
     RigidMotion,
     Scene,
-    Solution,
     Terminal,
     UnfinishedRun,
     custom,
     differentiate,
     evaluate,
     gradient,
+    load_solution,
     position,
     simulate,
 )
@@ -88,7 +88,7 @@ def test_a_flexible_run_goes_on_from_its_file_to_a_later_end(suffix, tmp_path):
     scene, step = pendulum(elements=2), HHT(2.0**-7)
     file = simulate(scene, 0.125, step).save(tmp_path / f"run.{suffix}")
     whole = differentiate(scene, 0.25, step, design=["pendulum.height"])
-    done = differentiate(scene, 0.25, step, design=["pendulum.height"], after=Solution.load(file))
+    done = differentiate(scene, 0.25, step, design=["pendulum.height"], after=load_solution(file))
     # Round-off of the elastic forces, 1e-16 E A, is 1e-11 of the motion's (measured: 4e-11).
     require_same(done, whole, 1e-9)
     ours, theirs = done.sensitivities.q_b, whole.sensitivities.q_b
@@ -187,7 +187,7 @@ def test_passes_show_bars_where_asked(capsys):
 @pytest.mark.parametrize("name", ["solution_6.npz", "solution_6.h5"])
 def test_a_file_of_format_6_is_read(name):
     """Written once by `differentiate(SCENE, 0.05, HHT(rtol=1e-3), design=["pendulum.height"])`."""
-    run = Solution.load(DATA / name)
+    run = load_solution(DATA / name)
     scene = pendulum(elements=1, youngs_modulus=1e6)
     again = differentiate(scene, 0.05, HHT(rtol=1e-3), design=["pendulum.height"])
     # Newton's method leaves 1e-6 of the forces.
@@ -207,7 +207,7 @@ def test_damaged_files_are_refused_in_words(name, tmp_path):
     for broken in (good[: len(good) // 2], good[:-1], good[:100]):
         path.write_bytes(broken)
         with pytest.raises(InvalidInput, match=r"whole file written by Solution\.save"):
-            Solution.load(path)
+            load_solution(path)
 
 
 def test_a_file_of_another_version_says_which(tmp_path):
@@ -218,18 +218,18 @@ def test_a_file_of_another_version_says_which(tmp_path):
         told = json.loads(str(arrays["meta"])) | {"format": f"ancfdae solution {version}"}
         np.savez(path, **(arrays | {"meta": np.array(json.dumps(told))}))
         with pytest.raises(InvalidInput, match=match):
-            Solution.load(path)
+            load_solution(path)
     # Format 5 had no state of step control.
     told = json.loads(str(arrays["meta"])) | {"format": "ancfdae solution 5"}
     del told["control"]
     np.savez(path, **(arrays | {"meta": np.array(json.dumps(told))}))
-    assert Solution.load(path).control == ()
+    assert load_solution(path).control == ()
 
 
 def test_both_kinds_of_file_hold_the_same(tmp_path):
-    run = Solution.load(DATA / "solution_6.npz")
+    run = load_solution(DATA / "solution_6.npz")
     run = replace(run, lam=run.lam[:, :0])  # Nothing to compress.
-    again = Solution.load(run.save(tmp_path / "run.HDF5"))
+    again = load_solution(run.save(tmp_path / "run.HDF5"))
     for name in STATES:
         np.testing.assert_array_equal(getattr(again, name), getattr(run, name))
     assert (again.outcome, again.statistics, again.control) == (
@@ -240,16 +240,16 @@ def test_both_kinds_of_file_hold_the_same(tmp_path):
 
 def test_h5py_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
-    run = Solution.load(DATA / "solution_6.npz")
+    run = load_solution(DATA / "solution_6.npz")
     with pytest.raises(MissingPackage, match=r"ancfdae\[hdf5\]"):
         run.save(tmp_path / "run.h5")
     assert not list(tmp_path.iterdir())
     with pytest.raises(MissingPackage):
-        Solution.load(DATA / "solution_6.h5")
+        load_solution(DATA / "solution_6.h5")
 
 
 def test_position_is_an_observable_of_a_file():
     scene = pendulum(elements=1, youngs_modulus=1e6)
-    run, tip = Solution.load(DATA / "solution_6.npz"), scene.beams[0].at_end
+    run, tip = load_solution(DATA / "solution_6.npz"), scene.beams[0].at_end
     found = evaluate(Terminal(position(tip, 1)), run, scene)
     assert found == run.position(tip)[-1, 1]

@@ -41,7 +41,6 @@ from ancfdae import (
     RigidMotion,
     RigidSphere,
     Scene,
-    Solution,
     Spherical,
     Terminal,
     UnknownName,
@@ -50,6 +49,7 @@ from ancfdae import (
     gradient,
     gradients,
     kinetic_energy,
+    load_solution,
     modes,
     position,
     simulate,
@@ -366,7 +366,7 @@ def test_solution_of_a_rigid_beam_has_its_nodes(rod, tmp_path):
     spin = 1.5 if rod.dimension == 2 else (0.5, -1.0, 1.5)
     start = [RigidMotion("rod", spin, (0.1,) * rod.dimension)]
     run = simulate(Scene([rigid], start=start), 0.1, HHT(step=0.01))
-    again = Solution.load(run.save(tmp_path / "run.npz"))
+    again = load_solution(run.save(tmp_path / "run.npz"))
     assert again.naming.layout == run.naming.layout
     nodes = again.nodes("rod")
     assert_close(nodes[0].ravel(), assemble(Scene([rod])).start()[0])
@@ -828,7 +828,7 @@ def test_values_of_one_body_change_together():
 
 def test_solution_names_bodies(tmp_path):
     run = simulate(Scene(bodies=[BODY], gravity=(0, -G)), 0.1, HHT(step=0.05))
-    again = Solution.load(run.save(tmp_path / "run.npz"))
+    again = load_solution(run.save(tmp_path / "run.npz"))
     assert again.naming.layout == run.naming.layout
     assert again.nodes("body").shape == (3, 1, 3, 2)
     assert_close(again.position(BODY.at(0.1, 0.2))[0], np.array([0.1, 0.2]))

@@ -36,6 +36,7 @@ from ancfdae import (
     assemble,
     custom,
     equilibrium,
+    load_solution,
     multiplier,
     observe,
     position,
@@ -301,7 +302,7 @@ def test_an_equilibrium_is_a_solution_of_one_instant():
 def test_a_saved_equilibrium_is_read_again(tmp_path):
     scene, design, joint = bent()
     found = equilibrium(scene, design=design).solution
-    again = type(found).load(found.save(tmp_path / "rest.npz"))
+    again = load_solution(found.save(tmp_path / "rest.npz"))
     assert again.outcome == found.outcome
     np.testing.assert_array_equal(again.reaction(joint), found.reaction(joint))
 

@@ -21,6 +21,7 @@ from validation.peers import report as peers
 from validation.pendulum import report as pendulum
 from validation.performance import report as performance
 from validation.report import Report
+from validation.test_set import report as test_set
 
 __all__ = ["CATALOGUE", "Definition"]
 
@@ -131,6 +132,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "what cost?",
         run=design.run,
         source="other way",
+    ),
+    Definition(
+        name="test-set",
+        title="Published problems of differential-algebraic equations",
+        question="Do published problems come out as printed, and their gradients as a method that "
+        "shares nothing with this package finds them, by every integrator and at which cost?",
+        run=test_set.run,
+        source="source",
     ),
     Definition(
         name="peers",

@@ -1,5 +1,6 @@
 """The ANCF assembler: where a scene becomes a mechanical system."""
 
 from ancfdae.assembly.beam_elements import StatePartials
+from ancfdae.assembly.saved import load_solution
 from ancfdae.assembly.stress_points import StressPoints
 from ancfdae.assembly.system import AncfSystem, assemble

@@ -9,12 +9,12 @@ from typing import TypeVar, final
 import numpy as np
 
 from ancfdae.assembly.block import unit_vectors
+from ancfdae.assembly.layout import BeamLayout
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.errors import named
 from ancfdae.model.bodies import BeamBody
 from ancfdae.model.elements import Batch
-from ancfdae.model.naming import BeamLayout
 from ancfdae.numerics.arrays import Array
 
 _Law = TypeVar("_Law")

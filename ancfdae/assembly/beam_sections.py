@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.beam_elements import BeamElements
+from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.section_force import SectionForces
@@ -16,7 +17,6 @@ from ancfdae.errors import InvalidInput
 from ancfdae.model.bodies import Point, require_in_section
 from ancfdae.model.elements import Batch
 from ancfdae.model.elements.element import SectionPlace
-from ancfdae.model.naming import Layout
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 

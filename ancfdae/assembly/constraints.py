@@ -16,6 +16,7 @@ import numpy as np
 from ancfdae.assembly.joint_factors import JointFactors
 from ancfdae.assembly.joint_partials import JointPartials
 from ancfdae.assembly.joint_structure import JointStructure
+from ancfdae.assembly.layout import JointLayout
 from ancfdae.errors import InconsistentStart
 from ancfdae.kernels import (
     ConstraintPlan,
@@ -25,7 +26,6 @@ from ancfdae.kernels import (
     constraint_totals,
     constraints,
 )
-from ancfdae.model.naming import JointLayout
 from ancfdae.numerics.arrays import STEP, Array, only
 from ancfdae.numerics.patterns import Pattern
 

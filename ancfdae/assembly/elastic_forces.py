@@ -11,10 +11,10 @@ from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.kernels import (
     Block,
+    force_partials,
     force_totals,
     forces,
     forces_along,
-    gram,
     lifted,
     relative,
     strain,
@@ -130,7 +130,7 @@ class ElasticForces:
 
     def force_b(self, q: Array, v: Array) -> Array:
         """(Q_s)_b, shape (k, n_q, n_b)."""
-        return -self._by_variable(self._pair_forces(q, v))
+        return -self._partials(q, v, None).mT
 
     def tangent_rates(
         self, q: Array, v: Array, rates: tuple[Array, Array]
@@ -142,29 +142,11 @@ class ElasticForces:
 
     def pull_back_rate(self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array) -> Array:
         """Time derivative of `pull_back` of one instant along rates of q and v, mu held."""
-        work = self._pair_rates(q, v, rates) * self.relative(mu[None])[:, self._pair_element]
-        per_pair = -np.sum(work, axis=(0, 2, 3))
-        return np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+        return -self._partial_rates(q, v, rates, mu[None])
 
     def pull_back(self, q: Array, v: Array, mu: Array) -> Array:
-        """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q).
-
-        mu . W(p_b) Y is p_b . g'(Y, R mu).
-        """
-        if not len(self._pair_element):
-            return np.zeros(self._n_b)
-        block, Y = self._block, self.relative(q)
-        V = self.relative(v) if self.damped else None
-        r, own = gram(Y, self.relative(mu)), self._pair_element[: self._stiff]
-        x = strain(block.g_o, Y, V, block.tau)[:, own]
-        change = elastic.apply_invariant(block.A_b, x) - block.c_b
-        per_pair = np.einsum("kpg,kpg->p", change, r[:, own])
-        if V is not None and len(block.damping_pairs):
-            rate = np.sum(elastic.apply_invariant(block.A, gram(Y, V)) * r, axis=(0, 2))
-            damped = slice(self._stiff, None)
-            weighted = rate[self._pair_element[damped]] * self._pair_weight[damped]
-            per_pair = np.concatenate([per_pair, weighted])
-        return -np.bincount(self._pair_variable, per_pair, minlength=self._n_b)
+        """Sum over instants of (Q_s)_b^T mu, shape (n_b,); mu has shape (k, n_q)."""
+        return -self._partials(q, v, mu)
 
     def force_along(self, states: tuple[Array, Array], rates: tuple[Array, Array]) -> Array:
         """Differentiate Q_s of one instant along rates of q and v, shape (n_q,)."""
@@ -179,16 +161,23 @@ class ElasticForces:
         `moved_by` are the derivatives of the states and of the rates.
         """
         q, v = states
-        total = only(self._by_variable(self._pair_rates(q, v, (rates[0], rates[1]))))
+        total = only(self._partial_rates(q, v, (rates[0], rates[1]), None)).T
         pairs = zip((*states, *rates), moved_by, strict=True)
         q, v, u, z = (x + 1j * STEP * x_b.T for x, x_b in pairs)
         along: Array = self._along((q, v), (u, z)).imag.T / STEP
         return -(total + along)
 
-    def _pair_rates(self, q: Array, v: Array, rates: tuple[Array, Array]) -> Array:
-        """Return derivatives of `_pair_forces` of one instant along rates of q and v."""
+    def _partials(self, q: Array, v: Array, mu: Array | None) -> Array:
+        """Return design partials of -Q_s, (k, n_b, n_q), or the sum of their products with mu."""
+        v_or_none = v if self.damped else None
+        return force_partials(self._elements, q, v_or_none, mu, *self._law_b, self._n_b)
+
+    def _partial_rates(
+        self, q: Array, v: Array, rates: tuple[Array, Array], mu: Array | None
+    ) -> Array:
+        """Return derivatives of `_partials` of one instant along rates of q and v."""
         moved = [(x + 1j * STEP * rate)[None] for x, rate in zip((q, v), rates, strict=True)]
-        return np.asarray(self._pair_forces(moved[0], moved[1]).imag / STEP)
+        return np.asarray(self._partials(moved[0], moved[1], mu).imag / STEP)
 
     # -- energies ------------------------------------------------------------------------------
 
@@ -214,27 +203,3 @@ class ElasticForces:
         result = np.zeros((len(q), self._n_b), dtype=per_pair.dtype)
         np.add.at(result.T, self._pair_variable[: self._stiff], (per_pair * chosen[pairs]).T)
         return result
-
-    def _pair_forces(self, q: Array, v: Array) -> Array:
-        """Partial of the element force for every pair, shape (k, n_pairs, n_y, d)."""
-        block, Y = self._block, self.relative(q)
-        V = None if block.tau is None else self.relative(v)
-        stiff = self._pair_element[: self._stiff]
-        x = strain(block.g_o, Y, V, block.tau)
-        F = elastic.force_partial(block.A_b, block.c_b, x[:, stiff], Y[:, stiff])
-        if V is None or len(block.damping_pairs) == 0:
-            return F
-        damped, weight = self._pair_element[self._stiff :], self._pair_weight[self._stiff :]
-        rate = gram(Y[:, damped], V[:, damped]) * weight[:, None]
-        A = block.A if len(block.A) == 1 else block.A[damped]
-        D = stressed(elastic.apply_invariant(A, rate), Y[:, damped])
-        return np.concatenate([F, D], axis=1)
-
-    def _by_variable(self, F: Array) -> Array:
-        """Return R^T of the forces of all pairs by variable, shape (k, n_q, n_b)."""
-        n_q, n_b, d = self._elements.n_q, self._n_b, self._elements.d
-        # As if each variable had coordinates of its own.
-        vectors = self._elements.vectors[self._pair_element]
-        vectors = vectors + (n_q // d) * self._pair_variable[:, None]
-        apart = self._elements._replace(vectors=vectors, n_q=n_q * n_b)
-        return lifted(apart, F).reshape(len(F), n_b, n_q).swapaxes(1, 2)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import final
 
 import numpy as np
 
 from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.inertia import Inertia
+from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.numbering import Numbering
-from ancfdae.model.naming import Layout
 from ancfdae.numerics.arrays import Array
 
 
@@ -18,12 +19,18 @@ class Energies:
     """Strain and kinetic energy of everything, or of one owner: a beam, a body, a point mass.
 
     The layout knows the owners by name. `places`, shape (n_q / d,), is one for vectors that are
-    positions, zero for slopes.
+    positions, zero for slopes. `centrifugal` is the potential of a turning frame.
     """
 
     def __init__(
-        self, elastic: ElasticForces, inertia: Inertia, numbering: Numbering, layout: Layout
+        self,
+        elastic: ElasticForces,
+        inertia: Inertia,
+        numbering: Numbering,
+        layout: Layout,
+        centrifugal: Callable[[Array], Array] | None = None,
     ) -> None:
+        self._centrifugal = centrifugal
         self._elastic, self._inertia = elastic, inertia
         self._owners, self._layout, self.places = numbering.owners, layout, inertia.places
 
@@ -61,8 +68,9 @@ class Energies:
         return -np.asarray(q @ self._inertia.gravity)
 
     def total(self, q: Array, v: Array) -> Array:
-        """Return kinetic and strain energy and the potential of gravity together, shape (k,)."""
-        return self.kinetic(v) + self.strain(q) + self.gravity(q)
+        """Return kinetic and strain energy and the potentials together, shape (k,)."""
+        total = self.kinetic(v) + self.strain(q) + self.gravity(q)
+        return total if self._centrifugal is None else total + self._centrifugal(q)
 
     def _chosen(self, owner: str | None) -> Array:
         """One for the elements of an owner, or for all, that deform, shape (n,)."""

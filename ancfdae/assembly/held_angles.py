@@ -7,9 +7,9 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.assembly.layout import Layout
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints import RightAngle
-from ancfdae.model.naming import Layout
 from ancfdae.numerics.arrays import Array
 
 _FLAT = frozenset((Quantity.SLOPE_Y, Quantity.SLOPE_Z))

@@ -15,9 +15,9 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.layout import JointLayout
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.kernels import ConstraintPlan
-from ancfdae.model.naming import JointLayout
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.patterns import Pattern
 

@@ -18,11 +18,12 @@ from typing import final
 import numpy as np
 
 from ancfdae.assembly.block import ElementBlock, element_block
+from ancfdae.assembly.layout import BeamLayout
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.naming import BeamLayout, Naming
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
 
@@ -69,7 +70,7 @@ def element_masses(numbering: Numbering, mapping: ParameterMap, block: ElementBl
 
 
 def other_masses(
-    scene: Scene, naming: Naming, mapping: ParameterMap, b: Array
+    scene: Scene, naming: SceneNaming, mapping: ParameterMap, b: Array
 ) -> tuple[MassBlocks, ...]:
     """Return the masses of all that is rigid, and of points."""
     layout, single = naming.layout, list[_Single]()

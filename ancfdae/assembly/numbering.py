@@ -11,10 +11,10 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.assembly.layout import BeamLayout, BodyLayout, RigidNodes
 from ancfdae.assembly.rigid_motions import RigidMotions
 from ancfdae.model.bodies import BeamBody, RigidBody
 from ancfdae.model.elements import BeamElement, default_element
-from ancfdae.model.naming import BeamLayout, BodyLayout, RigidNodes
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 
@@ -77,11 +77,16 @@ class Numbering:
         """Return coordinate numbers of node vectors; a trailing axis d is added."""
         return vectors[..., None] * self.d + np.arange(self.d)
 
-    def couplings(self) -> tuple[Array, Array]:
-        """Return rows and columns that couple coordinates of an element, or of a rigid body."""
+    def couplings(self, turning: bool) -> tuple[Array, Array]:
+        """Return rows and columns that couple coordinates of an element, or of a rigid body.
+
+        Directions of space are coupled within rigid bodies by a turning frame only.
+        """
         size = self.vectors.shape[1] * self.d
         own = self.coordinates(self.vectors).reshape(-1, size)
         frames = self.coordinates(self.frames)
+        if turning:
+            frames = frames.reshape(len(frames), (self.d + 1) * self.d, 1)
         elements = np.broadcast_arrays(own[:, :, None], own[:, None, :])
         bodies = np.broadcast_arrays(frames[:, :, None], frames[:, None])
         rows, columns = (

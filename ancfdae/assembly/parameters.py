@@ -61,10 +61,13 @@ class ParameterMap:
             p_b[place, variable] = weight
         return p, p_b
 
-    def holding(self, owner: str, numbers: Sequence[float]) -> ParameterMap:
-        """Return the same map with the numbers of an owner held at others."""
-        slots = {name: own for name, own in self.slots.items() if name != owner}
-        return replace(self, declared=self.declared | {owner: tuple(numbers)}, slots=slots)
+    def holding(self, owner: str, numbers: Sequence[float], count: int) -> ParameterMap:
+        """Return the same map with the first numbers of an owner, so many, held at others."""
+        moved, kept = len(numbers) - count, (x for x in self.slots.get(owner, []) if x[0] >= count)
+        slots = [(place + moved, index, weight, offset) for place, index, weight, offset in kept]
+        own = (*numbers, *self.declared[owner][count:])
+        declared = self.declared | {owner: own}
+        return replace(self, declared=declared, slots=self.slots | {owner: slots})
 
     def values(self, b: Array) -> Array:
         """Return element parameters at design values b, shape (n, 9), in the dtype of b."""

@@ -11,6 +11,7 @@ from ancfdae.assembly.held_angles import HeldAngles
 from ancfdae.assembly.joint_input import JointInput
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.load_input import LoadInput
+from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.assembly.numbering import Numbering
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.assembly.reference import Reference
@@ -19,7 +20,6 @@ from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.model.bodies import Point, Quantity
 from ancfdae.model.joints import Joint
 from ancfdae.model.loads import Load
-from ancfdae.model.naming import Naming, PointVector
 from ancfdae.model.parts import Part
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import STEP, Array
@@ -32,7 +32,7 @@ class PartInputs:
 
     scene: Scene
     numbering: Numbering
-    naming: Naming
+    naming: SceneNaming
     mapping: ParameterMap
     reference: Reference
     b: Array

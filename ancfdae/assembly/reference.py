@@ -8,9 +8,9 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.parameters import ParameterMap
 from ancfdae.model.bodies import BeamBody, Quantity, RigidBody
-from ancfdae.model.naming import Naming
 from ancfdae.model.scene import Scene
 from ancfdae.model.starts import NodeState, RigidMotion
 from ancfdae.numerics.arrays import STEP, Array
@@ -29,7 +29,7 @@ class Reference:
     or complex. Both configurations depend on the `active` ones.
     """
 
-    def __init__(self, scene: Scene, mapping: ParameterMap, b: Array, naming: Naming) -> None:
+    def __init__(self, scene: Scene, mapping: ParameterMap, b: Array, naming: SceneNaming) -> None:
         self._scene, self._mapping, self._b = scene, mapping, b
         self._lengths, self._naming = naming.lengths, naming
         self._firsts = scene.first_elements()

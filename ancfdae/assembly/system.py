@@ -17,19 +17,22 @@ from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
 from ancfdae.assembly.inertia import Inertia
 from ancfdae.assembly.joint_structure import JointStructure
+from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
 from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.mass_blocks import element_masses, other_masses
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
 from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.assembly.reference import Reference
+from ancfdae.assembly.turning import TurningForces
 from ancfdae.assembly.works import Works
 from ancfdae.equations.system import (
     DesignPartials,
     Direction,
     Linearisation,
-    MechanicalSystem,
+    PlannedSystem,
     States,
     Traits,
 )
@@ -38,7 +41,6 @@ from ancfdae.errors.text import listed
 from ancfdae.kernels import Plan
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.naming import Layout, Naming
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.patterns import Pattern
@@ -67,7 +69,7 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
 
 
 @final
-class AncfSystem(MechanicalSystem):
+class AncfSystem(PlannedSystem):
     """A scene at given values of its design variables; made by `assemble`.
 
     Parameters
@@ -81,18 +83,13 @@ class AncfSystem(MechanicalSystem):
 
     Attributes
     ----------
-    naming : Naming
+    naming : SceneNaming
         Positions of beams and joints in q and lam, and the element lengths.
-    energies : Energies
-    sections : BeamSections
-        Forces and stresses of beams.
-    works : Works
-        Power of driven joints and of loads.
     inputs : PartInputs
         What joints and loads are made of, and vectors of points in the reference.
     """
 
-    naming: Naming
+    naming: SceneNaming
 
     def __init__(
         self,
@@ -111,7 +108,7 @@ class AncfSystem(MechanicalSystem):
         masses = tuple(mass.name for mass in scene.point_masses)
         numbering = self._numbering
         layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
-        self.naming = Naming(layout, lengths, mapping.lengths_b(self.n_b))
+        self.naming = SceneNaming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
         inputs = PartInputs(scene, numbering, self.naming, mapping, self._reference, self.b)
         joints, loads = inputs.joints(), inputs.loads()
@@ -124,14 +121,32 @@ class AncfSystem(MechanicalSystem):
         self._elastic = ElasticForces(block, self._numbering, soft, self.n_b, self.pattern)
         others = other_masses(scene, self.naming, mapping, self.b)
         blocks = (element_masses(self._numbering, soft, block), *others)
-        self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, self._gravity())
+        gravity, frame = self._scene_numbers()
+        self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, gravity)
+        self._turning: TurningForces | None = None
+        if scene.frame is not None:
+            self._turning = TurningForces(scene.frame, frame, self._inertia, self.pattern)
         self._describe()
-        layout = self.naming.layout
-        self.energies = Energies(self._elastic, self._inertia, numbering, layout)
-        self.sections = BeamSections(scene, layout, numbering, mapping, self.b)
-        self.inputs, self.works = inputs, Works(scene, inputs, layout, self.n_b)
+        self.inputs = inputs
         start = mapping, self._reference, self._constraints, self.pattern, self.b
         self._start = AssembledStart(scene, numbering, *start)
+
+    @cached_property
+    def energies(self) -> Energies:
+        """Energies of beams and bodies."""
+        parts = self._elastic, self._inertia, self._numbering, self.naming.layout
+        return Energies(*parts, None if self._turning is None else self._turning.potential)
+
+    @cached_property
+    def sections(self) -> BeamSections:
+        """Forces and stresses of beams."""
+        layout, numbering = self.naming.layout, self._numbering
+        return BeamSections(self._scene, layout, numbering, self._mapping, self.b)
+
+    @cached_property
+    def works(self) -> Works:
+        """Power of driven joints and of loads."""
+        return Works(self._scene, self.inputs, self.naming.layout, self.n_b)
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""
@@ -139,15 +154,18 @@ class AncfSystem(MechanicalSystem):
         sizes = f"{self.n_q} coordinates, {self.n_lam} multipliers"
         return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {own}"
 
-    def _gravity(self) -> tuple[Array, Array]:
-        g, g_b = self._mapping.numbers("scene", self.b)
-        d = self._numbering.d
-        return (g, g_b) if len(g) else (np.zeros(d), np.zeros((d, self.n_b)))
+    def _scene_numbers(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Return gravity and the numbers of the frame, with their design derivatives."""
+        (p, p_b), d = self._mapping.numbers("scene", self.b), self._numbering.d
+        if self._scene.gravity is None:
+            return (np.zeros(d), np.zeros((d, self.n_b))), (p, p_b)
+        return (p[:d], p_b[:d]), (p[d:], p_b[d:])
 
     def _whole_pattern(self, structure: JointStructure, loads: Sequence[LoadInput]) -> Pattern:
         """Pattern of everything: elements, rigid bodies, curvature of joints, tangents of loads."""
         moving = [item.couplings for item in loads if not item.load.constant]
-        parts = zip(self._numbering.couplings(), structure.couplings, *moving, strict=True)
+        bodies = self._numbering.couplings(self._scene.frame is not None)
+        parts = zip(bodies, structure.couplings, *moving, strict=True)
         rows, columns = (np.concatenate(part) for part in parts)
         return Pattern((self.n_q, self.n_q), rows, columns)
 
@@ -155,15 +173,16 @@ class AncfSystem(MechanicalSystem):
         self.n_lam = self._constraints.n_lam
         self.constraint_pattern = self._constraints.pattern
         joints, moving = self._constraints, self._loads.moving
+        damped, turning = self._elastic.damped, self._turning is not None
         self.weights = self._inertia.weights
         self.traits = Traits(
             constant_mass=True,
             linear_constraints=joints.linear,
             constant_constraints=joints.constant,
-            velocity_forces=self._elastic.damped or self._loads.uses_velocity,
+            velocity_forces=damped or turning or self._loads.uses_velocity,
             # Damping of bodies turns with them: -(D(q) v)_q is not symmetric; nor are loads that
-            # move.
-            symmetric=not (self._elastic.damped or moving),
+            # move, nor gyroscopic forces.
+            symmetric=not (damped or moving or turning),
             project_start=self._scene.project_start,
             force_round_off=self._elastic.round_off(self._reference.Z.ravel(), self.weights),
         )
@@ -173,8 +192,8 @@ class AncfSystem(MechanicalSystem):
 
     @property
     def plan(self) -> Plan | None:
-        """What a kernel marches with: real numbers."""
-        if np.iscomplexobj(self.b):
+        """What a kernel marches with: real numbers, in a frame at rest."""
+        if np.iscomplexobj(self.b) or self._turning is not None:
             return None
         steady, rows = self._loads.timed()
         inertia, weights = self._inertia, self.weights
@@ -222,7 +241,7 @@ class AncfSystem(MechanicalSystem):
             return None
         mapping, rest = self._mapping, self._scene.rest
         if rest is not None and rest.gravity is not None:
-            mapping = mapping.holding("scene", rest.gravity)
+            mapping = mapping.holding("scene", rest.gravity, len(self._scene.gravity or ()))
         return RestingStart(AncfSystem(scene, self._design, mapping, self.b))
 
     def start(self) -> tuple[Array, Array]:
@@ -258,6 +277,8 @@ class AncfSystem(MechanicalSystem):
     def force(self, t: float, q: Array, v: Array) -> Array:
         """Q: gravity, elastic and damping forces, loads (eqs. 11-13)."""
         Q = self._inertia.gravity - self._elastic.internal(q, v)
+        if self._turning is not None:
+            Q = Q - self._turning.force(q, v)
         if self._scene.loads:
             Q = Q + self._loads.force(q[None], v[None], np.array([t]))[0]
         return Q
@@ -266,6 +287,8 @@ class AncfSystem(MechanicalSystem):
         """Q_q dq + Q_v dv + Q_t dt."""
         dt, *rates = direction
         dQ = self._elastic.force_along((q, v), (rates[0], rates[1]))
+        if self._turning is not None:
+            dQ = dQ - self._turning.force_along(rates[0], rates[1])
         if self._scene.loads:
             states, moving = (q[None], v[None]), (rates[0][None], rates[1][None])
             dQ = dQ + self._loads.force_along(states, moving, np.array([t]), dt)[0]
@@ -274,6 +297,8 @@ class AncfSystem(MechanicalSystem):
     def force_and_total(self, t: float, q_rows: Array, v_rows: Array) -> Array:
         """Q and its total design derivatives as rows."""
         rows = self._inertia.gravity_rows - self._elastic.totals(q_rows, v_rows)
+        if self._turning is not None:
+            rows = rows - self._turning.rows(q_rows, v_rows)
         if self._scene.loads:
             time = np.array([t])
             total = self._loads.force_total(q_rows[0], v_rows[0], time, q_rows[1:].T, v_rows[1:].T)
@@ -281,8 +306,11 @@ class AncfSystem(MechanicalSystem):
         return rows
 
     def following_load(self, t: float, q: Array) -> tuple[Array, Array]:
-        """Follower forces and moments."""
-        return self._loads.following(q, np.array([t]))
+        """Follower forces and moments, and centrifugal forces."""
+        P, P_q = self._loads.following(q, np.array([t]))
+        if self._turning is None:
+            return P, P_q
+        return P - self._turning.force(q, np.zeros_like(q)), P_q - self._turning.tangents[0]
 
     def constraint(self, t: float, *motion: Array) -> Array:
         """Phi and its time derivatives."""
@@ -317,6 +345,8 @@ class AncfSystem(MechanicalSystem):
         f_b = self._inertia.times_b(a)
         if v is not None:
             f_b = f_b - self._forces_b(q, v, t)
+            if self._turning is not None:
+                f_b = f_b + self._turning.partials(q, v)
         if self._constraints.active:
             f_b = f_b + self._constraints.constraint_forces_b(q, lam, t)
         return DesignPartials(f_b, self._constraints.constraints_b(q, t))
@@ -332,6 +362,8 @@ class AncfSystem(MechanicalSystem):
         total = self._inertia.pull_back(a, mu, gravity=v is not None)
         if v is not None:
             total = total - self._elastic.pull_back(q, v, mu) - self._loads.pull_back(q, v, t, mu)
+            if self._turning is not None:
+                total = total + self._turning.pull_back(q, v, mu)
         return np.asarray(total + self._constraints.pull_back(q, lam, t, mu, zeta))
 
     def along_total(
@@ -347,6 +379,8 @@ class AncfSystem(MechanicalSystem):
         dt, *rates = direction
         moved_by = q_b, v_b, *direction_b
         total = -self._elastic.force_along_total((q, v), tuple(rates), moved_by)
+        if self._turning is not None:
+            total += self._turning.along_total(rates[0], rates[1], *direction_b)
         if self._scene.loads:
             time = np.array([t])
             total -= self._loads.force_along_total((q, v), tuple(rates), time, dt, moved_by)
@@ -364,6 +398,8 @@ class AncfSystem(MechanicalSystem):
         moving, time = (rates[0], rates[1]), np.array([t])
         Q_q, Q_v = self._elastic.tangent_rates(q, v, moving)
         on_b = -self._elastic.pull_back_rate(q, v, moving, mu)
+        if self._turning is not None:
+            on_b = on_b + self._turning.along_pull_back(rates[0], rates[1], mu)
         if self._scene.loads:
             Q_v = np.zeros_like(Q_q) if Q_v is None else Q_v
             self._loads.add_tangents_along((q, v), moving, time, dt, Q_q, Q_v)
@@ -384,6 +420,9 @@ class AncfSystem(MechanicalSystem):
             D = self._elastic.internal_v(q)
         elif self.traits.velocity_forces:
             D = np.zeros_like(K)
+        if self._turning is not None and D is not None:
+            turning_q, turning_v = self._turning.tangents
+            K, D = K + turning_q, D + turning_v
         if self._scene.loads:
             self._loads.subtract_tangents(q, v, t, K, D)
         return K, D

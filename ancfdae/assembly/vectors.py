@@ -10,9 +10,9 @@ from typing import final
 
 import numpy as np
 
+from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.model.bodies import Point
 from ancfdae.model.elements import Quantity
-from ancfdae.model.naming import Naming, PointVector
 from ancfdae.model.parts import CentreLine, Direction, Normal
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.numerics.arrays import STEP, Array
@@ -97,7 +97,7 @@ class Vectors:
 
 
 def point_vectors(
-    naming: Naming, names: Names, places: Mapping[Point, tuple[Array, Array]] | None = None
+    naming: SceneNaming, names: Names, places: Mapping[Point, tuple[Array, Array]] | None = None
 ) -> list[PointVector]:
     """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
     own = []

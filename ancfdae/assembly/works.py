@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import final
 
 from ancfdae.assembly.joint_work import JointWork, at_unit_rate
+from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_work import LoadWork
 from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.errors import InvalidInput, named
 from ancfdae.model.joints import DrivenJoint
-from ancfdae.model.naming import Layout
 from ancfdae.model.scene import Scene
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -13,6 +13,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ancfdae.equations import solution_file, tables
+from ancfdae.equations.naming import Naming
 from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Statistics
 from ancfdae.errors import (
     InvalidInput,
@@ -20,17 +21,12 @@ from ancfdae.errors import (
     UnknownName,
     Verdict,
     require_array,
-    require_each,
     require_flag,
     require_function,
-    require_index,
     require_path,
     require_text,
 )
 from ancfdae.errors.text import listed, page
-from ancfdae.model.bodies import Point, Quantity, require_point
-from ancfdae.model.elements import BeamElement
-from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import STEP, Array, Numbers
 from ancfdae.numerics.time_grid import TimeGrid
 
@@ -89,46 +85,35 @@ class Solution:
         """Node vectors of both ends of every element of a beam, shape (n_t, n, 2, n_s, d)."""
         return self._known_naming().ends(self.q, beam)
 
-    def position(self, point: Point) -> Array:
+    def position(self, point: Any) -> Array:
         """Position of a point like ``rod.at(0.3)`` or ``Point("rod", 0.3, y=0.01)``, (n_t, d).
 
         UnknownName if there is no such beam, InvalidInput if its z is not zero in the plane.
         """
-        return self._vector(self.q, point, Quantity.POSITION)
+        return self._known_naming().position(self.q, point)
 
-    def velocity(self, point: Point) -> Array:
+    def velocity(self, point: Any) -> Array:
         """Velocity of a material point, shape (n_t, d); as `position`."""
-        return self._vector(self.v, point, Quantity.POSITION)
+        return self._known_naming().position(self.v, point)
 
-    def acceleration(self, point: Point) -> Array:
+    def acceleration(self, point: Any) -> Array:
         """Acceleration of a material point, shape (n_t, d); as `position`."""
-        return self._vector(self.a, point, Quantity.POSITION)
+        return self._known_naming().position(self.a, point)
 
-    def slope(self, point: Point, along: int = 0) -> Array:
+    def slope(self, point: Any, along: int = 0) -> Array:
         """Slope vector along a section axis (0: along the beam), shape (n_t, d)."""
-        d = self._known_naming().layout.d
-        require_index("slope, along", along, d, "0 is along the beam.")
-        return self._vector(self.q, point, Quantity(along + 1))
+        return self._known_naming().slope(self.q, point, along)
 
     def multipliers(self, joint: str) -> Array:
         """Multipliers of a joint, shape (n_t, rows), in the order of its equations."""
-        place = self._known_naming().layout.joint(joint)
-        return self.lam[:, place.first_row : place.first_row + place.rows]
+        return self.lam[:, self._known_naming().rows(joint)]
 
     def reaction(self, joint: str) -> Array:
         """Force of a joint on its first point, shape (n_t, d): minus its multipliers (eq. 1).
 
         InvalidInput if its first equations do not equate positions; see `multipliers`.
         """
-        layout = self._known_naming().layout
-        if not layout.joint(joint).holds_position:
-            raise InvalidInput(
-                f"reaction of {joint!r}",
-                "is defined for joints that hold a point in all directions",
-                "a joint of another kind",
-                "Use `multipliers` and the equations in the joint's documentation.",
-            )
-        return -self.multipliers(joint)[:, : layout.d]
+        return self._known_naming().reaction(self.lam, joint)
 
     def derivative(self, function: Callable[[Solution], Array]) -> Array:
         """Total design derivative of anything computed from a solution, shape (n_t, ..., n_b).
@@ -143,18 +128,15 @@ class Solution:
             If the solution has no sensitivities, or the function drops the imaginary part.
         """
         require_function("derivative, function", function)
-        s, naming = self._known_sensitivities(), self.naming
+        s = self._known_sensitivities()
         if not s.names:
             return np.zeros((*np.shape(function(self)), 0))
         columns, states_b = [], {"q": s.q_b, "v": s.v_b, "a": s.a_b, "lam": s.lam_b}
         for i in range(len(s.names)):
-            if naming is not None and self.naming is not None:
-                lengths = self.naming.lengths + 1j * STEP * naming.lengths_b[:, i]
-                naming = replace(self.naming, lengths=lengths)
             shifted = replace(
                 self,
                 **{x: getattr(self, x) + 1j * STEP * x_b[..., i] for x, x_b in states_b.items()},
-                naming=naming,
+                naming=None if self.naming is None else self.naming.stepped(i, 1j * STEP),
                 sensitivities=None,
             )
             value = np.asarray(function(shifted))
@@ -221,11 +203,6 @@ class Solution:
             raise UnknownName("design variable", name, names)
         return names.index(name)
 
-    def _vector(self, states: Array, point: Point, quantity: Quantity) -> Array:
-        naming = self._known_naming()
-        require_point("point", point, naming.layout.d)
-        return naming.vector(point, quantity).of(states, naming.layout.d)
-
     def _known_naming(self) -> Naming:
         if self.naming is None:
             raise InvalidInput(
@@ -278,19 +255,9 @@ class Solution:
 
         A name that ends in ``.h5`` or ``.hdf5`` makes a compressed HDF5 file, which needs h5py
         (``pip install "ancfdae[hdf5]"``); any other an archive of NumPy, as ``.npz`` is.
-        docs/results.md has the format.
+        docs/results.md has the format; `load_solution` reads it.
         """
         return solution_file.write(require_path("path of a solution", path), vars(self))
-
-    @staticmethod
-    def load(path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()) -> Solution:
-        """Read a solution written by `save`; InvalidInput if the file is no such solution.
-
-        A file knows its element by name; give `elements` of your own.
-        """
-        file, repair = require_path("path of a solution", path), "Give [MY_ELEMENT]."
-        known = require_each("Solution.load, elements", elements, (BeamElement,), repair)
-        return Solution(**solution_file.read(file, known))
 
     def to_dataframe(
         self, columns: Mapping[str, ArrayLike] | None = None, *, derivatives: bool = False
@@ -298,7 +265,7 @@ class Solution:
         """Return the coordinates over time as a table of pandas, with t as its index.
 
         Columns are named ``rod[2].y`` (node 2, counted from 0), ``rod[2].slope_x.y``, ``box.y`` or
-        ``box.axis_1.y``.
+        ``box.axis_1.y``; ``q[3]`` where a system has no names.
 
         Parameters
         ----------
@@ -321,7 +288,10 @@ class Solution:
         q_b, variables = (
             (None, ()) if sensitivities is None else (sensitivities.q_b, sensitivities.names)
         )
-        names = tables.coordinate_names(self.naming, self.q.shape[1])
+        if self.naming is None:
+            names = [f"q[{k}]" for k in range(self.q.shape[1])]
+        else:
+            names = self.naming.coordinate_names()
         return tables.states_table(self.t, self.q, q_b, names, variables, columns)
 
     def __repr__(self) -> str:

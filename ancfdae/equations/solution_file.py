@@ -11,29 +11,29 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 
 from ancfdae.equations.files import replacing
+from ancfdae.equations.naming import Naming
 from ancfdae.equations.solution_parts import EstimatedErrors, Sensitivities, Statistics
-from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict, named
-from ancfdae.model.elements import ALL_ELEMENTS, BeamElement
-from ancfdae.model.naming import BeamLayout, BodyLayout, JointLayout, Layout, Naming, RigidNodes
+from ancfdae.errors import InvalidInput, MissingPackage, Outcome, Verdict
 from ancfdae.numerics.arrays import Array
 
 # What is written, and the oldest version that is read: it lacks `control`, and 6 kinks of bodies;
 # before 8 all beams have the element of the layout.
 _FORMAT, _VERSION, _OLDEST = "ancfdae solution", 8, 5
-_ELEMENT = "element of a solution file"
 _HDF5, _SIGNATURE = (".h5", ".hdf5"), b"\x89HDF\r\n\x1a\n"
 # Arrays that are not worth compressing; bytes.
 _SMALL = 10_000
 _STATES = ("t", "q", "v", "a", "lam")
 _DERIVATIVES = ("values", "q_b", "v_b", "a_b", "lam_b")
+#: Makes names of what `Naming.packed` gave.
+Unpack: TypeAlias = Callable[[Mapping[str, Array], Mapping[str, Any]], Naming]
 # Exceptions raised on reading a file that is damaged or not an archive.
 _DAMAGED = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 
@@ -54,11 +54,8 @@ def write(path: Path, fields: Mapping[str, Any]) -> Path:
     return path
 
 
-def read(path: Path, elements: Sequence[BeamElement]) -> dict[str, Any]:
-    """Return the fields of a solution; InvalidInput if the file is not one written by `write`.
-
-    Its element is one of the package or of these, by its name.
-    """
+def read(path: Path, naming: Unpack) -> dict[str, Any]:
+    """Return the fields of a solution; InvalidInput if the file is not one written by `write`."""
     try:
         # Opened here, because np.load does not close a file that is not a complete archive.
         with path.open("rb") as raw:
@@ -67,7 +64,7 @@ def read(path: Path, elements: Sequence[BeamElement]) -> dict[str, Any]:
             arrays, text = (_get_hdf5 if is_hdf5 else _get_npz)(raw)
         meta = json.loads(text)
         _require_version(path, meta["format"])
-        return _unpacked(arrays, meta, (*elements, *ALL_ELEMENTS))
+        return _unpacked(arrays, meta, naming)
     except InvalidInput:
         raise
     except FileNotFoundError:
@@ -149,18 +146,19 @@ def _packed(fields: Mapping[str, Any]) -> tuple[dict[str, Array], dict[str, Any]
         "outcome": {**asdict(outcome), "verdict": outcome.verdict.name},
         "degree": fields["degree"],
         "estimated_errors": errors and asdict(errors),
-        "layout": naming and _written(naming.layout),
+        "layout": None,
         "names": sensitivities and list(sensitivities.names),
     }
     if naming is not None:
-        arrays |= {"lengths": naming.lengths, "lengths_b": naming.lengths_b}
+        named, meta["layout"] = naming.packed()
+        arrays |= named
     if sensitivities is not None:
         arrays |= {f"sensitivity_{name}": getattr(sensitivities, name) for name in _DERIVATIVES}
     return arrays, meta
 
 
 def _unpacked(
-    arrays: Mapping[str, Array], meta: Mapping[str, Any], elements: Sequence[BeamElement]
+    arrays: Mapping[str, Array], meta: Mapping[str, Any], naming: Unpack
 ) -> dict[str, Any]:
     outcome = {**meta["outcome"], "verdict": Verdict[meta["outcome"]["verdict"]]}
     fields: dict[str, Any] = {name: arrays[name] for name in _STATES} | {
@@ -171,8 +169,7 @@ def _unpacked(
         "control": tuple(map(float, meta.get("control", ()))),
     }
     if meta["layout"] is not None:
-        layout = _layout(meta["layout"], elements)
-        fields["naming"] = Naming(layout, arrays["lengths"], arrays["lengths_b"])
+        fields["naming"] = naming(arrays, meta["layout"])
     if meta["names"] is not None:
         sensitivities = (arrays[f"sensitivity_{name}"] for name in _DERIVATIVES)
         fields["sensitivities"] = Sensitivities(tuple(meta["names"]), *sensitivities)
@@ -181,39 +178,3 @@ def _unpacked(
         derivatives = None if derivatives is None else tuple(derivatives)
         fields["estimated_errors"] = EstimatedErrors(motion, derivatives)
     return fields
-
-
-def _written(layout: Layout) -> dict[str, Any]:
-    """Return what is said of a layout; of elements the name, by which `read` finds them."""
-    plain = [replace(beam, element=beam.element.name) for beam in layout.beams]  # type: ignore[arg-type]
-    return asdict(replace(layout, beams=tuple(plain)))
-
-
-def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:
-    common = meta.get("element_name")
-    known = [_element({"element": common} | x, elements) for x in meta["beams"]]
-    return Layout(
-        d=meta["d"] if common is None else named(_ELEMENT, common, elements).d,
-        bodies=tuple(_body(x) for x in meta["bodies"]),
-        beams=tuple(_beam(x) for x in known),
-        masses=tuple(meta["masses"]),
-        joints=tuple(JointLayout(**x) for x in meta["joints"]),
-    )
-
-
-def _element(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> dict[str, Any]:
-    return {**meta, "element": named(_ELEMENT, meta["element"], elements)}
-
-
-def _body(meta: Mapping[str, Any]) -> BodyLayout:
-    return BodyLayout(**{**meta, "kinks": tuple(meta.get("kinks", ()))})
-
-
-def _beam(meta: Mapping[str, Any]) -> BeamLayout:
-    rigid = meta["rigid"] and RigidNodes(**{x: _tuples(y) for x, y in meta["rigid"].items()})
-    return BeamLayout(**{**meta, "fractions": tuple(meta["fractions"]), "rigid": rigid})
-
-
-def _tuples(nested: Any) -> Any:
-    """Return nested lists of numbers as tuples."""
-    return tuple(map(_tuples, nested)) if isinstance(nested, list) else nested

@@ -41,9 +41,9 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from ancfdae.equations.complex_steps import ComplexSteps
+from ancfdae.equations.naming import Naming
 from ancfdae.errors import InvalidInput, require_finite, require_flag
 from ancfdae.kernels import Plan
-from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
@@ -166,11 +166,6 @@ class MechanicalSystem(ComplexSteps):
     def constraint_pattern(self) -> Pattern:
         """Pattern of Phi_q."""
         return Pattern.full((self.n_lam, self.n_q))
-
-    @property
-    def plan(self) -> Plan | None:
-        """The same system as arrays from which a kernel takes steps; None where there is none."""
-        return None
 
     @cached_property
     def weights(self) -> Array:
@@ -366,6 +361,15 @@ class MechanicalSystem(ComplexSteps):
 
     def _residual_v(self, t: float, q: Array, v: Array) -> Array:
         return self._by_coordinate(lambda x: -self.force(t, q, x), v, self.pattern)
+
+
+class PlannedSystem(MechanicalSystem):
+    """A system that a kernel can march by itself."""
+
+    @property
+    @abc.abstractmethod
+    def plan(self) -> Plan | None:
+        """The same system as arrays; None at complex values of the design."""
 
 
 def residual(

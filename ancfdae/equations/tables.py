@@ -8,40 +8,12 @@ from typing import Any
 import numpy as np
 
 from ancfdae.errors import InvalidInput, require_array, require_kind, require_package
-from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import Array
 
 
 def pandas() -> Any:
     """Return the package, or raise MissingPackage, which says how to install it."""
     return require_package("to_dataframe", "pandas", "pandas")
-
-
-def coordinate_names(naming: Naming | None, n_q: int) -> list[str]:
-    """Return a name for each coordinate.
-
-    ``rod[2].y`` is the position of node 2, counted from 0, ``rod[2].slope_x.y`` its slope along the
-    beam, at a kink that after it, and ``rod[2].slope_x before.y`` that before it; ``box.y`` the
-    reference point of something rigid and ``box.axis_1.y`` its first direction; ``q[3]`` a
-    coordinate of a system that is no scene.
-    """
-    if naming is None:
-        return [f"q[{k}]" for k in range(n_q)]
-    layout, names = naming.layout, []
-    soft = [beam for beam in layout.beams if beam.rigid is None]
-    words = {beam.name: [x.name.lower() for x in beam.element.quantities] for beam in soft}
-    axes = "xyz"[: layout.d]
-    for body in layout.bodies:
-        for k in range(body.nodes.size):
-            node, which = divmod(k, body.stride)
-            own = words.get(body.name)
-            owner = f"{body.name}[{node}]" if own else body.name
-            word = own[which] if own else f"axis_{which}"
-            names += [
-                f"{owner}.{axis}" if which == 0 else f"{owner}.{word}.{axis}" for axis in axes
-            ]
-        names += [f"{body.name}[{k}].slope_x before.{axis}" for k in body.kinks for axis in axes]
-    return names
 
 
 def states_table(

@@ -129,6 +129,7 @@ csr_rows_transposed = _kernels.csr_rows_transposed
 csr_subtract = _kernels.csr_subtract
 differentiate_steps = _kernels.differentiate_steps
 finite = _kernels.finite
+force_partials = _kernels.force_partials
 force_totals = _kernels.force_totals
 forces = _kernels.forces
 forces_along = _kernels.forces_along

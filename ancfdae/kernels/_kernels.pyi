@@ -43,6 +43,25 @@ def force_totals(
     further ones change tau by tau_b.
     """
 
+def force_partials(
+    block: Block,
+    q: Array,
+    v: Array | None,
+    mu: Array | None,
+    A_b: Array,
+    rest_b: Array,
+    tau_b: Array,
+    first: Array,
+    pairs: Array,
+    variables: Array,
+    n_b: int,
+    /,
+) -> Array:
+    """Return design partials of `forces` at rows of q and v, (k, n_b, n_q); pairs as above.
+
+    With covectors mu, one row for each instant, their products with mu are summed, (n_b,).
+    """
+
 def tangents(
     block: Block, q: Array, v: Array | None, damping: bool, index: Array, size: int, /
 ) -> Array:
@@ -227,21 +246,22 @@ def prepare(plan: Plan, layout: Layout, rules: Array, /) -> object:
     `integrators/hht/newton.py` in the order of `march_rules` in `kernels.c`.
     """
 
-Linear: TypeAlias = tuple[Array, Array, Array | None, Array, Array]
+Steps: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array]
 
 def differentiate_steps(
-    prepared: object, linear: Linear, right: Array, z: Array, states: Array, lam_b: Array, /
+    prepared: object, steps: Steps, right: Array, z: Array, states: Array, lam_b: Array, /
 ) -> tuple[int, int]:
     """Take steps of direct differentiation; return their number, and why it ends as `march`.
 
-    Steps are linear: sizes, values of f_q, f_v or None, Phi_q, and matrices of `recombine`, with k
-    rows each. Rows of `right`, (k, n_b, n), are what is known of the right sides, and overwritten,
-    as is z, (4, n_b, n_q); written are states, (k, 3, n_b, n_q), and lam_b, (k, n_b, n_lam).
+    Steps are sizes, q, v and lam that they arrived at, factors of joints (one row where nothing is
+    driven) and of loads there, and matrices of `recombine`, with k rows each. Rows of `right`,
+    (k, n_b, n), are what is known of the right sides, and overwritten, as is z, (4, n_b, n_q);
+    written are states, (k, 3, n_b, n_q), and lam_b, (k, n_b, n_lam).
     """
 
 def pull_back_steps(
     prepared: object,
-    linear: Linear,
+    steps: Steps,
     seeds: tuple[Array | None, Array | None, Array | None],
     on: Array,
     mu: Array,

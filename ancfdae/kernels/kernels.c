@@ -245,7 +245,7 @@ static int within_64(PyArrayObject *array, npy_intp most)
 
 /* ---- blocks of elements -------------------------------------------------------------------- */
 
-enum { BLOCK_ITEMS = 7, MOST_STATES = 5 };
+enum { BLOCK_ITEMS = 7, MOST_STATES = 6 };
 
 /* A block (A, g_o, p_o, tau, vectors, d, n_q) with states, all of one type. */
 typedef struct {
@@ -431,11 +431,12 @@ static PyObject *py_forces_along(PyObject *const *args)
     return (PyObject *)out;
 }
 
-/* Whether partials A_b, rest_b and tau_b are those of the pairs of n elements and k - 1 variables. */
-static int paired(const Arguments *a, PyArrayObject *const *index, npy_intp k)
+/* Whether partials A_b, rest_b and tau_b, states from `at` on, are those of the pairs of n elements
+ * and n_b variables. */
+static int paired(const Arguments *a, int at, PyArrayObject *const *index, npy_intp n_b)
 {
     npy_intp n_g = (npy_intp)a->n_y * (a->n_y + 1) / 2, shape[] = {n_g, n_g}, two[] = {2, n_g};
-    PyArrayObject *A_b = a->states[2], *rest_b = a->states[3], *tau_b = a->states[4];
+    PyArrayObject *A_b = a->states[at], *rest_b = a->states[at + 1], *tau_b = a->states[at + 2];
     npy_intp n_stiff = A_b ? leading_size(A_b, 2) : 0, n_damped = tau_b ? PyArray_SIZE(tau_b) : 0;
     const npy_int64 *first = PyArray_DATA(index[0]);
     npy_intp size = PyArray_SIZE(index[1]);
@@ -445,33 +446,80 @@ static int paired(const Arguments *a, PyArrayObject *const *index, npy_intp k)
     return (in_order && A_b && rest_b && ends_with(A_b, 2, shape) && ends_with(rest_b, 2, two) &&
             leading_size(rest_b, 2) == n_stiff && (n_damped == 0 || a->states[1]) &&
             size == PyArray_SIZE(index[2]) && within_64(index[1], n_stiff + n_damped - 1) &&
-            within_64(index[2], k - 2)) ||
+            within_64(index[2], n_b - 1)) ||
            wrong("partials must be those of pairs of elements and variables, one row each");
+}
+
+/* Take A_b, rest_b and tau_b, states from `at` on, and the pairs behind them. */
+#define LAW_OF_TYPE(kind)                                                                          \
+    law_partials_##kind law = {leading_size(a.states[at], 2), data_of(index[0]),                   \
+                               data_of(index[1]),             data_of(index[2]),                   \
+                               data_of(a.states[at]),         data_of(a.states[at + 1]),           \
+                               data_of(a.states[at + 2])};
+
+static int pairs_taken(PyObject *const *args, PyArrayObject **index)
+{
+    for (int i = 0; i < 3; i++)
+        if (!taken(args[i], NPY_INT64, 1, &index[i]))
+            return 0;
+    return 1;
 }
 
 static PyObject *py_force_totals(PyObject *const *args)
 {
+    enum { at = 2 };
     Arguments a;
     PyArrayObject *out = NULL, *index[3] = {NULL, NULL, NULL};
-    int whole = filled(&a, args[0], args + 1, 5) && fitting(&a, 2) && lawful(&a);
-    for (int i = 0; whole && i < 3; i++)
-        whole = taken(args[6 + i], NPY_INT64, 1, &index[i]);
-    if (whole && paired(&a, index, leading_size(a.states[0], 1))) {
-        npy_intp k = leading_size(a.states[0], 1), n_stiff = leading_size(a.states[2], 2);
-        const npy_int64 *at[] = {data_of(index[0]), data_of(index[1]), data_of(index[2])};
-        const void *law[] = {data_of(a.states[2]), data_of(a.states[3]), data_of(a.states[4])};
-        law_partials_real real = {n_stiff, at[0], at[1], at[2], law[0], law[1], law[2]};
-        law_partials_complex complex_ = {n_stiff, at[0], at[1], at[2], law[0], law[1], law[2]};
+    int whole = filled(&a, args[0], args + 1, 5) && fitting(&a, 2) && lawful(&a) &&
+                pairs_taken(args + 6, index);
+    if (whole && paired(&a, at, index, leading_size(a.states[0], 1) - 1)) {
+        npy_intp k = leading_size(a.states[0], 1);
         out = zeros_like(a.states[0], 1, 1, &a.n_q, a.type);
         if (out && k && a.type == NPY_DOUBLE) {
             BLOCK_OF_TYPE(real)
-            force_totals_real(a.n_y, a.d, &b, &real, data_of(a.states[0]), data_of(a.states[1]),
+            LAW_OF_TYPE(real)
+            force_totals_real(a.n_y, a.d, &b, &law, data_of(a.states[0]), data_of(a.states[1]),
                               PyArray_DATA(out));
         } else if (out && k) {
             BLOCK_OF_TYPE(complex)
-            force_totals_complex(a.n_y, a.d, &b, &complex_, data_of(a.states[0]),
-                                 data_of(a.states[1]), PyArray_DATA(out));
+            LAW_OF_TYPE(complex)
+            force_totals_complex(a.n_y, a.d, &b, &law, data_of(a.states[0]), data_of(a.states[1]),
+                                 PyArray_DATA(out));
         }
+    }
+    for (int i = 0; i < 3; i++)
+        Py_XDECREF(index[i]);
+    dropped(&a);
+    return (PyObject *)out;
+}
+
+static PyObject *py_force_partials(PyObject *const *args)
+{
+    enum { at = 3 };
+    Arguments a;
+    npy_intp n_b;
+    PyArrayObject *out = NULL, *index[3] = {NULL, NULL, NULL};
+    int whole = filled(&a, args[0], args + 1, 6) && fitting(&a, 2) && lawful(&a) &&
+                pairs_taken(args + 7, index) && taken_number(args[10], NPY_MAX_INTP, &n_b);
+    if (whole && a.states[2] && !PyArray_SAMESHAPE(a.states[2], a.states[0]))
+        whole = wrong("covectors must have the shape of coordinates");
+    if (whole && paired(&a, at, index, n_b)) {
+        npy_intp k = leading_size(a.states[0], 1), rows[] = {k, n_b, a.n_q};
+        int summed = a.states[2] != NULL;
+        out = (PyArrayObject *)PyArray_ZEROS(summed ? 1 : 3, rows + summed, a.type, 0);
+        void *to = out ? PyArray_DATA(out) : NULL;
+        const void *mu = data_of(a.states[2]), *q = data_of(a.states[0]), *v = data_of(a.states[1]);
+        PyThreadState *kept = PyEval_SaveThread();
+        if (out && a.type == NPY_DOUBLE) {
+            BLOCK_OF_TYPE(real)
+            LAW_OF_TYPE(real)
+            force_partials_real(a.n_y, a.d, &b, &law, n_b, q, v, mu, to);
+        } else if (out) {
+            BLOCK_OF_TYPE(complex)
+            LAW_OF_TYPE(complex)
+            force_partials_complex(a.n_y, a.d, &b, &law, n_b, q, v, mu, to);
+        }
+        PyEval_RestoreThread(kept);
     }
     for (int i = 0; i < 3; i++)
         Py_XDECREF(index[i]);
@@ -1222,6 +1270,7 @@ FUNCTION(lifted, 2)
 FUNCTION(forces, 3)
 FUNCTION(forces_along, 5)
 FUNCTION(force_totals, 9)
+FUNCTION(force_partials, 11)
 FUNCTION(tangents, 6)
 FUNCTION(constraint_curvature, 3)
 FUNCTION(constraint_totals, 8)
@@ -1275,6 +1324,7 @@ static PyMethodDef methods[] = {
     METHOD(forces),
     METHOD(forces_along),
     METHOD(force_totals),
+    METHOD(force_partials),
     METHOD(tangents),
     METHOD(gram),
     METHOD(strain),

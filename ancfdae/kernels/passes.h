@@ -1,13 +1,13 @@
 /* Derivative recurrences of HHT-I3 over computed steps (docs/theory, passes), in real numbers.
  *
- * `integrators/hht/linear_passes.py` says what they are. Steps are linearised before: values of
- * f_q, f_v (NULL where f does not depend on v) and Phi_q, one row for each step.
+ * `integrators/hht/linear_passes.py` says what they are. Each step is linearised at the state that
+ * it arrived at: rows of q, v and lam, and the factors of joints and of loads at its instant.
  */
 
 typedef struct {
     npy_intp k;
-    const double *h, *f_q, *f_v, *Phi_q, *matrices;
-} linear_steps;
+    const double *h, *q, *v, *lam, *of_joints, *of_loads, *matrices;
+} computed_steps;
 
 /* Rows of `m`, 6 x 4, times four rows z: three of them to `after`, and three to `ahead`, which may be
  * rows of z. */
@@ -30,18 +30,22 @@ static void recombined(const double *m, const double *z, npy_intp size, double *
     }
 }
 
-/* Factorise eq. (6) of step i, with its coefficients. */
-static int step_factorised(const plan_real *p, room_real *r, const linear_steps *s, npy_intp i,
+/* Factorise eq. (6) of step i; f_q, f_v and Phi_q, linearised at its state, stay in the room. */
+static int step_factorised(const plan_real *p, room_real *r, const computed_steps *s, npy_intp i,
                            step_coefficients *c)
 {
     *c = coefficients_of_step(s->h[i], p->rules.alpha);
-    return factor_sum_real(p, r, c, s->f_q + i * p->nnz, s->f_v ? s->f_v + i * p->nnz : NULL,
-                           s->Phi_q + i * p->constraints->n_values);
+    memcpy(r->q, s->q + i * p->n_q, (size_t)p->n_q * sizeof(double));
+    memcpy(r->v, s->v + i * p->n_q, (size_t)p->n_q * sizeof(double));
+    memcpy(r->lam, s->lam + i * p->n_lam, (size_t)p->n_lam * sizeof(double));
+    at_instant_real(p, r, s->of_joints + (p->still ? 0 : i * p->constraints->n_parts), 0, 0, r->c);
+    jacobian_at_real(p, r, r->c, r->q);
+    return factorised_real(p, r, c, s->of_loads + i * p->n_factors);
 }
 
 /* Take steps of direct differentiation, as many as are factorised: z are q~_b, v~_b, A~_b and a_b, n_b
  * rows each; `right` are what is known of the right sides, and overwritten; x has room for one. */
-static npy_intp differentiated(const plan_real *p, room_real *r, const linear_steps *s,
+static npy_intp differentiated(const plan_real *p, room_real *r, const computed_steps *s,
                                npy_intp n_b, double *right, double *z, double *states,
                                double *lam_b, double *x, int *ends)
 {
@@ -51,15 +55,14 @@ static npy_intp differentiated(const plan_real *p, room_real *r, const linear_st
         step_coefficients c;
         if ((*ends = step_factorised(p, r, s, i, &c)))
             return i;
-        csr_rows_real(n_q, K->first, K->columns, s->f_q + i * p->nnz, n_b, n_q, z, r->work, -1, n,
-                      right);
-        csr_rows_real(n_lam, B->first, B->columns, s->Phi_q + i * p->constraints->n_values, n_b,
-                      n_q, z, r->work, -1 / c.in_q, n, right + n_q);
+        csr_rows_real(n_q, K->first, K->columns, r->f_q, n_b, n_q, z, r->work, -1, n, right);
+        csr_rows_real(n_lam, B->first, B->columns, r->B, n_b, n_q, z, r->work, -1 / c.in_q, n,
+                      right + n_q);
         csr_rows_real(n_q, M->first, M->columns, M->values, n_b, n_q, z + 2 * size, r->work, -1, n,
                       right);
-        if (s->f_v)
-            csr_rows_real(n_q, K->first, K->columns, s->f_v + i * p->nnz, n_b, n_q, z + size,
-                          r->work, -1, n, right);
+        if (p->velocity)
+            csr_rows_real(n_q, K->first, K->columns, r->f_v, n_b, n_q, z + size, r->work, -1, n,
+                          right);
         solve_rows_real(p, r, 'N', n_b, right, x);
         for (npy_intp b = 0; b < n_b; b++) {
             memcpy(z + 3 * size + b * n_q, x + b * n, (size_t)n_q * sizeof(double));
@@ -73,7 +76,7 @@ static npy_intp differentiated(const plan_real *p, room_real *r, const linear_st
 /* Take steps of the transposed recurrence back from the last one: `on` are covectors on (q_b, v_b,
  * A_b) and the next (q~_b, v~_b, A~_b), `seeds` those of the objective on q, v and lam or NULL. mu
  * and zeta are rows for each step. */
-static npy_intp pulled_back(const plan_real *p, room_real *r, const linear_steps *s,
+static npy_intp pulled_back(const plan_real *p, room_real *r, const computed_steps *s,
                             const double *const *seeds, double *on, double *mu, double *zeta,
                             int *ends)
 {
@@ -98,15 +101,15 @@ static npy_intp pulled_back(const plan_real *p, room_real *r, const linear_steps
         for (npy_intp e = 0; e < n_lam; e++)
             r->R[n_q + e] = seeds[2] ? seeds[2][i * n_lam + e] : 0;
         solve_rows_real(p, r, 'T', 1, r->R, r->x);
-        csr_rows_transposed_real(n_q, K->first, K->columns, s->f_q + i * p->nnz, 1, r->x, -1, n_q,
+        if (r->banded)
+            csr_rows_transposed_real(n_q, K->first, K->columns, r->f_q, 1, r->x, -1, n_q, r->q);
+        else /* What has an envelope is symmetric. */
+            csr_rows_real(n_q, K->first, K->columns, r->f_q, 1, n_q, r->x, r->work, -1, n_q, r->q);
+        csr_rows_transposed_real(n_lam, B->first, B->columns, r->B, 1, r->x + n_q, -1 / c.in_q, n_q,
                                  r->q);
-        csr_rows_transposed_real(n_lam, B->first, B->columns,
-                                 s->Phi_q + i * p->constraints->n_values, 1, r->x + n_q,
-                                 -1 / c.in_q, n_q, r->q);
-        if (s->f_v)
-            csr_rows_transposed_real(n_q, K->first, K->columns, s->f_v + i * p->nnz, 1, r->x, -1,
-                                     n_q, r->v);
-        csr_rows_transposed_real(n_q, M->first, M->columns, M->values, 1, r->x, -1, n_q, r->A);
+        if (p->velocity)
+            csr_rows_transposed_real(n_q, K->first, K->columns, r->f_v, 1, r->x, -1, n_q, r->v);
+        csr_rows_real(n_q, M->first, M->columns, M->values, 1, n_q, r->x, r->work, -1, n_q, r->A);
         memcpy(mu + i * n_q, r->x, (size_t)n_q * sizeof(double));
         for (npy_intp e = 0; e < n_lam; e++)
             zeta[i * n_lam + e] = r->x[n_q + e] / c.in_q;

@@ -381,34 +381,33 @@ static int in_place(PyObject *object, int optional, int axes, const npy_intp *sh
     return shaped(x, axes, shape);
 }
 
-enum { LINEAR_ITEMS = 5 };
+enum { STEPS_ITEMS = 7 };
 
-/* (h, f_q, f_v, Phi_q, matrices) of k steps. */
-static int linear_taken(PyObject *t, const plan_real *p, linear_steps *s)
+/* (h, q, v, lam, of_joints, of_loads, matrices) of k steps. */
+static int steps_taken(PyObject *t, const plan_real *p, computed_steps *s)
 {
-    npy_intp n_B = p->constraints->n_values, any = -1;
-    double *x[LINEAR_ITEMS];
-    if (!item(t, LINEAR_ITEMS, 0) || !in_place(item(t, LINEAR_ITEMS, 0), 0, 1, &any, &x[0]))
+    npy_intp any = -1;
+    double *x[STEPS_ITEMS];
+    if (!item(t, STEPS_ITEMS, 0) || !in_place(item(t, STEPS_ITEMS, 0), 0, 1, &any, &x[0]))
         return 0;
-    npy_intp k = PyArray_DIM((PyArrayObject *)item(t, LINEAR_ITEMS, 0), 0);
-    npy_intp of_K[] = {k, p->nnz}, of_B[] = {k, n_B}, of_matrices[] = {k, 6, 4};
-    if (!in_place(item(t, LINEAR_ITEMS, 1), 0, 2, of_K, &x[1]) ||
-        !in_place(item(t, LINEAR_ITEMS, 2), 1, 2, of_K, &x[2]) ||
-        !in_place(item(t, LINEAR_ITEMS, 3), 0, 2, of_B, &x[3]) ||
-        !in_place(item(t, LINEAR_ITEMS, 4), 0, 3, of_matrices, &x[4]))
-        return 0;
-    linear_steps made = {k, x[0], x[1], x[2], x[3], x[4]};
+    npy_intp k = PyArray_DIM((PyArrayObject *)item(t, STEPS_ITEMS, 0), 0);
+    npy_intp shapes[][3] = {{k, p->n_q}, {k, p->n_q}, {k, p->n_lam},
+                            {p->still ? -1 : k, p->constraints->n_parts}, {k, p->n_factors}, {k, 6, 4}};
+    for (int i = 1; i < STEPS_ITEMS; i++)
+        if (!in_place(item(t, STEPS_ITEMS, i), 0, i < STEPS_ITEMS - 1 ? 2 : 3, shapes[i - 1], &x[i]))
+            return 0;
+    computed_steps made = {k, x[0], x[1], x[2], x[3], x[4], x[5], x[6]};
     *s = made;
     return 1;
 }
 
-/* differentiate_steps(prepared, linear, right, z, states, lam_b): how many, and why it ends. */
+/* differentiate_steps(prepared, steps, right, z, states, lam_b): how many, and why it ends. */
 static PyObject *py_differentiate_steps(PyObject *const *args)
 {
     Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
-    linear_steps s;
+    computed_steps s;
     double *right, *z, *states, *lam_b;
-    if (!x || !linear_taken(args[1], &x->plan, &s))
+    if (!x || !steps_taken(args[1], &x->plan, &s))
         return NULL;
     const plan_real *p = &x->plan;
     npy_intp n = p->n_q + p->n_lam, any[] = {4, -1, p->n_q};
@@ -431,13 +430,13 @@ static PyObject *py_differentiate_steps(PyObject *const *args)
     return Py_BuildValue("ni", taken_steps, ends);
 }
 
-/* pull_back_steps(prepared, linear, seeds, on, mu, zeta): how many, and why it ends. */
+/* pull_back_steps(prepared, steps, seeds, on, mu, zeta): how many, and why it ends. */
 static PyObject *py_pull_back_steps(PyObject *const *args)
 {
     Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
-    linear_steps s;
+    computed_steps s;
     double *seeds[3], *on, *mu, *zeta;
-    if (!x || !linear_taken(args[1], &x->plan, &s))
+    if (!x || !steps_taken(args[1], &x->plan, &s))
         return NULL;
     const plan_real *p = &x->plan;
     npy_intp of_q[] = {s.k, p->n_q}, of_lam[] = {s.k, p->n_lam}, of_on[] = {6, p->n_q}, steps;

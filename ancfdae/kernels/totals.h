@@ -32,6 +32,68 @@ INLINE void NAME(add_stress_partial)(int n_y, int d, const NAME(element) *e,
     NAME(apply)(n_g, e->A, rate, p_b);
 }
 
+/* p = A_b x - c_b: the partial of the stress in the variable of a pair at held Y and V. */
+INLINE void NAME(stress_partial)(int n_y, int d, const NAME(element) *e,
+                                 const NAME(law_partials) *of, npy_int64 pair, const T *x,
+                                 const T *Y, const T *V, T *p)
+{
+    int n_g = n_y * (n_y + 1) / 2, moved = 0;
+    T g_b[MOST_G];
+    for (int k = 0; k < n_g; k++)
+        g_b[k] = p[k] = 0;
+    NAME(add_stress_partial)(n_y, d, e, of, pair, x, Y, V, g_b, p);
+    for (int k = 0; k < n_g; k++) {
+        moved |= g_b[k] != 0;
+        g_b[k] = -g_b[k];
+    }
+    if (moved)
+        NAME(apply)(n_g, e->A, g_b, p);
+}
+
+/* Partials of R^T of the forces at rows of q and v, with these held: added to rows of Q, (k, n_b,
+ * n_q), or where there are rows mu the sums over instants of their products with mu to n_b
+ * numbers. */
+INLINE void NAME(force_partials_)(int n_y, int d, const NAME(block) *b,
+                                  const NAME(law_partials) *of, npy_intp n_b, const T *q,
+                                  const T *v, const T *mu, T *Q)
+{
+    T Y[MOST_M], V[MOST_M], U[MOST_M], F[MOST_M], x[MOST_G], p[MOST_G], g[MOST_G];
+    int n_g = n_y * (n_y + 1) / 2;
+    for (npy_intp e = 0; e < b->n; e++) {
+        const npy_int64 *vectors = b->vectors + e * (n_y + 1);
+        NAME(element) own = NAME(element_of)(n_g, b, e);
+        for (npy_intp k = 0; k < b->k && of->first[e] < of->first[e + 1]; k++) {
+            NAME(gather)(n_y, d, vectors, q + k * b->n_q, Y);
+            if (v)
+                NAME(gather)(n_y, d, vectors, v + k * b->n_q, V);
+            NAME(strain)(n_y, d, own.g_o, Y, own.tau, v ? V : NULL, x);
+            if (mu) {
+                NAME(gather)(n_y, d, vectors, mu + k * b->n_q, U);
+                NAME(gram)(n_y, d, Y, U, g);
+            }
+            for (npy_int64 at = of->first[e]; at < of->first[e + 1]; at++) {
+                npy_int64 i = of->variables[at];
+                NAME(stress_partial)(n_y, d, &own, of, of->pairs[at], x, Y, V, p);
+                for (int c = 0; mu && c < n_g; c++)
+                    Q[i] += p[c] * g[c];
+                if (mu)
+                    continue;
+                for (int c = 0; c < n_y * d; c++)
+                    F[c] = 0;
+                NAME(stressed)(n_y, d, p, Y, F);
+                NAME(spread)(n_y, d, vectors, F, Q + (k * n_b + i) * b->n_q);
+            }
+        }
+    }
+}
+
+CLONES static void NAME(force_partials)(int n_y, int d, const NAME(block) *b,
+                                        const NAME(law_partials) *of, npy_intp n_b, const T *q,
+                                        const T *v, const T *mu, T *Q)
+{
+    OF_SIZE(force_partials_, b, of, n_b, q, v, mu, Q)
+}
+
 /* Rows of Q += R^T of the forces at the first row of q and v, then of their total derivatives in
  * the variables, along the further rows. */
 INLINE void NAME(force_totals_)(int n_y, int d, const NAME(block) *b, const NAME(law_partials) *of,

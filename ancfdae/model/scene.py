@@ -24,6 +24,7 @@ from ancfdae.model.loads import Load
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.scene_design import SCENE, SceneDesign
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start, checked_start
+from ancfdae.model.turning_frame import TurningFrame, require_frame
 
 
 @final
@@ -56,6 +57,8 @@ class Scene(SceneDesign):
         norm of the mass matrix, which strains the bodies) instead of being refused; includes
         `assemble`.
     bodies : sequence of RigidBody or PointMass
+    frame : TurningFrame, optional
+        The frame that all of this is declared in where it turns steadily; else it is at rest.
 
     Raises
     ------
@@ -74,8 +77,9 @@ class Scene(SceneDesign):
     lead: Sequence[str] = ()
     project_start: bool = False
     bodies: Sequence[RigidBody | PointMass] = ()
+    frame: TurningFrame | None = None
 
-    design_fields = (("gravity", require_vector),)
+    design_fields = (("gravity", require_vector), ("frame", require_frame))
 
     def __post_init__(self) -> None:
         """Freeze the sequences and validate."""
@@ -92,6 +96,9 @@ class Scene(SceneDesign):
         self._check_assembly()
         if self.gravity is not None:
             require_vector("Scene.gravity", self.gravity, (self.dimension,))
+        if self.frame is not None:
+            require_frame("Scene.frame", self.frame)
+            self.frame.check(self.dimension, self.gravity)
         object.__setattr__(self, "start", tuple(map(self._checked_start, self.start)))
         self._check_rest()
 
@@ -105,6 +112,7 @@ class Scene(SceneDesign):
             f"Scene in the {where}\nbeams: {beams}\nbodies: {bodies}\n"
             f"joints: {joints}\nloads: {loads}\n"
             f"gravity: {'none' if self.gravity is None else tuple(self.gravity)}"
+            + ("" if self.frame is None else f"\nin a {self.frame}")
         )
 
     def at_rest(self) -> Scene | None:

@@ -64,7 +64,8 @@ class Linearised:
         with np.errstate(all="ignore"):
             linearisation = system.linearise(np.array([at.t]), *states)
         D = None if linearisation.f_v is None or damped is False else linearisation.f_v[0]
-        if D is not None and not np.any(D) and not damped:
+        # One that vanishes at this design has derivatives.
+        if D is not None and not np.any(D) and not damped and not system.n_b:
             D = None
         matrices = (linearisation.M[0], linearisation.f_q[0], linearisation.Phi_q[0])
         if not all(np.all(np.isfinite(x)) for x in matrices):
@@ -206,8 +207,8 @@ def _refuse_motion(system: MechanicalSystem, at: Configuration) -> None:
             "must be a state at rest: centrifugal and Coriolis forces are not in these modes",
             f"an instant at t = {at.t:.6g} whose motion takes {turning / (forces or 1.0):.2g} of "
             "all forces",
-            "Pass at=equilibrium(...), or an instant at which it has come to rest; vibrations "
-            "about a steady rotation are not there yet.",
+            "Pass at=equilibrium(...), or an instant at which it has come to rest; for vibrations "
+            "about a steady rotation declare the scene in a TurningFrame.",
         )
 
 

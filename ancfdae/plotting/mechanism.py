@@ -10,6 +10,8 @@ import numpy as np
 
 from ancfdae.assembly.beam_elements import BeamElements
 from ancfdae.assembly.beam_sections import BeamSections
+from ancfdae.assembly.layout import Layout
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
 from ancfdae.assembly.reference import Reference
@@ -18,7 +20,6 @@ from ancfdae.errors import InvalidInput, Outcome, Verdict, require_kind, require
 from ancfdae.errors.text import listed
 from ancfdae.model.bodies import RigidBody
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.naming import Layout, Naming
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.fields import Field
@@ -136,15 +137,15 @@ def _span(limits: Sequence[float] | None, field: Field | None) -> tuple[float, f
     return low, high
 
 
-def _naming(scene: Scene) -> Naming:
+def _naming(scene: Scene) -> SceneNaming:
     """Return where bodies stand in the coordinates; assembling the scene would cost far more."""
     numbering, masses = number(scene), tuple(mass.name for mass in scene.point_masses)
     layout = Layout(scene.dimension, numbering.bodies, numbering.beams, masses, ())
     lengths = scene.element_parameters()[:, ElementParameter.LENGTH]
-    return Naming(layout, lengths, np.zeros((len(lengths), 0)))
+    return SceneNaming(layout, lengths, np.zeros((len(lengths), 0)))
 
 
-def _meshes(scene: Scene, mapping: ParameterMap, naming: Naming, n_q: int) -> tuple[Mesh, ...]:
+def _meshes(scene: Scene, mapping: ParameterMap, naming: SceneNaming, n_q: int) -> tuple[Mesh, ...]:
     numbering, parameters = number(scene), mapping.values(mapping.nominal)
     sections = BeamSections(scene, naming.layout, numbering, mapping, mapping.nominal)
     found: list[Mesh] = []
@@ -167,16 +168,16 @@ def frames_of(motion: Solution, count: int) -> Array:
     return np.linspace(motion.t[0], motion.t[-1], count)
 
 
-def _at_rest(q: Array, naming: Naming) -> Solution:
+def _at_rest(q: Array, naming: SceneNaming) -> Solution:
     none, outcome = np.zeros((1, 0)), Outcome(Verdict.FINISHED, 0.0, 0, 0.0)
     still, statistics = np.zeros((1, len(q))), Statistics(0, 0, 0, 0, 0, 0.0)
     return Solution(np.zeros(1), q[None], still, still, none, statistics, outcome, naming)
 
 
-def _checked(motion: Solution, own: Naming) -> Naming:
+def _checked(motion: Solution, own: SceneNaming) -> SceneNaming:
     """Refuse the solution of another scene, or of the same one with other lengths."""
     given = motion.naming
-    if given is None:
+    if not isinstance(given, SceneNaming):
         rule, repair = "must be that of an ANCF scene", "Other systems have no bodies to draw."
         raise InvalidInput("picture, solution", rule, "a system of another kind", repair)
     vectors = [

@@ -13,6 +13,7 @@ import numpy as np
 
 from ancfdae.assembly.beam_elements import BeamElements
 from ancfdae.assembly.beam_sections import BeamSections
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.vectors import Vectors
 from ancfdae.model.bodies import (
     BeamBody,
@@ -23,7 +24,6 @@ from ancfdae.model.bodies import (
     RigidBox,
     RigidCylinder,
 )
-from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.rotations import generators
 
@@ -80,7 +80,7 @@ class BeamMesh(Mesh):
     def __init__(
         self,
         body: BeamBody,
-        naming: Naming,
+        naming: SceneNaming,
         n_q: int,
         elements: BeamElements | None,
         sections: BeamSections,
@@ -156,7 +156,7 @@ class BeamMesh(Mesh):
         """Elements, stations and fibres."""
         return len(self.y), len(self.xi), self.y.shape[1]
 
-    def _stations(self, naming: Naming) -> list[Point]:
+    def _stations(self, naming: SceneNaming) -> list[Point]:
         nodes = np.asarray(naming.layout.beam(self.name).fractions)
         along = nodes[:-1, None] + np.diff(nodes)[:, None] * self.xi
         along[:, -1] = nodes[1:]
@@ -183,7 +183,7 @@ class BeamMesh(Mesh):
 class RigidMesh(Mesh):
     """The shape of a rigid body; no faces if only its mass and inertia are known."""
 
-    def __init__(self, body: RigidBody, naming: Naming, n_q: int) -> None:
+    def __init__(self, body: RigidBody, naming: SceneNaming, n_q: int) -> None:
         self.name, self.body = body.name, body
         x, self.faces, self.loop = _solid(body.shape, body.dimension)
         x = x[:, : body.dimension] + np.asarray(body.centre)

@@ -7,13 +7,13 @@ from typing import Final, final
 
 import numpy as np
 
+from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.vectors import Vectors, point_vectors
 from ancfdae.equations import Solution
 from ancfdae.model.bodies import Point, Quantity, RigidBody
 from ancfdae.model.drawing import Sign
 from ancfdae.model.joints import Joint
 from ancfdae.model.loads import Load
-from ancfdae.model.naming import Naming
 from ancfdae.model.parts import CentreLine
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.model.scene import Scene
@@ -68,7 +68,7 @@ class Arrows:
 class Symbols:
     """What of a scene, with its reference configuration q_o, has no extent of its own."""
 
-    def __init__(self, scene: Scene, naming: Naming, q_o: Array) -> None:
+    def __init__(self, scene: Scene, naming: SceneNaming, q_o: Array) -> None:
         self._scene, self._naming, self._q_o = scene, naming, q_o
         self._d = scene.dimension
 

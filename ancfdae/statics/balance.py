@@ -313,8 +313,8 @@ class Balance:
                 "equilibrium",
                 "needs joints that stand still: nothing is at rest that a joint drives",
                 f"joints {', '.join(map(repr, driven))} that move at t = {self.t:.6g}",
-                "Give their laws no rate there, or simulate; a steady rotation about which things "
-                "are at rest is not there yet.",
+                "Give their laws no rate there, or simulate; a steady rotation is at rest in a "
+                "scene that is declared in a TurningFrame.",
             )
 
     # -- natural sizes -------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from ancfdae.studies.calls import (
     gradients,
     simulate,
 )
+from ancfdae.studies.campbell import Campbell, campbell
 from ancfdae.studies.error_bars import ErrorBars, error_bars
 from ancfdae.studies.mass_properties import MassProperties, mass_properties
 from ancfdae.studies.misfit import Fit, Misfit

@@ -236,7 +236,7 @@ def evaluate(
         If the solution is of another model, or the objective of something it does not have.
     UnfinishedRun, NonFiniteObjective
     """
-    require_kind("solution", solution, (Solution,), "Call simulate, or Solution.load.")
+    require_kind("solution", solution, (Solution,), "Call simulate, or load_solution.")
     system = as_system(model, design)
     t_end = float(solution.t[-1])
     require_objectives(system, [objective], t_end)

@@ -47,5 +47,5 @@ save(draw(panels, columns=2), "step_2_energy")
 
 # %%
 # A solution is written to a file by ``solution.save("swing.npz")`` and read back by
-# ``Solution.load("swing.npz")``. If a run cannot be finished, ``solution.outcome`` says when and
+# ``load_solution("swing.npz")``. If a run cannot be finished, ``solution.outcome`` says when and
 # why, and what was computed up to there is kept.

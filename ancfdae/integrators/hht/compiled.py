@@ -11,7 +11,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem
+from ancfdae.equations import MechanicalSystem, PlannedSystem
 from ancfdae.integrators.hht.equations import Node
 from ancfdae.integrators.hht.small_steps import PLACES
 from ancfdae.integrators.recorder import Recorder, Rows
@@ -31,8 +31,9 @@ from ancfdae.numerics.linear_solvers import SaddlePoint
 
 # Seconds after which a packet ends, so that interrupts and progress come through.
 _PATIENCE = 0.1
-# Sizes of steps, values of f_q, f_v and Phi_q, and matrices of the recurrence, one for each step.
-Linear: TypeAlias = tuple[Array, Array, Array | None, Array, Array]
+# Sizes of steps, q, v and lam after them, factors of joints and of loads there, and matrices of the
+# recurrence.
+Packet: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array]
 # Covectors of an objective on q, v and lam.
 OnStates: TypeAlias = tuple[Array | None, Array | None, Array | None]
 
@@ -48,7 +49,8 @@ class Prepared:
     @classmethod
     def of(cls, system: MechanicalSystem, matrices: SaddlePoint, rules: Array) -> Prepared | None:
         """Return None for a system that is no plan, or whose matrices need another solver."""
-        plan, layout = system.plan, matrices.layout(band=False)
+        plan = system.plan if isinstance(system, PlannedSystem) else None
+        layout = matrices.layout(band=False)
         return plan and layout and cls(plan, layout, matrices, rules)
 
     def add_band(self) -> None:
@@ -60,7 +62,7 @@ class Prepared:
 
 @final
 class CompiledPasses:
-    """Takes linearised steps of a pass over a run, as many as are factorised."""
+    """Takes computed steps of a pass over a run, as many as are factorised."""
 
     def __init__(self, prepared: Prepared) -> None:
         self._kernel = prepared
@@ -75,31 +77,40 @@ class CompiledPasses:
         prepared = Prepared.of(system, matrices, rules)
         return prepared and cls(prepared)
 
-    def forward(self, linear: Linear, right: Array, z: Array, states: Array, lam_b: Array) -> int:
+    def packet(self, h: Array, t: Array, states: tuple[Array, ...], matrices: Array) -> Packet:
+        """Return what kernels take of steps with these states q, v and lam after them."""
+        plan = self._kernel.plan
+        of_joints = plan.joint_factors(t, 1)[0] if plan.joint_factors else np.ones((1, 1))
+        q, v, lam, of_joints, of_loads = (
+            np.ascontiguousarray(x) for x in (*states, of_joints, plan.load_factors(t))
+        )
+        return h, q, v, lam, of_joints, of_loads, matrices
+
+    def forward(self, steps: Packet, right: Array, z: Array, states: Array, lam_b: Array) -> int:
         """Take steps of direct differentiation; see `differentiate_steps`."""
         arrays = self._kernel.arrays
-        taken, why = differentiate_steps(arrays, linear, right, z, states, lam_b)
+        taken, why = differentiate_steps(arrays, steps, right, z, states, lam_b)
         if why != INDEFINITE:
             return taken
         self._kernel.add_band()
         rest = slice(taken, None)
-        return taken + self.forward(_part(linear, rest), right[rest], z, states[rest], lam_b[rest])
+        return taken + self.forward(_part(steps, rest), right[rest], z, states[rest], lam_b[rest])
 
-    def backward(self, linear: Linear, seeds: OnStates, on: Array, mu: Array, zeta: Array) -> int:
+    def backward(self, steps: Packet, seeds: OnStates, on: Array, mu: Array, zeta: Array) -> int:
         """Take transposed steps back from the last; see `pull_back_steps`."""
-        taken, why = pull_back_steps(self._kernel.arrays, linear, seeds, on, mu, zeta)
+        taken, why = pull_back_steps(self._kernel.arrays, steps, seeds, on, mu, zeta)
         if why != INDEFINITE:
             return taken
         self._kernel.add_band()
         rest = slice(len(mu) - taken)
         q, v, lam = (x if x is None else x[rest] for x in seeds)
-        return taken + self.backward(_part(linear, rest), (q, v, lam), on, mu[rest], zeta[rest])
+        return taken + self.backward(_part(steps, rest), (q, v, lam), on, mu[rest], zeta[rest])
 
 
-def _part(linear: Linear, part: slice) -> Linear:
-    h, f_q, f_v, Phi_q, matrices = linear
-    f_v = None if f_v is None else f_v[part]
-    return h[part], f_q[part], f_v, Phi_q[part], matrices[part]
+def _part(steps: Packet, part: slice) -> Packet:
+    h, q, v, lam, of_joints, of_loads, matrices = steps
+    of_joints = of_joints if len(of_joints) < len(h) else of_joints[part]
+    return h[part], q[part], v[part], lam[part], of_joints, of_loads[part], matrices[part]
 
 
 @final

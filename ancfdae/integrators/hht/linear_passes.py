@@ -15,8 +15,8 @@ coefficients, transposed, and the transpose of the solution, in reverse order.
 At small steps the second row takes Phi_q,{n+1} dq~_b + G q_b,n + g for Phi_q q~_b + Phi_b
 (`small_steps`).
 
-Jacobians and design partials of many steps are formed at once; only the
-factorisation and the recurrence run step by step.
+Design partials of many steps are formed at once. Kernels linearise, factorise and run the
+recurrence step by step (`compiled`); what they do not take is linearised many steps at once here.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from ancfdae.equations import DesignPartials, Linearisation, MechanicalSystem
+from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.errors import SingularMatrix, Verdict
-from ancfdae.integrators.hht.compiled import CompiledPasses, Linear
+from ancfdae.integrators.hht.compiled import CompiledPasses, Packet
 from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import (
     Coefficients,
@@ -59,7 +59,7 @@ States: TypeAlias = tuple[Array, Array, Array, Array]
 @final
 @dataclass(frozen=True)
 class LinearSteps:
-    """A chunk of k steps linearised at their converged states; h has the shape (k, 1).
+    """A chunk of k steps with their converged states (q, v, A, lam); h has the shape (k, 1).
 
     One step takes z = (q~_b, v~_b, A~_b) to a_b and lam_b (`solve`); a matrix of coefficients takes
     (z, a_b) to (q_b, v_b, A_b) and the next z (`step_matrices`). The pass back takes the transposes
@@ -68,25 +68,24 @@ class LinearSteps:
 
     system: MechanicalSystem
     c: Coefficients
-    q: Array
-    local: Linearisation
+    t: Array
+    states: States
 
-    @staticmethod
-    def of(system: MechanicalSystem, c: Coefficients, t: Array, states: States) -> LinearSteps:
-        """Linearise at states (q, v, A, lam), instants as rows."""
-        return LinearSteps(system, c, states[0], system.linearise(t, *states))
+    @cached_property
+    def local(self) -> Linearisation:
+        """f_q, f_v and Phi_q."""
+        return self.system.linearise(self.t, *self.states)
 
     @cached_property
     def constraints_q(self) -> Array:
         """Phi_q / (beta h^2)."""
         return np.asarray(self.local.Phi_q / (self.c.beta * self.c.h**2))
 
-    def arrays(self, part: slice, matrices: Array) -> Linear:
+    def packet(self, compiled: CompiledPasses, part: slice, matrices: Array) -> Packet:
         """Return what kernels take, of some steps; the matrices are theirs."""
-        local, h = self.local, np.array(self.c.h[part, 0])
-        f_v = None if local.f_v is None else np.ascontiguousarray(local.f_v[part])
-        f_q, Phi_q = (np.ascontiguousarray(x[part]) for x in (local.f_q, local.Phi_q))
-        return h, f_q, f_v, Phi_q, matrices
+        q, v, _, lam = (x[part] for x in self.states)
+        h = np.array(self.c.h[part, 0])
+        return compiled.packet(h, self.t[part], (q, v, lam), matrices)
 
     def factorised(self, matrices: SaddlePoint, order: range) -> Iterator[Factorization]:
         """Factorise eq. (6) step by step, forward or backward."""
@@ -96,8 +95,9 @@ class LinearSteps:
             c = c if c.h == h else Coefficients(h, c.alpha)
             yield matrices.factor_sum(iteration_terms(c, self.local, k), self.local.Phi_q[k])
 
-    def given(self, partials: DesignPartials) -> Array:
+    def given(self) -> Array:
         """Return the part of the right sides that is known before the pass, (k, n_b, n)."""
+        partials = self.system.design_partials(self.t, *self.states)
         k, n_q, n_b = partials.f_b.shape
         given = np.empty((k, n_b, n_q + partials.Phi_b.shape[1]))  # each step in one piece
         np.negative(partials.f_b.transpose(0, 2, 1), out=given[:, :, :n_q])
@@ -120,7 +120,7 @@ class LinearSteps:
         system, n_q = self.system, self.system.n_q
         system.pattern.subtract_dot(self.local.f_q[k], z[0], right)
         system.constraint_pattern.subtract_dot(self.constraints_q[k], z[0], right, n_q)
-        right[:, :n_q] -= system.mass_times(self.q[k], z[2].T).T
+        right[:, :n_q] -= system.mass_times(self.states[0][k], z[2].T).T
         if self.local.f_v is not None:
             system.pattern.subtract_dot(self.local.f_v[k], z[1], right)
         if side is not None:
@@ -146,7 +146,7 @@ class LinearSteps:
             pattern.subtract_dot(values, zeta, on[0], transposed=True)
         if local.f_v is not None:
             system.pattern.subtract_dot(local.f_v[k], mu, on[1], transposed=True)
-        on[2] -= system.mass_times(self.q[k], mu)
+        on[2] -= system.mass_times(self.states[0][k], mu)
         return mu, zeta / (self.c.beta * float(self.c.h[k, 0]) ** 2)
 
 
@@ -190,16 +190,16 @@ def _advance(nodes: Nodes, start: NodeSensitivity, states: Array, lam_b: Array) 
     z = np.zeros((4, n_b, n_q))  # q~_b, v~_b, A~_b, a_b of a step
     z[:3] = _predicted(all_steps.first, start)
     matrix = step_matrices(all_steps)
-    for steps in _chunks(system, n_t, 2 * n_b * (n_q + system.n_lam)):
-        t, rows, linear = _linearised(nodes, steps)
-        given = linear.given(system.design_partials(t, *rows))
-        k = 0
-        while k < len(t):
+    known = 2 * n_b * (n_q + system.n_lam)
+    for steps in _chunks(system, n_t, known, linearised=not compiled or bool(maybe_small.any())):
+        linear = _computed(nodes, steps)
+        given, k = linear.given(), 0
+        while k < len(given):
             n = steps.start + k
             part = slice(k, k + _until(maybe_small[n : steps.stop]))
             if compiled and part.stop > k:
                 at = slice(n, steps.start + part.stop)
-                packet = linear.arrays(part, matrix[n - 1 : at.stop - 1])
+                packet = linear.packet(compiled, part, matrix[n - 1 : at.stop - 1])
                 taken = compiled.forward(packet, given[part], z, states[at], lam_b[at])
                 k += taken
                 yield taken
@@ -235,8 +235,8 @@ def advance(
     t = np.array([after.t])
     states = (after.q[None], after.v[None], after.A[None], after.lam[None])
     columns = Coefficients(np.array([[c.h]]), c.alpha)
-    linear, z = LinearSteps.of(system, columns, t, states), _predicted(c, before)
-    (right,) = linear.given(system.design_partials(t, *states))
+    linear, z = LinearSteps(system, columns, t, states), _predicted(c, before)
+    (right,) = linear.given()
     side = None
     if row is not None:
         known = np.array([before.q_b.T, before.v_b.T])
@@ -284,16 +284,16 @@ def pull_back_part(
     if defects is None:
         compiled = CompiledPasses.of(system, nodes.problem.matrices, all_steps.alpha)
         on = on.copy()
-    chunks = _chunks(system, n_t, 0)
+    chunks = _chunks(system, n_t, 0, linearised=not compiled or bool(maybe_small.any()))
     for steps in progress_bar(progress, chunks[::-1], desc="adjoint", unit="chunk"):
-        t, rows, linear = _linearised(nodes, steps)
-        mu, zeta = np.zeros_like(rows[0]), np.zeros_like(rows[3])
-        k = len(t)
+        linear = _computed(nodes, steps)
+        mu, zeta = np.zeros_like(linear.states[0]), np.zeros_like(linear.states[3])
+        k = len(mu)
         while k > 0:
             first = k - _until(maybe_small[steps.start : steps.start + k][::-1])
             if compiled and first < k:
                 part, at = slice(first, k), slice(steps.start + first, steps.start + k)
-                packet = linear.arrays(part, matrix[at.start - 1 : at.stop - 1])
+                packet = linear.packet(compiled, part, matrix[at.start - 1 : at.stop - 1])
                 k -= compiled.backward(packet, seeds.rows(at), on, mu[part], zeta[part])
                 if k == first:
                     continue
@@ -313,7 +313,7 @@ def pull_back_part(
                 gradient -= zeta[k] @ row.g
                 zeta[k] = 0.0  # Phi_b has had its part.
                 change += 0.0 if defects is None else on_dq @ defects.q[n]
-        gradient -= system.pull_back(t, rows, (mu, zeta))
+        gradient -= system.pull_back(linear.t, linear.states, (mu, zeta))
     return gradient, on, float(change)
 
 
@@ -326,12 +326,11 @@ def _with_seeds(on: Array, seeds: Seeds, n: int) -> Array:
     return on
 
 
-def _linearised(nodes: Nodes, steps: slice) -> tuple[Array, States, LinearSteps]:
-    """Linearise the steps that end at some instants; return times and states there with it."""
-    run = nodes.run
-    t, states = run.t[steps], (run.q[steps], run.v[steps], run.a[steps], run.lam[steps])
-    c = nodes.steps.columns(steps)
-    return t, states, LinearSteps.of(nodes.problem.system, c, t, states)
+def _computed(nodes: Nodes, steps: slice) -> LinearSteps:
+    """Return the steps that end at some instants."""
+    run, c = nodes.run, nodes.steps.columns(steps)
+    states = run.q[steps], run.v[steps], run.a[steps], run.lam[steps]
+    return LinearSteps(nodes.problem.system, c, run.t[steps], states)
 
 
 def _predicted(c: Coefficients, start: NodeSensitivity) -> Array:
@@ -378,8 +377,10 @@ def _small_side_back(
     return np.asarray(on_dq)
 
 
-def _chunks(system: MechanicalSystem, n_t: int, extra: int) -> Sequence[slice]:
+def _chunks(system: MechanicalSystem, n_t: int, extra: int, *, linearised: bool) -> Sequence[slice]:
     """Divide steps 1 to n_t - 1 so that what is held at once stays within memory."""
-    per_step = 4 * system.pattern.size + 8 * system.n_q + extra
+    per_step = 2 * system.n_q + extra
+    if linearised:
+        per_step += 4 * system.pattern.size + 6 * system.n_q
     size = max(1, min(64, _CHUNK_NUMBERS // per_step))
     return [slice(k, min(k + size, n_t)) for k in range(1, n_t, size)]

@@ -51,7 +51,7 @@ class LinearSteps:
     @staticmethod
     def of(problem: Problem, h: Array, t: Array, states: Sequence[Array]) -> LinearSteps:
         """Linearise steps of which start, stages and end are given, (k, 4, ...)."""
-        q, v, a, lam = (x[:, 1:].reshape(-1, x.shape[2]) for x in states)
+        q, v, a, lam = (np.concatenate(x[:, 1:]) for x in states)
         rough, times = list[Stages](), t[:, 1:].ravel()
         for s, size in enumerate(h):
             begin = Begin(float(t[s, 0]), states[0][s, 0], states[1][s, 0], float(size))

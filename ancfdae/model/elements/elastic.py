@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from ancfdae.kernels import strain, stressed
+from ancfdae.kernels import strain
 from ancfdae.numerics.arrays import Array
 
 
@@ -47,17 +47,3 @@ def energy(A: Array, g_o: Array, Y: Array, p_o: Array | None = None) -> Array:
     p = 0.5 * apply_invariant(A, dg)
     U: Array = np.sum(dg * (p if p_o is None else p + p_o), axis=-1)
     return U
-
-
-def force_partial(A_b: Array, c_b: Array, x: Array, Y: Array) -> Array:
-    """Return the partial of the force in a design parameter (eqs. 24, 25), shape as Y.
-
-    Parameters
-    ----------
-    A_b, c_b : array, shape (n, n_g, n_g) and (n, n_g)
-        Derivative invariants.
-    x : array, shape (..., n, n_g)
-        The strains of these elements.
-    Y : array, shape (..., n, n_y, d)
-    """
-    return stressed(apply_invariant(A_b, x) - c_b, Y)

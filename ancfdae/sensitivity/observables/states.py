@@ -9,9 +9,9 @@ from typing import Protocol, final
 import numpy as np
 
 from ancfdae.assembly import AncfSystem
-from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.assembly.naming import SceneNaming
+from ancfdae.equations import MechanicalSystem, Naming, Solution
 from ancfdae.errors import InvalidInput
-from ancfdae.model.naming import Naming
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import TimeGrid
 
@@ -62,9 +62,9 @@ def states_of(solution: Solution) -> States:
     return States(solution.t, solution.q, solution.v, solution.lam, solution.degree)
 
 
-def known_naming(system: Named) -> Naming:
+def known_naming(system: Named) -> SceneNaming:
     """Return the names of an ANCF scene; refuse a system that has none."""
-    if system.naming is None:
+    if not isinstance(system.naming, SceneNaming):
         raise InvalidInput(
             "observable of a named point or joint",
             "needs an ANCF scene",

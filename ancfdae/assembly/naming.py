@@ -1,185 +1,46 @@
-"""Where the coordinates and multipliers of beams, bodies and joints stand in q and lam.
-
-Plain numbers only, so that a saved solution can be read without its scene.
-"""
+"""What turns coordinates into vectors of named points, and multipliers into those of a joint."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import final
+from dataclasses import dataclass, replace
+from typing import Any, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, UnknownName, named
-from ancfdae.model.bodies import Point, Quantity, locate, require_fraction
-from ancfdae.model.elements import BeamElement
+from ancfdae.assembly.free_motions import motions_in_words
+from ancfdae.assembly.layout import BeamLayout, BodyLayout, Layout
+from ancfdae.equations.naming import Naming
+from ancfdae.errors import InvalidInput, require_index
+from ancfdae.model.bodies import Point, Quantity, require_point
 from ancfdae.numerics.arrays import STEP, Array
 
 
 @final
 @dataclass(frozen=True)
-class BodyLayout:
-    """Place of a beam or a rigid body: its vectors, `count` in a row from `first_vector` on.
+class PointVector:
+    """A position or slope vector of a material point as a combination of vectors of its body.
 
-    Every `stride`-th of them is a position, the others are directions: per node of a beam, or of
-    the one frame of what is rigid. `kinks` are the inner nodes where the slope along the beam may
-    jump: that of the element which ends there comes after all nodes. Vector k has the coordinates
-    d k to d k + d - 1. `size` is the length of a beam, the radius of gyration of a body, as
-    declared.
+    `vectors`, (n_a,), has their numbers in the scene; vector k has the coordinates d k to
+    d k + d - 1. `weights` is (n_a,), with design derivatives (n_a, n_b). A vector
+    that is `turned` is this combination turned by a right angle, from x to y, as the constraints
+    take it.
     """
 
-    name: str
-    first_vector: int
-    count: int
-    stride: int
-    size: float
-    kinks: tuple[int, ...] = ()
+    vectors: Array
+    weights: Array
+    weights_b: Array
+    turned: bool = False
 
-    @property
-    def vectors(self) -> Array:
-        """Numbers of its vectors."""
-        return self.first_vector + np.arange(self.count)
-
-    @property
-    def nodes(self) -> Array:
-        """Numbers of the vectors of every node, shape (n_nodes, stride).
-
-        Of a kink those of the element that begins there.
-        """
-        return self.vectors[: self.count - len(self.kinks)].reshape(-1, self.stride)
-
-    @property
-    def positions(self) -> Array:
-        """Numbers of those that are positions."""
-        return self.nodes[:, 0]
-
-    @cached_property
-    def ends(self) -> Array:
-        """Numbers of the vectors of both ends of every element, shape (n, 2 stride)."""
-        nodes = self.nodes
-        ends = np.concatenate([nodes[:-1], nodes[1:]], axis=1)
-        kinks = np.array(self.kinks, dtype=np.int64)
-        ends[kinks - 1, self.stride + Quantity.SLOPE_X] = self.vectors[nodes.size :]
-        return ends
-
-    def of_ends(self, X: Array) -> Array:
-        """Return its vectors from those of both ends of every element, (n, 2, stride, d)."""
-        vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
-        vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)
-        return vectors
+    def of(self, states: Array, d: int) -> Array:
+        """Return the vector in states of shape (..., n_q), shape (..., d)."""
+        X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
+        result: Array = np.einsum("a,...ad->...d", self.weights, X)
+        return result
 
 
 @final
 @dataclass(frozen=True)
-class RigidNodes:
-    """Nodes of a rigid beam in its axes: chords over lengths, (n, d), and slopes, (n + 1, d, d)."""
-
-    chords: tuple[tuple[float, ...], ...]
-    slopes: tuple[tuple[tuple[float, ...], ...], ...]
-
-    def weights(self, lengths: Array, n_s: int) -> Array:
-        """Return W: node vectors as combinations of those of the body, (n + 1, n_s, d + 1)."""
-        chords, slopes = np.asarray(self.chords), np.asarray(self.slopes)
-        n, d = chords.shape
-        W = np.zeros((n + 1, n_s, d + 1), dtype=np.result_type(lengths, float))
-        W[:, 0, 0] = 1.0
-        W[1:, 0, 1:] = np.cumsum(lengths[:, None] * chords, axis=0)
-        W[:, 1:, 1:] = slopes[:, : n_s - 1]
-        return W
-
-    def positions_b(self, lengths_b: Array) -> Array:
-        """Return the partial of W[:, 0, 1:], which depends on lengths alone, (n + 1, d, n_b)."""
-        moved = np.cumsum(np.asarray(self.chords)[..., None] * lengths_b[:, None], axis=0)
-        return np.concatenate([np.zeros((1, *moved.shape[1:])), moved])
-
-
-@final
-@dataclass(frozen=True)
-class BeamLayout:
-    """A beam: its element, the number of its first one, arc-length fractions of nodes.
-
-    `rigid` is what makes it so.
-    """
-
-    name: str
-    element: BeamElement
-    first_element: int
-    fractions: tuple[float, ...]
-    rigid: RigidNodes | None
-
-    @property
-    def element_count(self) -> int:
-        """Number of elements."""
-        return len(self.fractions) - 1
-
-    @property
-    def elements(self) -> slice:
-        """Its elements among those of the scene."""
-        return slice(self.first_element, self.first_element + self.element_count)
-
-    def locate(self, fraction: float | None, before: bool = False) -> tuple[int, float]:
-        """Element of the beam and its xi at an arc-length fraction; refuse one beyond [0, 1]."""
-        fraction = require_fraction(f"point of {self.name!r}", fraction)
-        return locate(np.asarray(self.fractions), fraction, before)
-
-
-@final
-@dataclass(frozen=True)
-class JointLayout:
-    """Place of a joint: `rows` multipliers from `first_row` on.
-
-    `holds_position` tells whether the first d of them are minus the force on its first point.
-    """
-
-    name: str
-    first_row: int
-    rows: int
-    holds_position: bool
-
-
-@final
-@dataclass(frozen=True)
-class Layout:
-    """Places of all parts of a scene of dimension d.
-
-    `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
-    the point masses.
-    """
-
-    d: int
-    bodies: tuple[BodyLayout, ...]
-    beams: tuple[BeamLayout, ...]
-    masses: tuple[str, ...]
-    joints: tuple[JointLayout, ...]
-
-    @property
-    def owners(self) -> tuple[str, ...]:
-        """Names of all that has a mass."""
-        return (*(body.name for body in self.bodies), *self.masses)
-
-    def owner(self, name: str) -> int:
-        """Return the place of a name among the `owners`, or raise UnknownName."""
-        if name not in self.owners:
-            raise UnknownName("beam or body", name, self.owners)
-        return self.owners.index(name)
-
-    def body(self, name: str) -> BodyLayout:
-        """Return the vectors of the beam or rigid body of this name, or raise UnknownName."""
-        return named("beam or body", name, self.bodies)
-
-    def beam(self, name: str) -> BeamLayout:
-        """Return the beam of this name, or raise UnknownName."""
-        return named("beam", name, self.beams)
-
-    def joint(self, name: str) -> JointLayout:
-        """Return the joint of this name, or raise UnknownName."""
-        return named("joint", name, self.joints)
-
-
-@final
-@dataclass(frozen=True)
-class Naming:
+class SceneNaming(Naming):
     """What turns coordinates into vectors of named points.
 
     Vectors of points between nodes depend on the lengths of elements, (n_elements,), and so on the
@@ -222,6 +83,51 @@ class Naming:
                 w_k = kind.vector_weights(quantity, *moved)[0].imag / STEP
                 s_b = s_b + np.outer(w_k * l**p, numbers_b[k])
         return self._of_elements(beam, np.array([local]), s, s_b)
+
+    def position(self, states: Array, point: Any) -> Array:
+        """Return the position of a point in states of shape (k, n_q), shape (k, d)."""
+        return self._in_states(states, point, Quantity.POSITION)
+
+    def slope(self, states: Array, point: Any, along: int) -> Array:
+        """Return the slope vector of a point along an axis of its section, shape (k, d)."""
+        require_index("slope, along", along, self.layout.d, "0 is along the beam.")
+        return self._in_states(states, point, Quantity(along + 1))
+
+    def _in_states(self, states: Array, point: Point, quantity: Quantity) -> Array:
+        require_point("point", point, self.layout.d)
+        return self.vector(point, quantity).of(states, self.layout.d)
+
+    def rows(self, joint: str) -> slice:
+        """Return the places of the multipliers of a joint."""
+        place = self.layout.joint(joint)
+        return slice(place.first_row, place.first_row + place.rows)
+
+    def reaction(self, lam: Array, joint: str) -> Array:
+        """Return the force of a joint on its first point, minus its multipliers, shape (k, d)."""
+        if not self.layout.joint(joint).holds_position:
+            raise InvalidInput(
+                f"reaction of {joint!r}",
+                "is defined for joints that hold a point in all directions",
+                "a joint of another kind",
+                "Use `multipliers` and the equations in the joint's documentation.",
+            )
+        return -lam[:, self.rows(joint)][:, : self.layout.d]
+
+    def coordinate_names(self) -> list[str]:
+        """Return a name for each coordinate."""
+        return self.layout.coordinate_names()
+
+    def stepped(self, variable: int, step: complex) -> SceneNaming:
+        """Return the names where a design variable is larger by a step."""
+        return replace(self, lengths=self.lengths + step * self.lengths_b[:, variable])
+
+    def motions_in_words(self, q: Array, motions: Array) -> str:
+        """Say which beams and bodies move, and how, in motions without stiffness."""
+        return motions_in_words(self.layout, q.real, motions)
+
+    def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Return all that a file keeps: arrays, and what JSON holds."""
+        return {"lengths": self.lengths, "lengths_b": self.lengths_b}, self.layout.plain()
 
     def nodes(self, states: Array, name: str) -> Array:
         """Return the node vectors of a beam or a rigid body in states of shape (k, n_q).
@@ -324,26 +230,3 @@ class Naming:
         combined_b = W.T @ weights_b
         combined_b[1:] += np.einsum("k,kdb->db", weights[::n_s], moved[at[::n_s] // n_s])
         return PointVector(body.first_vector + np.arange(W.shape[1]), W.T @ weights, combined_b)
-
-
-@final
-@dataclass(frozen=True)
-class PointVector:
-    """A position or slope vector of a material point as a combination of vectors of its body.
-
-    `vectors`, (n_a,), has their numbers in the scene; vector k has the coordinates d k to
-    d k + d - 1. `weights` is (n_a,), with design derivatives (n_a, n_b). A vector
-    that is `turned` is this combination turned by a right angle, from x to y, as the constraints
-    take it.
-    """
-
-    vectors: Array
-    weights: Array
-    weights_b: Array
-    turned: bool = False
-
-    def of(self, states: Array, d: int) -> Array:
-        """Return the vector in states of shape (..., n_q), shape (..., d)."""
-        X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
-        result: Array = np.einsum("a,...ad->...d", self.weights, X)
-        return result

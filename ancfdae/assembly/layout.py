@@ -1,0 +1,204 @@
+"""Where the coordinates and multipliers of beams, bodies and joints stand in q and lam.
+
+Plain numbers only, so that a saved solution can be read without its scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any, final
+
+import numpy as np
+
+from ancfdae.errors import UnknownName, named
+from ancfdae.model.bodies import locate, require_fraction
+from ancfdae.model.elements import BeamElement, Quantity
+from ancfdae.numerics.arrays import Array
+
+
+@final
+@dataclass(frozen=True)
+class BodyLayout:
+    """Place of a beam or a rigid body: its vectors, `count` in a row from `first_vector` on.
+
+    Every `stride`-th of them is a position, the others are directions: per node of a beam, or of
+    the one frame of what is rigid. `kinks` are the inner nodes where the slope along the beam may
+    jump: that of the element which ends there comes after all nodes. Vector k has the coordinates
+    d k to d k + d - 1. `size` is the length of a beam, the radius of gyration of a body, as
+    declared.
+    """
+
+    name: str
+    first_vector: int
+    count: int
+    stride: int
+    size: float
+    kinks: tuple[int, ...] = ()
+
+    @property
+    def vectors(self) -> Array:
+        """Numbers of its vectors."""
+        return self.first_vector + np.arange(self.count)
+
+    @property
+    def nodes(self) -> Array:
+        """Numbers of the vectors of every node, shape (n_nodes, stride).
+
+        Of a kink those of the element that begins there.
+        """
+        return self.vectors[: self.count - len(self.kinks)].reshape(-1, self.stride)
+
+    @property
+    def positions(self) -> Array:
+        """Numbers of those that are positions."""
+        return self.nodes[:, 0]
+
+    @cached_property
+    def ends(self) -> Array:
+        """Numbers of the vectors of both ends of every element, shape (n, 2 stride)."""
+        nodes = self.nodes
+        ends = np.concatenate([nodes[:-1], nodes[1:]], axis=1)
+        kinks = np.array(self.kinks, dtype=np.int64)
+        ends[kinks - 1, self.stride + Quantity.SLOPE_X] = self.vectors[nodes.size :]
+        return ends
+
+    def of_ends(self, X: Array) -> Array:
+        """Return its vectors from those of both ends of every element, (n, 2, stride, d)."""
+        vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
+        vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)
+        return vectors
+
+
+@final
+@dataclass(frozen=True)
+class RigidNodes:
+    """Nodes of a rigid beam in its axes: chords over lengths, (n, d), and slopes, (n + 1, d, d)."""
+
+    chords: tuple[tuple[float, ...], ...]
+    slopes: tuple[tuple[tuple[float, ...], ...], ...]
+
+    def weights(self, lengths: Array, n_s: int) -> Array:
+        """Return W: node vectors as combinations of those of the body, (n + 1, n_s, d + 1)."""
+        chords, slopes = np.asarray(self.chords), np.asarray(self.slopes)
+        n, d = chords.shape
+        W = np.zeros((n + 1, n_s, d + 1), dtype=np.result_type(lengths, float))
+        W[:, 0, 0] = 1.0
+        W[1:, 0, 1:] = np.cumsum(lengths[:, None] * chords, axis=0)
+        W[:, 1:, 1:] = slopes[:, : n_s - 1]
+        return W
+
+    def positions_b(self, lengths_b: Array) -> Array:
+        """Return the partial of W[:, 0, 1:], which depends on lengths alone, (n + 1, d, n_b)."""
+        moved = np.cumsum(np.asarray(self.chords)[..., None] * lengths_b[:, None], axis=0)
+        return np.concatenate([np.zeros((1, *moved.shape[1:])), moved])
+
+
+@final
+@dataclass(frozen=True)
+class BeamLayout:
+    """A beam: its element, the number of its first one, arc-length fractions of nodes.
+
+    `rigid` is what makes it so.
+    """
+
+    name: str
+    element: BeamElement
+    first_element: int
+    fractions: tuple[float, ...]
+    rigid: RigidNodes | None
+
+    @property
+    def element_count(self) -> int:
+        """Number of elements."""
+        return len(self.fractions) - 1
+
+    @property
+    def elements(self) -> slice:
+        """Its elements among those of the scene."""
+        return slice(self.first_element, self.first_element + self.element_count)
+
+    def locate(self, fraction: float | None, before: bool = False) -> tuple[int, float]:
+        """Element of the beam and its xi at an arc-length fraction; refuse one beyond [0, 1]."""
+        fraction = require_fraction(f"point of {self.name!r}", fraction)
+        return locate(np.asarray(self.fractions), fraction, before)
+
+
+@final
+@dataclass(frozen=True)
+class JointLayout:
+    """Place of a joint: `rows` multipliers from `first_row` on.
+
+    `holds_position` tells whether the first d of them are minus the force on its first point.
+    """
+
+    name: str
+    first_row: int
+    rows: int
+    holds_position: bool
+
+
+@final
+@dataclass(frozen=True)
+class Layout:
+    """Places of all parts of a scene of dimension d.
+
+    `bodies` are beams and rigid bodies in the order of their coordinates, `masses` the names of
+    the point masses.
+    """
+
+    d: int
+    bodies: tuple[BodyLayout, ...]
+    beams: tuple[BeamLayout, ...]
+    masses: tuple[str, ...]
+    joints: tuple[JointLayout, ...]
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """Names of all that has a mass."""
+        return (*(body.name for body in self.bodies), *self.masses)
+
+    def owner(self, name: str) -> int:
+        """Return the place of a name among the `owners`, or raise UnknownName."""
+        if name not in self.owners:
+            raise UnknownName("beam or body", name, self.owners)
+        return self.owners.index(name)
+
+    def body(self, name: str) -> BodyLayout:
+        """Return the vectors of the beam or rigid body of this name, or raise UnknownName."""
+        return named("beam or body", name, self.bodies)
+
+    def beam(self, name: str) -> BeamLayout:
+        """Return the beam of this name, or raise UnknownName."""
+        return named("beam", name, self.beams)
+
+    def joint(self, name: str) -> JointLayout:
+        """Return the joint of this name, or raise UnknownName."""
+        return named("joint", name, self.joints)
+
+    def plain(self) -> dict[str, Any]:
+        """Return all of it as JSON knows it; of elements the name."""
+        named = [replace(beam, element=beam.element.name) for beam in self.beams]  # type: ignore[arg-type]
+        return asdict(replace(self, beams=tuple(named)))
+
+    def coordinate_names(self) -> list[str]:
+        """Return a name for each coordinate.
+
+        ``rod[2].y`` is the position of node 2, counted from 0, ``rod[2].slope_x.y`` its slope along
+        the beam, at a kink that after it, and ``rod[2].slope_x before.y`` that before it; ``box.y``
+        the reference point of something rigid and ``box.axis_1.y`` its first direction.
+        """
+        soft = [beam for beam in self.beams if beam.rigid is None]
+        words = {beam.name: [x.name.lower() for x in beam.element.quantities] for beam in soft}
+        axes, names = "xyz"[: self.d], []
+        for body in self.bodies:
+            slopes = words.get(body.name)
+            for k in range(body.nodes.size):
+                node, which = divmod(k, body.stride)
+                owner = f"{body.name}[{node}]" if slopes else body.name
+                word = slopes[which] if slopes else f"axis_{which}"
+                vector = owner if which == 0 else f"{owner}.{word}"
+                names += [f"{vector}.{axis}" for axis in axes]
+            kinks = [f"{body.name}[{k}].slope_x before" for k in body.kinks]
+            names += [f"{vector}.{axis}" for vector in kinks for axis in axes]
+        return names

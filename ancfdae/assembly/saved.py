@@ -1,0 +1,63 @@
+"""Reading a solution from its file, with the names of its scene."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ancfdae.assembly.layout import BeamLayout, BodyLayout, JointLayout, Layout, RigidNodes
+from ancfdae.assembly.naming import SceneNaming
+from ancfdae.equations import Solution, solution_file
+from ancfdae.errors import named, require_each, require_path
+from ancfdae.model.elements import ALL_ELEMENTS, BeamElement
+from ancfdae.numerics.arrays import Array
+
+_ELEMENT = "element of a solution file"
+
+
+def load_solution(
+    path: str | os.PathLike[str], *, elements: Sequence[BeamElement] = ()
+) -> Solution:
+    """Read a solution written by `Solution.save`; InvalidInput if the file is no such solution.
+
+    A file knows its elements by name; give `elements` of your own.
+    """
+    file, repair = require_path("path of a solution", path), "Give [MY_ELEMENT]."
+    known = require_each("load_solution, elements", elements, (BeamElement,), repair)
+
+    def naming(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> SceneNaming:
+        layout = _layout(meta, (*known, *ALL_ELEMENTS))
+        return SceneNaming(layout, arrays["lengths"], arrays["lengths_b"])
+
+    return Solution(**solution_file.read(file, naming))
+
+
+def _layout(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> Layout:
+    common = meta.get("element_name")
+    known = [_element({"element": common} | x, elements) for x in meta["beams"]]
+    return Layout(
+        d=meta["d"] if common is None else named(_ELEMENT, common, elements).d,
+        bodies=tuple(_body(x) for x in meta["bodies"]),
+        beams=tuple(_beam(x) for x in known),
+        masses=tuple(meta["masses"]),
+        joints=tuple(JointLayout(**x) for x in meta["joints"]),
+    )
+
+
+def _element(meta: Mapping[str, Any], elements: Sequence[BeamElement]) -> dict[str, Any]:
+    return {**meta, "element": named(_ELEMENT, meta["element"], elements)}
+
+
+def _body(meta: Mapping[str, Any]) -> BodyLayout:
+    return BodyLayout(**{**meta, "kinks": tuple(meta.get("kinks", ()))})
+
+
+def _beam(meta: Mapping[str, Any]) -> BeamLayout:
+    rigid = meta["rigid"] and RigidNodes(**{x: _tuples(y) for x, y in meta["rigid"].items()})
+    return BeamLayout(**{**meta, "fractions": tuple(meta["fractions"]), "rigid": rigid})
+
+
+def _tuples(nested: Any) -> Any:
+    """Return nested lists of numbers as tuples."""
+    return tuple(map(_tuples, nested)) if isinstance(nested, list) else nested

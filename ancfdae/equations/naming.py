@@ -1,0 +1,52 @@
+"""What a solution asks of the names of a system: points, joints and coordinates."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+from ancfdae.numerics.arrays import Array
+
+
+class Naming(abc.ABC):
+    """Names of the points, joints and coordinates of a system; those of a scene have beams."""
+
+    @abc.abstractmethod
+    def nodes(self, states: Array, name: str) -> Array:
+        """Return the node vectors of a part in states of shape (k, n_q), (k, n_nodes, n_s, d)."""
+
+    @abc.abstractmethod
+    def ends(self, states: Array, name: str) -> Array:
+        """Return the node vectors of both ends of every element, shape (k, n, 2, n_s, d)."""
+
+    @abc.abstractmethod
+    def position(self, states: Array, point: Any) -> Array:
+        """Return the position of a point in states of shape (k, n_q), shape (k, d)."""
+
+    @abc.abstractmethod
+    def slope(self, states: Array, point: Any, along: int) -> Array:
+        """Return the slope vector of a point along an axis of its section, shape (k, d)."""
+
+    @abc.abstractmethod
+    def rows(self, joint: str) -> slice:
+        """Return the places of the multipliers of a joint."""
+
+    @abc.abstractmethod
+    def reaction(self, lam: Array, joint: str) -> Array:
+        """Return the force of a joint on its first point, shape (k, d)."""
+
+    @abc.abstractmethod
+    def coordinate_names(self) -> list[str]:
+        """Return a name for each coordinate."""
+
+    @abc.abstractmethod
+    def stepped(self, variable: int, step: complex) -> Naming:
+        """Return the names where a design variable is larger by a step."""
+
+    @abc.abstractmethod
+    def motions_in_words(self, q: Array, motions: Array) -> str:
+        """Say which parts move, and how, in motions without stiffness, shape (n_q, k)."""
+
+    @abc.abstractmethod
+    def packed(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """Return all that a file keeps: arrays, and what JSON holds."""

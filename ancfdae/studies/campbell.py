@@ -1,0 +1,182 @@
+"""Frequencies of a scene in a turning frame over the rate of the frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+import scipy
+
+from ancfdae.assembly import assemble
+from ancfdae.errors import InvalidInput, require_array, require_count, require_kind
+from ancfdae.errors.text import columns
+from ancfdae.model.design import DesignVariable, as_design
+from ancfdae.model.scene import Scene
+from ancfdae.model.turning_frame import TurningFrame
+from ancfdae.modes import Modes
+from ancfdae.numerics.arrays import Array, Numbers
+from ancfdae.statics import Equilibrium, NoEquilibrium
+from ancfdae.studies.modes import modes
+from ancfdae.studies.statics import equilibrium
+
+# Target of the rate, the first of all design variables.
+_RATE = "scene.rate"
+
+
+@final
+@dataclass(frozen=True)
+class Campbell:
+    """Modes of a scene at several rates of its frame, each followed over all of them.
+
+    Attributes
+    ----------
+    rates : array, shape (k,)
+    exponents : array, shape (k, count), complex
+        s as in `Modes`, as seen in the turning frame. A mode keeps its column.
+    exponents_b : array, shape (k, count, n_b), complex
+        Derivatives, those of the equilibrium and of its geometry included.
+    names : tuple of str
+        Names of the design variables, ``"scene.rate"`` first.
+    whirl : array, shape (k, count)
+        Sense of the motion about the axis in the frame: 1 for circles in the sense of the rate, -1
+        for circles against it, zero for motion to and fro.
+    equilibria : tuple of Equilibrium
+    """
+
+    rates: Array
+    exponents: Array
+    exponents_b: Array
+    names: tuple[str, ...]
+    whirl: Array
+    equilibria: tuple[Equilibrium, ...]
+
+    @property
+    def frequencies(self) -> Array:
+        """Circular frequencies in the turning frame, shape (k, count); rad/s."""
+        return self.exponents.imag
+
+    @property
+    def frequencies_b(self) -> Array:
+        """Their derivatives, shape (k, count, n_b)."""
+        return self.exponents_b.imag
+
+    @property
+    def whirl_speeds(self) -> Array:
+        """Speeds of circular motions seen at rest, shape (k, count); rad/s.
+
+        Positive forward, in the sense of the axis, negative backward. Of a shaft that is alike in
+        all directions; where `whirl` is not near 1 or -1 a mode has two frequencies there.
+        """
+        sense = np.where(self.whirl < 0, -1.0, 1.0)
+        return np.asarray(self.rates[:, None] + sense * self.frequencies)
+
+    def __repr__(self) -> str:
+        """Return a table of the frequencies."""
+        head = ["rate", *(f"mode {j}" for j in range(self.exponents.shape[1]))]
+        values = np.column_stack([self.rates, self.frequencies])
+        rows = [[f"{x:.6g}" for x in row] for row in values]
+        return f"Frequencies in the turning frame, rad/s\n{columns([head, *rows])}"
+
+
+def campbell(
+    scene: Scene,
+    rates: Numbers,
+    count: int = 6,
+    *,
+    design: Sequence[str | DesignVariable] = (),
+) -> Campbell:
+    """Return the lowest modes about steady rotation at several rates: a Campbell diagram.
+
+    Every equilibrium is searched from that of the rate before. Modes are followed by their
+    frequencies and their derivatives in the rate, so that lines cross where they do.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a `TurningFrame`, whose rate is replaced.
+    rates : sequence of float
+        Ascending; rad/s. Close enough that a line and its neighbours are nearly straight between.
+    count : int
+        How many, the lowest at the first rate.
+    design : sequence of str or DesignVariable
+        What to differentiate in beside the rate.
+
+    Raises
+    ------
+    InvalidInput
+        If the input makes no sense.
+    NoEquilibrium
+        If a rate has none.
+    """
+    frame = _frame_of(scene)
+    require_count("count", count, "Ask for one or more modes.")
+    rates = require_array("rates", rates, (len(rates),))
+    if not np.all(np.diff(rates) > 0):
+        raise InvalidInput("rates", "must ascend", rates.tolist(), "Sort them.")
+    variables, equilibria, lines = (_RATE, *design), list[Equilibrium](), list[_Lines]()
+    for rate in rates.tolist():
+        turned = replace(scene, frame=replace(frame, rate=rate))
+        at = equilibrium(turned, start=equilibria[-1] if equilibria else None)
+        if not at.outcome.success:
+            raise NoEquilibrium(at)
+        # Twice as many, so that lines which leave the lowest ones are not lost.
+        found = modes(turned, 2 * count, at=at, design=variables, damped=True)
+        all_lines = _Lines.of(found, turned)
+        which = np.arange(min(count, len(all_lines.s)))
+        if lines:
+            which = lines[-1].matched(all_lines, rate - rates[len(lines) - 1])
+        equilibria.append(at)
+        lines.append(all_lines.chosen(which))
+    s, s_b = np.array([x.s for x in lines]), np.array([x.s_b for x in lines])
+    whirl = np.array([x.whirl for x in lines])
+    names = tuple(x.name for x in as_design(variables))
+    return Campbell(rates, s, s_b, names, whirl, tuple(equilibria))
+
+
+@final
+@dataclass(frozen=True)
+class _Lines:
+    """Modes at one rate: s, s_b and sense of whirl."""
+
+    s: Array
+    s_b: Array
+    whirl: Array
+
+    @staticmethod
+    def of(modes: Modes, scene: Scene) -> _Lines:
+        assert modes.derivatives is not None
+        assert scene.frame is not None
+        numbers = np.array(list(scene.frame.parameters().values()))
+        J = scene.frame.turn(numbers, scene.dimension)[1]
+        vibrating = np.flatnonzero(modes.exponents.imag > 0)
+        X = modes.shapes[:, vibrating].astype(complex)
+        turned = np.einsum("ij,vjm->vim", J, X.reshape(-1, len(J), X.shape[1])).reshape(X.shape)
+        M_turned = assemble(scene).mass_times(modes.configuration.q, turned)
+        along = np.imag(np.einsum("nm,nm->m", X.conj(), M_turned))
+        size = np.real(np.einsum("nm,nm->m", turned.conj(), M_turned))
+        whirl = along / np.where(size == 0, 1.0, size)
+        s_b = modes.derivatives.exponents_b
+        return _Lines(modes.exponents[vibrating], s_b[vibrating], whirl)
+
+    def chosen(self, which: Array) -> _Lines:
+        return _Lines(self.s[which], self.s_b[which], self.whirl[which])
+
+    def matched(self, following: _Lines, step: float) -> Array:
+        """Return for each mode its place among the following ones.
+
+        A smooth line has the slopes of both ends half way on either side.
+        """
+        here = self.s.imag + step / 2 * self.s_b[:, 0].imag
+        there = following.s.imag - step / 2 * following.s_b[:, 0].imag
+        apart = np.abs(here[:, None] - there)
+        return np.asarray(scipy.optimize.linear_sum_assignment(apart)[1])
+
+
+def _frame_of(scene: Scene) -> TurningFrame:
+    require_kind("scene", scene, (Scene,), "Call Scene(...).")
+    if scene.frame is None:
+        rule, repair = "needs a turning frame", "Write Scene(..., frame=TurningFrame(rate=1))."
+        raise InvalidInput("campbell, scene", rule, "one at rest", repair)
+    return scene.frame

@@ -1,0 +1,273 @@
+"""Scenes in a turning frame: contract, equilibrium, modes and their derivatives, refusals."""
+
+import numpy as np
+import pytest
+import scipy
+from numpy.polynomial.legendre import Legendre, leggauss
+
+from ancfdae import (
+    HHT,
+    Adjoint,
+    AtRest,
+    Beam,
+    Circle,
+    Clamp,
+    ComplexStep,
+    Direct,
+    Drive,
+    InvalidInput,
+    Material,
+    NodeState,
+    Pin,
+    PointMass,
+    Rectangle,
+    RigidBody,
+    RigidCylinder,
+    Scene,
+    Terminal,
+    TurningFrame,
+    Uniform,
+    Weld,
+    assemble,
+    campbell,
+    check_system,
+    equilibrium,
+    gradient,
+    modes,
+    position,
+    reaction,
+    simulate,
+    static_gradient,
+)
+
+DESIGN = [
+    "scene.rate",
+    "scene.axis_x",
+    "scene.through_y",
+    "blade.height",
+    "blade.length",
+    "tip.mass",
+    "mid.mass",
+]
+
+
+def tilted(retardation=0.0):
+    soft = Material(1000.0, 1e7, 0.3, retardation)
+    blade = Beam("blade", (0.3, 0, 0), (1.3, 0.1, 0.05), 1, Rectangle(0.05, 0.03), soft)
+    tip = RigidBody("tip", (1.3, 0.1, 0.05), mass=0.7, inertia=(0.01, 0.012, 0.015))
+    return Scene(
+        [blade],
+        [Clamp(blade.at_start, name="root"), Weld(blade.at_end, tip.at(0, 0, 0))],
+        bodies=[tip, PointMass(blade.at(0.5), 0.2, name="mid")],
+        frame=TurningFrame(5.0, axis=(1, 2, 4), through=(0.1, 0.2, -0.1)),
+    )
+
+
+def planar(rate=6.0, hub=0.3, n=4):
+    material = Material(1000.0, 1e7, 0.0)
+    blade = Beam("blade", (hub, 0), (hub + 1.0, 0), n, Rectangle(0.05, 0.03), material)
+    return Scene([blade], [Clamp(blade.at_start)], frame=TurningFrame(rate))
+
+
+def test_every_member_of_the_system_is_what_its_values_say():
+    check_system(assemble(tilted(1e-3), DESIGN), samples=1).raise_if_wrong()
+
+
+def test_a_rate_turns_centrifugal_force_out():
+    # Without bending stiffness between them: N = m w^2 r at the root of a rigid arm.
+    arm = Beam("arm", (0, 0), (2, 0), 1, Rectangle(0.1, 0.1), Material(500.0, 1e9, 0.3), rigid=True)
+    frame = TurningFrame(3.0, through=(-1.0, 0.0))
+    at = equilibrium(Scene([arm], [Clamp(arm.at_start, name="root")], frame=frame))
+    pull = at.solution.reaction("root")[0][:2]
+    mass = 500.0 * 0.1 * 0.1 * 2
+    np.testing.assert_allclose(pull, [-mass * 9.0 * 2.0, 0.0], atol=1e-9)
+
+
+def test_steady_rotation_in_a_frame_at_rest_is_the_equilibrium():
+    rate = 6.0
+    scene = planar(rate, hub=0.0)
+    at = equilibrium(scene)
+    nodes = at.solution.nodes("blade")[0]
+    turned = rate * nodes @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    blade = scene.beams[0]
+    joints = [Pin(blade.at_start), Drive(blade.at_start, Uniform(rate))]
+    start = [NodeState("blade", nodes, turned)]
+    run = simulate(Scene([blade], joints, start=start), 0.1, HHT(1e-3))
+    c, s = np.cos(rate * 0.1), np.sin(rate * 0.1)
+    # HHT-I3 errs by (rate h)^2/12 = 3e-6 of the angle in turning; stretch is 5e-5 and would vary.
+    expected = nodes[-1, 0] @ np.array([[c, s], [-s, c]])
+    np.testing.assert_allclose(run.position(blade.at_end)[-1], expected, atol=1e-5)
+    lengths = np.linalg.norm(run.position(blade.at_end), axis=1)
+    np.testing.assert_allclose(lengths - 1, nodes[-1, 0, 0] - 1, rtol=1e-2)
+
+
+def test_static_gradients_agree():
+    scene = tilted()
+    value = position(scene.beams[0].at_end, 0) + 1e-3 * reaction("root", 0)
+    given = [
+        static_gradient(scene, value, design=DESIGN, method=method)
+        for method in (Direct(), Adjoint(), ComplexStep())
+    ]
+    for other in given[1:]:
+        np.testing.assert_allclose(other.gradient, given[0].gradient, rtol=1e-10)
+
+
+def test_gradients_of_motions_in_the_frame_agree():
+    scene, end = tilted(1e-3), Terminal(position(tilted().beams[0].at_end, 2))
+    direct, adjoint, complex_step = (
+        gradient(scene, end, 0.05, HHT(0.01), design=DESIGN, method=method).gradient
+        for method in (Direct(), Adjoint(), ComplexStep())
+    )
+    np.testing.assert_allclose(adjoint, direct, rtol=1e-10)
+    np.testing.assert_allclose(complex_step, direct, rtol=1e-10)
+
+
+def test_derivatives_of_frequencies_are_those_of_the_call():
+    scene = tilted()
+    at = equilibrium(scene)
+    direct = modes(scene, 4, at=at, design=DESIGN).frequencies_b
+    adjoint = modes(scene, 4, at=at, design=DESIGN, method=Adjoint()).frequencies_b
+    np.testing.assert_allclose(adjoint, direct, rtol=1e-8, atol=1e-10 * np.max(np.abs(direct)))
+    values = assemble(scene, DESIGN).b
+    for k, name in enumerate(DESIGN):
+        h, ends = 1e-4 * abs(values[k]), []
+        for sign in (1, -1):
+            moved = scene.with_values({name: values[k] + sign * h})
+            ends.append(modes(moved, 4, at=equilibrium(moved)).frequencies)
+        # h^2 of the relative change, and round-off 1e-11 over h of the largest frequency, 430.
+        difference = (ends[0] - ends[1]) / (2 * h)
+        size = np.max(np.abs(difference))
+        np.testing.assert_allclose(direct[:, k], difference, atol=2e-6 * size)
+
+
+def ritz(speed, hub, degree=20):
+    """Flap and lead-lag of the Euler beam over sqrt(E I/(rho A L^4)); polynomials that clamp."""
+    points, weights = leggauss(2 * degree)
+    x, w = (points + 1) / 2, weights / 2
+    clamp = Legendre.fromroots([0.0, 0.0], domain=[0, 1])
+    shapes = [clamp * Legendre.basis(k, domain=[0, 1]) for k in range(degree)]
+    V, V_1, V_2 = (np.array([s.deriv(m)(x) if m else s(x) for s in shapes]).T for m in (0, 1, 2))
+    M = (V.T * w) @ V
+    tension = hub * (1 - x) + (1 - x**2) / 2
+    K = (V_2.T * w) @ V_2 + speed**2 * (V_1.T * (w * tension)) @ V_1
+    flap = scipy.linalg.eigh(K, M, eigvals_only=True, subset_by_index=[0, 1])
+    return np.sqrt(flap), np.sqrt(flap - speed**2)
+
+
+@pytest.mark.parametrize(("hub", "speed"), [(0.0, 12.0), (5.0, 6.0)])
+def test_flap_and_lead_lag_are_those_of_the_rotating_euler_beam(hub, speed):
+    size, rho, E = 0.004, 1000.0, 1e9
+    unit = np.sqrt(E * size**2 / (12 * rho))
+    blade = Beam("blade", (0, 0, 0), (1, 0, 0), 8, Rectangle(size, size), Material(rho, E, 0.0))
+    frame = TurningFrame(speed * unit, through=(-hub, 0, 0))
+    scene = Scene([blade], [Clamp(blade.at_start)], frame=frame)
+    flap, lag = ritz(speed, hub)
+    expected = np.sort([*flap, *lag])
+    # Stretch (speed^2 size^2/12) and rotary inertia change frequencies by 1e-4.
+    found = modes(scene, 4, at=equilibrium(scene)).frequencies / unit
+    np.testing.assert_allclose(found, expected, rtol=4e-4)
+
+
+def shaft():
+    rod = Beam("shaft", (0, 0, 0), (0, 0, 1), 4, Circle(0.005), Material(7850.0, 2.1e11, 0.3))
+    disc = RigidBody("disc", (0, 0, 1), shape=RigidCylinder(0.1, 0.01), density=7850.0)
+    joints = [Clamp(rod.at_start), Weld(rod.at_end, disc.at(0, 0, 0))]
+    return Scene([rod], joints, bodies=[disc], frame=TurningFrame(0.0))
+
+
+def whirl_determinant(speed, rate):
+    """Determinant of the Euler-Bernoulli shaft of `shaft`, clamped, a disc at its end."""
+    A, I, rho, E = np.pi * 0.005**2, np.pi * 0.005**4 / 4, 7850.0, 2.1e11
+    m = rho * np.pi * 0.1**2 * 0.01
+    across, polar = m * (0.1**2 / 4 + 0.01**2 / 12), m * 0.1**2 / 2
+    k = (rho * A * speed**2 / (E * I)) ** 0.25
+    C, S, c, s = np.cosh(k), np.sinh(k), np.cos(k), np.sin(k)
+    u, u_1 = np.array([C - c, S - s]), k * np.array([S + s, C - c])
+    u_2, u_3 = k**2 * np.array([C + c, S + s]), k**3 * np.array([S - s, C + c])
+    tilt = across * speed**2 - polar * rate * speed
+    return np.linalg.det([E * I * u_2 - tilt * u_1, E * I * u_3 + m * speed**2 * u]) / k**4
+
+
+def test_forward_and_backward_whirl_are_those_of_the_shaft_with_a_disc():
+    rates = [0.0, 50.0, 100.0, 150.0, 200.0]
+    diagram = campbell(shaft(), rates, 5)
+    speeds = diagram.whirl_speeds[-1]
+    bending = np.abs(diagram.whirl[-1]) > 0.99
+    assert np.sum(bending) == 4
+    for speed in speeds[bending]:
+        ends = [speed * (1 - 2e-3), speed * (1 + 2e-3)]
+        assert whirl_determinant(ends[0], 200.0) * whirl_determinant(ends[1], 200.0) < 0
+    assert np.sum(speeds[bending] > 0) == 2
+    # At rest pairs part by what gyroscopic forces do first.
+    at_rest = diagram.frequencies_b[0, :2, 0]
+    np.testing.assert_allclose(at_rest, -at_rest[::-1], rtol=1e-6)
+    assert np.abs(at_rest[0]) > 0.9
+
+
+def test_lines_of_a_campbell_diagram_are_smooth_where_they_cross():
+    diagram = campbell(shaft(), np.linspace(50.0, 200.0, 7), 5)
+    w, w_b, h = diagram.frequencies, diagram.frequencies_b[:, :, 0], 25.0
+    order = np.argsort(w, axis=1)
+    assert np.any(order[0] != order[-1])
+    # Trapezia of the slopes: what is left is h^3/12 of the third derivative.
+    np.testing.assert_allclose(np.diff(w, axis=0), h * (w_b[1:] + w_b[:-1]) / 2, atol=0.05)
+
+
+def test_a_start_at_rest_under_other_gravity_keeps_the_numbers_of_the_frame():
+    blade = spatial()
+    scene = Scene(
+        [blade],
+        [Clamp(blade.at_start)],
+        start=[AtRest(gravity=(0, 0, -9.81))],
+        frame=TurningFrame(5.0),
+    )
+
+    def end(rate):
+        run = simulate(scene.with_values({"scene.rate": rate}), 0.01, HHT(0.01))
+        return run.position(blade.at_end)[0]
+
+    system = assemble(scene, ["scene.rate"])
+    moved = system.start_b()[0][system.naming.layout.body("blade").positions[-1] * 3, 0]
+    difference = (end(5.01) - end(4.99)) / 0.02
+    np.testing.assert_allclose(moved, difference[0], rtol=1e-4)
+
+
+def spatial():
+    material = Material(1000.0, 1e7, 0.3)
+    return Beam("blade", (0, 0, 0), (1, 0, 0), 2, Rectangle(0.05, 0.03), material)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"gravity": (0, -9.81, 0)}, "along the axis of the turning frame"),
+        ({"frame": TurningFrame(1.0, through=(0, 0))}, "must have 3 components"),
+        ({"frame": 3.0}, "TurningFrame"),
+    ],
+)
+def test_what_does_not_turn_steadily_is_refused(change, said):
+    blade = spatial()
+    with pytest.raises(InvalidInput, match=said):
+        Scene([blade], [Clamp(blade.at_start)], **({"frame": TurningFrame(1.0)} | change))
+
+
+def test_the_plane_has_no_other_axis_and_its_gravity_turns():
+    blade = planar().beams[0]
+    for more in ({"frame": TurningFrame(1.0, axis=(0, 0, 1))}, {"gravity": (0, -9.81)}):
+        with pytest.raises(InvalidInput, match="turn"):
+            Scene([blade], [Clamp(blade.at_start)], **({"frame": TurningFrame(1.0)} | more))
+
+
+def test_a_joint_that_is_driven_in_the_frame_is_refused():
+    blade = planar().beams[0]
+    joints = [Pin(blade.at_start), Drive(blade.at_start, Uniform(2.0))]
+    with pytest.raises(InvalidInput, match="TurningFrame"):
+        equilibrium(Scene([blade], joints, frame=TurningFrame(1.0)))
+
+
+def test_campbell_diagrams_refuse_a_scene_at_rest_and_rates_out_of_order():
+    scene = planar()
+    with pytest.raises(InvalidInput, match="ascend"):
+        campbell(scene, [1.0, 1.0], 2)
+    with pytest.raises(InvalidInput, match="turning frame"):
+        campbell(Scene(scene.beams, scene.joints), [1.0], 2)

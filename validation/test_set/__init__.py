@@ -1,0 +1,1 @@
+"""Problems of differential-algebraic equations with published answers, and their sensitivities."""

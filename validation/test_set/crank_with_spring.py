@@ -1,0 +1,79 @@
+"""Slider-crank of the SUNDIALS example ``idasSlCrank_FSA_dns`` (C. Petra and R. Serban, LLNL).
+
+Crank angle q, slider x, angle p of the rod; a damped spring joins the middles of crank and rod, a
+force F pulls the slider and the middle of the rod.
+"""
+
+from typing import Self, final
+
+import numpy as np
+
+from ancfdae import Traits
+from validation.test_set.problem import Array, TestProblem
+
+__all__ = ["CrankWithSpring"]
+
+# Length of the crank (that of the rod is 1), J_1, m_2, J_2, free length of the spring.
+_A, _INERTIA, _FREE = 0.5, np.array([1.0, 1.0, 2.0]), 1.0
+
+
+@final
+class CrankWithSpring(TestProblem):
+    """The mechanism; design variables are the spring's stiffness k and damping c, and F."""
+
+    title, source = "slider-crank with a spring", "SUNDIALS"
+    t_end, step, integral = 10.0, 0.02, True
+    published = 3.33661556
+    digits = 1e-5
+
+    n_q, n_lam, design_names = 3, 2, ("k", "c", "F")
+    traits = Traits(constant_mass=True, velocity_forces=True)
+
+    def __init__(self, b: Array | tuple[float, ...] = (1.0, 1.0, 1.0)) -> None:
+        super().__init__(b)
+
+    def with_values(self, b: Array) -> Self:
+        """Return the problem at other values."""
+        return type(self)(b)
+
+    def observed(self, q: Array, v: Array, b: Array) -> Array:
+        """Return the kinetic energy."""
+        energy: Array = v**2 @ (0.5 * _INERTIA)
+        return energy
+
+    def start(self) -> tuple[Array, Array]:
+        """Return the crank upright, at rest."""
+        p = np.arcsin(-_A)
+        return np.array([np.pi / 2, np.cos(p), p]), np.zeros(3)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return M."""
+        return np.diag(_INERTIA)
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        """Return the spring's pull on both middles, and F."""
+        k, c, push = self.b
+        (ca, cp), (sa, sp) = np.cos(q[::2]), np.sin(q[::2])
+        # From the middle of the crank to that of the rod, and its derivatives with respect to q.
+        apart = np.array([q[1] - (cp + _A * ca) / 2, -(sp + _A * sa) / 2])
+        apart_q = np.array([[_A * sa / 2, 1, sp / 2], [-_A * ca / 2, 0, -cp / 2]])
+        square = apart @ apart
+        rate = apart @ apart_q @ v / square
+        pull = k * (1 - _FREE / np.sqrt(square)) + c * rate
+        spring: Array = -pull * (apart @ apart_q) + push * np.array([0, 1, -sp])
+        return spring
+
+    def position_constraint(self, t: float, q: Array) -> Array:
+        """Return Phi."""
+        (ca, cp), (sa, sp) = np.cos(q[::2]), np.sin(q[::2])
+        return np.array([q[1] - _A * ca - cp, -_A * sa - sp])
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """Return Phi_q."""
+        (ca, cp), (sa, sp) = np.cos(q[::2]), np.sin(q[::2])
+        return np.array([[_A * sa, 1, sp], [-_A * ca, 0, -cp]])
+
+    def gamma(self, t: float, q: Array, v: Array) -> Array:
+        """Return d^2 Phi/dt^2 without accelerations."""
+        (ca, cp), (sa, sp), (w, u) = np.cos(q[::2]), np.sin(q[::2]), v[::2] ** 2
+        return np.array([_A * ca * w + cp * u, _A * sa * w + sp * u])

@@ -1,0 +1,60 @@
+"""Simple pendulum in Cartesian coordinates (IFToMM library of benchmark problems, A01)."""
+
+from typing import Self, final
+
+import numpy as np
+
+from ancfdae import Traits
+from validation.test_set.problem import Array, TestProblem
+
+__all__ = ["SimplePendulum"]
+
+
+@final
+class SimplePendulum(TestProblem):
+    """A point on a rod, let go from the horizontal at (-L, 0); design variables L, g and m."""
+
+    title, source = "simple pendulum", "IFToMM library, A01"
+    t_end, step = 2.0, 0.04
+    published = -2.102437874436
+    digits = 1e-12
+
+    n_q, n_lam, design_names = 2, 1, ("L", "g", "m")
+    traits = Traits(constant_mass=True, velocity_forces=False)
+
+    def __init__(self, b: Array | tuple[float, ...] = (1.0, 9.81, 1.0)) -> None:
+        super().__init__(b)
+
+    def with_values(self, b: Array) -> Self:
+        """Return the problem at other values."""
+        return type(self)(b)
+
+    def observed(self, q: Array, v: Array, b: Array) -> Array:
+        """Return the momentum m v_x."""
+        momentum: Array = b[2] * v[..., 0]
+        return momentum
+
+    def start(self) -> tuple[Array, Array]:
+        """Return the start, which depends on L."""
+        return np.array([-self.b[0], 0.0]), np.zeros(2)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return M."""
+        M: Array = self.b[2] * np.eye(2)
+        return M
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        """Return the weight."""
+        return np.array([0, -self.b[1] * self.b[2]])
+
+    def position_constraint(self, t: float, q: Array) -> Array:
+        """Return Phi."""
+        return np.array([(q @ q - self.b[0] ** 2) / 2])
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """Return Phi_q."""
+        return q[None]
+
+    def gamma(self, t: float, q: Array, v: Array) -> Array:
+        """Return d^2 Phi/dt^2 without accelerations."""
+        return np.array([v @ v])
