@@ -128,12 +128,11 @@ INLINE void NAME(forces_along_)(int n_y, int d, const NAME(block) *b, int one, c
     }
 }
 
-/* Values of a tangent on a pattern with nnz entries: in q, in v, or in q with stresses that are
- * extrapolated along v. */
+/* Values of the tangent on a pattern with nnz entries; of damping, in V, where asked for. */
 INLINE void NAME(tangents_)(int n_y, int d, const NAME(block) *b, const T *q, const T *v,
-                            int which, const npy_int32 *index, npy_intp nnz, T *values)
+                            int damping, const npy_int32 *index, npy_intp nnz, T *values)
 {
-    T Y[MOST_M], V[MOST_M], K[MOST_M * MOST_WIDE], p[MOST_G];
+    T Y[MOST_M], V[MOST_M], K[MOST_M * MOST_WIDE];
     int size = (n_y + 1) * d, wide = d == 3 ? 4 : d;
     for (npy_intp k = 0; k < b->k; k++)
         for (npy_intp e = 0; e < b->n; e++) {
@@ -142,15 +141,10 @@ INLINE void NAME(tangents_)(int n_y, int d, const NAME(block) *b, const T *q, co
             NAME(gather)(n_y, d, vectors, q + k * b->n_q, Y);
             if (v)
                 NAME(gather)(n_y, d, vectors, v + k * b->n_q, V);
-            if (which == IN_V)
+            if (damping)
                 NAME(damping_tangent)(n_y, d, wide, &own, Y, K);
-            else if (which == EXTRAPOLATED) {
-                NAME(extrapolated)(n_y, d, &own, Y, V, p);
-                NAME(tangent)(n_y, d, wide, &own, p, Y, NULL, K);
-            } else {
-                NAME(stress)(n_y, d, &own, Y, v ? V : NULL, p);
-                NAME(tangent)(n_y, d, wide, &own, p, Y, v ? V : NULL, K);
-            }
+            else
+                NAME(tangent)(n_y, d, wide, &own, Y, v ? V : NULL, K);
             NAME(spread_tangent)(n_y, d, wide, index + e * size * size, K, values + k * nnz);
         }
 }
@@ -207,9 +201,9 @@ CLONES static void NAME(forces_along)(int n_y, int d, const NAME(block) *b, int 
 }
 
 CLONES static void NAME(tangents)(int n_y, int d, const NAME(block) *b, const T *q, const T *v,
-                                  int which, const npy_int32 *index, npy_intp nnz, T *values)
+                                  int damping, const npy_int32 *index, npy_intp nnz, T *values)
 {
-    OF_SIZE(tangents_, b, q, v, which, index, nnz, values)
+    OF_SIZE(tangents_, b, q, v, damping, index, nnz, values)
 }
 
 static void NAME(stressed_each)(int n_y, int d, npy_intp n, const T *p, const T *Y, T *F)

@@ -151,27 +151,15 @@ INLINE void NAME(widened)(int n_y, int d, int wide, T scale, const T *Y, T *wide
             wide_Y[i * wide + c] = c < d ? scale * Y[i * d + c] : 0;
 }
 
-/* Stresses from the strains at Y - U, extrapolated along U to Y: without its square. */
-INLINE void NAME(extrapolated)(int n_y, int d, const NAME(element) *e, const T *Y, const T *U, T *p)
-{
-    int n_g = n_y * (n_y + 1) / 2;
-    T x[MOST_G], square[MOST_G];
-    NAME(strain)(n_y, d, e->g_o, Y, 0, NULL, x);
-    NAME(gram)(n_y, d, U, U, square);
-    for (int k = 0; k < n_g; k++)
-        x[k] -= square[k] / 2;
-    NAME(stress_of)(n_g, e, x, p);
-}
-
-/* K^T of K = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V)) (eq. 19) for stresses p: m rows of n_y times
- * `wide`. */
-INLINE void NAME(tangent)(int n_y, int d, int wide, const NAME(element) *e, const T *p, const T *Y,
-                          const T *V, T *K)
+/* K^T of K = W(p) (x) I_d + G(Y)^T A (G(Y) + tau G(V)) (eq. 19): m rows of n_y times `wide`. */
+INLINE void NAME(tangent)(int n_y, int d, int wide, const NAME(element) *e, const T *Y, const T *V,
+                          T *K)
 {
     int row = n_y * wide;
-    T X[MOST_WIDE], wide_Y[MOST_WIDE];
+    T p[MOST_G], X[MOST_WIDE], wide_Y[MOST_WIDE];
     for (int k = 0; k < n_y * d * row; k++)
         K[k] = 0;
+    NAME(stress)(n_y, d, e, Y, V, p);
     for (int i = 0, k = 0; i < n_y; i++)
         for (int j = i; j < n_y; j++, k++)
             for (int c = 0; c < d; c++) {

@@ -86,9 +86,6 @@ static step_coefficients coefficients_of_step(double h, double alpha)
     return c;
 }
 
-/* Which tangent: in q, in v, or in q with stresses that are extrapolated. */
-enum { IN_Q, IN_V, EXTRAPOLATED };
-
 static double seconds_now(void)
 {
     struct timespec now;

@@ -1,8 +1,6 @@
 /* Newton's method for equilibria under part of the load (docs/theory, statics), in real numbers.
  *
- * `statics/balance.py` says what the equations are, and what stops an iteration. The stresses in the
- * geometric part of a tangent are those of the last iteration, extrapolated along its correction:
- * those that a large turn has stretched a beam by would make the next correction overshoot.
+ * `statics/balance.py` says what the equations are, and what stops an iteration.
  */
 
 /* How a search ends: solved, or not, for want of digits that the matrix has lost, of a band that an
@@ -52,15 +50,12 @@ static int rest_residual(const plan_real *p, room_real *r, const rest_problem *x
     return sum == 0;
 }
 
-/* f_q at r->q and r->lam, with stresses extrapolated along the last correction where there is one;
- * its diagonal to r->A. */
-static void rest_tangent(const plan_real *p, room_real *r, const rest_problem *x,
-                         const double *last)
+/* f_q at r->q and r->lam; its diagonal, with that of mu M, to r->A. */
+static void rest_tangent(const plan_real *p, room_real *r, const rest_problem *x)
 {
     const csr_real *K = &p->K;
     memset(r->f_q, 0, (size_t)p->nnz * sizeof(double));
-    tangents_real(p->n_y, p->d, &p->block, r->q, last, last ? EXTRAPOLATED : IN_Q, p->index, p->nnz,
-                  r->f_q);
+    tangents_real(p->n_y, p->d, &p->block, r->q, NULL, 0, p->index, p->nnz, r->f_q);
     constraint_curvature_real(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
     load_tangents_real(p, r, x->of_loads, 0, r->f_q);
     for (npy_intp i = 0; i < p->n_q; i++)
@@ -172,12 +167,11 @@ static int rest_iterated(const plan_real *p, room_real *r, const rest_problem *x
     for (to->iterations = 1; to->iterations <= x->rules.iterations; to->iterations++) {
         if (!rest_residual(p, r, x))
             return REST_NOT_FINITE;
-        rest_tangent(p, r, x, to->iterations > 1 ? r->a : NULL);
+        rest_tangent(p, r, x);
         int failed = rest_factored(p, r, x->rules.mu);
         if (failed)
             return failed;
         rest_solved(p, r);
-        memcpy(r->a, r->x, (size_t)p->n_q * sizeof(double));
         for (npy_intp i = 0; i < p->n_q; i++)
             r->q[i] += r->x[i];
         for (npy_intp i = 0; i < p->n_lam; i++)
@@ -213,7 +207,7 @@ static int rested(const plan_real *p, room_real *r, const rest_problem *x, rest_
         why = rest_iterated(p, r, x, to);
     else {
         jacobian_at_real(p, r, r->c, r->q);
-        rest_tangent(p, r, x, NULL);
+        rest_tangent(p, r, x);
         why = rest_factored(p, r, x->rules.mu);
     }
     memcpy(to->q, r->q, of_q);
@@ -222,7 +216,7 @@ static int rested(const plan_real *p, room_real *r, const rest_problem *x, rest_
         return why;
     rest_path(p, r, x, to);
     jacobian_at_real(p, r, r->c, r->q);
-    rest_tangent(p, r, x, NULL);
+    rest_tangent(p, r, x);
     to->definite = rest_definite(p, r, x->rules.mu, x->rules.shift);
     return why;
 }

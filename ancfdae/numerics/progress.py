@@ -29,7 +29,7 @@ class _Hidden:
 def progress_bar(shown: bool, items: Iterable[Any] | None = None, **settings: Any) -> Any:
     """Return a bar over items, or over a `total`, as tqdm makes it."""
     if not shown:
-        return _Hidden(items or ())
+        return _Hidden(() if items is None else items)
     from tqdm import tqdm
 
     return tqdm(items, **settings)

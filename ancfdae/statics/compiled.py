@@ -1,7 +1,6 @@
 """Newton's method for equilibria by the kernel, for a system that is a plan of arrays (`rest.h`).
 
-It solves the equations of `balance.py` by the same rules; the geometric part of its tangent has
-stresses extrapolated along the last correction (docs/theory/11-statics.md).
+It solves the equations of `balance.py` by the same rules.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import MechanicalSystem
+from ancfdae.equations import MechanicalSystem, PlannedSystem
 from ancfdae.kernels import RULES, Plan, Rest, prepare, rest
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import SaddlePoint
@@ -60,7 +59,7 @@ class CompiledRest:
         cls, system: MechanicalSystem, matrices: SaddlePoint, t: float, known: Known
     ) -> CompiledRest | None:
         """Return None for a system that is no plan, or whose matrices need another solver."""
-        plan = system.plan
+        plan = system.plan if isinstance(system, PlannedSystem) else None
         if plan is None or np.iscomplexobj(known.q_0) or matrices.layout(band=False) is None:
             return None
         return cls(plan, matrices, t, known)
