@@ -14,7 +14,16 @@ from typing import Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ancfdae import Harmonic, InvalidInput, Law, Point, RigidBody, Scene, assemble
+from ancfdae import (
+    Harmonic,
+    InvalidInput,
+    Law,
+    Point,
+    RigidBody,
+    RunUp,
+    Scene,
+    assemble,
+)
 from ancfdae.model import laws
 from ancfdae.model.joints import DrivenJoint, Equations
 
@@ -130,6 +139,8 @@ _LAW_FIELDS = {
     "values": (0.3, -0.5, 0.8, 0.6, 0.1),
     "period": 4.5,
     "function": _wave,
+    "before": Harmonic(0.4, 3.0, 0.2, 0.1),
+    "after": RunUp(2.0, 1.0, 0.3, 1.6),
 }
 #: An instant at which all examples of laws vary, more than 0.3 s from the times of a spline.
 LAW_TIME = 2.3

@@ -10,6 +10,7 @@ import pytest
 
 from ancfdae import (
     Beam,
+    Change,
     Constant,
     Drive,
     Harmonic,
@@ -19,6 +20,7 @@ from ancfdae import (
     Pin,
     Ramp,
     Rectangle,
+    RunUp,
     Scene,
     Spline,
     Uniform,
@@ -116,6 +118,35 @@ def test_laws_are_what_their_formulas_say():
     assert Ramp(2.0, 5.0, 2.0, 1.0).at([0.0, 1.0, 2.0, 3.0, 4.0]).tolist() == [2, 2, 3.5, 5, 5]
 
 
+def test_a_run_up_has_the_rate_of_a_ramp_and_holds_it():
+    t = np.linspace(-1.0, 5.0, 25)
+    run_up, ramp = RunUp(6.0, 2.0, 0.3, 1.0), Ramp(0.0, 6.0, 2.0, 1.0)
+    for order in range(3):
+        assert run_up.at(t, order + 1) == pytest.approx(ramp.at(t, order), abs=1e-13)
+    assert run_up.at([0.0, 1.0, 3.0, 4.0]) == pytest.approx([0.3, 0.3, 6.3, 12.3], abs=1e-13)
+
+
+def test_a_change_is_one_law_before_and_another_after():
+    law = Change(Change(Constant(0.2), Uniform(2.0, 0.5), 0.4, 1.0), Harmonic(0.3, 5.0), 0.5, 2.0)
+    for t, piece in ((0.7, Constant(0.2)), (1.7, Uniform(2.0, 0.5)), (2.9, Harmonic(0.3, 5.0))):
+        for order in range(4):
+            assert law.at(t, order) == pytest.approx(piece.at(t, order), abs=1e-13)
+    assert Change(Constant(2.0), Constant(5.0), 2.0, 1.0).at(2.2) == pytest.approx(
+        Ramp(2.0, 5.0, 2.0, 1.0).at(2.2), abs=1e-14
+    )
+
+
+def test_both_laws_of_a_change_are_design_targets():
+    law = Change(Uniform(2.0), Uniform(3.0), 1.0, 1.0)
+    names = [f"{side}_{x}" for side in ("before", "after") for x in Uniform(2.0).parameters()]
+    assert list(law.parameters()) == [*names, "duration", "begin"]
+    changed = law.with_parameters({"after_speed": 4.0})
+    assert (changed.before, changed.after) == (Uniform(2.0), Uniform(4.0))
+    rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 1, Rectangle(0.05, 0.04), Material(1e3, 1e7, 0.3))
+    scene = Scene([rod], [Pin(rod.at_start), Drive(rod.at_start, law, name="motor")])
+    assert assemble(scene, ["motor.before_speed"]).b == pytest.approx([2.0])
+
+
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_a_spline_passes_through_its_values_and_is_constant_outside(count):
     rng = np.random.default_rng(count)
@@ -197,6 +228,9 @@ def test_user_law_divides_by_whole_numbers_and_by_functions():
         (lambda: Spline((0.0, 1.0), (0.0, 1.0), period=1.0), "must exceed"),
         (lambda: Ramp(0.0, 1.0, 0.0), "positive"),
         (lambda: Constant("fast"), "finite"),
+        (lambda: RunUp(1.0, 0.0), "positive"),
+        (lambda: Change(Constant(1.0), 2.0, 1.0, 0.0), "Law"),
+        (lambda: UserLaw(lambda t: np.where(t < 1, 0.0, 1.0)), "joined by Change"),
     ],
 )
 def test_what_is_no_law_is_refused(law, words):

@@ -111,7 +111,14 @@ class Assembly:
         self._free, d = np.flatnonzero(free), declared.Z.shape[1]
         is_shift = np.broadcast_to(np.arange(motions.n_x) < d, free.shape).ravel()
         self._shift = is_shift[self._free]
-        self._units = np.where(self._shift, self._size, 1.0)
+        self._all = free.size
+
+    @cached_property
+    def _freedom(self) -> scipy.sparse.csr_array:
+        """Free motions in their units, as columns of all."""
+        units = np.where(self._shift, self._size, 1.0)
+        place = self._free, np.arange(len(self._free))
+        return scipy.sparse.csr_array((units, place), shape=(self._all, len(self._free)))
 
     @cached_property
     def _rates(self) -> Assembly:
@@ -148,7 +155,9 @@ class Assembly:
         At values nearby bodies come as near to the joints as they can, and are strained.
         """
         none = np.zeros(0)
-        y, rates = ((found[0].real, none, none) for found in (self._positions, self._velocities))
+        y, rates = (
+            (unknowns[0].real, none, none) for unknowns in (self._positions, self._velocities)
+        )
         inverses = LeastNorm(self._position_matrix(y)), LeastNorm(self._velocity_matrix(1))
         return self._followed(moved, y, rates, inverses)
 
@@ -183,14 +192,14 @@ class Assembly:
             # What is declared stands; a perturbation follows it.
             F = self._position_equations(self._declared, y)
             return _plus(y, -1j * LeastNorm(self._position_matrix(y)).solve(F.imag))
-        found = self._search(self._soft)
-        if found is not None and (self._soft or self._fits(found)):
-            return found
+        closing = self._search(True) if self._soft else self._nearest
+        if closing is not None and (self._soft or self._fits(closing)):
+            return closing
         closed = [] if self._soft else self._from_elsewhere()
         if closed:
             return min(closed, key=self._turned)
-        if found is not None:
-            return found
+        if closing is not None:
+            return closing
         raise InconsistentStart(
             "assembly",
             "rigid motions of the bodies must close all joints",
@@ -201,12 +210,12 @@ class Assembly:
 
     def _from_elsewhere(self) -> list[_Unknowns]:
         """Newton's method from bodies turned at random, the same each time; what fits."""
-        generator, found = np.random.default_rng(0), []
+        generator, unknowns = np.random.default_rng(0), []
         for _ in range(_RESTARTS):
             x, sigma, rho = self._start(False)
             x[~self._shift] = generator.uniform(-_FARTHEST, _FARTHEST, np.sum(~self._shift))
-            found.append(self._search(False, (self._nearer(x), sigma, rho)))
-        return [y for y in found if y is not None and self._fits(y)]
+            unknowns.append(self._search(False, (self._nearer(x), sigma, rho)))
+        return [y for y in unknowns if y is not None and self._fits(y)]
 
     def _nearer(self, x: Array) -> Array:
         """Damped steps of Gauss and Newton towards closed joints, where Newton's goes anywhere."""
@@ -242,8 +251,12 @@ class Assembly:
         """Whether bodies only come as near to their joints as rigid motions can."""
         if not (self._moves and self._strains):
             return False
-        found = self._search(False)
-        return found is None or self._open(found[0]) > _CLOSED
+        return self._nearest is None or self._open(self._nearest[0]) > _CLOSED
+
+    @cached_property
+    def _nearest(self) -> _Unknowns | None:
+        """Closed joints, or what Newton's method takes for them."""
+        return self._search(False)
 
     def _start(self, soft: bool) -> _Unknowns:
         rows = np.zeros(0 if soft else self._rows)
@@ -281,20 +294,18 @@ class Assembly:
         T = self._motions.tangent(Z, motion)
         Phi = self.left(q).real[: self._rows]
         loads = (sigma, Phi, rho) if len(sigma) == len(Phi) else (Phi,)
-        bends = [self._bend(Z, motion, q, T, s) for s in loads]
-        return self._matrix(self._jacobian(q, T), bends)
+        moving = self._motions.matrix(T) @ self._freedom
 
-    def _bend(
-        self, Z: Array, motion: Array, q: Array, T: Array, multipliers: Array
-    ) -> scipy.sparse.csr_array:
-        """(J^T s)_x with s held: curvature of the joints, and of the turns."""
-        lam = self._spread(multipliers)
-        constraints, matrix = self._declared.constraints, self._motions.matrix(T)
-        values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
-        force = constraints.reaction(0.0, q, lam).real
-        own = self._motions.curvature(Z, motion, force)
-        bend = matrix.T @ (self._pattern.csr(values) @ matrix) + self._motions.blocks(own)
-        return self._scaled(bend.tocsr()[self._free], self._units)
+        def bend(multipliers: Array) -> scipy.sparse.csr_array:
+            """(J^T s)_x with s held: curvature of the joints, and of the turns."""
+            lam, constraints = self._spread(multipliers), self._declared.constraints
+            values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
+            force = constraints.reaction(0.0, q, lam).real
+            turns = self._motions.blocks(self._motions.curvature(Z, motion, force))
+            of_joints = moving.T @ (self._pattern.csr(values) @ moving)
+            return of_joints + self._freedom.T @ turns @ self._freedom
+
+        return self._matrix(self._jacobian(q, T), [bend(s) for s in loads])
 
     @cached_property
     def _position_inverse(self) -> LeastNorm:
@@ -351,7 +362,7 @@ class Assembly:
         """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
         none = self._motions.none
         motion = none.astype(x.dtype).ravel()
-        motion[self._free] = self._units * x
+        motion += self._freedom @ x
         return motion.reshape(none.shape)
 
     def _placed(self, declared: Declared, x: Array) -> Array:
@@ -364,8 +375,8 @@ class Assembly:
 
         def work(multipliers: Array) -> Array:
             force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
-            collected: Array = self._motions.collect(T, force).ravel()[self._free]
-            return self._units * collected
+            collected: Array = self._freedom.T @ self._motions.collect(T, force).ravel()
+            return collected
 
         x, sigma, rho = y
         shift = self._shift
@@ -384,13 +395,8 @@ class Assembly:
         """J, dimensionless, shape (n_rows, n_free)."""
         constraints = self._declared.constraints
         B = constraints.pattern.csr(constraints.constraint_q(0.0, q).real)[: self._rows]
-        return self._scaled(B @ self._motions.matrix(T), self._weights[: self._rows])
-
-    def _scaled(self, matrix: scipy.sparse.csr_array, rows: Array) -> scipy.sparse.csr_array:
-        """Return columns of free motions in their units, and rows in those given."""
-        own = matrix[:, self._free].tocoo()
-        values = own.data * rows[own.row] * self._units[own.col]
-        return scipy.sparse.csr_array((values, (own.row, own.col)), shape=own.shape)
+        rows = scipy.sparse.diags_array(self._weights[: self._rows])
+        return (rows @ B @ (self._motions.matrix(T) @ self._freedom)).tocsr()
 
     def _matrix(
         self, J: scipy.sparse.csr_array, bends: Sequence[scipy.sparse.csr_array]

@@ -1,7 +1,5 @@
 """Elements of one beam of a scene, for what is asked of its sections."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar, final
@@ -58,12 +56,12 @@ class BeamElements:
         self.coordinates = numbering.coordinates(vectors)
         self._mapping = mapping
 
-    def outline(self, own: Batch) -> tuple[Array, Array]:
+    def outline(self, batch: Batch) -> tuple[Array, Array]:
         """Return y and z of outer points of sections, shape (n, n_f) each.
 
         In the plane the lowest, the highest and the middle, where bending and shear are largest.
         """
-        y, z = own.kind.section.outline(own.sizes)
+        y, z = batch.kind.section.outline(batch.sizes)
         if self.element.d == 2:
             low, high = (y[:, pick(y[0].real)] for pick in (np.argmin, np.argmax))
             y = np.stack([low, (low + high) / 2, high], axis=1)
@@ -86,7 +84,7 @@ class BeamElements:
 
         The latter as pairs of element and design variable, shape (2, n_pairs), with their weights.
         """
-        mapping, found = self._mapping, []
+        mapping, laws = self._mapping, []
         for which in mapping.driven():
             pairs = mapping.pairs(which)
             pairs = pairs[np.isin(mapping.elements[pairs], self.numbers)]
@@ -94,5 +92,5 @@ class BeamElements:
                 elements = mapping.elements[pairs] - self.numbers[0]
                 targets = np.stack([elements, mapping.variables[pairs]])
                 law, step = law_at(self.batch.moved(which)), self.batch.step(which)
-                found.append((law, step, targets, mapping.weights[pairs]))
-        return found
+                laws.append((law, step, targets, mapping.weights[pairs]))
+        return laws

@@ -1,7 +1,5 @@
 """Forces and stresses in the sections of beams, prepared when they are first asked for."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import final
 
@@ -72,12 +70,12 @@ class BeamSections:
         ------
         InvalidInput
         """
-        own, _ = self._element(point)
-        section, sizes = own.batch.kind.section, own.batch.sizes[0].real.tolist()
+        element, _ = self._element(point)
+        section, sizes = element.batch.kind.section, element.batch.sizes[0].real.tolist()
         section = section.with_sizes(dict(zip(section.size_names(), sizes, strict=True)))
         require_in_section(where, point, section.half_extents)
         # In the plane a point stands for all of the width.
-        if own.element.d == 3 and not section.holds(point.y, point.z):
+        if element.element.d == 3 and not section.holds(point.y, point.z):
             raise InvalidInput(
                 where,
                 "there must be material at the point",
@@ -88,17 +86,17 @@ class BeamSections:
     def stress_at(self, point: Point) -> StressPoints:
         """Return what gives the stress at a point of a beam."""
         if point not in self._stresses:
-            own, xi = self._element(point)
+            element, xi = self._element(point)
             y, z = np.full((1, 1), point.y), np.full((1, 1), point.z)
             places = partial(_held, (y, z))
-            self._stresses[point] = StressPoints(own, np.array([xi]), places)
+            self._stresses[point] = StressPoints(element, np.array([xi]), places)
         return self._stresses[point]
 
     def stress_over(self, beam: str) -> StressPoints:
         """Return what gives stresses at the outer points of all sections of a beam."""
         if beam not in self._stresses:
-            own = self._elements(beam, slice(None))
-            self._stresses[beam] = StressPoints(own, _STRESS_PLACES, own.outline)
+            elements = self._elements(beam, slice(None))
+            self._stresses[beam] = StressPoints(elements, _STRESS_PLACES, elements.outline)
         return self._stresses[beam]
 
     def _element(self, point: Point) -> tuple[BeamElements, float]:
@@ -119,6 +117,6 @@ class BeamSections:
         return BeamElements(body, place, self._numbering, mapping, values, elements)
 
 
-def _held(places: tuple[Array, Array], own: Batch) -> tuple[Array, Array]:
+def _held(places: tuple[Array, Array], batch: Batch) -> tuple[Array, Array]:
     """Places in a section that no parameter moves."""
     return places

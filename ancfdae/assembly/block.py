@@ -1,7 +1,5 @@
 """Elements as one block: their invariants, prepared once per distinct element."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -127,10 +125,10 @@ def _distinct(
     _, kept, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
     order, parts = [], []
     for number, (its, each) in enumerate(kinds):
-        own = kept[kind[kept] == number]
+        members = kept[kind[kept] == number]
         order.append(np.flatnonzero(kind[kept] == number))
-        batch = Batch(each, parameters[own], Y_unit[own][:, relative_places(its, element)])
-        parts.append(widened(prepare(its, batch, wanted, owners[own]), its, element))
+        batch = Batch(each, parameters[members], Y_unit[members][:, relative_places(its, element)])
+        parts.append(widened(prepare(its, batch, wanted, owners[members]), its, element))
     return joined(parts, np.argsort(np.concatenate(order))), index.ravel()
 
 
@@ -149,9 +147,9 @@ def _kinds(beams: Sequence[BeamBody]) -> tuple[list[tuple[BeamElement, ElementTy
     kinds: dict[tuple[object, ...], tuple[BeamElement, ElementType]] = {}
     places = []
     for beam in beams:
-        own = beam.element_type()
-        key = (beam.element, own.section.form(), own.energy, own.straight)
-        kinds.setdefault(key, (beam.element, own))
+        kind = beam.element_type()
+        key = (beam.element, kind.section.form(), kind.energy, kind.straight)
+        kinds.setdefault(key, (beam.element, kind))
         places.append(np.full(beam.element_count, list(kinds).index(key)))
     return list(kinds.values()), np.concatenate(places)
 

@@ -1,7 +1,5 @@
 """Elastic and internal damping forces of all elements that deform, with design derivatives."""
 
-from __future__ import annotations
-
 from typing import final
 
 import numpy as np
@@ -53,8 +51,8 @@ class ElasticForces:
     ) -> None:
         self._block, self._n_b, self._size = block, n_b, pattern.size
         vectors, d = numbering.vectors, numbering.d
-        own = block.A, block.g_o, block.p_o, block.tau
-        self._elements = Block(*own, vectors, d, numbering.n_q)
+        invariants = block.A, block.g_o, block.p_o, block.tau
+        self._elements = Block(*invariants, vectors, d, numbering.n_q)
         n, size = len(vectors), vectors.shape[1] * d
         self._coordinates = numbering.coordinates(vectors).reshape(n, size)
         at = self._coordinates
@@ -87,14 +85,14 @@ class ElasticForces:
         Relative node vectors carry eps |q| each, and forces the tangent times that; all terms
         by their magnitude, in the norm sqrt(sum Q^2 / weights).
         """
-        own, (n, size) = self._coordinates, self._coordinates.shape
+        places, (n, size) = self._coordinates, self._coordinates.shape
         apart = np.arange(n * size**2, dtype=np.int32).reshape(n, size**2)
         block = self._elements
         p_o = None if block.p_o is None else block.p_o.real
         real = block._replace(A=block.A.real, g_o=block.g_o.real, p_o=p_o, tau=None)
         K = np.abs(tangents(real, q.real, None, False, apart, apart.size)).reshape(n, size, size)
-        F = np.matmul(K, np.abs(q)[own][..., None])
-        Q = np.finfo(float).eps * np.bincount(own.ravel(), F.ravel(), minlength=len(q))
+        F = np.matmul(K, np.abs(q)[places][..., None])
+        Q = np.finfo(float).eps * np.bincount(places.ravel(), F.ravel(), minlength=len(q))
         return float(np.sqrt(np.sum(Q * Q / weights)))
 
     def relative(self, q: Array) -> Array:

@@ -1,7 +1,5 @@
 """Which right angles of sections joints hold already, or need not hold."""
 
-from __future__ import annotations
-
 from collections.abc import Container
 from typing import final
 
@@ -45,8 +43,8 @@ class HeldAngles:
         weights = np.zeros((1, beam.element_count + 1))
         weights[0, element], weights[0, element + 1] = 1 - xi, xi
         held = self._flat.get(angle.beam, weights[:0])
-        found = np.vstack([held, weights])
-        if np.linalg.matrix_rank(found, tol=_NEAR) == len(held):
+        both = np.vstack([held, weights])
+        if np.linalg.matrix_rank(both, tol=_NEAR) == len(held):
             return False
-        self._flat[angle.beam] = found
+        self._flat[angle.beam] = both
         return True

@@ -1,7 +1,5 @@
 """Mass matrix of a scene, its design derivatives, and gravity."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import final
@@ -65,8 +63,10 @@ class Inertia:
         # A direction of a rigid body may have no inertia of its own: a straight cable has none
         # across its axis, and what its integral leaves is round-off.
         directions = numbering.coordinates(numbering.frames[:, 1:])
-        own = self.weights[directions]
-        self.weights[directions] = np.maximum(own, _LEAST * np.max(own, axis=1, keepdims=True))
+        weights = self.weights[directions]
+        self.weights[directions] = np.maximum(
+            weights, _LEAST * np.max(weights, axis=1, keepdims=True)
+        )
         (field, field_b), shape = gravity, (n_q // d, d)
         positions = np.concatenate([body.positions for body in numbering.bodies])
         self.places = np.zeros(shape[0])
@@ -80,8 +80,10 @@ class Inertia:
     @cached_property
     def _M(self) -> LinearMap:
         # Two of three entries of a spatial element are zero: masses do not couple directions.
-        kept, own = np.flatnonzero(self.values), self._pattern
-        return LinearMap.of(own.rows[kept], own.columns[kept], self.values[kept], own.shape)
+        kept, pattern = np.flatnonzero(self.values), self._pattern
+        return LinearMap.of(
+            pattern.rows[kept], pattern.columns[kept], self.values[kept], pattern.shape
+        )
 
     @cached_property
     def _M_b(self) -> LinearMap:
@@ -90,7 +92,7 @@ class Inertia:
         rows, columns, values = self._entries(paired)
         counts = [self._d * x.vectors.shape[1] ** 2 for x in self._blocks]
         variables = zip((x.pair_variable for x in self._blocks), counts, strict=True)
-        variable = np.concatenate([np.repeat(own, count) for own, count in variables])
+        variable = np.concatenate([np.repeat(numbers, count) for numbers, count in variables])
         shape = (self._n_q * self._n_b, self._n_q)
         return LinearMap.of(variable * self._n_q + rows, columns, values, shape)
 
@@ -148,8 +150,8 @@ class Inertia:
         """Design partial of v^T M v of one owner or of all, shape (k, n_b)."""
         result = np.zeros((len(v), self._n_b), dtype=v.dtype)
         for block, products in self._pair_products(v, v):
-            own = products * block.chosen(owner)[block.pair_block]
-            np.add.at(result.T, block.pair_variable, own.T)
+            chosen = products * block.chosen(owner)[block.pair_block]
+            np.add.at(result.T, block.pair_variable, chosen.T)
         return result
 
     def owner_times(self, v: Array, owner: int) -> Array:
@@ -158,9 +160,9 @@ class Inertia:
         # Vectors first: entries that come twice are added along the first axis.
         result = np.zeros((X.shape[1], len(v), self._d), dtype=np.result_type(v, self.values))
         for block in self._blocks:
-            own = np.flatnonzero(block.chosen(owner))
-            products = np.einsum("nab,knbd->nakd", block.m[own], X[:, block.vectors[own]])
-            np.add.at(result, block.vectors[own], products)
+            chosen = np.flatnonzero(block.chosen(owner))
+            products = np.einsum("nab,knbd->nakd", block.m[chosen], X[:, block.vectors[chosen]])
+            np.add.at(result, block.vectors[chosen], products)
         return result.swapaxes(0, 1).reshape(v.shape)
 
     def _pair_products(self, a: Array, x: Array) -> Iterator[tuple[MassBlocks, Array]]:

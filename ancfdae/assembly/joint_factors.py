@@ -1,7 +1,5 @@
 """Factors of time that coefficients of driven joints have, of all joints at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import final
 
@@ -72,6 +70,6 @@ class JointFactors:
             for i in np.flatnonzero(np.any(slot.item.p_b, axis=0)).tolist():
                 moved = slot.item.moved(i)
                 for order in range(orders):
-                    own = moved.factors(t, order).imag.T / STEP
-                    result[i, order, :, slot.parts] = own
+                    slopes = moved.factors(t, order).imag.T / STEP
+                    result[i, order, :, slot.parts] = slopes
         return result

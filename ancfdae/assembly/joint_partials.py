@@ -1,7 +1,5 @@
 """What design variables change in the numbers of joints."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final
@@ -25,14 +23,14 @@ class JointPartials:
     @cached_property
     def arrays(self) -> tuple[Array, ...]:
         """What `constraint_totals` takes: variable, number, first, part, entry, value."""
-        numbers, variable, first, found = [], [0], [0], [(np.zeros(0, dtype=np.int64),) * 3]
+        numbers, variable, first, changes = [], [0], [0], [(np.zeros(0, dtype=np.int64),) * 3]
         for i in range(self.n_b):
-            for number, own in self._reached(i):
+            for number, change in self._reached(i):
                 numbers.append(number)
-                found.append(own)
-                first.append(first[-1] + len(own[0]))
+                changes.append(change)
+                first.append(first[-1] + len(change[0]))
             variable.append(len(numbers))
-        part, entry, value = (np.concatenate(x) for x in zip(*found, strict=True))
+        part, entry, value = (np.concatenate(x) for x in zip(*changes, strict=True))
         indices = (np.asarray(x, np.int32) for x in (variable, numbers, first, part, entry))
         return *indices, value.real.astype(float)
 
@@ -51,13 +49,13 @@ class JointPartials:
         for number, slot in enumerate(structure.slots):
             ends = vectors.first[[slot.vectors.start * vectors.d, slot.vectors.stop * vectors.d]]
             within = slice(*np.searchsorted(changed, ends).tolist())
-            own = [(np.zeros_like(changed[within]), changed[within], change[within])]
+            changes = [(np.zeros_like(changed[within]), changed[within], change[within])]
             driven = False
             if i in slot.item.active:
                 part, at, value = slot.partials(i)
-                own.append((part, entries + at, value))
+                changes.append((part, entries + at, value))
                 driven = slot.parts.start < slot.parts.stop and bool(np.any(slot.item.p_b[:, i]))
-            part, at, value = (np.concatenate(x) for x in zip(*own, strict=True))
+            part, at, value = (np.concatenate(x) for x in zip(*changes, strict=True))
             if driven or len(at):
                 reached.append((number, (part, at, value)))
         return reached

@@ -89,8 +89,8 @@ class JointStructure:
             )
             ahead = 0, begin[-1, 1], begin[-1, 1] + begin[-1, 2]
             at = [np.arange(*x) for x in zip(first[1:4] + ahead, last[1:4] + ahead, strict=True)]
-            own = slice(vector, int(last[0])), slice(part, int(last[4]))
-            slots.append(Slot(item, *own, shape.linear, shape.products, np.concatenate(at)))
+            places = slice(vector, int(last[0])), slice(part, int(last[4]))
+            slots.append(Slot(item, *places, shape.linear, shape.products, np.concatenate(at)))
             r, i, axis = shape.linear
             of_linear = np.array([row + r, (vector + i) * d + axis])
             r, i, j = shape.products
@@ -115,12 +115,12 @@ class JointStructure:
 
     def moving(self) -> tuple[Array, Array, Array, Array]:
         """Return what moves: counts to the begin of each joint, entries, parts and values."""
-        counts, found = [0], [(np.zeros(0, dtype=np.int64),) * 2 + (np.zeros(0),)]
+        counts, moving = [0], [(np.zeros(0, dtype=np.int64),) * 2 + (np.zeros(0),)]
         for slot, c in zip(self.slots, self.parts, strict=True):
             part, at = np.nonzero(c[1:])
-            found.append((slot.at[at], slot.parts.start + part, c[1:][part, at]))
+            moving.append((slot.at[at], slot.parts.start + part, c[1:][part, at]))
             counts.append(counts[-1] + len(at))
-        entries, parts, values = (np.concatenate(x) for x in zip(*found, strict=True))
+        entries, parts, values = (np.concatenate(x) for x in zip(*moving, strict=True))
         return np.array(counts), entries, parts, values
 
     def plan(self, curved: Array, n_curved: int) -> ConstraintPlan:

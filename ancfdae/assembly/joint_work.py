@@ -4,8 +4,6 @@ A joint exerts -Phi_q^T lam, and Phi_q v = -Phi_t: its power is lam . Phi_t. A l
 its rate, Phi_t = Phi_x x', so that lam . Phi_x, the power at x' = 1, is what does work on x.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Any, final
 
@@ -62,6 +60,6 @@ class _UnitRate(Law):
 
 def at_unit_rate(joint: DrivenJoint) -> DrivenJoint:
     """Return the joint with its law at a rate of one."""
-    found = {each.name: getattr(joint, each.name) for each in fields(joint)}  # type: ignore[arg-type]
-    laws = {name: _UnitRate(law) for name, law in found.items() if isinstance(law, Law)}
+    values = {each.name: getattr(joint, each.name) for each in fields(joint)}  # type: ignore[arg-type]
+    laws = {name: _UnitRate(law) for name, law in values.items() if isinstance(law, Law)}
     return replace(joint, **laws)  # type: ignore[type-var]

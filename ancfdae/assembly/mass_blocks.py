@@ -9,8 +9,6 @@ the mass matrix is the sum of m (x) I_d over all blocks (docs/theory/03-joints-a
     point mass    m = mass w w^T, with position sum_a w_a X_a
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -79,8 +77,8 @@ def other_masses(
         if isinstance(member, RigidBody):
             single.append(_Single(vectors, owner, *_of_body(member, mapping, b)))
         elif member.rigid:
-            own = _of_rigid_beam(member, layout.beam(member.name), mapping, b)
-            single.append(_Single(vectors, owner, *own))
+            masses = _of_rigid_beam(member, layout.beam(member.name), mapping, b)
+            single.append(_Single(vectors, owner, *masses))
     for owner, mass in enumerate(scene.point_masses, start=len(scene.members)):
         p, p_b = mapping.numbers(mass.name, b)
         at = naming.vector(mass.point, Quantity.POSITION, (p[1:], p_b[1:]))
@@ -132,18 +130,18 @@ def _of_rigid_beam(
 ) -> tuple[Array, Array]:
     """Return m = sum of W^T m_e W and m_b: by m_e, and by the lengths in W."""
     rows = np.arange(place.elements.start, place.elements.stop)
-    own, element, nodes = mapping.only(rows), beam.element, place.rigid
+    driven, element, nodes = mapping.only(rows), beam.element, place.rigid
     assert nodes is not None
-    block = element_block(element, [beam], own, own.values(b))
-    lengths = own.values(b)[:, ElementParameter.LENGTH]
+    block = element_block(element, [beam], driven, driven.values(b))
+    lengths = driven.values(b)[:, ElementParameter.LENGTH]
     W = nodes.weights(lengths, element.n_s)
     W_e = np.concatenate([W[:-1], W[1:]], axis=1)  # of the nodes of each element
     m = np.einsum("nai,nab,nbj->ij", W_e, block.m, W_e, optimize=True)
     m_b = np.zeros((len(b), *m.shape), dtype=m.dtype)
-    at, variables = own.elements[block.mass_pairs], own.variables[block.mass_pairs]
+    at, variables = driven.elements[block.mass_pairs], driven.variables[block.mass_pairs]
     products = np.einsum("pai,pab,pbj->pij", W_e[at], block.m_b, W_e[at], optimize=True)
     np.add.at(m_b, variables, products)
-    moved = nodes.positions_b(own.lengths_b(len(b)))
+    moved = nodes.positions_b(driven.lengths_b(len(b)))
     momenta = block.m @ W_e
     for first, node in ((0, slice(None, -1)), (element.n_s, slice(1, None))):
         change = np.einsum("ndb,nj->bdj", moved[node], momenta[:, first])

@@ -4,8 +4,6 @@ A beam has n_s vectors per node and one more per kink, what is rigid one frame o
 reference point and its directions (docs/theory/02-strain-energy.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 
@@ -70,7 +68,9 @@ class Numbering:
     @property
     def frames(self) -> Array:
         """Numbers of the vectors of everything rigid, shape (n_rigid, d + 1)."""
-        rigid = [body.vectors for body, own in zip(self.bodies, self.rigid, strict=True) if own]
+        rigid = [
+            body.vectors for body, is_rigid in zip(self.bodies, self.rigid, strict=True) if is_rigid
+        ]
         return np.array(rigid, dtype=np.int64).reshape(len(rigid), self.d + 1)
 
     def coordinates(self, vectors: Array) -> Array:
@@ -83,11 +83,11 @@ class Numbering:
         Directions of space are coupled within rigid bodies by a turning frame only.
         """
         size = self.vectors.shape[1] * self.d
-        own = self.coordinates(self.vectors).reshape(-1, size)
+        soft = self.coordinates(self.vectors).reshape(-1, size)
         frames = self.coordinates(self.frames)
         if turning:
             frames = frames.reshape(len(frames), (self.d + 1) * self.d, 1)
-        elements = np.broadcast_arrays(own[:, :, None], own[:, None, :])
+        elements = np.broadcast_arrays(soft[:, :, None], soft[:, None, :])
         bodies = np.broadcast_arrays(frames[:, :, None], frames[:, None])
         rows, columns = (
             np.concatenate([a.ravel(), b.ravel()]) for a, b in zip(elements, bodies, strict=True)
@@ -102,15 +102,15 @@ def number(scene: Scene) -> Numbering:
     widest = max(soft, key=lambda element: element.n_s, default=default_element(scene.dimension))
     vector = first = 0
     for member in scene.members:
-        own = _body_layout(member, vector, scene.kinks.get(member.name, ()))
-        bodies.append(own)
-        vector += own.count
+        body = _body_layout(member, vector, scene.kinks.get(member.name, ()))
+        bodies.append(body)
+        vector += body.count
         if isinstance(member, RigidBody):
             continue
         numbers = np.arange(member.element_count)
         if not member.rigid:
-            places = np.repeat(own.ends[:, :1], widest.n_a, axis=1)
-            places[:, member.element.places_in(widest)] = own.ends
+            places = np.repeat(body.ends[:, :1], widest.n_a, axis=1)
+            places[:, member.element.places_in(widest)] = body.ends
             vectors.append(places)
             elements.append(first + numbers)
         beams.append(_beam_layout(member, first))

@@ -65,8 +65,8 @@ class ParameterMap:
         """Return the same map with the first numbers of an owner, so many, held at others."""
         moved, kept = len(numbers) - count, (x for x in self.slots.get(owner, []) if x[0] >= count)
         slots = [(place + moved, index, weight, offset) for place, index, weight, offset in kept]
-        own = (*numbers, *self.declared[owner][count:])
-        declared = self.declared | {owner: own}
+        held = (*numbers, *self.declared[owner][count:])
+        declared = self.declared | {owner: held}
         return replace(self, declared=declared, slots=self.slots | {owner: slots})
 
     def values(self, b: Array) -> Array:
@@ -79,12 +79,12 @@ class ParameterMap:
         """Return what is written to some elements, numbered in the order given."""
         places = np.full(len(self.base), -1)
         places[rows] = np.arange(len(rows))
-        own = places[self.elements]
-        kept = own >= 0
+        chosen = places[self.elements]
+        kept = chosen >= 0
         return replace(
             self,
             base=self.base[rows],
-            elements=own[kept],
+            elements=chosen[kept],
             parameters=self.parameters[kept],
             variables=self.variables[kept],
             weights=self.weights[kept],

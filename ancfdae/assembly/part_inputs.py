@@ -1,7 +1,5 @@
 """Joints and loads of a scene as numbers: their vectors, design fields and reference."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 
@@ -44,9 +42,9 @@ class PartInputs:
         rigidities = [Rigidity(body.name) for body, rigid in bodies if rigid]
         held = HeldAngles(self.naming.layout, {item.beam for item in rigidities})
         for joint in (*self.scene.joints, *rigidities):
-            item, own = self._joint(joint)
+            item, named = self._joint(joint)
             inputs.append(item.shaped(held))
-            points += own
+            points += named
         return JointStructure.of(inputs, self._vectors(points))
 
     def loads(self) -> list[LoadInput]:
@@ -55,13 +53,13 @@ class PartInputs:
 
     def joint(self, joint: Joint) -> tuple[JointInput, Vectors]:
         """Return one joint as it stands alone, with its vectors."""
-        item, own = self._joint(joint)
-        return item, self._vectors(own)
+        item, points = self._joint(joint)
+        return item, self._vectors(points)
 
     def load(self, load: Load) -> LoadInput:
         """Return one load."""
-        own, p, p_b = self._part(load)
-        vectors = self._vectors(own)
+        points, p, p_b = self._part(load)
+        vectors = self._vectors(points)
         reference, reference_b = self._in_reference(vectors)
         used = reference_b if load.refers else {}
         return LoadInput(load, vectors, p, p_b, reference, used)
@@ -76,8 +74,8 @@ class PartInputs:
         return U_o, U_ob
 
     def _joint(self, joint: Joint) -> tuple[JointInput, list[PointVector]]:
-        own, p, p_b = self._part(joint)
-        return JointInput(joint, p, p_b, *self._in_reference(self._vectors(own))), own
+        points, p, p_b = self._part(joint)
+        return JointInput(joint, p, p_b, *self._in_reference(self._vectors(points))), points
 
     def _vectors(self, points: list[PointVector]) -> Vectors:
         return Vectors.of_points(points, self.numbering.d, self.numbering.n_q, len(self.b))

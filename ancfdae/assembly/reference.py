@@ -66,11 +66,11 @@ class Reference:
         d, first, parts = self._scene.dimension, 0, []
         for body, x in zip(self._scene.members, motion, strict=True):
             X = self._vectors(body)
-            own, first = q[first : first + X.size].reshape(X.shape), first + X.size
+            vectors, first = q[first : first + X.size].reshape(X.shape), first + X.size
             start = self._scene.start_of(body.name)
-            V = np.zeros_like(own)
+            V = np.zeros_like(vectors)
             if isinstance(start, RigidMotion):
-                V = self._rigid_velocity(body, start, own)
+                V = self._rigid_velocity(body, start, vectors)
             elif isinstance(start, NodeState) and start.velocities is not None:
                 V = self._of(start.velocities, body) @ cayley(x[None, d:], d)[0].T
             parts.append(V.ravel())

@@ -78,13 +78,13 @@ class RigidMotions:
         np.maximum.at(reach, pair[order][begins] // self._count, sizes)
         return reach
 
-    def blocks(self, own: Array) -> scipy.sparse.csr_array:
+    def blocks(self, values: Array) -> scipy.sparse.csr_array:
         """Return matrices of each body, (n_bodies, n_x, n_x), as one matrix of all motions."""
         first = np.arange(self._count)[:, None, None] * self.n_x
-        rows, columns = np.indices(own.shape[1:])
-        at = [np.broadcast_to(first + x, own.shape).ravel() for x in (rows, columns)]
+        rows, columns = np.indices(values.shape[1:])
+        at = [np.broadcast_to(first + x, values.shape).ravel() for x in (rows, columns)]
         size = self._count * self.n_x
-        return scipy.sparse.csr_array((own.ravel(), tuple(at)), shape=(size, size))
+        return scipy.sparse.csr_array((values.ravel(), tuple(at)), shape=(size, size))
 
     def collect(self, T: Array, f: Array) -> Array:
         """Return what forces f, shape (n_q,), do on each motion: T^T f, shape (n_bodies, n_x)."""

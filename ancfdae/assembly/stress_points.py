@@ -1,7 +1,5 @@
 """Von Mises stresses at many points of beams with their partials."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from typing import final
@@ -28,7 +26,7 @@ class StressPoints:
     def __init__(
         self, elements: BeamElements, xi: Array, places: Callable[[Batch], tuple[Array, Array]]
     ) -> None:
-        self._own, self._xi, self._places = elements, xi, places
+        self._elements, self._xi, self._places = elements, xi, places
         self._law = self._law_at(elements.batch)
 
     def value(self, q: Array, v: Array) -> Array:
@@ -41,10 +39,10 @@ class StressPoints:
         """Return the partials of the stresses, times weights (k, n, n_p) and added up."""
         parts = [self._partials(q[k], v[k], weights[k], n_b) for k in self._parts(len(q))]
         rows = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return StatePartials(np.unique(self._own.coordinates), *rows)
+        return StatePartials(np.unique(self._elements.coordinates), *rows)
 
     def _partials(self, q: Array, v: Array, weights: Array, n_b: int) -> tuple[Array, Array, Array]:
-        own, b = self._own, np.zeros((len(q), n_b))
+        beam, b = self._elements, np.zeros((len(q), n_b))
         Y, V = self._relative(q, v)
         still = self._law.von_mises(Y, V)
         for law, size, (elements, variables), factors in self._moved:
@@ -53,25 +51,25 @@ class StressPoints:
             per_element = np.einsum("knp,nkp->nk", weights, slope)
             np.add.at(b.T, variables, factors[:, None] * per_element[elements])
         # The elements of a beam share the columns between their first and last one.
-        at, rows = own.coordinates - np.min(own.coordinates), []
+        at, rows = beam.coordinates - np.min(beam.coordinates), []
         for on_Y in self._law.pulled_back(Y, V, weights / still):
             total = np.zeros((len(q), int(np.max(at)) + 1))
-            np.add.at(total.T, at.ravel(), own.spread(on_Y).reshape(len(q), -1).T)
+            np.add.at(total.T, at.ravel(), beam.spread(on_Y).reshape(len(q), -1).T)
             rows.append(total)
         return rows[0], rows[1], b
 
     @cached_property
     def _moved(self) -> list[tuple[StressLaw, Array, Array, Array]]:
-        return self._own.moved(self._law_at)
+        return self._elements.moved(self._law_at)
 
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
-        at = self._own.coordinates
-        return self._own.relative(q[:, at]), self._own.relative(v[:, at])
+        at = self._elements.coordinates
+        return self._elements.relative(q[:, at]), self._elements.relative(v[:, at])
 
     def _parts(self, count: int) -> list[slice]:
         """Split instants, so that arrays of stresses stay small."""
         together = max(1, _TOGETHER // self._law.count)
         return [slice(first, first + together) for first in range(0, count, together)]
 
-    def _law_at(self, own: Batch) -> StressLaw:
-        return self._own.element.stress_law(own, self._xi, self._places(own))
+    def _law_at(self, batch: Batch) -> StressLaw:
+        return self._elements.element.stress_law(batch, self._xi, self._places(batch))

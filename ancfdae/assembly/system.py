@@ -150,9 +150,11 @@ class AncfSystem(PlannedSystem):
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""
-        own = listed(f"{name} = {b:.6g}" for name, b in zip(self.design_names, self.b, strict=True))
+        values = listed(
+            f"{name} = {b:.6g}" for name, b in zip(self.design_names, self.b, strict=True)
+        )
         sizes = f"{self.n_q} coordinates, {self.n_lam} multipliers"
-        return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {own}"
+        return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {values}"
 
     def _scene_numbers(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Return gravity and the numbers of the frame, with their design derivatives."""

@@ -13,7 +13,7 @@ import numpy as np
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.model.bodies import Point
 from ancfdae.model.elements import Quantity
-from ancfdae.model.parts import CentreLine, Direction, Normal
+from ancfdae.model.parts import CentreLine, FrameDirection, Normal
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
@@ -100,15 +100,15 @@ def point_vectors(
     naming: SceneNaming, names: Names, places: Mapping[Point, tuple[Array, Array]] | None = None
 ) -> list[PointVector]:
     """Return the vectors that a joint or load names; `places` of points as for `Naming.vector`."""
-    own = []
+    vectors = []
     for name in names:
         if isinstance(name, CentreLine):
-            own.append(naming.centre_line(name.beam))
-        elif isinstance(name, Direction):
-            own.append(naming.direction(name.body, name.number))
+            vectors.append(naming.centre_line(name.beam))
+        elif isinstance(name, FrameDirection):
+            vectors.append(naming.direction(name.body, name.number))
         elif isinstance(name, Normal):
             place = None if places is None else places[name.point]
-            own.append(replace(naming.vector(name.point, Quantity.SLOPE_X, place), turned=True))
+            vectors.append(replace(naming.vector(name.point, Quantity.SLOPE_X, place), turned=True))
         else:
-            own.append(naming.vector(*name, None if places is None else places[name[0]]))
-    return own
+            vectors.append(naming.vector(*name, None if places is None else places[name[0]]))
+    return vectors

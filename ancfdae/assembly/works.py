@@ -1,7 +1,5 @@
 """Power of driven joints and of loads, prepared when it is first asked for."""
 
-from __future__ import annotations
-
 from typing import final
 
 from ancfdae.assembly.joint_work import JointWork, at_unit_rate
@@ -27,11 +25,11 @@ class Works:
         key = name, unit_rate
         if key not in self._joints:
             place = self._layout.joint(name)
-            found = [joint for joint in self._scene.joints if joint.name == name]
-            if not found or not isinstance(found[0], DrivenJoint):
+            joints = [joint for joint in self._scene.joints if joint.name == name]
+            if not joints or not isinstance(joints[0], DrivenJoint):
                 rule, repair = "must be driven: others do no work", "Name a Drive or a Guide."
                 raise InvalidInput(f"work of joint {name!r}", rule, "one that is not", repair)
-            item = self._inputs.joint(at_unit_rate(found[0]) if unit_rate else found[0])
+            item = self._inputs.joint(at_unit_rate(joints[0]) if unit_rate else joints[0])
             self._joints[key] = JointWork(*item, place.first_row)
         return self._joints[key]
 

@@ -35,6 +35,7 @@ from ancfdae.errors.kinds import (
     RedundantConstraints,
     SingularMatrix,
     StabilityWarning,
+    ToleranceMissed,
     UnknownName,
 )
 from ancfdae.errors.outcomes import (

@@ -3,8 +3,6 @@
 They read ``where: rule; got value. Repair.``
 """
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Iterable
 from typing import Any, final
@@ -101,3 +99,8 @@ class ManySteps(UserWarning):
 @final
 class FailedDesign(UserWarning):
     """A design that an optimiser tried has no values; the message says why."""
+
+
+@final
+class ToleranceMissed(UserWarning):
+    """A tolerance is out of reach; the message says what was got and what more would cost."""

@@ -1,7 +1,5 @@
 """Integrators that take one step after another under a control of the step."""
 
-from __future__ import annotations
-
 import abc
 import time
 import warnings
@@ -237,9 +235,9 @@ class SteppedIntegrator(AdjointIntegrator):
         arrays, verdict = [x[None] for x in problem.derivative or ()], Verdict.FINISHED
         if len(solution.t) > 1:
             arrays, verdict = self._derivatives(problem, solution, progress)
-        own = Sensitivities(system.design_names, system.b, *arrays)
+        sensitivities = Sensitivities(system.design_names, system.b, *arrays)
         seconds = time.perf_counter() - started
-        full = solution.with_sensitivities(own, verdict, seconds)
+        full = solution.with_sensitivities(sensitivities, verdict, seconds)
         return self._estimated(full, problem.scales)
 
 

@@ -1248,6 +1248,7 @@ static PyObject *py_ldl_solve(PyObject *const *args)
 /* ---- marches ------------------------------------------------------------------------------- */
 
 #include "prepared.h"
+#include "stages.h"
 
 /* ---- module -------------------------------------------------------------------------------- */
 
@@ -1292,6 +1293,7 @@ FUNCTION(march, 8)
 FUNCTION(differentiate_steps, 6)
 FUNCTION(pull_back_steps, 6)
 FUNCTION(rest, 5)
+FUNCTION(solve_stages, 9)
 
 #define FUNCTION_OF_MANY(name)                                                                     \
     static PyObject *any_##name(PyObject *self, PyObject *const *args, Py_ssize_t count)           \
@@ -1341,6 +1343,7 @@ static PyMethodDef methods[] = {
     METHOD(differentiate_steps),
     METHOD(pull_back_steps),
     METHOD(rest),
+    METHOD(solve_stages),
     {NULL, NULL, 0, NULL},
 };
 

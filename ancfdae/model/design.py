@@ -1,7 +1,5 @@
 """Design variables: named numbers of a scene that sensitivities are taken for."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -51,10 +49,10 @@ class Designable:
 
     def parameters(self) -> dict[str, float]:
         """Return the numbers that can be design targets, by name; the order is fixed."""
-        found: dict[str, float] = {}
+        numbers: dict[str, float] = {}
         for name, _ in self.design_fields:
-            found |= self.numbers_of(name)
-        return found
+            numbers |= self.numbers_of(name)
+        return numbers
 
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
         """Return the same object with some of its `parameters` changed together.
@@ -68,12 +66,13 @@ class Designable:
             raise UnknownName("design target", unknown[0], self.parameters())
         new: dict[str, object] = {}
         for name, value in self._design_values():
-            own = self.numbers_of(name)
-            changed = {key: changes.get(key, number) for key, number in own.items()}
-            if changed == own:
+            numbers = self.numbers_of(name)
+            changed = {key: changes.get(key, number) for key, number in numbers.items()}
+            if changed == numbers:
                 continue
             if isinstance(value, Designable):
-                new[name] = value.with_parameters(changed)
+                inner = zip(value.parameters(), changed.values(), strict=True)
+                new[name] = value.with_parameters(dict(inner))
             else:
                 new[name] = changed[name] if np.ndim(value) == 0 else tuple(changed.values())
         return replace(self, **new)  # type: ignore[type-var]

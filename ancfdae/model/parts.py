@@ -1,7 +1,5 @@
 """What joints and loads share: a name, points of beams or bodies, and design targets."""
 
-from __future__ import annotations
-
 import abc
 import re
 from collections.abc import Mapping, Sequence
@@ -55,7 +53,7 @@ _NO_NAME = re.compile(r"\.(?!\d)|\[")
 
 @final
 @dataclass(frozen=True)
-class Direction:
+class FrameDirection:
     """A direction of the axes of something rigid, for what keeps it rigid; counted from 1 on."""
 
     body: str
@@ -63,14 +61,14 @@ class Direction:
 
 
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
-Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | Direction, ...]
+Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | FrameDirection, ...]
 
 
 def _is_vector(name: object) -> bool:
     """Whether it is one of `Vectors`."""
     if isinstance(name, tuple):
         return len(name) == 2 and isinstance(name[0], Point) and isinstance(name[1], Quantity)
-    return isinstance(name, Normal | CentreLine | Direction)
+    return isinstance(name, Normal | CentreLine | FrameDirection)
 
 
 class Part(Designable, abc.ABC):
@@ -151,13 +149,13 @@ class Part(Designable, abc.ABC):
 
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
         """Return the same part with some of its `parameters` and `point_numbers` changed."""
-        own = {name: number for name, number in changes.items() if name in self.point_numbers()}
+        placing = {name: number for name, number in changes.items() if name in self.point_numbers()}
         points = self.point_fields()
-        for name, number in own.items():
+        for name, number in placing.items():
             field, _, coordinate = name.rpartition("_")
             points[field] = replace(points[field], **{coordinate: number})  # type: ignore[arg-type]
         part = replace(self, **points)  # type: ignore[type-var]
-        rest = {name: number for name, number in changes.items() if name not in own}
+        rest = {name: number for name, number in changes.items() if name not in placing}
         return super(Part, part).with_parameters(rest)
 
     def point_fields(self) -> dict[str, Point]:
@@ -255,8 +253,8 @@ class Part(Designable, abc.ABC):
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def _needs(self, name: str) -> bool:
-        own = (field for field in fields(self) if field.name == name)  # type: ignore[arg-type]
-        return any(field.default is MISSING for field in own)
+        declared = (field for field in fields(self) if field.name == name)  # type: ignore[arg-type]
+        return any(field.default is MISSING for field in declared)
 
     def _check_ends(self, where: str, given: dict[str, Any]) -> None:
         other, ground = given.get("other"), given.get("ground")

@@ -209,8 +209,8 @@ class Scene(SceneDesign):
             return
         if rests[0].gravity is not None:
             require_vector("AtRest.gravity", rests[0].gravity, (self.dimension,))
-        own = self.body_starts
-        moving = any(isinstance(s, RigidMotion) or s.velocities is not None for s in own)
+        starts = self.body_starts
+        moving = any(isinstance(s, RigidMotion) or s.velocities is not None for s in starts)
         if len(rests) > 1 or moving:
             raise InvalidInput(
                 "Scene.start",

@@ -126,14 +126,14 @@ class SceneDesign(Designable):
             return self.parameters()
         part = self.parts().get(owner)
         if isinstance(part, Part):
-            own = part.parameters() | part.point_numbers()
-            return own | on_ground(part, self.member).parameters()
+            numbers = part.parameters() | part.point_numbers()
+            return numbers | on_ground(part, self.member).parameters()
         if part is None and owner not in (beam.name for beam in self.beams):
             raise UnknownName("beam, body, joint or load", owner, self.owners())
         start = self.start_of(owner)
         motion = start.parameters() if isinstance(start, RigidMotion) else {}
-        own = {} if part is None else part.parameters()
-        return own | self.member(owner).placement() | motion
+        numbers = {} if part is None else part.parameters()
+        return numbers | self.member(owner).placement() | motion
 
     def resolve(self, text: str) -> Target:
         """Read a target and refuse one that the scene does not have.
@@ -167,8 +167,8 @@ class SceneDesign(Designable):
         It is the place of the point in the reference configuration as declared; so the scene is the
         same until the target moves. From then on all components of the ground stay.
         """
-        found = [self.resolve(text) for text in targets]
-        owners = {target.owner for target in found if target.parameter in TARGETS}
+        resolved = [self.resolve(text) for text in targets]
+        owners = {target.owner for target in resolved if target.parameter in TARGETS}
         if not owners:
             return self
 
@@ -226,19 +226,23 @@ class SceneDesign(Designable):
 
     def _changed(self, changes: Iterable[_Change]) -> Self:
         """Return the scene with targets changed, all targets of a part at once."""
-        own: dict[str, list[_Change]] = {}
+        changes_of: dict[str, list[_Change]] = {}
         for change in changes:
-            own.setdefault(change[1].owner, []).append(change)
+            changes_of.setdefault(change[1].owner, []).append(change)
         parts = {part.name: part for part in self._all_parts()}
         starts = list(self.start)
         for k, start in enumerate(starts):
-            if isinstance(start, RigidMotion) and start.body in own:
+            if isinstance(start, RigidMotion) and start.body in changes_of:
                 known = start.parameters()
-                moving = [c for c in own[start.body] if c[1].parameter in known]
+                moving = [c for c in changes_of[start.body] if c[1].parameter in known]
                 starts[k] = _with_numbers(start, moving)
-                own[start.body] = [c for c in own[start.body] if c not in moving]
-        scene = _with_numbers(self, own.pop(SCENE, []))
-        parts |= {name: _with_values(parts[name], own[name]) for name in own if own[name]}
+                changes_of[start.body] = [c for c in changes_of[start.body] if c not in moving]
+        scene = _with_numbers(self, changes_of.pop(SCENE, []))
+        parts |= {
+            name: _with_values(parts[name], changes_of[name])
+            for name in changes_of
+            if changes_of[name]
+        }
         loads = [part for part in parts.values() if isinstance(part, Load)]
         return replace(  # type: ignore[type-var]
             scene,
@@ -316,8 +320,8 @@ class SceneDesign(Designable):
 
     @cached_property
     def _element_parameters(self) -> Array:
-        own = [beam.element_parameters() for beam in self.beams]
-        return np.concatenate([np.zeros((0, len(ElementParameter))), *own])
+        rows = [beam.element_parameters() for beam in self.beams]
+        return np.concatenate([np.zeros((0, len(ElementParameter))), *rows])
 
     def _all_parts(self) -> tuple[_Part, ...]:
         return (*self.beams, *self.bodies, *self.joints, *self.loads, *self._rest_loads())
@@ -325,7 +329,7 @@ class SceneDesign(Designable):
     def _rest_loads(self) -> tuple[Load, ...]:
         """Return the loads of the start at rest that are not those of the motion."""
         loads = () if self.rest is None else self.rest.loads or ()
-        return tuple(load for load in loads if not any(load is own for own in self.loads))
+        return tuple(load for load in loads if not any(load is kept for kept in self.loads))
 
     def _check_point_target(self, part: Part, target: Target) -> None:
         """Refuse to move a point that cannot move both ways, or past a node that slopes kink at."""

@@ -61,7 +61,7 @@ def without_derivatives(ufunc: np.ufunc) -> InvalidInput:
         f"numpy.{ufunc.__name__}",
         "must have derivatives in time",
         "a function that has none here",
-        f"Use arithmetic and {known} of NumPy.",
+        f"Use arithmetic and {known} of NumPy; laws in pieces are joined by Change.",
     )
 
 

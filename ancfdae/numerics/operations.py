@@ -78,10 +78,10 @@ def _shortened(function: Any, numbers: Sequence[int], constants: Sequence[Any]) 
     """Return which argument is the result already, or that it is zero; None if neither."""
     first, last = constants[0], constants[-1]
     if function is np.multiply:
-        for own, other in ((first, 1), (last, 0)):
-            if own is not None and own == 0:
+        for one, other in ((first, 1), (last, 0)):
+            if one is not None and one == 0:
                 return _NOTHING
-            if own is not None and own == 1:
+            if one is not None and one == 1:
                 return other
     if function is np.add and first is not None and first == 0:
         return 1
@@ -132,8 +132,8 @@ class Listed(Carried):
         if isinstance(x, Listed):
             return x.at
         values = np.asarray(x)
-        own = [self._operations.constant(value) for value in values.ravel().tolist()]
-        return np.array(own, dtype=np.int64).reshape(values.shape)
+        constants = [self._operations.constant(value) for value in values.ravel().tolist()]
+        return np.array(constants, dtype=np.int64).reshape(values.shape)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         """List a function of NumPy.
@@ -158,5 +158,5 @@ class Listed(Carried):
     def _apply(self, function: Any, *inputs: Any) -> Listed:
         arrays = np.broadcast_arrays(*(self.numbers(x) for x in inputs))
         rows = zip(*(x.ravel().tolist() for x in arrays), strict=True)
-        own = [self._operations.apply(function, *row) for row in rows]
-        return Listed(self._operations, np.array(own, dtype=np.int64).reshape(arrays[0].shape))
+        results = [self._operations.apply(function, *row) for row in rows]
+        return Listed(self._operations, np.array(results, dtype=np.int64).reshape(arrays[0].shape))

@@ -1,7 +1,5 @@
 """A gradient over the elements of a beam as bars on its shape."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -51,21 +49,21 @@ def gradient_bars(
     require_kind("gradient_bars, gradient", gradient, (Gradient,), "Call gradient.")
     require_text("gradient_bars, target", target)
     if time is None:
-        own = mechanism(scene, None, None, None)
+        shown = mechanism(scene, None, None, None)
     else:
-        own = mechanism(scene, gradient.solution, [time], None)
-    number, values = _distribution(own, gradient, target)
+        shown = mechanism(scene, gradient.solution, [time], None)
+    number, values = _distribution(shown, gradient, target)
     with settings():
-        figure, brush = canvas(own, title or f"Derivatives in {target} by element")
+        figure, brush = canvas(shown, title or f"Derivatives in {target} by element")
         brush.bodies(0, 0.5)
-        bars = bar_places(own, number, values, brush.extent)
+        bars = bar_places(shown, number, values, brush.extent)
         colours = [_RAISES if value > 0 else _LOWERS for value in values.tolist()]
         style: dict[str, Any] = {"facecolors": colours, "edgecolors": "black", "linewidths": 0.5}
-        if own.d == 2:
+        if shown.d == 2:
             brush.axes.add_collection(PolyCollection(list(bars), zorder=8, alpha=0.85, **style))
         else:
             brush.axes.add_collection3d(Poly3DCollection(list(bars), alpha=0.85, **style))
-        _include(brush.axes, bars, own.d)
+        _include(brush.axes, bars, shown.d)
         largest = f"{np.max(np.abs(values)):.3g} per unit of {target}"
         entries = [Patch(color=_RAISES, label="raises the objective")]
         entries.append(Patch(color=_LOWERS, label="lowers it"))
@@ -75,27 +73,27 @@ def gradient_bars(
     return figure
 
 
-def bar_places(own: Mechanism, number: int, values: Array, extent: float, k: int = 0) -> Array:
+def bar_places(shown: Mechanism, number: int, values: Array, extent: float, k: int = 0) -> Array:
     """Return the corners of a bar on each element at instant k, shape (n, n_c, d).
 
     They stand on the centre line of the mesh of this number; the longest is a share of the extent.
     """
-    mesh = own.meshes[number]
+    mesh = shown.meshes[number]
     assert isinstance(mesh, BeamMesh)
-    x, up = (part[0] for part in mesh.axis(own.motion.q[[k]]))
+    x, up = (part[0] for part in mesh.axis(shown.motion.q[[k]]))
     longest = float(np.max(np.abs(values))) or 1.0
     tips = x + _LONGEST * extent * (values / longest)[:, None, None] * up
     return np.concatenate([x, tips[:, ::-1]], axis=1)
 
 
-def _distribution(own: Mechanism, gradient: Gradient, target: str) -> tuple[int, Array]:
+def _distribution(shown: Mechanism, gradient: Gradient, target: str) -> tuple[int, Array]:
     """Return the number of the mesh, and the derivative by element."""
     beam = target.partition(".")[0]
-    names = [mesh.name for mesh in own.meshes if isinstance(mesh, BeamMesh)]
+    names = [mesh.name for mesh in shown.meshes if isinstance(mesh, BeamMesh)]
     if beam not in names:
         raise UnknownName("gradient_bars, beam", beam, names)
-    number = [mesh.name for mesh in own.meshes].index(beam)
-    mesh, known = own.meshes[number], dict(zip(gradient.names, gradient.gradient, strict=True))
+    number = [mesh.name for mesh in shown.meshes].index(beam)
+    mesh, known = shown.meshes[number], dict(zip(gradient.names, gradient.gradient, strict=True))
     assert isinstance(mesh, BeamMesh)
     wanted = [f"{target}[{k}]" for k in range(mesh.body.element_count)]
     missing = [name for name in wanted if name not in known]

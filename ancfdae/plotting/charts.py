@@ -187,7 +187,7 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
             "Pass a panel; leave columns out to stack the panels.",
         )
     _check_looks(panels)
-    own = looks(series.label for panel in panels for series in panel.series)
+    styles = looks(series.label for panel in panels for series in panel.series)
     columns = min(columns, len(panels))
     rows = math.ceil(len(panels) / columns)
     many = columns > 2
@@ -198,12 +198,12 @@ def draw(panels: Sequence[Panel], columns: int = 1, title: str = "") -> Figure:
         entries: dict[str, Line2D] = {}
         for number, panel in enumerate(panels, start=1):
             axes = figure.add_subplot(rows, columns, number)
-            _draw_panel(axes, panel, own, entries)
+            _draw_panel(axes, panel, styles, entries)
             if panel.x_scale == "log":
                 # A power of ten is 0.5 inches wide; axes are an inch narrower than their panel.
                 count = int((width / columns - 1.0) / 0.65)
                 axes.xaxis.set_major_locator(LogLocator(numticks=count))
-        _add_legend(figure, {label: entries[label] for label in own})
+        _add_legend(figure, {label: entries[label] for label in styles})
         if title:
             figure.suptitle(set_as_mathematics(title))
     return figure
@@ -274,7 +274,9 @@ def _add_legend(figure: Figure, entries: dict[str, Line2D]) -> None:
     figure.legend(list(entries.values()), labels, loc="outside lower center", ncols=columns)
 
 
-def _draw_panel(axes: Axes, panel: Panel, own: dict[str, Look], entries: dict[str, Line2D]) -> None:
+def _draw_panel(
+    axes: Axes, panel: Panel, styles: dict[str, Look], entries: dict[str, Line2D]
+) -> None:
     """Draw one panel; note in `entries` the first line of each label for the legend."""
     texts = {"title": panel.title, "xlabel": panel.x_label, "ylabel": panel.y_label}
     axes.set(**{name: set_as_mathematics(text) for name, text in texts.items()})
@@ -285,9 +287,9 @@ def _draw_panel(axes: Axes, panel: Panel, own: dict[str, Look], entries: dict[st
     if panel.y_scale == "log":
         axes.set_yscale("log", nonpositive="mask")
         axes.yaxis.set_minor_formatter(partial(_between_powers, axes.yaxis))
-    places = {label: place for place, label in enumerate(own)}
+    places = {label: place for place, label in enumerate(styles)}
     for series in panel.series:
-        line = _draw_series(axes, series, own[series.label], places[series.label])
+        line = _draw_series(axes, series, styles[series.label], places[series.label])
         entries.setdefault(series.label, line)
     alone = [series for series in panel.series if not series.line]
     for number, series in enumerate(alone):

@@ -1,7 +1,5 @@
 """What colours a mechanism: numbers at the points of its meshes at every instant."""
 
-from __future__ import annotations
-
 import abc
 from dataclasses import dataclass
 from typing import final
@@ -57,8 +55,8 @@ class _OfBeams(Field):
         """Those of the beam, spread over its points."""
         if not isinstance(mesh, BeamMesh) or mesh.elements is None:
             return np.full(mesh.places(motion.q).shape[:2], np.nan)
-        own = np.broadcast_to(self.on_beam(mesh, motion), (len(motion.t), *mesh.shape))
-        return own.reshape(len(motion.t), -1)
+        values = np.broadcast_to(self.on_beam(mesh, motion), (len(motion.t), *mesh.shape))
+        return values.reshape(len(motion.t), -1)
 
     @abc.abstractmethod
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
@@ -74,15 +72,15 @@ class StrainEnergyDensity(_OfBeams):
 
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
         """Energy of each element over its volume."""
-        own = mesh.elements
-        assert own is not None
-        law = prepare(own.element, own.batch)
-        Y = own.relative(motion.q[:, own.coordinates])
+        elements = mesh.elements
+        assert elements is not None
+        law = prepare(elements.element, elements.batch)
+        Y = elements.relative(motion.q[:, elements.coordinates])
         energy = elastic.energy(law.A, law.g_o, Y, law.p_o)
         # m holds the mass of an element as what moves with both of its positions.
-        positions = slice(None, None, own.element.n_s)
+        positions = slice(None, None, elements.element.n_s)
         mass = law.m[:, positions, positions].sum(axis=(1, 2))
-        density: Array = energy * own.batch.parameters[:, ElementParameter.DENSITY] / mass
+        density: Array = energy * elements.batch.parameters[:, ElementParameter.DENSITY] / mass
         return density[..., None, None]
 
 
@@ -95,9 +93,9 @@ class VonMisesStress(_OfBeams):
 
     def on_beam(self, mesh: BeamMesh, motion: Solution) -> Array:
         """Stresses at all points."""
-        own = mesh.elements
-        assert own is not None
-        points = StressPoints(own, mesh.xi, lambda _: (mesh.y, mesh.z))
+        elements = mesh.elements
+        assert elements is not None
+        points = StressPoints(elements, mesh.xi, lambda _: (mesh.y, mesh.z))
         n, n_xi, n_f = mesh.shape
         stress = points.value(motion.q, motion.v).reshape(len(motion.t), n, n_f, n_xi)
         return stress.swapaxes(2, 3)

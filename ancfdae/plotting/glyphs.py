@@ -1,7 +1,5 @@
 """How long arrows are drawn, and the points of springs, ways and moments."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final, final
 
@@ -65,11 +63,11 @@ class Glyphs:
 
 def _largest(arrows: Sequence[Arrows]) -> dict[str, float]:
     """Largest size of each kind of arrow over all instants."""
-    found: dict[str, float] = {}
-    for own in arrows:
-        size = float(np.max(np.linalg.norm(own.vectors, axis=-1)))
-        found[own.kind] = max(size, found.get(own.kind, 0.0))
-    return {kind: size or 1.0 for kind, size in found.items()}
+    sizes: dict[str, float] = {}
+    for each in arrows:
+        size = float(np.max(np.linalg.norm(each.vectors, axis=-1)))
+        sizes[each.kind] = max(size, sizes.get(each.kind, 0.0))
+    return {kind: size or 1.0 for kind, size in sizes.items()}
 
 
 def _zigzag(ends: Array) -> Array:

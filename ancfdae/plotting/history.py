@@ -1,7 +1,5 @@
 """Observables over time with bands of what a change of each design variable does to them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -56,13 +54,16 @@ def history(
         require_unit("history, observables", label)
         require_kind("history, observable", observable, (Observable,), "For example position(...).")
         observable.check(system)
-    own, states = _checked_sensitivities(system, solution), states_of(solution)
+    sensitivities, states = _checked_sensitivities(system, solution), states_of(solution)
     with settings():
         figure = Figure(figsize=(_SIZE[0], _SIZE[1] * len(observables) + 0.6), layout="constrained")
         rows = figure.subplots(len(observables), sharex=True, squeeze=False)[:, 0]
         for axes, (label, observable) in zip(rows, observables.items(), strict=True):
             partials = observable.partials(system, states)
-            value, slopes = partials.value, partials.total(own.q_b, own.v_b, own.lam_b)
+            value, slopes = (
+                partials.value,
+                partials.total(sensitivities.q_b, sensitivities.v_b, sensitivities.lam_b),
+            )
             axes.set_ylabel(label)
             axes.plot(solution.t, value, color="black", lw=1.4, label=label, zorder=3)
             widths = np.abs(slopes * system.b) * percent / 100
@@ -70,27 +71,29 @@ def history(
             for i in np.argsort(-widths.max(axis=0)).tolist():
                 low, high = value - widths[:, i], value + widths[:, i]
                 look = {"color": COLOURS[i % len(COLOURS)], "alpha": 0.45, "lw": 0.5}
-                axes.fill_between(solution.t, low, high, label=own.names[i], **look)
+                axes.fill_between(solution.t, low, high, label=sensitivities.names[i], **look)
         rows[-1].set_xlabel("t [s]")
         bands = dict(zip(*rows[0].get_legend_handles_labels()[::-1], strict=True))
         figure.legend(
-            [bands[name] for name in own.names],
-            [f"{name} ± {percent:g} %" for name in own.names],
+            [bands[name] for name in sensitivities.names],
+            [f"{name} ± {percent:g} %" for name in sensitivities.names],
             loc="outside lower center",
-            ncols=min(4, len(own.names)),
+            ncols=min(4, len(sensitivities.names)),
         )
     return figure
 
 
 def _checked_sensitivities(system: MechanicalSystem, solution: Solution) -> Sensitivities:
-    own = solution.sensitivities
-    if own is None or not own.names:
+    sensitivities = solution.sensitivities
+    if sensitivities is None or not sensitivities.names:
         rule, repair = "must have derivatives", "Call differentiate with a design."
         raise InvalidInput("history, solution", rule, "none", repair)
-    for name in own.names:
+    for name in sensitivities.names:
         if name not in system.design_names:
             raise UnknownName("history, design variable of the solution", name, system.design_names)
-    if own.names != system.design_names or not np.array_equal(own.values, system.b):
+    if sensitivities.names != system.design_names or not np.array_equal(
+        sensitivities.values, system.b
+    ):
         raise InvalidInput(
             "history, system",
             "must be the system of the solution, with its design variables and their values",
@@ -101,4 +104,4 @@ def _checked_sensitivities(system: MechanicalSystem, solution: Solution) -> Sens
         at = system.design_names[int(np.argmin(np.abs(system.b)))]
         rule, repair = "a variable at zero has no per cent", "Leave it out of the design."
         raise InvalidInput(f"history, design variable {at!r}", rule, "0", repair)
-    return own
+    return sensitivities

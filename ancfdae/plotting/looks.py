@@ -1,7 +1,5 @@
 """Which colour, dashes and marker a label has: the same method the same ones in every figure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final, final
@@ -52,21 +50,21 @@ _SECOND: Final = ("alpha = -0.05", "index 1", ", 3 levels", ", adjoint")
 
 def looks(labels: Iterable[str]) -> dict[str, Look]:
     """Return the look of each label of a figure: that of its method, or the first one free."""
-    found: dict[str, Look] = {}
+    given: dict[str, Look] = {}
     for label in dict.fromkeys(labels):
         known = max((name for name in _METHODS if label.startswith(name)), key=len, default="")
-        look = _METHODS[known] if known else _free(found)
+        look = _METHODS[known] if known else _free(given)
         if known and label.endswith(_SECOND):
             look = replace(look, dashes=_DASHES[1], filled=True, marker=_PARTNERS[look.marker])
-        if look in found.values():
-            look = _free(found)
-        found[label] = look
-    return found
+        if look in given.values():
+            look = _free(given)
+        given[label] = look
+    return given
 
 
-def _free(found: dict[str, Look]) -> Look:
+def _free(given: dict[str, Look]) -> Look:
     """Return a look of a colour that is free, or of the next in their round."""
-    taken = {look.colour for look in found.values()}
+    taken = {look.colour for look in given.values()}
     places = (k for k, colour in enumerate(COLOURS) if colour not in taken)
-    place = next(places, len(found))
+    place = next(places, len(given))
     return _look(place, place)

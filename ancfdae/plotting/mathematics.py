@@ -1,7 +1,5 @@
 """Symbols in plain labels as mathematics: rho_1, 2^-7, 1e7."""
 
-from __future__ import annotations
-
 import re
 from typing import Final
 
@@ -30,8 +28,8 @@ def set_as_mathematics(text: str) -> str:
     return text if "$" in text else _MATHEMATICS.sub(_one, text)
 
 
-def _one(found: re.Match[str]) -> str:
-    parts = found.groupdict()
+def _one(match: re.Match[str]) -> str:
+    parts = match.groupdict()
     if parts["digits"]:
         times = "" if parts["digits"] == "1" else rf"{parts['digits']}\times "
         return rf"${times}10^{{{int(parts['exponent'])}}}$"

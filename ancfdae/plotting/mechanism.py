@@ -1,7 +1,5 @@
 """A mechanism at some instants, as data: what every picture, animation and export is made of."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -53,10 +51,10 @@ class Mechanism:
     @property
     def bounds(self) -> Array:
         """Lowest and highest coordinates of everything at all instants, shape (2, d)."""
-        found = [x.reshape(-1, self.d) for x in self.places]
-        found += [mark.places for mark in self.marks]
-        found += [line.ends.reshape(-1, self.d) for line in self.lines if line.kind != "way"]
-        every = np.concatenate(found)
+        places = [x.reshape(-1, self.d) for x in self.places]
+        places += [mark.places for mark in self.marks]
+        places += [line.ends.reshape(-1, self.d) for line in self.lines if line.kind != "way"]
+        every = np.concatenate(places)
         return np.stack([every.min(axis=0), every.max(axis=0)])
 
     @property
@@ -71,10 +69,10 @@ class Mechanism:
         """Those asked for, or least and largest value, symmetric about zero for a signed field."""
         if self.asked is not None:
             return self.asked
-        own = np.concatenate([np.zeros(0), *(x[np.isfinite(x)] for x in self.values)])
-        if not len(own):
+        values = np.concatenate([np.zeros(0), *(x[np.isfinite(x)] for x in self.values)])
+        if not len(values):
             return 0.0, 1.0
-        low, high = float(own.min()), float(own.max())
+        low, high = float(values.min()), float(values.max())
         if self.field is not None and self.field.signed:
             high = max(abs(low), abs(high))
             low = -high
@@ -98,15 +96,15 @@ def mechanism(
     if field is not None:
         require_kind("picture, colour", field, (Field,), "For example VonMisesStress().")
     asked = _span(limits, field)
-    mapping, own = parameter_map(scene, ()), _naming(scene)
-    reference = Reference(scene, mapping, mapping.nominal, own)
+    mapping, declared = parameter_map(scene, ()), _naming(scene)
+    reference = Reference(scene, mapping, mapping.nominal, declared)
     if motion is None:
         if times is not None or field is not None:
             rule, repair = "times and colour need a motion", "Give the solution as well."
             raise InvalidInput("picture", rule, "a scene alone", repair)
-        motion = _at_rest(reference.Z.ravel(), own)
+        motion = _at_rest(reference.Z.ravel(), declared)
     require_kind("picture, solution", motion, (Solution,), "Call simulate, or leave it out.")
-    naming = _checked(motion, own)
+    naming = _checked(motion, declared)
     motion = motion if times is None else motion.at(times)
     meshes = _meshes(scene, mapping, naming, motion.q.shape[1])
     symbols = Symbols(scene, naming, reference.q)
@@ -148,15 +146,15 @@ def _naming(scene: Scene) -> SceneNaming:
 def _meshes(scene: Scene, mapping: ParameterMap, naming: SceneNaming, n_q: int) -> tuple[Mesh, ...]:
     numbering, parameters = number(scene), mapping.values(mapping.nominal)
     sections = BeamSections(scene, naming.layout, numbering, mapping, mapping.nominal)
-    found: list[Mesh] = []
+    meshes: list[Mesh] = []
     for body in scene.members:
         if isinstance(body, RigidBody):
-            found.append(RigidMesh(body, naming, n_q))
+            meshes.append(RigidMesh(body, naming, n_q))
             continue
-        own = naming.layout.beam(body.name), numbering, mapping, parameters, slice(None)
-        elements = None if body.rigid else BeamElements(body, *own)
-        found.append(BeamMesh(body, naming, n_q, elements, sections))
-    return tuple(found)
+        place = naming.layout.beam(body.name), numbering, mapping, parameters, slice(None)
+        elements = None if body.rigid else BeamElements(body, *place)
+        meshes.append(BeamMesh(body, naming, n_q, elements, sections))
+    return tuple(meshes)
 
 
 def frames_of(motion: Solution, count: int) -> Array:
@@ -174,7 +172,7 @@ def _at_rest(q: Array, naming: SceneNaming) -> Solution:
     return Solution(np.zeros(1), q[None], still, still, none, statistics, outcome, naming)
 
 
-def _checked(motion: Solution, own: SceneNaming) -> SceneNaming:
+def _checked(motion: Solution, declared: SceneNaming) -> SceneNaming:
     """Refuse the solution of another scene, or of the same one with other lengths."""
     given = motion.naming
     if not isinstance(given, SceneNaming):
@@ -182,16 +180,16 @@ def _checked(motion: Solution, own: SceneNaming) -> SceneNaming:
         raise InvalidInput("picture, solution", rule, "a system of another kind", repair)
     vectors = [
         {body.name: (body.first_vector, body.count, body.kinks) for body in x.layout.bodies}
-        for x in (given, own)
+        for x in (given, declared)
     ]
-    if vectors[0] != vectors[1] or len(given.lengths) != len(own.lengths):
+    if vectors[0] != vectors[1] or len(given.lengths) != len(declared.lengths):
         raise InvalidInput(
             "picture, solution",
             f"must be that of the scene, with the bodies {listed(vectors[1])}",
             f"one of {listed(vectors[0])}, or of other elements",
             "Give the scene that was integrated.",
         )
-    if not np.allclose(given.lengths, own.lengths, rtol=_SAME, atol=0.0):
+    if not np.allclose(given.lengths, declared.lengths, rtol=_SAME, atol=0.0):
         raise InvalidInput(
             "picture, solution",
             "must be that of the scene at its design values",

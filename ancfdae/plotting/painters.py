@@ -1,7 +1,5 @@
 """Paint a mechanism at one instant into axes of matplotlib, in the plane and in space."""
 
-from __future__ import annotations
-
 import abc
 from typing import Any, Final, final
 
@@ -74,17 +72,17 @@ class Painter(abc.ABC):
     @final
     def symbols(self, k: int) -> list[Artist]:
         """Paint joints, point masses and loads at instant k."""
-        own, found = self.mechanism, list[Artist]()
-        for line in own.lines:
-            found += self._line(self.glyphs.line(line, k), line.kind)
-        for mark in sorted(own.marks, key=lambda mark: mark.sign is not GROUND_SIGN):
-            found += self._mark(mark.sign, mark.places[k])
-        for arrows in own.arrows:
+        shown, artists = self.mechanism, list[Artist]()
+        for line in shown.lines:
+            artists += self._line(self.glyphs.line(line, k), line.kind)
+        for mark in sorted(shown.marks, key=lambda mark: mark.sign is not GROUND_SIGN):
+            artists += self._mark(mark.sign, mark.places[k])
+        for arrows in shown.arrows:
             if arrows.kind == "moment":
-                found += self._line(self.glyphs.arc(arrows, k), "moment")
+                artists += self._line(self.glyphs.arc(arrows, k), "moment")
             else:
-                found.append(self._quiver(arrows.places[k], self.glyphs.arrow(arrows)[k]))
-        return found
+                artists.append(self._quiver(arrows.places[k], self.glyphs.arrow(arrows)[k]))
+        return artists
 
     @final
     def _line(self, x: Array, kind: str) -> list[Artist]:
@@ -155,23 +153,25 @@ class PlanePainter(Painter):
 
     def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
         """Areas of the bodies with their outlines; thin beams as coloured lines."""
-        found: list[Artist] = []
+        artists: list[Artist] = []
         for number, (mesh, x) in enumerate(
             zip(self.mechanism.meshes, self.mechanism.places, strict=True)
         ):
             if not len(mesh.faces):
                 continue
-            own = faded(self._face_colours(number, k), strength)
+            colours = faded(self._face_colours(number, k), strength)
             # Edges hide the seams between faces.
-            areas = PolyCollection(x[k][mesh.faces], facecolors=own, edgecolors=own, linewidths=0.3)
+            areas = PolyCollection(
+                x[k][mesh.faces], facecolors=colours, edgecolors=colours, linewidths=0.3
+            )
             areas.set_zorder(3)
-            found.append(self.axes.add_collection(areas))
+            artists.append(self.axes.add_collection(areas))
             loop = np.append(mesh.loop, mesh.loop[0])
             edge = faded(np.array([to_rgba(EDGE)]), strength)[0]
-            found += self.axes.plot(*x[k][loop].T, color=edge, lw=0.8, zorder=3)
+            artists += self.axes.plot(*x[k][loop].T, color=edge, lw=0.8, zorder=3)
             if self._thin(mesh):
-                found.append(self.axes.add_collection(self._stroke(number, k, strength)))
-        return found
+                artists.append(self.axes.add_collection(self._stroke(number, k, strength)))
+        return artists
 
     def settle(self, figure: Figure) -> None:
         """Leave it to the layout."""
@@ -184,9 +184,9 @@ class PlanePainter(Painter):
         if self.mechanism.field is None:
             colours = np.array([to_rgba(BODY)])
         else:
-            own = self.mechanism.values[number][k].reshape(-1, mesh.shape[2])
-            chosen = np.argmax(np.abs(np.nan_to_num(own)), axis=1)
-            along = own[np.arange(len(own)), chosen]
+            values = self.mechanism.values[number][k].reshape(-1, mesh.shape[2])
+            chosen = np.argmax(np.abs(np.nan_to_num(values)), axis=1)
+            along = values[np.arange(len(values)), chosen]
             colours = self._coloured((along[1:] + along[:-1]) / 2)
         pieces = np.stack([x[:-1], x[1:]], axis=1)
         line = LineCollection(list(pieces), colors=faded(colours, strength), linewidths=3.0)
@@ -202,10 +202,10 @@ class PlanePainter(Painter):
         hatch = s * np.array(
             [[[a, -1.0], [a - 0.3, -1.35]] for a in np.linspace(-0.9, 1.1, 6).tolist()]
         )
-        found = list(self.axes.plot(*(x + shape).T, color=GROUND, lw=1.0, zorder=5))
+        outline = list(self.axes.plot(*(x + shape).T, color=GROUND, lw=1.0, zorder=5))
         lines = LineCollection(list(x + hatch), colors=GROUND, linewidths=0.8)
         lines.set_zorder(5)
-        return [*found, self.axes.add_collection(lines)]
+        return [*outline, self.axes.add_collection(lines)]
 
     def _quiver(self, x: Array, F: Array) -> Artist:
         settings = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.006}
@@ -266,13 +266,13 @@ class SpacePainter(Painter):
 
     def _seen(self) -> Bbox:
         """Return what the cube of the limits and its labels take; pixels."""
-        own = self.axes
-        limits = [getattr(own, f"get_{axis}lim")() for axis in "xyz"]
+        axes = self.axes
+        limits = [getattr(axes, f"get_{axis}lim")() for axis in "xyz"]
         corners = np.stack(np.meshgrid(*limits), axis=-1).reshape(-1, 3)
-        x, y, _ = proj_transform(*corners.T, own.get_proj())
+        x, y, _ = proj_transform(*corners.T, axes.get_proj())
         cube = Bbox.null()
-        cube.update_from_data_xy(own.transData.transform(np.stack([x, y], axis=1)))
-        labels = [axis.get_tightbbox() for axis in (own.xaxis, own.yaxis, own.zaxis)]
+        cube.update_from_data_xy(axes.transData.transform(np.stack([x, y], axis=1)))
+        labels = [axis.get_tightbbox() for axis in (axes.xaxis, axes.yaxis, axes.zaxis)]
         return Bbox.union([cube, *(box for box in labels if box is not None)])
 
     def bodies(self, k: int, strength: float = 1.0) -> list[Artist]:
@@ -286,9 +286,9 @@ class SpacePainter(Painter):
             colours.append(lit(self._face_colours(number, k), corners))
         if not sum(map(len, faces)):
             return []
-        own = faded(np.concatenate(colours), strength)
+        fills = faded(np.concatenate(colours), strength)
         surface = Poly3DCollection(
-            np.concatenate(faces), facecolors=own, edgecolors=own, linewidths=0.2
+            np.concatenate(faces), facecolors=fills, edgecolors=fills, linewidths=0.2
         )
         return [self.axes.add_collection3d(surface)]
 
@@ -307,34 +307,34 @@ def colour_map(mechanism: Mechanism) -> Colormap:
 
 
 def canvas(
-    own: Mechanism, title: str, signs: bool = False, camera: tuple[float, float] = CAMERA
+    shown: Mechanism, title: str, signs: bool = False, camera: tuple[float, float] = CAMERA
 ) -> tuple[Figure, Painter]:
     """Make a figure as high as the mechanism needs, with colour bar and a legend of signs."""
-    span = np.ptp(own.bounds, axis=0) + 0.24 * np.ptp(own.bounds, axis=0).max()
-    ratio = 0.65 if own.d == 3 else span[1] / span[0]
+    span = np.ptp(shown.bounds, axis=0) + 0.24 * np.ptp(shown.bounds, axis=0).max()
+    ratio = 0.65 if shown.d == 3 else span[1] / span[0]
     height = _WIDTH * float(np.clip(0.9 * ratio, _NARROW, _WIDE)) + 1.2
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
-    kind = PlanePainter if own.d == 2 else SpacePainter
-    brush = kind(figure, own, camera)
-    if own.d == 2:
+    kind = PlanePainter if shown.d == 2 else SpacePainter
+    brush = kind(figure, shown, camera)
+    if shown.d == 2:
         brush.axes.set_title(title)
     elif title:
         figure.suptitle(title, fontsize="large")
     entries = brush.legend() if signs else []
     if entries:
         figure.legend(handles=entries, loc="outside lower center", ncols=min(4, len(entries)))
-    if own.field is not None:
+    if shown.field is not None:
         bar = figure.colorbar(
-            brush.colours, ax=brush.axes, shrink=0.8, pad=0.03, extend=_extend(own)
+            brush.colours, ax=brush.axes, shrink=0.8, pad=0.03, extend=_extend(shown)
         )
-        bar.set_label(own.field.label)
+        bar.set_label(shown.field.label)
     return figure, brush
 
 
-def _extend(own: Mechanism) -> str:
+def _extend(shown: Mechanism) -> str:
     """Which ends of the colour bar point to values beyond its limits."""
-    values = np.concatenate([x[np.isfinite(x)] for x in own.values])
-    low, high = own.limits
+    values = np.concatenate([x[np.isfinite(x)] for x in shown.values])
+    low, high = shown.limits
     below, above = bool(np.any(values < low)), bool(np.any(values > high))
     return {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[below, above]
 
@@ -344,13 +344,13 @@ def lit(colours: Array, corners: Array) -> Array:
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     length = np.linalg.norm(normals, axis=1)
     across = np.abs(normals @ _LIGHT) / (np.linalg.norm(_LIGHT) * np.where(length, length, 1.0))
-    own = colours.copy()
-    own[:, :3] *= (0.6 + 0.4 * across)[:, None]
-    return own
+    shaded = colours.copy()
+    shaded[:, :3] *= (0.6 + 0.4 * across)[:, None]
+    return shaded
 
 
 def faded(colours: Array, strength: float) -> Array:
     """Return colours (n, 4) mixed with white; opaque, so that faces do not add up."""
-    own = colours.copy()
-    own[:, :3] = 1.0 - strength * (1.0 - own[:, :3])
-    return own
+    pale = colours.copy()
+    pale[:, :3] = 1.0 - strength * (1.0 - pale[:, :3])
+    return pale

@@ -1,7 +1,5 @@
 """Pictures of a mechanism as it stands and moves, and films of it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import animation
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ancfdae.equations import Solution
@@ -83,16 +82,16 @@ def snapshots(
     seen = _camera("snapshots", scene, camera)
     if isinstance(solution, Solution) and times is None and len(solution.t) > 1:
         times = frames_of(solution, _INSTANTS).tolist()
-    own = mechanism(scene, solution, times, colour, limits)
+    shown = mechanism(scene, solution, times, colour, limits)
     with settings():
-        figure, brush = canvas(own, title, True, seen)
-        count = len(own.motion.t)
+        figure, brush = canvas(shown, title, True, seen)
+        count = len(shown.motion.t)
         for k in range(count):
             share = (k + 1) / count
             brush.bodies(k, _FAINT + (1 - _FAINT) * share**2)
         brush.symbols(count - 1)
         if count > 1:
-            _label_instants(brush, own)
+            _label_instants(brush, shown)
         brush.settle(figure)
     return figure
 
@@ -108,6 +107,7 @@ def animate(
     dpi: int = 100,
     limits: Sequence[float] | None = None,
     camera: Sequence[float] | None = None,
+    progress: bool = False,
 ) -> Path:
     """Write a film of a motion: GIF, MP4, or a page to turn and zoom, by the suffix of the path.
 
@@ -125,6 +125,8 @@ def animate(
         How long the film takes; s.
     dpi : int
         Dots per inch of the 7.5 inches of GIF and MP4.
+    progress : bool
+        Show a bar while frames of GIF and MP4 are drawn.
 
     Returns
     -------
@@ -148,13 +150,13 @@ def animate(
             "install ffmpeg, brew install ffmpeg), or write a .gif or .html."
         )
     seen = _camera("animate", scene, camera)
-    own = mechanism(scene, solution, frames_of(solution, frames).tolist(), colour, limits)
+    shown = mechanism(scene, solution, frames_of(solution, frames).tolist(), colour, limits)
     file.parent.mkdir(parents=True, exist_ok=True)
     if file.suffix == ".html":
-        write_page(own, file, seconds, title, seen)
+        write_page(shown, file, seconds, title, seen)
         return file
     with settings():
-        _film(own, file, frames / seconds, title, dpi, seen)
+        _film(shown, file, frames / seconds, title, dpi, seen, progress)
     return file
 
 
@@ -183,18 +185,28 @@ def _camera(where: str, scene: Scene, camera: Sequence[float] | None) -> tuple[f
 
 
 def _film(
-    own: Mechanism, file: Path, rate: float, title: str, dpi: int, camera: tuple[float, float]
+    shown: Mechanism,
+    file: Path,
+    rate: float,
+    title: str,
+    dpi: int,
+    camera: tuple[float, float],
+    progress: bool,
 ) -> None:
+    from tqdm import tqdm
+
     writers: dict[str, Any] = {".gif": animation.PillowWriter, ".mp4": animation.FFMpegWriter}
-    figure, brush = canvas(own, title, True, camera)
+    figure, brush = canvas(shown, title, True, camera)
     # Found once: it takes longer than all the rest of a frame.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     brush.settle(figure)
-    clock = figure.text(0.02, 0.98, "", va="top", fontsize=10)
     writer = writers[file.suffix](fps=rate)
     with writer.saving(figure, file, dpi):
-        for k, t in enumerate(own.motion.t.tolist()):
+        _freeze(figure, brush, dpi)
+        clock = figure.text(0.02, 0.98, "", va="top", fontsize=10)
+        times = tqdm(shown.motion.t.tolist(), "film", disable=not progress, unit="frame")
+        for k, t in enumerate(times):
             clock.set_text(f"t = {t:.3g} s")
             artists = brush.bodies(k) + brush.symbols(k)
             for artist in artists:
@@ -204,21 +216,35 @@ def _film(
                 artist.remove()
 
 
-def _label_instants(brush: Painter, own: Mechanism) -> None:
+def _freeze(figure: Figure, brush: Painter, dpi: int) -> None:
+    """Put an image of all that stands still behind what moves; drawing it takes longer."""
+    drawing: Any = FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    drawing.draw()
+    image = np.array(drawing.buffer_rgba())
+    for artist in figure.get_children():
+        artist.set_visible(artist is brush.axes)
+    brush.axes.set_axis_off()
+    brush.axes.set_title("")
+    brush.axes.patch.set_visible(False)
+    figure.figimage(image, zorder=-1)
+
+
+def _label_instants(brush: Painter, drawn: Mechanism) -> None:
     """Write instants beside the point that travels farthest, where it left room."""
-    travel = [np.linalg.norm(np.diff(x, axis=0), axis=-1).sum(axis=0) for x in own.places]
+    travel = [np.linalg.norm(np.diff(x, axis=0), axis=-1).sum(axis=0) for x in drawn.places]
     if not any(len(x) for x in travel):
         return
     mesh = int(np.argmax([x.max(initial=-1.0) for x in travel]))
-    track: Array = own.places[mesh][:, int(np.argmax(travel[mesh]))]
+    track: Array = drawn.places[mesh][:, int(np.argmax(travel[mesh]))]
     shown: list[int] = []
     for k in reversed(range(len(track))):
         # Letters are about so high.
         if not shown or np.linalg.norm(track[k] - track[shown[-1]]) > 0.04 * brush.extent:
             shown.append(k)
     for k in shown:
-        x, t = track[k], own.motion.t[k]
-        offset = (x[:2] - own.bounds.mean(axis=0)[:2]) >= 0
+        x, t = track[k], drawn.motion.t[k]
+        offset = (x[:2] - drawn.bounds.mean(axis=0)[:2]) >= 0
         brush.axes.text(
             *x,
             f" {t:.3g} s ",

@@ -1,7 +1,5 @@
 """Joints, loads and point masses as marks, lines and arrows that move with the mechanism."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -74,14 +72,14 @@ class Symbols:
 
     def marks(self, motion: Solution) -> list[Mark]:
         """Return a mark for each joint, ground that holds one, and point mass."""
-        found = []
+        marks = []
         for joint in self._scene.joints:
             places = self._places(joint.points[0], motion.q)
             ground = self._ground(joint, places)
             if ground is not None:
-                found.append(Mark("ground", GROUND, joint.name, ground))
-            found.append(Mark(joint.kind, joint.sign, joint.name, places))
-        return found + [
+                marks.append(Mark("ground", GROUND, joint.name, ground))
+            marks.append(Mark(joint.kind, joint.sign, joint.name, places))
+        return marks + [
             Mark(mass.kind, _MASS, mass.name, self._places(mass.point, motion.q))
             for mass in self._scene.point_masses
         ]
@@ -89,7 +87,7 @@ class Symbols:
     def lines(self, motion: Solution) -> list[Line]:
         """Return links, springs, the axes and ways of joints, and frames of bodies."""
         parts: list[Joint | Load] = [*self._scene.joints, *self._scene.loads]
-        found = [
+        lines = [
             Line(part.stroke.value, part.name, self._between(part, motion))
             for part in parts
             if part.stroke is not None
@@ -97,11 +95,11 @@ class Symbols:
         for joint in self._scene.joints:
             if joint.way is not None:
                 way = np.asarray(joint.way, dtype=float)
-                found.append(Line("way", joint.name, self._along(joint, way, motion)))
+                lines.append(Line("way", joint.name, self._along(joint, way, motion)))
         for body in self._scene.bodies:
             if isinstance(body, RigidBody) and body.shape is None:
-                found += self._frame(body, motion)
-        return found
+                lines += self._frame(body, motion)
+        return lines
 
     def arrows(self, motion: Solution) -> list[Arrows]:
         """Return the forces and moments of all loads, as their laws give them."""
@@ -109,26 +107,28 @@ class Symbols:
 
     def _of_load(self, load: Load, motion: Solution) -> list[Arrows]:
         names = load.vectors(self._scene.elements)
-        F, found = self._forces(load, motion), []
+        F, arrows = self._forces(load, motion), []
         moments: dict[Point, list[Array]] = {}
         for number, name in enumerate(names):
-            own = F[:, [number]]
+            force = F[:, [number]]
             if isinstance(name, CentreLine):
                 places = self._stations(name.beam, motion.q)
-                spread = np.broadcast_to(own, places.shape)
-                found.append(Arrows("force per length", load.name, places, spread))
+                spread = np.broadcast_to(force, places.shape)
+                arrows.append(Arrows("force per length", load.name, places, spread))
             elif isinstance(name, tuple) and name[1] is Quantity.POSITION:
                 if load.stroke is None:
                     places = self._places(name[0], motion.q)[:, None]
-                    found.append(Arrows("force", load.name, places, own))
+                    arrows.append(Arrows("force", load.name, places, force))
             elif isinstance(name, tuple):
                 slope = self._of([name], motion.q)
-                moments.setdefault(name[0], []).append(_cross(slope, own))
+                moments.setdefault(name[0], []).append(_cross(slope, force))
         for point, parts in moments.items():
             M = sum(parts[1:], parts[0])
             if np.any(M):
-                found.append(Arrows("moment", load.name, self._places(point, motion.q)[:, None], M))
-        return found
+                arrows.append(
+                    Arrows("moment", load.name, self._places(point, motion.q)[:, None], M)
+                )
+        return arrows
 
     def _forces(self, load: Load, motion: Solution) -> Array:
         """Return the generalised forces on the vectors of a load, shape (k, n, d)."""
@@ -139,8 +139,8 @@ class Symbols:
         return F * load.factor(p, motion.t, 0)[:, None, None]
 
     def _vectors(self, names: Names) -> Vectors:
-        own, n_b = point_vectors(self._naming, names), self._naming.lengths_b.shape[1]
-        return Vectors.of_points(own, self._d, len(self._q_o), n_b)
+        vectors, n_b = point_vectors(self._naming, names), self._naming.lengths_b.shape[1]
+        return Vectors.of_points(vectors, self._d, len(self._q_o), n_b)
 
     def _of(self, names: list[tuple[Point, Quantity]], q: Array) -> Array:
         """Return vectors of points, shape (k, n, d)."""

@@ -5,8 +5,6 @@ raw arrays. The package vtk itself is 140 MB, and meshio, which reads the files 
 has had no release since January 2024.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -65,17 +63,17 @@ def write_vtk(
     file = checked_path("write_vtk", path, (".pvd",))
     evtk = require_package("write_vtk", "pyevtk.hl", "vtk")
     group = require_package("write_vtk", "pyevtk.vtk", "vtk")
-    own, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
+    shown, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
     folder = file.with_suffix("")
     if folder.is_file():
         rule, repair = "needs a folder of its name beside it", "Choose another name."
         raise InvalidInput("write_vtk, path", rule, f"the file {folder}", repair)
     folder.mkdir(parents=True, exist_ok=True)
-    faces, points = own.faces, point_data(own, declared)
-    bodies = np.repeat(np.arange(len(own.meshes)), [len(mesh.faces) for mesh in own.meshes])
+    faces, points = shown.faces, point_data(shown, declared)
+    bodies = np.repeat(np.arange(len(shown.meshes)), [len(mesh.faces) for mesh in shown.meshes])
     series = group.VtkGroup(str(folder))
-    for k, t in enumerate(own.motion.t.tolist()):
-        x = np.concatenate([place[k] for place in own.places])
+    for k, t in enumerate(shown.motion.t.tolist()):
+        x = np.concatenate([place[k] for place in shown.places])
         written = evtk.unstructuredGridToVTK(
             str(folder / f"{k:05d}"),
             *_components(x),
@@ -93,35 +91,35 @@ def write_vtk(
     return file
 
 
-def point_data(own: Mechanism, declared: Mechanism) -> dict[str, Array]:
+def point_data(shown: Mechanism, declared: Mechanism) -> dict[str, Array]:
     """Return fields at all points by name: vectors (k, n, d) or numbers (k, n)."""
-    motion = own.motion
-    x = np.concatenate(own.places, axis=1)
-    found = {
+    motion = shown.motion
+    x = np.concatenate(shown.places, axis=1)
+    data = {
         "displacement [m]": x - np.concatenate(declared.places, axis=1),
-        "velocity [m/s]": _joined(own, lambda mesh: mesh.velocities(motion.q, motion.v)),
+        "velocity [m/s]": _joined(shown, lambda mesh: mesh.velocities(motion.q, motion.v)),
         "strain energy density [J/m^3]": _joined(
-            own, lambda mesh: StrainEnergyDensity().values(mesh, motion)
+            shown, lambda mesh: StrainEnergyDensity().values(mesh, motion)
         ),
     }
-    if all(_has_stress(mesh) for mesh in own.meshes):
-        found["von Mises stress [Pa]"] = _joined(
-            own, lambda mesh: VonMisesStress().values(mesh, motion)
+    if all(_has_stress(mesh) for mesh in shown.meshes):
+        data["von Mises stress [Pa]"] = _joined(
+            shown, lambda mesh: VonMisesStress().values(mesh, motion)
         )
-    forces = _joined(own, lambda mesh: _section_forces(mesh, motion))
-    for component in _PLANAR if own.d == 2 else range(6):
-        found[_FORCES[component]] = forces[..., component]
+    forces = _joined(shown, lambda mesh: _section_forces(mesh, motion))
+    for component in _PLANAR if shown.d == 2 else range(6):
+        data[_FORCES[component]] = forces[..., component]
     if motion.sensitivities is not None:
         q_b = motion.sensitivities.q_b
         for i, name in enumerate(motion.sensitivities.names):
-            found[f"d place/d {name}"] = _joined(
-                own, lambda mesh, i=i: mesh.sensitivities(motion.q, q_b[..., i], i)
+            data[f"d place/d {name}"] = _joined(
+                shown, lambda mesh, i=i: mesh.sensitivities(motion.q, q_b[..., i], i)
             )
-    return found
+    return data
 
 
-def _joined(own: Mechanism, function: Any) -> Array:
-    return np.concatenate([function(mesh) for mesh in own.meshes], axis=1)
+def _joined(shown: Mechanism, function: Any) -> Array:
+    return np.concatenate([function(mesh) for mesh in shown.meshes], axis=1)
 
 
 def _has_stress(mesh: Mesh) -> bool:
@@ -136,8 +134,8 @@ def _section_forces(mesh: Mesh, motion: Solution) -> Array:
     k = len(motion.t)
     if not isinstance(mesh, BeamMesh) or mesh.elements is None:
         return np.full((*mesh.places(motion.q).shape[:2], 6), np.nan)
-    own = section_forces(mesh, motion)[..., None, :]
-    return np.broadcast_to(own, (k, *mesh.shape, 6)).reshape(k, -1, 6)
+    forces = section_forces(mesh, motion)[..., None, :]
+    return np.broadcast_to(forces, (k, *mesh.shape, 6)).reshape(k, -1, 6)
 
 
 def _components(x: Array) -> tuple[Array, Array, Array]:

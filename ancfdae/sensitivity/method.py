@@ -28,6 +28,7 @@ from ancfdae.errors.text import columns, page
 from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.accuracy import Accuracy
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
 from ancfdae.sensitivity.objectives.totals import totals_of
@@ -60,7 +61,9 @@ class Gradient:
         Names of the design variables.
     method : GradientMethod
     solution : Solution
-        The run at the design.
+        The run at the design; of a call to a tolerance the finest one.
+    accuracy : Accuracy, optional
+        Of a call to a tolerance the bars, and how they were reached.
     """
 
     value: float
@@ -68,6 +71,7 @@ class Gradient:
     names: tuple[str, ...]
     method: GradientMethod
     solution: Solution
+    accuracy: Accuracy | None = None
 
     @property
     def pair(self) -> tuple[float, Array]:
@@ -95,9 +99,13 @@ class Gradient:
 
     def _table(self) -> tuple[str, list[tuple[str, str]], str]:
         slopes = [f"{slope:.6g}" for slope in self.gradient]
+        value, end = f"{self.value:.9g}", str(self.solution.outcome)
+        if self.accuracy is not None:
+            bars = self.accuracy.gradient_bar
+            slopes = [f"{x} +- {bar:.1g}" for x, bar in zip(slopes, bars, strict=True)]
+            value, end = f"{value} +- {self.accuracy.value_bar:.1g}", repr(self.accuracy)
         rows = [("design variable", "derivative"), *zip(self.names, slopes, strict=True)]
-        head = f"objective {self.value:.9g}, gradient by {self.method}"
-        return head, rows, str(self.solution.outcome)
+        return f"objective {value}, gradient by {self.method}", rows, end
 
 
 @final

@@ -24,7 +24,7 @@ from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
 from ancfdae.kernels import Rest, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
-from ancfdae.statics.compiled import CompiledRest, Found, Known
+from ancfdae.statics.compiled import CompiledRest, RestEnd, RestStart
 
 # Estimated error after the last iteration, relative to positions and to forces: near round-off.
 _TOLERANCE = 1e-13
@@ -40,7 +40,7 @@ _FAR, _GROWTHS = 100.0, 4
 
 @final
 @dataclass
-class Work:
+class SearchCounts:
     """Counters of a search."""
 
     iterations: int = 0
@@ -52,7 +52,7 @@ class Work:
 
 @final
 @dataclass(frozen=True)
-class Solved:
+class Balanced:
     """A solution at the load fraction s, dq/ds and dlam/ds there, and the last correction.
 
     K is surely positive definite if it is `definite`; else it has to be looked at.
@@ -85,7 +85,7 @@ class Balance:
     t: float
     q_0: Array
     lam_0: Array
-    work: Work = field(default_factory=Work)
+    work: SearchCounts = field(default_factory=SearchCounts)
 
     @staticmethod
     def of(system: MechanicalSystem, t: float, q_0: Array, lam_0: Array) -> Balance:
@@ -170,10 +170,10 @@ class Balance:
     @cached_property
     def _compiled(self) -> CompiledRest | None:
         sizes = self.position, self.load, _TOLERANCE, _FAR, _GROWTHS
-        known = Known(self.q_0, self.r_0, self.Phi_0, *sizes)
+        known = RestStart(self.q_0, self.r_0, self.Phi_0, *sizes)
         return CompiledRest.of(self.system, self.matrices, self.t, known)
 
-    def begun(self) -> Solved | Unsolved:
+    def begun(self) -> Balanced | Unsolved:
         """Return the start, which solves the equations at s = 0, with its path."""
         q, lam = self.q_0, self.lam_0
         if self._compiled:
@@ -182,7 +182,7 @@ class Balance:
             factors = self.factor(self.tangent(0.0, q, lam), self.Phi_q(q))
         except SingularMatrix:
             return Unsolved(Verdict.SINGULAR, 0.0)
-        return Solved(0.0, q, lam, self._path(q, factors))
+        return Balanced(0.0, q, lam, self._path(q, factors))
 
     def solve(
         self,
@@ -191,7 +191,7 @@ class Balance:
         lam: Array,
         mu: float = 0.0,
         anchor: Array | None = None,
-    ) -> Solved | Unsolved:
+    ) -> Balanced | Unsolved:
         """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a."""
         if self._compiled and not np.iscomplexobj(q):
             found = self._compiled.solve(s, q, lam, mu, anchor, _ITERATIONS)
@@ -200,18 +200,18 @@ class Balance:
             q, lam = found.q, found.lam
         return self._solve(s, q, lam, mu, anchor)
 
-    def _counted(self, s: float, found: Found) -> Solved | Unsolved:
+    def _counted(self, s: float, found: RestEnd) -> Balanced | Unsolved:
         self.work.iterations += found.iterations
         self.work.residuals += found.iterations
         self.work.factorisations += found.iterations + 1
         if found.why == Rest.SOLVED:
-            return Solved(s, *found[1:])
+            return Balanced(s, *found[1:])
         verdicts = {Rest.NOT_FINITE: Verdict.NOT_FINITE, Rest.SINGULAR: Verdict.SINGULAR}
         return Unsolved(verdicts.get(found.why, Verdict.NO_CONVERGENCE), found.correction)
 
     def _solve(
         self, s: float, q: Array, lam: Array, mu: float, anchor: Array | None
-    ) -> Solved | Unsolved:
+    ) -> Balanced | Unsolved:
         test = _Convergence(self)
         try:
             with np.errstate(all="ignore"):
@@ -225,7 +225,7 @@ class Balance:
                     dq, dlam = solve(factors, R, -Phi)
                     q, lam = q + dq, lam + dlam
                     if test.converged(q, lam, dq, dlam, R, K, Phi_q):
-                        return Solved(s, q, lam, self._path(q, factors), iteration, test.size)
+                        return Balanced(s, q, lam, self._path(q, factors), iteration, test.size)
                     if test.diverged:
                         break
         except SingularMatrix:

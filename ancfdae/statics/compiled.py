@@ -18,7 +18,7 @@ from ancfdae.numerics.linear_solvers import SaddlePoint
 _CLEAR = 1e-13
 
 
-class Known(NamedTuple):
+class RestStart(NamedTuple):
     """What does not change in a search: its start, what is unbalanced there, sizes, and rules."""
 
     q_0: Array
@@ -31,7 +31,7 @@ class Known(NamedTuple):
     growths: int
 
 
-class Found(NamedTuple):
+class RestEnd(NamedTuple):
     """Where the kernel ends, and why; the path in s and `definite` are of a solution."""
 
     why: Rest
@@ -47,7 +47,7 @@ class Found(NamedTuple):
 class CompiledRest:
     """The kernel of one system at one instant."""
 
-    def __init__(self, plan: Plan, matrices: SaddlePoint, t: float, known: Known) -> None:
+    def __init__(self, plan: Plan, matrices: SaddlePoint, t: float, known: RestStart) -> None:
         self._plan, self._matrices, self._known = plan, matrices, known
         self._arrays = self._prepared(band=False)
         instant, of = np.array([t]), plan.joint_factors
@@ -56,7 +56,7 @@ class CompiledRest:
 
     @classmethod
     def of(
-        cls, system: MechanicalSystem, matrices: SaddlePoint, t: float, known: Known
+        cls, system: MechanicalSystem, matrices: SaddlePoint, t: float, known: RestStart
     ) -> CompiledRest | None:
         """Return None for a system that is no plan, or whose matrices need another solver."""
         plan = system.plan if isinstance(system, PlannedSystem) else None
@@ -66,7 +66,7 @@ class CompiledRest:
 
     def solve(
         self, s: float, q: Array, lam: Array, mu: float, anchor: Array | None, iterations: int
-    ) -> Found:
+    ) -> RestEnd:
         """Solve from a guess; with no iterations the state is taken as it is."""
         known, turning = self._known, self._of_loads * self._plan.turning
         factors = self._of_joints, self._of_loads - (1.0 - s) * turning, turning
@@ -77,7 +77,9 @@ class CompiledRest:
         if why == Rest.INDEFINITE:
             self._arrays = self._prepared(band=True)
             return self.solve(s, q, lam, mu, anchor, iterations)
-        return Found(Rest(why), state[0], state[1], state[2:], count, size, bool(definite))
+        return RestEnd(Rest(why), state[0], state[1], state[2:], count, size, bool(definite))
 
     def _prepared(self, band: bool) -> object:
-        return prepare(self._plan, self._matrices.layout(band), np.zeros(RULES))
+        layout = self._matrices.layout(band)
+        assert layout is not None
+        return prepare(self._plan, layout, np.zeros(RULES))

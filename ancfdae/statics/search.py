@@ -7,7 +7,7 @@ from typing import final
 
 from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Solved, Unsolved
+from ancfdae.statics.balance import Balance, Balanced, Unsolved
 from ancfdae.statics.load_path import LoadPath, PathPoint
 from ancfdae.statics.mobility import free_mechanism
 from ancfdae.statics.outcome import LoadOutcome
@@ -48,7 +48,7 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     return settled if settled.outcome.success else followed
 
 
-def _followed(balance: Balance, start: Solved | Unsolved, max_steps: int) -> SearchEnd:
+def _followed(balance: Balance, start: Balanced | Unsolved, max_steps: int) -> SearchEnd:
     if isinstance(start, Unsolved):
         outcome = LoadOutcome(start.verdict, 0.0, 0, 0.0)
         return SearchEnd(balance.q_0, balance.lam_0, outcome)

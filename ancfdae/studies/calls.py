@@ -1,7 +1,5 @@
 """The calls that a user needs: simulate, differentiate, gradient."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 
@@ -29,6 +27,7 @@ from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, Un
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables import states_of
 from ancfdae.studies.parts import Keep, RunOfParts
+from ancfdae.studies.tolerance.gradients import gradients_within
 
 
 def simulate(
@@ -137,8 +136,9 @@ def gradient(
     model: Scene | MechanicalSystem,
     objective: Objective,
     t_end: float,
-    integrator: Integrator,
+    integrator: Integrator | None = None,
     *,
+    tolerance: float | None = None,
     design: Sequence[str | DesignVariable] | None = None,
     method: GradientMethod | None = None,
     memory: str | float | None = None,
@@ -153,6 +153,11 @@ def gradient(
         As in `differentiate`; with `after` a run that is there gets further gradients.
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
+    tolerance : float, optional
+        In place of an integrator: runs of several kinds choose integrator and setting until the
+        error of this gradient is estimated below it; `Gradient.accuracy` has the bars, the choice
+        and its price. Relative, each derivative times its variable, to the norm of all of these;
+        of the value to the larger of that norm and the value. Units do not matter.
     method : GradientMethod, optional
         `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
         default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
@@ -168,12 +173,18 @@ def gradient(
         If the run ends early; the error carries what was computed.
     NonFiniteObjective
         If the objective is not finite; the message names the time.
+
+    Warns
+    -----
+    ToleranceMissed
+        If the tolerance is out of reach; what comes nearest is returned.
     """
     return gradients(
         model,
         [objective],
         t_end,
         integrator,
+        tolerance=tolerance,
         design=design,
         method=method,
         memory=memory,
@@ -186,8 +197,9 @@ def gradients(
     model: Scene | MechanicalSystem,
     objectives: Sequence[Objective],
     t_end: float,
-    integrator: Integrator,
+    integrator: Integrator | None = None,
     *,
+    tolerance: float | None = None,
     design: Sequence[str | DesignVariable] | None = None,
     method: GradientMethod | None = None,
     memory: str | float | None = None,
@@ -198,6 +210,14 @@ def gradients(
     objectives = require_sequence("objectives", objectives)
     system = differentiable(model, design)
     require_objectives(system, objectives, t_end)
+    if tolerance is not None:
+        if (integrator, memory, after) != (None, None, None):
+            rule, repair = "chooses its own runs", "Leave out integrator, memory and after."
+            raise InvalidInput("tolerance", rule, "one of these too", repair)
+        return gradients_within(system, objectives, t_end, tolerance, method, progress)
+    if integrator is None:
+        rule, repair = "is needed", "For example HHT(step=0.01), or tolerance=1e-4 in its place."
+        raise InvalidInput("integrator", rule, "none", repair)
     if memory is not None:
         if method is not None:
             rule, repair = "is a limit of the adjoint", "Give one of both, or Adjoint(memory=...)."

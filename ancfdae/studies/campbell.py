@@ -122,8 +122,8 @@ def campbell(
         if not at.outcome.success:
             raise NoEquilibrium(at)
         # Twice as many, so that lines which leave the lowest ones are not lost.
-        found = modes(turned, 2 * count, at=at, design=variables, damped=True)
-        all_lines = _Lines.of(found, turned)
+        modes_there = modes(turned, 2 * count, at=at, design=variables, damped=True)
+        all_lines = _Lines.of(modes_there, turned)
         which = np.arange(min(count, len(all_lines.s)))
         if lines:
             which = lines[-1].matched(all_lines, rate - rates[len(lines) - 1])

@@ -5,8 +5,6 @@ is its class and its attributes, a class of a user's its code. Packages that are
 by name, so that what changes within them is not seen; neither are comments and places in a file.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import pickle
@@ -143,8 +141,8 @@ class _Description:
         computed = {
             name
             for each in kind.__mro__
-            for name, found in vars(each).items()
-            if isinstance(found, functools.cached_property)
+            for name, member in vars(each).items()
+            if isinstance(member, functools.cached_property)
         }
         for name in sorted(held.keys() - computed):
             yield name.encode()

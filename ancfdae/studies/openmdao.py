@@ -1,7 +1,5 @@
 """A component of OpenMDAO, the only place that imports it (``pip install "ancfdae[openmdao]"``)."""
 
-from __future__ import annotations
-
 from typing import Any, final
 
 from ancfdae.errors import AncfdaeError, MissingPackage, require_kind
@@ -46,21 +44,21 @@ class ResponsesComponent(om.ExplicitComponent):  # type: ignore[misc]  # om has 
 
     def compute(self, inputs: Any, outputs: Any) -> None:
         """Run the design."""
-        found = self._at(inputs, derivatives=False)
-        for name, value in zip(outputs, found.values, strict=True):
+        evaluation = self._at(inputs, derivatives=False)
+        for name, value in zip(outputs, evaluation.values, strict=True):
             outputs[name] = value
 
     def compute_partials(self, inputs: Any, partials: Any) -> None:
         """Differentiate the run."""
-        found = self._at(inputs, derivatives=True)
-        for name, row in zip(self.options["responses"].names, found.jacobian, strict=True):
+        evaluation = self._at(inputs, derivatives=True)
+        for name, row in zip(self.options["responses"].names, evaluation.jacobian, strict=True):
             partials[name, "x"] = row
 
     def _at(self, inputs: Any, derivatives: bool) -> Any:
         try:
-            found = self.options["responses"].at(inputs["x"], derivatives=derivatives)
+            evaluation = self.options["responses"].at(inputs["x"], derivatives=derivatives)
         except AncfdaeError as error:
             raise om.AnalysisError(str(error)) from error
-        if found.error is not None:
-            raise om.AnalysisError(str(found.error)) from found.error
-        return found
+        if evaluation.error is not None:
+            raise om.AnalysisError(str(evaluation.error)) from evaluation.error
+        return evaluation

@@ -39,7 +39,7 @@ from ancfdae.sensitivity import Direct, GradientMethod
 from ancfdae.sensitivity.method import Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
-from ancfdae.studies.evaluations import Evaluation, Evaluations, Ran
+from ancfdae.studies.evaluations import Evaluation, Evaluations
 from ancfdae.studies.sweep_result import Sweep
 
 # Runs that are kept: optimisers go back to the design before the last one where a step was too
@@ -130,7 +130,7 @@ class Responses:
             len(functions),
             self._computed,
             scale=self._scale,
-            runs=_KEPT,
+            kept=_KEPT,
             strict=strict,
         )
 
@@ -182,13 +182,13 @@ class Responses:
 
     def jacobian(self, x: Array) -> Array:
         """Return their derivatives in x, shape (m, n_b); NaN where the design has no values."""
-        found = self.at(x).jacobian
-        assert found is not None  # asked for
-        return found.copy()
+        matrix = self.at(x).jacobian
+        assert matrix is not None  # asked for
+        return matrix.copy()
 
     def solution(self, x: Array) -> Solution:
         """Return the run at x; raises the error of a design that has none."""
-        return self._designs.solution(x)
+        return self._designs.result(x)[1]
 
     def __repr__(self) -> str:
         """Return the functions and what was run."""
@@ -200,8 +200,8 @@ class Responses:
         return self._designs.at(x, derivatives=derivatives)
 
     def _computed(
-        self, b: Array, derivatives: bool, ran: Ran | None
-    ) -> tuple[Array, Array | None, Ran]:
+        self, b: Array, derivatives: bool, ran: tuple[Run, Solution] | None
+    ) -> tuple[Array, Array | None, tuple[Run, Solution]]:
         """Run a design, or differentiate the run that is there."""
         self._asked = self._asked or derivatives
         run, solution = ran or (self._run.at(b), None)
@@ -230,27 +230,27 @@ class Response:
 
     def __call__(self, x: Array) -> float:
         """Return the value at x; of derivatives nothing is computed."""
-        found = self.responses.at(x, derivatives=False)
-        if found.error is not None:
-            return self._beyond(found)[0]
-        return float(found.values[self.index])
+        evaluation = self.responses.at(x, derivatives=False)
+        if evaluation.error is not None:
+            return self._beyond(evaluation)[0]
+        return float(evaluation.values[self.index])
 
     def gradient(self, x: Array) -> Array:
         """Return the gradient in x, shape (n_b,)."""
-        found = self.responses.at(x)
-        if found.error is not None:
-            return self._beyond(found)[1]
-        assert found.jacobian is not None  # asked for
-        return np.array(found.jacobian[self.index])
+        evaluation = self.responses.at(x)
+        if evaluation.error is not None:
+            return self._beyond(evaluation)[1]
+        assert evaluation.jacobian is not None  # asked for
+        return np.array(evaluation.jacobian[self.index])
 
-    def _beyond(self, found: Evaluation) -> tuple[float, Array]:
+    def _beyond(self, evaluation: Evaluation) -> tuple[float, Array]:
         """Value and gradient of a design that has none."""
-        assert found.near is not None  # of every design with an error
-        near, k = self.responses.at(found.near), self.index
+        assert evaluation.near is not None  # of every design with an error
+        near, k = self.responses.at(evaluation.near), self.index
         if near.error is not None:
             raise near.error
         assert near.jacobian is not None  # asked for
-        d = found.x - near.x
+        d = evaluation.x - near.x
         r = self.sign * np.linalg.norm(near.jacobian[k]) * np.linalg.norm(d)
         return float(near.values[k] + r), 3 * r * d / (d @ d)
 

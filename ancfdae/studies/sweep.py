@@ -1,7 +1,5 @@
 """The call: one function at many designs, here or in the workers of an executor."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -82,8 +80,8 @@ class Evaluate:
         """
         if self.gradient:
             assert isinstance(self.of, Objective)
-            own = {"design": self.design, "method": self.method}
-            answer = gradient(model, self.of, self.t_end, self.integrator, **own)  # type: ignore[arg-type]
+            settings = {"design": self.design, "method": self.method}
+            answer = gradient(model, self.of, self.t_end, self.integrator, **settings)  # type: ignore[arg-type]
             return {"value": answer.value, "gradient": answer.gradient}
         system = as_system(model)
         run = Run(system, self.t_end, self.integrator)
@@ -168,8 +166,8 @@ def sweep(
         except KeyboardInterrupt:
             interrupted = True
     left = "not computed: the sweep was interrupted"
-    found = (rows.get(k) or SweepRow(x, None, left) for k, x in enumerate(values))
-    done = Sweep(tuple(found))
+    in_order = (rows.get(k) or SweepRow(x, None, left) for k, x in enumerate(values))
+    done = Sweep(tuple(in_order))
     if interrupted:
         raise Interrupted(done, f"{len(rows)} of {len(values)} designs were done")
     return done

@@ -4,8 +4,6 @@ The first line tells of which model and function the rows are, every other line 
 that was cut off by a crash is dropped.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -54,14 +52,14 @@ class SweepFile:
 
     def rows(self) -> dict[int, SweepRow]:
         """Return the rows that are there, by number."""
-        found = {}
+        rows = {}
         for line in self._lines[1:]:
             record = json.loads(line, object_hook=_decoded)
             k, values = record["row"], record["values"]
             if k >= len(self._values) or json.dumps(values) != _text(self._values[k]):
                 raise self._refused("must hold rows of these designs", f"row {k} at {values}")
-            found[k] = SweepRow(self._values[k], record.get("result"), record.get("error", ""))
-        return found
+            rows[k] = SweepRow(self._values[k], record.get("result"), record.get("error", ""))
+        return rows
 
     def append(self, k: int, row: SweepRow) -> SweepRow:
         """Write a row; return it with its result as it will be read."""

@@ -145,20 +145,20 @@ def _measured(
     tasks: Sequence[Task], executor: Executor | None, progress: bool
 ) -> list[Measurement]:
     """Measure all tasks, the reference first; after an interrupt with rows that say so."""
-    found: dict[int, Measurement] = {}
+    measured: dict[int, Measurement] = {}
     parts = {"model": tasks[0].system, "objective": tasks[0].objective}
     arriving = answers(measure, dict(enumerate(tasks)), executor, parts, progress=progress)
     with closing(arriving):
         try:
             for k, answer in arriving:
-                found[k] = Measurement(0.0, answer) if isinstance(answer, str) else answer
+                measured[k] = Measurement(0.0, answer) if isinstance(answer, str) else answer
                 if k == 0:
-                    _required(found[0])
+                    _required(measured[0])
         except KeyboardInterrupt:
             # Without the reference nothing could be said of the others.
-            if 0 not in found:
+            if 0 not in measured:
                 raise
-    return [found.get(k, _LEFT) for k in range(len(tasks))]
+    return [measured.get(k, _LEFT) for k in range(len(tasks))]
 
 
 def _required(reference: Measurement) -> Results:

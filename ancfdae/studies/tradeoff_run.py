@@ -122,8 +122,8 @@ def _results(system: MechanicalSystem, answer: Gradient) -> Results:
     rows = np.unique(np.linspace(0, len(solution.t) - 1, _LOOKS).round().astype(int))
     t, q = solution.t[rows], solution.q[rows]
     drift = np.array([system.constraint(s, x) for s, x in zip(t.tolist(), q, strict=True)])
-    own = (answer.value, answer.gradient, common.q, common.lam, drift, t)
-    return Results(*own, *_energy(system, solution, rows))
+    values = (answer.value, answer.gradient, common.q, common.lam, drift, t)
+    return Results(*values, *_energy(system, solution, rows))
 
 
 def _energy(system: MechanicalSystem, solution: Solution, rows: Array) -> tuple[Array, float]:

@@ -10,8 +10,8 @@ LOOSE = 0.25
 class StrandIntegrals(Integrals):
     """Quadratic invariant, mass and linear invariant of the cable, a quarter of the last one."""
 
-    def __init__(self, own, owners):
-        self._cable = CABLE_2D.integrals(own, owners)
+    def __init__(self, batch, owners):
+        self._cable = CABLE_2D.integrals(batch, owners)
         self.powers = self._cable.powers
         self.values = self._loosened(self._cable.values)
 
@@ -30,14 +30,14 @@ class Strand(BeamElement):
     def vector_weights(self, quantity, xi, y, z):
         return CABLE_2D.vector_weights(quantity, xi, y, z)
 
-    def integrals(self, own, owners):
-        return StrandIntegrals(own, owners)
+    def integrals(self, batch, owners):
+        return StrandIntegrals(batch, owners)
 
-    def section_law(self, own, xi):
-        return CABLE_2D.section_law(own, xi)
+    def section_law(self, batch, xi):
+        return CABLE_2D.section_law(batch, xi)
 
-    def stress_law(self, own, xi, places):
-        return CABLE_2D.stress_law(own, xi, places)
+    def stress_law(self, batch, xi, places):
+        return CABLE_2D.stress_law(batch, xi, places)
 
 
 STRAND = Strand()

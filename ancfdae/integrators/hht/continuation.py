@@ -11,8 +11,6 @@ belongs to this motion.
 Only guesses differ, not the equations; what they give has the derivatives of any other step.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -66,18 +64,18 @@ def continued(solver: StepSolver, step: Step, why: Failure) -> tuple[Node | Fail
     while solver.iterations < most:
         part = min(1.0, reached + stride)
         stride = part - reached
-        found = _solved(solver, step, part, branch)
-        if isinstance(found, Failure):
-            why = why if found.verdict is Verdict.SINGULAR else found
+        solved = _solved(solver, step, part, branch)
+        if isinstance(solved, Failure):
+            why = why if solved.verdict is Verdict.SINGULAR else solved
             stride /= 2 if reached else 4
             if stride < max(_FINEST * reached, _SHORTEST):
                 break
             continue
         if part == 1.0:
-            return solver.accept(found), 1.0
-        branch.append((part, found))
+            return solver.accept(solved), 1.0
+        branch.append((part, solved))
         reached = part
-        wish = (_AIM / max(found.rate, 1e-9)) ** (1 / len(branch))
+        wish = (_AIM / max(solved.rate, 1e-9)) ** (1 / len(branch))
         stride *= min(_LONGEST, max(_LEAST, wish))
     return why, reached
 

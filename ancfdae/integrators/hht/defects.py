@@ -36,8 +36,8 @@ class Defects:
         """Estimate the defects of a run from its instants, three at least, and accelerations."""
         h, alpha = steps.h[:, None], steps.alpha
         snap = np.gradient(np.gradient(A, t, axis=0, edge_order=2), t, axis=0, edge_order=2)
-        q, v, own = np.zeros_like(A), np.zeros_like(A), np.zeros_like(A)
+        q, v, on_a = np.zeros_like(A), np.zeros_like(A), np.zeros_like(A)
         q[1:] = -(1 + 3 * alpha**2) / 12 * h**2 * np.diff(A, axis=0)
         v[1:] = (alpha**2 / 2 - 1 / 12) * h**3 * 0.5 * (snap[1:] + snap[:-1])
-        own[1:] = -alpha / 2 * h**2 * snap[1:]
-        return Defects(q, v, own)
+        on_a[1:] = -alpha / 2 * h**2 * snap[1:]
+        return Defects(q, v, on_a)

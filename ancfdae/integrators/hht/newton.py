@@ -3,8 +3,6 @@
 Derivation: docs/theory/05-hht-i3.md.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple, TypeAlias, final
 
@@ -141,9 +139,9 @@ class StepSolver:
 
     def rules(self, alpha: float) -> Array:
         """Return the numbers that `march_rules` of the kernels names, in its order."""
-        own = self._tolerance, self.max_iterations, self._blur
+        limits = self._tolerance, self.max_iterations, self._blur
         rates = _SLOW, _NEAR, _AHEAD, _SMOOTH, _ROUND_OFF, _JUMP, QUIET
-        return np.array([alpha, *own, *rates, *PLACES, *WEIGHTS])
+        return np.array([alpha, *limits, *rates, *PLACES, *WEIGHTS])
 
     @property
     def iterations(self) -> int:
@@ -154,8 +152,8 @@ class StepSolver:
         """Solve eqs. (4) and (5), in `patience` times as many iterations as are usual."""
         c, before, _ = step
         guess = self._ahead(c, before), before.lam
-        found = self._solve(step, guess, self._tolerance, math.inf, patience)
-        return found if isinstance(found, Failure) else self.accept(found)
+        solved = self._solve(step, guess, self._tolerance, math.inf, patience)
+        return solved if isinstance(solved, Failure) else self.accept(solved)
 
     def _ahead(self, c: Coefficients, before: Node) -> Array:
         """Return a guess of a: a stands for q'' at t + alpha h, A at t."""
@@ -174,10 +172,10 @@ class StepSolver:
         """
         return self._solve(step, guess, max(rough, self._tolerance), _CLOSE)
 
-    def accept(self, found: Found) -> Node:
+    def accept(self, solved: Found) -> Node:
         """Count what was found as a step."""
-        self._recorder.round_off_steps += found.round_off
-        return found.node
+        self._recorder.round_off_steps += solved.round_off
+        return solved.node
 
     def _solve(
         self,

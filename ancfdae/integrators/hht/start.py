@@ -160,8 +160,8 @@ class RecurrenceStart:
             through, on_same = self._pull_back_jerk(jerk, on_jerk)
             total, on_a = total.plus(through), on_a + on_same
             on_jerk = self.s * on_a  # The acceleration of the second is a + s j of the first.
-        own = Covectors(back.q_b, back.v_b, on_a + back.A_b, 0 * total.lam, 0 * total.b)
-        return total.plus(own)
+        on_start = Covectors(back.q_b, back.v_b, on_a + back.A_b, 0 * total.lam, 0 * total.b)
+        return total.plus(on_start)
 
     def _pull_back_shift(self, on_dv: Array) -> tuple[Covectors, Array]:
         """Pull a covector on dv back; the one on the acceleration in S comes beside the others."""

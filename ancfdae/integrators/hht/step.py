@@ -10,8 +10,6 @@ derivative in the design. The tolerance bounds delta / h, which falls with h^2; 
 delta, and its runs then err by the tolerance to the power 2/3.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar, final
 
 import numpy as np
@@ -42,7 +40,7 @@ State = tuple[Node, NodeSensitivity | None]
 
 
 @final
-class Stepper(OneStepMethod[State]):
+class HHTStepper(OneStepMethod[State]):
     """Takes the steps of a run, with derivatives where those of the start are given.
 
     The tolerance, of the error of a step, is None where nothing controls it; the counters of the
@@ -138,13 +136,13 @@ class Stepper(OneStepMethod[State]):
 
     def start_error(self) -> float:
         """Return e of a first step of size 1, from the third derivative at the start."""
-        own, still = self._problem.derivative, Coefficients(0.0, self._alpha)
+        derivative, still = self._problem.derivative, Coefficients(0.0, self._alpha)
         start = RecurrenceStart.of(self._problem, still)
         motion = start.jerks[0].jerk.real, np.abs(self._problem.initial.q.real)
-        if own is None:
+        if derivative is None:
             return self._error(1.0, *motion)
-        jerk_b = start.jerk_total(start.jerks[0], own, own.a_b)
-        return self._error(1.0, *motion, jerk_b, np.abs(own.q_b))
+        jerk_b = start.jerk_total(start.jerks[0], derivative, derivative.a_b)
+        return self._error(1.0, *motion, jerk_b, np.abs(derivative.q_b))
 
     def _error(
         self,

@@ -43,14 +43,14 @@ def march(
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                while isinstance(found := _next(method, controller, recorder, reached), Reached):
-                    bar.update(found.t - reached.t)
-                    reached = found
+                while isinstance(end := _next(method, controller, recorder, reached), Reached):
+                    bar.update(end.t - reached.t)
+                    reached = end
         except SingularMatrix:
-            found = Failure(Verdict.SINGULAR, 0.0)
+            end = Failure(Verdict.SINGULAR, 0.0)
         except KeyboardInterrupt:
-            found = Failure(Verdict.INTERRUPTED, 0.0)
-    verdict, correction, remedy = found
+            end = Failure(Verdict.INTERRUPTED, 0.0)
+    verdict, correction, remedy = end
     outcome = Outcome(verdict, recorder.time, recorder.steps, correction, advice=remedy)
     return recorder.solution(outcome), reached
 

@@ -18,8 +18,6 @@ derivatives as much again; the largest e is that of the step. S_j is the largest
 derivative j in the run, relative to the coordinates (`derivative_sizes`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 
@@ -62,7 +60,7 @@ class Tolerance:
 
 
 def estimated_errors(
-    scales: Scales, scale: Array, rise: Array, own: Sensitivities | None
+    scales: Scales, scale: Array, rise: Array, sensitivities: Sensitivities | None
 ) -> EstimatedErrors:
     """Add up the errors of all n steps of a run, relative to Q_i and Q_i S_j.
 
@@ -72,10 +70,10 @@ def estimated_errors(
     # A run that diverged overflows; its error counts as infinite.
     with np.errstate(over="ignore", invalid="ignore"):
         motion = float(_added_up(scale, rise, scales.q))
-        if own is None:
+        if sensitivities is None:
             return EstimatedErrors(motion)
-        sums = _FED * _added_up(scale, np.diff(own.a_b, axis=0), scales.q)
-        sizes_b = derivative_sizes(scales, own.q_b)
+        sums = _FED * _added_up(scale, np.diff(sensitivities.a_b, axis=0), scales.q)
+        sizes_b = derivative_sizes(scales, sensitivities.q_b)
         relative = np.divide(sums, sizes_b, out=np.full_like(sums, np.nan), where=sizes_b > 0)
     relative = np.where(np.isfinite(sizes_b), relative, np.inf)
     return EstimatedErrors(motion, tuple(float(x) for x in relative))

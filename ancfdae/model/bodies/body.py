@@ -224,7 +224,7 @@ class BeamBody(Placed):
                     sizes[k][parameter] = value
                 else:
                     materials[k] = replace(materials[k], **{parameter: value})
-        changed = [s.with_sizes(own) for s, own in zip(sections, sizes, strict=True)]
+        changed = [s.with_sizes(numbers) for s, numbers in zip(sections, sizes, strict=True)]
         return replace(beam, section=tuple(changed), material=tuple(materials))  # type: ignore[type-var]
 
     def check_target(self, parameter: str, element: int | None) -> None:

@@ -1,7 +1,5 @@
 """Where a body stands: a place and a turn about it, both design targets."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -58,11 +56,11 @@ class Placed(abc.ABC):
         """Return the numbers that say where the body stands, by the names of their targets."""
         turns = np.atleast_1d(np.asarray(self.turn, float)).tolist()
         names = ["turn"] if self.dimension == 2 else [f"turn_{axis}" for axis in "xyz"]
-        found = dict(zip(names, turns, strict=True))
+        numbers = dict(zip(names, turns, strict=True))
         if not isinstance(self.place, Point):
             places = zip("xyz", self.place, strict=False)
-            found |= {f"{self.place_word}_{axis}": float(x) for axis, x in places}
-        return found
+            numbers |= {f"{self.place_word}_{axis}": float(x) for axis, x in places}
+        return numbers
 
     def split_placement(self, numbers: Array) -> tuple[Array | None, Array]:
         """Return place and turn out of numbers that begin with those of `placement`.

@@ -185,9 +185,9 @@ class RigidBody(Placed, Designable):
                 self.inertia,
                 f"The body has {self.dimension} dimensions.",
             )
-        own = np.linalg.eigvalsh(_spread(np.asarray(self.inertia, dtype=float), self.dimension))
+        spreads = np.linalg.eigvalsh(_spread(np.asarray(self.inertia, dtype=float), self.dimension))
         # Below the square root of round-off the thickness across the body would be noise.
-        if own[0] <= 1e-8 * own[-1] or own[0] <= 0:
+        if spreads[0] <= 1e-8 * spreads[-1] or spreads[0] <= 0:
             rule = "must be positive"
             if self.dimension == 3:
                 rule = "each principal moment must be less than the sum of the other two"

@@ -11,8 +11,6 @@ the Gram matrix and vanishes in a straight reference: it is the linear term p_o.
 All invariants are integrals over xi times moments of the section and powers of l.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import final
@@ -81,39 +79,39 @@ class Cable(BeamElement):
         chord, first, second = tangent_weights(np.array(xi))
         return np.array([-chord, first, chord, second]), np.array([-1, 0, -1, 0])
 
-    def integrals(self, own: Batch, owners: Array) -> Integrals:
+    def integrals(self, batch: Batch, owners: Array) -> Integrals:
         """Integrals times E A, rho A and E I."""
-        if not own.kind.straight:
+        if not batch.kind.straight:
             raise InvalidInput(
                 str(owners[0]),
                 "a cable must be straight in its reference configuration",
                 "a curved one",
                 "Use Beam, or another element.",
             )
-        return _CableIntegrals(own)
+        return _CableIntegrals(batch)
 
-    def section_law(self, own: Batch, place: SectionPlace) -> SectionLaw:
+    def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
         """Return forces of the beam law."""
-        return CableSectionLaw(own, place, _moduli(own)[::2])
+        return CableSectionLaw(batch, place, _moduli(batch)[::2])
 
-    def stress_law(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
+    def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
         """Return stresses of the axial force and the bending moment."""
-        return CableStressLaw(own, xi, places)
+        return CableStressLaw(batch, xi, places)
 
 
 @final
 class _CableIntegrals(Integrals):
     """A, m and p_o of unit moduli, times those of each element."""
 
-    def __init__(self, own: Batch) -> None:
-        self._own, self._moduli, self._units = own, _moduli(own), _integrals()
+    def __init__(self, batch: Batch) -> None:
+        self._batch, self._moduli, self._units = batch, _moduli(batch), _integrals()
         of_g = _N_POWER[list(upper_triangle(3))].sum(axis=0)
         self.powers = of_g[:, None] + of_g + 1, _S_POWER[:, None] + _S_POWER + 1, of_g - 1
         self.values = self._times(self._moduli)
 
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
         """Product rule: moduli alone depend on parameters."""
-        moved, step = _moduli(self._own.moved(which)), self._own.step(which)
+        moved, step = _moduli(self._batch.moved(which)), self._batch.step(which)
         return self._times(change(x, at, step) for x, at in zip(moved, self._moduli, strict=True))
 
     def _times(self, moduli: Iterable[Array]) -> tuple[Array, ...]:
@@ -122,13 +120,13 @@ class _CableIntegrals(Integrals):
         return tuple(np.multiply.outer(modulus, unit) for modulus, unit in pairs)
 
 
-def _moduli(own: Batch) -> tuple[Array, Array, Array]:
+def _moduli(batch: Batch) -> tuple[Array, Array, Array]:
     """E A, rho A and E I, shape (n,) each; in space I is the mean, as all are alike."""
-    E, rho = own.moduli[0], own.of(ElementParameter.DENSITY)
-    y, z, dA = own.kind.section.points(own.sizes, False)
+    E, rho = batch.moduli[0], batch.of(ElementParameter.DENSITY)
+    y, z, dA = batch.kind.section.points(batch.sizes, False)
     _, moments = central_moments(y, z, dA)
     area = dA.sum(axis=1)
-    return E * area, rho * area, E * np.mean(moments[:, : own.d - 1], axis=1)
+    return E * area, rho * area, E * np.mean(moments[:, : batch.d - 1], axis=1)
 
 
 def _shape(xi: Array) -> Array:

@@ -41,9 +41,9 @@ class _Line:
     tau: Array
 
     @classmethod
-    def of(cls, own: Batch, xi: Array) -> _Line:
+    def of(cls, batch: Batch, xi: Array) -> _Line:
         """Return that of some elements."""
-        return cls(xi, own.lengths, own.of(ElementParameter.DAMPING_TIME))
+        return cls(xi, batch.lengths, batch.of(ElementParameter.DAMPING_TIME))
 
     def strains(self, Y: Array, V: Array) -> Array:
         """Eps + tau eps', shape (..., n, n_xi)."""
@@ -82,9 +82,9 @@ class CableSectionLaw(SectionLaw):
 
     def __init__(self, run: Batch, place: SectionPlace, stiffness: tuple[Array, ...]) -> None:
         self._element = [place.element]
-        own = run[np.array(self._element)]
+        batch = run[np.array(self._element)]
         self._E_A, self._E_I = (x[self._element] for x in stiffness)
-        self._l, self._line = own.lengths, _Line.of(own, np.array([place.xi]))
+        self._l, self._line = batch.lengths, _Line.of(batch, np.array([place.xi]))
 
     def forces(self, Y: Array, V: Array) -> Array:
         """N, V_y and M_z; in space the sizes of shear force and moment in the place of these."""
@@ -111,16 +111,16 @@ class CableSectionLaw(SectionLaw):
 class CableStressLaw(StressLaw):
     """Stresses at y and z, (n, n_f) each, of sections at xi."""
 
-    def __init__(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> None:
-        y, z, dA = own.kind.section.points(own.sizes, False)
+    def __init__(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> None:
+        y, z, dA = batch.kind.section.points(batch.sizes, False)
         centroid, _ = central_moments(y, z, dA)
         offsets = np.stack(places, axis=-1) - centroid
-        self._planar = own.d == 2
+        self._planar = batch.d == 2
         squares = np.sum(offsets * offsets, axis=-1)
         arms = offsets[..., 0] if self._planar else np.sqrt(squares)
         # Of fibres, then of places, one after the other.
-        self._arms, self._E = arms[:, :, None], own.moduli[0][:, None, None]
-        self._l, self._line, self.count = own.lengths, _Line.of(own, xi), arms.size * len(xi)
+        self._arms, self._E = arms[:, :, None], batch.moduli[0][:, None, None]
+        self._l, self._line, self.count = batch.lengths, _Line.of(batch, xi), arms.size * len(xi)
 
     def von_mises(self, Y: Array, V: Array) -> Array:
         """Return the stresses, shape (k, n, n_f n_xi)."""

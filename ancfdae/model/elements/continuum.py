@@ -10,8 +10,6 @@ points and areas of the section, its factors, C and powers of l only. The former
 or two numbers, are differentiated by complex steps, and so is R; the product rule does the rest.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 
@@ -80,11 +78,11 @@ class ContinuumBeam(BeamElement):
         y, z, dA = (x[0] for x in section.points(np.array([section.sizes()]), False))
         places = np.stack([y, z][: self.d - 1])
         moments = section.second_moments()[: self.d - 1, : self.d - 1]
-        own = np.diag(moments)
+        squares = np.diag(moments)
         # Of points on a line round-off leaves eps^2 = 5e-32 of the first, and eps of the second.
-        if np.any(own <= 1e-24 * (places**2 @ np.abs(dA))):
+        if np.any(squares <= 1e-24 * (places**2 @ np.abs(dA))):
             return False
-        return bool(np.linalg.det(moments / np.sqrt(np.outer(own, own))) > 1e-12)
+        return bool(np.linalg.det(moments / np.sqrt(np.outer(squares, squares))) > 1e-12)
 
     def vector_weights(
         self, quantity: Quantity, xi: float, y: float, z: float
@@ -98,39 +96,39 @@ class ContinuumBeam(BeamElement):
             powers[:, 1] = 0
         return shape_weights(self.d, quantity, xi, y, z), powers.ravel()
 
-    def integrals(self, own: Batch, owners: Array) -> Integrals:
+    def integrals(self, batch: Batch, owners: Array) -> Integrals:
         """Gauss quadrature over the volume, and for some energies along the axis."""
-        return _ContinuumIntegrals(own, owners)
+        return _ContinuumIntegrals(batch, owners)
 
-    def section_law(self, own: Batch, place: SectionPlace) -> SectionLaw:
+    def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
         """Return what elements transmit from node to node."""
-        A = _ContinuumIntegrals(own, np.full(len(own.parameters), "section force")).values[0]
-        return ContinuumSectionLaw(own, A, place)
+        A = _ContinuumIntegrals(batch, np.full(len(batch.parameters), "section force")).values[0]
+        return ContinuumSectionLaw(batch, A, place)
 
-    def stress_law(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
+    def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
         """C times strains, shears and radial stresses spread as the section says."""
-        return ContinuumStressLaw(own, xi, places)
+        return ContinuumStressLaw(batch, xi, places)
 
 
 @final
 class _ContinuumIntegrals(Integrals):
     """A and m of scaled vectors."""
 
-    def __init__(self, own: Batch, owners: Array) -> None:
-        self._own, self._fibres, self._C = own, fibres(own), section_stiffness(own)
-        count = _STRAIGHT_POINTS if own.kind.straight else _CURVED_POINTS
-        self._regions = [Region(own, self._fibres, gauss_rule(count), owners)]
+    def __init__(self, batch: Batch, owners: Array) -> None:
+        self._batch, self._fibres, self._C = batch, fibres(batch), section_stiffness(batch)
+        count = _STRAIGHT_POINTS if batch.kind.straight else _CURVED_POINTS
+        self._regions = [Region(batch, self._fibres, gauss_rule(count), owners)]
         if len(self._C) > 1:
             axis = self._fibres.axis()
-            self._regions.append(Region(own, axis, gauss_rule(AXIS_POINTS), owners))
-        self._rho = own.of(ElementParameter.DENSITY)
+            self._regions.append(Region(batch, axis, gauss_rule(AXIS_POINTS), owners))
+        self._rho = batch.of(ElementParameter.DENSITY)
         parts = zip(self._regions, self._C, strict=True)
         A: Array = np.sum([r.total(r.stiffness(C)) for r, C in parts], axis=0)
         self.values = A, self._regions[0].mass(self._rho)
         # What the scaling took out of g, with its squares of the chord, and of s_a.
-        rows, columns = upper_triangle(2 * own.d + 1)
+        rows, columns = upper_triangle(2 * batch.d + 1)
         of_g = -(rows == 0).astype(int) - (columns == 0)
-        of_s = np.array(2 * ([0] + own.d * [1]))
+        of_s = np.array(2 * ([0] + batch.d * [1]))
         self.powers = of_g[:, None] + of_g, of_s[:, None] + of_s
 
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
@@ -138,12 +136,12 @@ class _ContinuumIntegrals(Integrals):
         A_b, m_b = (np.zeros_like(x) for x in self.values)
         if which is ElementParameter.DENSITY:
             return A_b, self.values[1] / self._rho[:, None, None]
-        own = self._own
+        batch = self._batch
         if which in (ElementParameter.YOUNGS_MODULUS, ElementParameter.POISSON_RATIO):
-            step, moved = own.step(which), section_stiffness(own.moved(which))
+            step, moved = batch.step(which), section_stiffness(batch.moved(which))
             for r, C, C_moved in zip(self._regions, self._C, moved, strict=True):
                 A_b += r.total(r.stiffness(change(C_moved, C, step)))
-        fibres_b = fibres_partial(own, which)
+        fibres_b = fibres_partial(batch, which)
         if not fibres_b.any():
             return A_b, m_b
         moves = [fibres_b, fibres_b.axis()][: len(self._regions)]

@@ -318,7 +318,7 @@ class BeamElement(abc.ABC):
     def places_in(self, wider: BeamElement) -> Array:
         """Return the places of its node vectors among those of an element that has all of them."""
         places = np.arange(wider.n_a).reshape(2, wider.n_s)
-        return places[:, [wider.quantities.index(own) for own in self.quantities]].ravel()
+        return places[:, [wider.quantities.index(quantity) for quantity in self.quantities]].ravel()
 
     @property
     def spanning(self) -> tuple[Quantity, ...]:
@@ -379,7 +379,7 @@ class BeamElement(abc.ABC):
             raise InvalidInput(
                 where,
                 f"the element must have the vector {quantity.name}",
-                f"an element of {', '.join(own.name for own in self.quantities)}",
+                f"an element of {', '.join(each.name for each in self.quantities)}",
                 "Choose another element for the beam, or another part.",
             )
 
@@ -408,20 +408,20 @@ class BeamElement(abc.ABC):
         """Energy of beams that declare none; None if the element has a law of its own."""
 
     @abc.abstractmethod
-    def integrals(self, own: Batch, owners: Array) -> Integrals:
+    def integrals(self, batch: Batch, owners: Array) -> Integrals:
         """Integrate the invariants of some elements; `owners` as in `invariants.prepare`."""
 
     @abc.abstractmethod
-    def section_law(self, own: Batch, place: SectionPlace) -> SectionLaw:
+    def section_law(self, batch: Batch, place: SectionPlace) -> SectionLaw:
         """Return what gives the forces in a section of a run of elements."""
 
     @abc.abstractmethod
-    def stress_law(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
+    def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
         """Return what gives stresses at fibres of sections of some elements.
 
         Parameters
         ----------
-        own : Batch
+        batch : Batch
         xi : array, shape (n_xi,)
         places : (array, array), shape (n, n_f) each
             y and z in the section; m.

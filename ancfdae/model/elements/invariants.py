@@ -12,8 +12,6 @@ measure that is no difference to the reference; the reference must be in
 balance under it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -38,7 +36,7 @@ _STRAIGHT_CHUNK, _CURVED_CHUNK = 256, 32
 
 def prepare(
     element: BeamElement,
-    own: Batch,
+    batch: Batch,
     wanted: Iterable[ElementParameter] = (),
     owners: Array | None = None,
 ) -> Invariants:
@@ -47,7 +45,7 @@ def prepare(
     Parameters
     ----------
     element : BeamElement
-    own : Batch
+    batch : Batch
         The elements.
     wanted : iterable of ElementParameter
         Parameters whose derivatives are prepared.
@@ -59,27 +57,27 @@ def prepare(
     InvalidInput
         If the reference configuration folds (det dr_o/dx <= 0 somewhere).
     """
-    wanted, n = tuple(wanted), len(own.parameters)
+    wanted, n = tuple(wanted), len(batch.parameters)
     if owners is None:
         owners = np.full(n, "reference configuration")
-    count = _STRAIGHT_CHUNK if own.kind.straight else _CURVED_CHUNK
+    count = _STRAIGHT_CHUNK if batch.kind.straight else _CURVED_CHUNK
     chunks = [slice(k, k + count) for k in range(0, n, count)]
-    return joined([_invariants(element, own[k], wanted, owners[k]) for k in chunks])
+    return joined([_invariants(element, batch[k], wanted, owners[k]) for k in chunks])
 
 
 def _invariants(
-    element: BeamElement, own: Batch, wanted: tuple[ElementParameter, ...], owners: Array
+    element: BeamElement, batch: Batch, wanted: tuple[ElementParameter, ...], owners: Array
 ) -> Invariants:
     """Multiply the integrals by powers of the length; the product rule."""
-    integrals = element.integrals(own, owners)
+    integrals = element.integrals(batch, owners)
     where, repair = f"integrals of the element {element.name}", "Return an `Integrals`."
     require_kind(where, integrals, (Integrals,), repair)
-    lengths = [own.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
+    lengths = [batch.lengths.reshape(-1, *[1] * power.ndim) for power in integrals.powers]
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
     whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]
     A, m, *linear = whole
-    Y_o, Y_l = own.Y_unit.astype(A.dtype), np.zeros_like(own.Y_unit)
-    Y_o[:, 0], Y_l[:, 0] = own.lengths[:, None] * own.Y_unit[:, 0], own.Y_unit[:, 0]
+    Y_o, Y_l = batch.Y_unit.astype(A.dtype), np.zeros_like(batch.Y_unit)
+    Y_o[:, 0], Y_l[:, 0] = batch.lengths[:, None] * batch.Y_unit[:, 0], batch.Y_unit[:, 0]
     partials = {}
     for which in wanted:
         changes = [x * size for x, size in zip(integrals.partial(which), sizes, strict=True)]
@@ -126,10 +124,10 @@ def relative_places(element: BeamElement, wider: BeamElement) -> Array:
     return np.concatenate([[0], at[1:n_s], at[n_s + 1 :] - 1])
 
 
-def widened(own: Invariants, element: BeamElement, wider: BeamElement) -> Invariants:
+def widened(narrow: Invariants, element: BeamElement, wider: BeamElement) -> Invariants:
     """Return invariants of the size of another element, zero for vectors that are not there."""
     if element.quantities == wider.quantities:
-        return own
+        return narrow
     n_y, at = wider.n_y, element.places_in(wider)
     packed = np.zeros((n_y, n_y), dtype=np.int64)
     packed[upper_triangle(n_y)] = np.arange(n_y * (n_y + 1) // 2)
@@ -147,7 +145,7 @@ def widened(own: Invariants, element: BeamElement, wider: BeamElement) -> Invari
 
     partials = {
         which: InvariantPartial(**fields(part, "A", "g_o", "p_o", "c"))
-        for which, part in own.partials.items()
+        for which, part in narrow.partials.items()
     }
-    p_o = None if own.p_o is None else placed(own.p_o, of_g, n_g)
-    return Invariants(**fields(own, "A", "g_o"), p_o=p_o, partials=partials)
+    p_o = None if narrow.p_o is None else placed(narrow.p_o, of_g, n_g)
+    return Invariants(**fields(narrow, "A", "g_o"), p_o=p_o, partials=partials)

@@ -4,8 +4,6 @@ They are the second Piola-Kirchhoff ones of the law, S = C (E + tau E'), in the 
 reference section, as a linear map of the Gram matrix like the strains (`strain_fields`).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import final
 
@@ -32,14 +30,14 @@ class ContinuumStressLaw(StressLaw):
     Shapes: D (n, n_f n_xi, n_v, n_g), Q (n, n_v, n_v).
     """
 
-    def __init__(self, own: Batch, xi: Array, places: tuple[Array, Array]) -> None:
-        D = _spread_stresses(own, xi, places)
+    def __init__(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> None:
+        D = _spread_stresses(batch, xi, places)
         n, n_f, n_xi, n_v, n_g = D.shape
         self._D, self._shape = D.reshape(n, n_f * n_xi * n_v, n_g), (n_f * n_xi, n_v)
-        E, nu = own.moduli
-        self._Q = _von_mises_form(own.d, own.energy.stress_across(own.d, nu))
-        self._small, self._g_o = SMALL_STRAIN * E, packed_gram(own.Y_unit)
-        self._l, self._tau = own.lengths, own.of(ElementParameter.DAMPING_TIME)
+        E, nu = batch.moduli
+        self._Q = _von_mises_form(batch.d, batch.energy.stress_across(batch.d, nu))
+        self._small, self._g_o = SMALL_STRAIN * E, packed_gram(batch.Y_unit)
+        self._l, self._tau = batch.lengths, batch.of(ElementParameter.DAMPING_TIME)
         self.count = D[..., 0].size
 
     def von_mises(self, Y: Array, V: Array) -> Array:
@@ -65,39 +63,39 @@ class ContinuumStressLaw(StressLaw):
         return S.swapaxes(0, 1).reshape(len(x), len(self._D), *self._shape)
 
 
-def _spread_stresses(own: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
+def _spread_stresses(batch: Batch, xi: Array, places: tuple[Array, Array]) -> Array:
     """Return stresses at y and z of sections, (n, n_f) each, as maps of the strains of the law.
 
     Shears of torsion are in balance with the torque of the law and spread as the section knows
     them. Where properties of the section count, the mean shears of V_y and V_z and the mean
     thickness stresses, radial ones in curved beams, spread by its shares.
     """
-    fibre, section, d = fibres(own), own.kind.section, own.d
-    offsets = np.stack(places, axis=-1) / own.lengths[:, None, None]
+    fibre, section, d = fibres(batch), batch.kind.section, batch.d
+    offsets = np.stack(places, axis=-1) / batch.lengths[:, None, None]
     at = replace(fibre, offsets=offsets, volume=np.ones(offsets.shape[:2]))
-    D = flat = _stresses(own, xi, at, np.zeros_like(offsets))
-    if own.energy.corrected:
+    D = flat = _stresses(batch, xi, at, np.zeros_like(offsets))
+    if batch.energy.corrected:
         D = flat.copy()
-        shares = section.shares(own.sizes, *places)
+        shares = section.shares(batch.sizes, *places)
         for j, share in enumerate(shares[: d - 1], start=1):
             for pair in ((0, j), (j, j)):
                 D[:, :, :, components(d).index(pair)] *= share[:, :, None, None]
     if d == 3:
-        shear = np.stack(section.torsional_shear(own.sizes, *places), axis=-1)
-        area = np.sum(fibre.volume, axis=1) / own.lengths
-        J = fibre.radii[:, 2] ** 2 * own.lengths**2 * area
-        share = J / section.torsion(own.sizes) / own.lengths
-        D = D + _stresses(own, xi, at, shear * share[:, None, None]) - flat
+        shear = np.stack(section.torsional_shear(batch.sizes, *places), axis=-1)
+        area = np.sum(fibre.volume, axis=1) / batch.lengths
+        J = fibre.radii[:, 2] ** 2 * batch.lengths**2 * area
+        share = J / section.torsion(batch.sizes) / batch.lengths
+        D = D + _stresses(batch, xi, at, shear * share[:, None, None]) - flat
     return D
 
 
-def _stresses(own: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
+def _stresses(batch: Batch, xi: Array, at: Fibres, twist: Array) -> Array:
     """Return stresses at fibres; `twist` as in `Frames.strains`."""
-    volume, *rest = own.stiffness
-    owners, n_v = np.full(len(own.parameters), "stress"), len(components(own.d))
+    volume, *rest = batch.stiffness
+    owners, n_v = np.full(len(batch.parameters), "stress"), len(components(batch.d))
 
     def stresses(C: Array, at: Fibres, xi: Array, twist: Array | None) -> Array:
-        region = Region(own, at, (xi, np.ones(len(xi))), owners)
+        region = Region(batch, at, (xi, np.ones(len(xi))), owners)
         eps = region.true_strains(twist)[..., :n_v, :] @ region.beta[:, None]
         return np.asarray((C[:, None, None] @ eps).swapaxes(1, 2))
 

@@ -4,8 +4,6 @@ Lengths are divided by the element length l, and the chord r_2 - r_1 with them (
 that the length enters through the fibres only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import final
@@ -28,21 +26,21 @@ AXIS_POINTS = 2
 _SHARE = 0.01
 
 
-def fibres(own: Batch) -> Fibres:
+def fibres(batch: Batch) -> Fibres:
     """Return the fibres of elements."""
-    l, kind, sizes = own.lengths, own.kind, own.sizes
+    l, kind, sizes = batch.lengths, batch.kind, batch.sizes
     y, z, dA = kind.section.points(sizes, not kind.straight)
     centroid, moments = central_moments(y, z, dA)
     polar = moments.sum(axis=1)
-    factors = np.ones((len(l), 3), dtype=own.parameters.dtype)
+    factors = np.ones((len(l), 3), dtype=batch.parameters.dtype)
     if kind.energy is not None and kind.energy.corrected:
-        k_y, k_z, J = kind.section.properties(sizes, own.moduli[1])
+        k_y, k_z, J = kind.section.properties(sizes, batch.moduli[1])
         factors = np.sqrt(np.stack([k_y, k_z, J / polar], axis=1))
     twist = factors[:, 2] ** 2 * polar
     squares = np.column_stack([moments, twist]) / np.sum(dA, axis=1)[:, None]
     shear_centre = kind.section.twist_centre(sizes, centroid)
     radii = np.sqrt(squares) / l[:, None]
-    factors = _shared(own, factors, radii)
+    factors = _shared(batch, factors, radii)
     places = (x / l[:, None, None] for x in (np.stack([y, z], axis=-1), centroid, shear_centre))
     offsets, centroid, shear_centre = places
     ratio = radii[:, :2] ** 2
@@ -51,21 +49,21 @@ def fibres(own: Batch) -> Fibres:
     return Fibres(offsets, dA * l[:, None], factors, *sizes_of_terms, centroid, shear_centre)
 
 
-def _shared(own: Batch, factors: Array, radii: Array) -> Array:
+def _shared(batch: Batch, factors: Array, radii: Array) -> Array:
     """Return the factors of shears, which leave a share to waves, of twist and of waves."""
     waves = np.ones((len(factors), 2), dtype=factors.dtype)
-    if own.kind.energy is not None and own.kind.energy.assumed_strains:
-        nu = own.moduli[1]
-        C = own.energy.stiffness(own.d, np.ones_like(nu), nu)[0]
+    if batch.kind.energy is not None and batch.kind.energy.assumed_strains:
+        nu = batch.moduli[1]
+        C = batch.energy.stiffness(batch.d, np.ones_like(nu), nu)[0]
         ratio = (C[:, 0, 0] / C[:, -1, -1])[:, None] * (radii / factors)[:, :2] ** 2
         waves = 1 / np.sqrt(1 + 12 * _SHARE * ratio)
         factors = factors / np.sqrt([1 - _SHARE, 1 - _SHARE, 1.0])
     return np.concatenate([factors, waves], axis=1)
 
 
-def fibres_partial(own: Batch, which: ElementParameter) -> Fibres:
+def fibres_partial(batch: Batch, which: ElementParameter) -> Fibres:
     """Return the derivative of `fibres` in a parameter."""
-    at, moved, step = fibres(own), fibres(own.moved(which)), own.step(which)
+    at, moved, step = fibres(batch), fibres(batch.moved(which)), batch.step(which)
     names = [each.name for each in fields(Fibres)]
     return Fibres(*(change(getattr(moved, name), getattr(at, name), step) for name in names))
 
@@ -118,15 +116,15 @@ class Region:
     """
 
     def __init__(
-        self, own: Batch, fibres: Fibres, along: tuple[Array, Array], owners: Array
+        self, batch: Batch, fibres: Fibres, along: tuple[Array, Array], owners: Array
     ) -> None:
         self._xi, self.rule = along
-        self._d, self._fibres = own.d, fibres
-        assumed = own.energy.assumed_strains
-        self._turns = turn_count(own.d) if assumed else 0
-        self.beta = section_strains(own.d, tuple(self._xi.tolist()), assumed)
-        straight = own.kind.straight
-        self._frames = Frames.straight(own.d) if straight else Frames.of(own.Y_unit, self._xi)
+        self._d, self._fibres = batch.d, fibres
+        assumed = batch.energy.assumed_strains
+        self._turns = turn_count(batch.d) if assumed else 0
+        self.beta = section_strains(batch.d, tuple(self._xi.tolist()), assumed)
+        straight = batch.kind.straight
+        self._frames = Frames.straight(batch.d) if straight else Frames.of(batch.Y_unit, self._xi)
         self.R, self.volume = self._strains(fibres), self._measure(fibres)
         if not straight:
             _refuse_folds(self._frames.stretch(fibres.offsets), owners)
@@ -198,12 +196,12 @@ def _product(rho: Array, dV: Array, s_1: Array, s_2: Array) -> Array:
     return np.asarray(left.swapaxes(-1, -2) @ right)
 
 
-def section_stiffness(own: Batch) -> tuple[Array, ...]:
+def section_stiffness(batch: Batch) -> tuple[Array, ...]:
     """C of strains and turns, in the volume and where there is such a part on the axis."""
-    C = own.stiffness
-    if not own.energy.assumed_strains:
+    C = batch.stiffness
+    if not batch.energy.assumed_strains:
         return C
-    turns = turn_stiffness(own.d, *own.moduli, own.kind.straight)
+    turns = turn_stiffness(batch.d, *batch.moduli, batch.kind.straight)
     return tuple(_with_diagonal(x, turns * k) for x, k in zip(C, (1.0, 0.0), strict=False))
 
 

@@ -1,7 +1,5 @@
 """Joints about an axis: the section of a point keeps across it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -85,15 +83,15 @@ class AxisJoint(Joint):
         """Return coefficients with the last two of these equations entered, and all shapes."""
         axis, carrier, _ = self.around(p, reference)
         both = sections(self.points, reference)
-        own = both[0]
-        if isinstance(carrier, SectionFrame) and own.holds(axis) and not carrier.holds(axis):
-            own, carrier = carrier, own
-        every = tuple(dict.fromkeys((*axis_shapes(own, carrier, axis), *shapes)))
+        section = both[0]
+        if isinstance(carrier, SectionFrame) and section.holds(axis) and not carrier.holds(axis):
+            section, carrier = carrier, section
+        every = tuple(dict.fromkeys((*axis_shapes(section, carrier, axis), *shapes)))
         c = empty_coefficients(rows, p, reference, every)
-        hold_axis(c, slice(rows - 2, rows), own, carrier, axis)
-        if is_fixed_in(own, carrier, axis):
+        hold_axis(c, slice(rows - 2, rows), section, carrier, axis)
+        if is_fixed_in(section, carrier, axis):
             # F axis is fixed: what is square to it in the section is across the axis.
-            carrier.meet(c, rows, own.carried(unit(np.cross(own.normal, axis))), axis)
+            carrier.meet(c, rows, section.carried(unit(np.cross(section.normal, axis))), axis)
         else:
             place_shapes(c, both)
         return c

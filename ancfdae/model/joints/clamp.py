@@ -1,7 +1,5 @@
 """Clamp: position and orientation of a section are held."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -57,8 +55,8 @@ class Clamp(Joint):
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the position and the slopes that span the section."""
-        own = elements.at(self.point).quantities
-        slopes = own[2:] or own[1:]
+        quantities = elements.at(self.point).quantities
+        slopes = quantities[2:] or quantities[1:]
         return tuple((self.point, q) for q in (Quantity.POSITION, *slopes))
 
     def coefficients(self, p: Array, reference: Array) -> Equations:

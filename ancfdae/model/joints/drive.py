@@ -1,7 +1,5 @@
 """Prescribed turning of a section, against ground or another section."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
@@ -74,12 +72,12 @@ class Drive(DrivenJoint):
         a, d = self._axis(p), reference.shape[1]
         if self.other is None:
             return self._against_ground(p, reference, lambda m: (a @ m) * a, still=True)
-        own, other = sections(self.points, reference)
-        shapes = () if d == 2 else axis_torque(own, a) + axis_torque(other, a)
+        section, other = sections(self.points, reference)
+        shapes = () if d == 2 else axis_torque(section, a) + axis_torque(other, a)
         c = empty_coefficients(1, p, reference, shapes)
-        own.take_out_shear(c, 0, a, 1.0)
+        section.take_out_shear(c, 0, a, 1.0)
         other.take_out_shear(c, 0, a, -1.0)
-        place_shapes(c, (own, other))
+        place_shapes(c, (section, other))
         return c
 
     def moving(self, p: Array, reference: Array) -> tuple[Equations, ...]:
@@ -120,9 +118,9 @@ class Drive(DrivenJoint):
         n, axes, weights = spanned(slopes)
         twisting = d == 3 and abs((a @ n).real) > OUT_OF_PLANE
         c = empty_coefficients(1, p, slopes, flat_angle(self.point) if twisting else ())
-        for w, own in zip(axes, weights, strict=True):
+        for w, share in zip(axes, weights, strict=True):
             m = np.cross(a - (a @ n) / 2 * n, w)
-            c.linear[0] += np.outer(own, part(m)[:d])
+            c.linear[0] += np.outer(share, part(m)[:d])
         if twisting and still:
             product = np.outer(*weights)
             c.bilinear[1] = product + product.T
@@ -132,10 +130,10 @@ class Drive(DrivenJoint):
         self, p: Array, reference: Array, pairs: Sequence[tuple[Array, Array]]
     ) -> Equations:
         """Part of 1/2 (F e_1 . F' R e_2 - F e_2 . F' R e_1), with R the turn."""
-        own, other = sections(self.points, reference)
+        section, other = sections(self.points, reference)
         c = empty_coefficients(len(self.coefficients(p, reference).offset), p, reference)
         for e, e_other in pairs:
-            other.meet(c, 0, own.carried(e), e_other, 0.5)
+            other.meet(c, 0, section.carried(e), e_other, 0.5)
         return c
 
     def _axis(self, p: Array) -> Array:

@@ -1,7 +1,5 @@
 """Directions of joints: across a given one, and carried along by ground or by a section."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Sequence
 from typing import final
@@ -59,7 +57,7 @@ class Carrier(abc.ABC):
 
     @abc.abstractmethod
     def meet(
-        self, c: Equations, row: int, own: Array, direction: Array, factor: float = 1.0
+        self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
         """Add factor (sum_i own_i U_i) . (the direction, carried along) to an equation."""
 
@@ -69,10 +67,10 @@ class Ground(Carrier):
     """Directions that stay."""
 
     def meet(
-        self, c: Equations, row: int, own: Array, direction: Array, factor: float = 1.0
+        self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
         """Linear entries."""
-        c.linear[row] += factor * np.outer(own, direction)
+        c.linear[row] += factor * np.outer(weights, direction)
 
 
 @final
@@ -92,22 +90,22 @@ class SectionFrame(Carrier):
 
     def __init__(self, point: Point, reference: Array, first: int) -> None:
         d = reference.shape[1]
-        self.point, self._own, self._count = point, slice(first, first + d), len(reference)
-        self._slopes = reference[self._own]
+        self.point, self._place, self._count = point, slice(first, first + d), len(reference)
+        self._slopes = reference[self._place]
         self.normal = normal_of(self._slopes[1:])
 
     def carried(self, direction: Array) -> Array:
         """Return the weights of all vectors of the joint in F w, shape (n_vectors,)."""
-        own = np.linalg.solve(self._slopes.T, direction)
-        weights = np.zeros(self._count, own.dtype)
-        weights[self._own] = own
+        components = np.linalg.solve(self._slopes.T, direction)
+        weights = np.zeros(self._count, components.dtype)
+        weights[self._place] = components
         return weights
 
     def meet(
-        self, c: Equations, row: int, own: Array, direction: Array, factor: float = 1.0
+        self, c: Equations, row: int, weights: Array, direction: Array, factor: float = 1.0
     ) -> None:
         """Bilinear entries."""
-        product = factor * np.outer(own, self.carried(direction))
+        product = factor * np.outer(weights, self.carried(direction))
         c.bilinear[row] += product + product.T
 
     def share(self, direction: Array) -> float:
@@ -184,9 +182,9 @@ def place_shapes(c: Equations, at: Sequence[SectionFrame]) -> None:
         places[angle.beam, angle.fraction, angle.before].place_right_angle(c, row, angle)
 
 
-def is_fixed_in(own: SectionFrame, carrier: Carrier, axis: Array) -> bool:
+def is_fixed_in(section: SectionFrame, carrier: Carrier, axis: Array) -> bool:
     """Tell whether an axis is fixed to ground and lies in the section: linear equations do then."""
-    return isinstance(carrier, Ground) and own.share(axis) < _LINEAR
+    return isinstance(carrier, Ground) and section.share(axis) < _LINEAR
 
 
 def axis_torque(section: SectionFrame, axis: Array) -> tuple[RightAngle, ...]:
@@ -194,12 +192,14 @@ def axis_torque(section: SectionFrame, axis: Array) -> tuple[RightAngle, ...]:
     return () if section.holds(axis) else section.flat()
 
 
-def axis_shapes(own: SectionFrame, carrier: Carrier, axis: Array) -> tuple[RightAngle, ...]:
+def axis_shapes(section: SectionFrame, carrier: Carrier, axis: Array) -> tuple[RightAngle, ...]:
     """Return the right angles that `hold_axis` stands on."""
-    return own.flat() + square(carrier, unless_it_holds=axis)
+    return section.flat() + square(carrier, unless_it_holds=axis)
 
 
-def hold_axis(c: Equations, rows: slice, own: SectionFrame, carrier: Carrier, axis: Array) -> None:
+def hold_axis(
+    c: Equations, rows: slice, section: SectionFrame, carrier: Carrier, axis: Array
+) -> None:
     """Enter two equations: the axis stays where the carrier has it, as the section has it.
 
     With e_1, e_2 across the axis a they say F e_j . a = 0, less the strain of the slopes that would
@@ -207,31 +207,31 @@ def hold_axis(c: Equations, rows: slice, own: SectionFrame, carrier: Carrier, ax
     They are exact in every rigid motion and in turns about the axis of any size.
     """
     for row, e in zip(range(rows.start, rows.stop), across(axis), strict=True):
-        if is_fixed_in(own, carrier, axis):
+        if is_fixed_in(section, carrier, axis):
             # The same, linear: (R a - a) . e_j = 0 with R a = F (a - s n) + s R n, s = a . n. What
             # turns about a fixed a has R n = s a + a x F (n x a): no shear is left in it.
-            s, n = axis @ own.normal, own.normal
-            carrier.meet(c, row, own.carried(axis - s * n), e)
-            carrier.meet(c, row, own.carried(s * np.cross(n, axis)), np.cross(e, axis))
+            s, n = axis @ section.normal, section.normal
+            carrier.meet(c, row, section.carried(axis - s * n), e)
+            carrier.meet(c, row, section.carried(s * np.cross(n, axis)), np.cross(e, axis))
             continue
-        carrier.meet(c, row, own.carried(e), axis)
-        own.meet(c, row, own.carried(e), axis, -0.5)
-        own.take_out_shear(c, row, np.cross(e, axis), 1.0)
+        carrier.meet(c, row, section.carried(e), axis)
+        section.meet(c, row, section.carried(e), axis, -0.5)
+        section.take_out_shear(c, row, np.cross(e, axis), 1.0)
 
 
-def hold_turn(c: Equations, rows: slice, own: SectionFrame, other: SectionFrame) -> None:
+def hold_turn(c: Equations, rows: slice, section: SectionFrame, other: SectionFrame) -> None:
     """Enter one equation for every turn of a section against another.
 
     e . (phi - phi') = 1/2 (F e_1 . F' e_2 - F e_2 . F' e_1), e_1 x e_2 = e, less the shear of both.
     """
-    d = len(own.normal)
+    d = len(section.normal)
     turns = [(0, 1)] if d == 2 else [(0, 1), (1, 2), (2, 0)]
     for row, (i, j) in zip(range(rows.start, rows.stop), turns, strict=True):
         e_i, e_j = np.eye(d)[[i, j]]
-        other.meet(c, row, own.carried(e_i), e_j, 0.5)
-        other.meet(c, row, own.carried(e_j), e_i, -0.5)
+        other.meet(c, row, section.carried(e_i), e_j, 0.5)
+        other.meet(c, row, section.carried(e_j), e_i, -0.5)
         about = np.eye(3)[3 - i - j]
-        own.take_out_shear(c, row, about, 1.0)
+        section.take_out_shear(c, row, about, 1.0)
         other.take_out_shear(c, row, about, -1.0)
 
 

@@ -107,8 +107,8 @@ class Joint(Part):
         chosen = [quantity for quantity in self.takes_part if quantity <= elements.d]
         positions = [(point, q) for q in chosen if q is Quantity.POSITION for point in self.points]
         slopes = [
-            Normal(point) if elements.d == 2 and q not in own else (point, q)
-            for point, own in ((x, elements.at(x).quantities) for x in self.points)
+            Normal(point) if elements.d == 2 and q not in quantities else (point, q)
+            for point, quantities in ((x, elements.at(x).quantities) for x in self.points)
             for q in chosen
             if q is not Quantity.POSITION
         ]

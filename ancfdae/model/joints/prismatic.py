@@ -1,7 +1,5 @@
 """Prismatic joint: a section slides along an axis and does not turn."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -64,16 +62,16 @@ class Prismatic(Joint):
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Equations across the axis, and one for every turn."""
         (axis,), d = self.split(p), reference.shape[1]
-        own, *others = sections(self.points, reference)
+        section, *others = sections(self.points, reference)
         carrier, places = carrier_of(others), reference[: len(self.points)]
         apart = places[0] - places[1] if others else places[0]
         rows = 2 if d == 2 else 5
-        c = empty_coefficients(rows, p, reference, own.flat() + square(carrier))
+        c = empty_coefficients(rows, p, reference, section.flat() + square(carrier))
         for row, e in enumerate(across(axis)):
             hold_place(c, row, carrier, e, e @ apart)
         if others:
-            hold_turn(c, slice(d - 1, rows), own, others[0])
-            place_shapes(c, (own, others[0]))
+            hold_turn(c, slice(d - 1, rows), section, others[0])
+            place_shapes(c, (section, others[0]))
         else:
             fix_turn(c, d - 1, reference[2:], 2)
         return c

@@ -1,7 +1,5 @@
 """Weld: two sections are held against each other."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 
@@ -49,10 +47,10 @@ class Weld(Joint):
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Coincidence, and one equation for every turn."""
-        d, (own, other) = reference.shape[1], sections(self.points, reference)
+        d, (section, other) = reference.shape[1], sections(self.points, reference)
         rows = 3 if d == 2 else 6
-        c = empty_coefficients(rows, p, reference, own.flat() + other.flat())
+        c = empty_coefficients(rows, p, reference, section.flat() + other.flat())
         place_coincidence(c, 2, reference, None)
-        hold_turn(c, slice(d, rows), own, other)
-        place_shapes(c, (own, other))
+        hold_turn(c, slice(d, rows), section, other)
+        place_shapes(c, (section, other))
         return c

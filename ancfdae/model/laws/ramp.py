@@ -1,21 +1,13 @@
 """Smooth passage from one value to another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
-
-import numpy as np
-from numpy.polynomial import Polynomial
 
 from ancfdae.errors import require_positive
 from ancfdae.model.design import numbers
 from ancfdae.model.laws.law import Law
+from ancfdae.model.laws.smooth_step import smooth_step
 from ancfdae.numerics.arrays import Array
-
-# The polynomial of least degree from 0 to 1 whose first three derivatives vanish at both ends.
-_STEP = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
-_STEPS = tuple(_STEP.deriv(order) for order in range(4))
 
 
 @final
@@ -50,7 +42,5 @@ class Ramp(Law):
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Polynomial of degree seven on the way."""
         initial, final, duration, begin = p
-        s = (t - begin) / duration
-        s = np.where(s.real < 0, 0.0, np.where(s.real > 1, 1.0, s))
-        x: Array = (final - initial) * _STEPS[order](s) / duration**order
+        x: Array = (final - initial) * smooth_step(t, begin, duration, order)
         return initial + x if order == 0 else x

@@ -1,7 +1,5 @@
 """A user's function of time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
@@ -52,8 +50,8 @@ class UserLaw(Law):
         t = np.asarray(t)
         x = self.function(Jet(t, np.ones_like(t), *(0 * t for _ in range(order - 1))), *p)
         # A jet of order zero would take another way through the function.
-        found = x.derivatives[order] if isinstance(x, Jet) else x * (order == 0)
-        return np.asarray(found + 0 * t)
+        value = x.derivatives[order] if isinstance(x, Jet) else x * (order == 0)
+        return np.asarray(value + 0 * t)
 
     def check(self) -> None:
         """Refuse what is no function, or has no derivatives."""
@@ -62,7 +60,7 @@ class UserLaw(Law):
         p = np.array(self.values, dtype=float)
         with np.errstate(all="ignore"):
             try:
-                own = self.derivative(p, _TRIED, 0)
+                values = self.derivative(p, _TRIED, 0)
                 self.derivatives(p, _TRIED)
                 plain = self.function(_TRIED, *p) + 0 * _TRIED
             except FAILURES as error:
@@ -74,11 +72,11 @@ class UserLaw(Law):
                     f"{type(error).__name__}: {error}",
                     "Write it for arrays, with arithmetic and NumPy's elementary functions.",
                 ) from error
-            if not np.allclose(own, plain, rtol=1e-9, atol=0.0, equal_nan=True):
+            if not np.allclose(values, plain, rtol=1e-9, atol=0.0, equal_nan=True):
                 raise InvalidInput(
                     where,
                     "must have the same values for numbers and for Taylor series",
-                    f"{plain} and {own}",
+                    f"{plain} and {values}",
                     "Write it with arithmetic and NumPy's elementary functions only.",
                 )
             for order in range(4 if len(p) else 0):

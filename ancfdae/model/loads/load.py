@@ -7,8 +7,6 @@ multiplies it. The assembler writes its operations down, and lifts it to Q = L^T
 design derivatives.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Collection
 from typing import Any, ClassVar, final
@@ -54,8 +52,8 @@ class Load(Part):
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
         """Whether the force depends on velocities, given the parameters that are design targets."""
-        own = [self.numbers_of(name) for name in self.damping_fields]
-        return any(name in driven or x != 0 for numbers in own for name, x in numbers.items())
+        damping = [self.numbers_of(name) for name in self.damping_fields]
+        return any(name in driven or x != 0 for numbers in damping for name, x in numbers.items())
 
     @abc.abstractmethod
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:

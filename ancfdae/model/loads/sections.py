@@ -14,8 +14,6 @@ every further turn dphi, because the three directions favour none. The gradients
 function: a torque T does the work T dtheta, its forces are T theta_U.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -89,22 +87,22 @@ def turn(U: Any, U_o: Array, axes: Array) -> tuple[Any, Any]:
     U = U[..., None, :, :]
     if d == 2:
         return _planar_turn(U, U_o)
-    own, carrier = U[..., :2, :], CarriedAxes(U[..., 2:, :], U_o[2:])
+    slopes, carrier = U[..., :2, :], CarriedAxes(U[..., 2:, :], U_o[2:])
     rows, start = axes[:, None, :], _basis(U_o[:2])
     size, a = direction(carrier.of(rows))
-    r, d_k = _basis(own), carrier.of(start)
+    r, d_k = _basis(slopes), carrier.of(start)
     ar, ad, dr = dot(a, r), dot(a, d_k), cross(d_k, r).sum(axis=-2, keepdims=True)
     S, C = dot(a, dr), (dot(d_k, r) - ad * ar).sum(axis=-2, keepdims=True)
     on_S, on_C = C / (S * S + C * C), -S / (S * S + C * C)
-    on_own = _on_slopes(own, on_S * cross(a, d_k) + on_C * (d_k - ad * a))
+    on_slopes = _on_slopes(slopes, on_S * cross(a, d_k) + on_C * (d_k - ad * a))
     theta = angle(S, C)
     if carrier.ground:
-        return theta, on_own
+        return theta, on_slopes
     on_d = on_S * cross(r, a) + on_C * (r - ar * a)
     on_a = on_S * dr - on_C * (ar * d_k + ad * r).sum(axis=-2, keepdims=True)
     on_axis = (on_a - dot(on_a, a) * a) / size
     other = carrier.pull_back(start, on_d) + carrier.pull_back(rows, on_axis)
-    return theta, concatenate([on_own, other])
+    return theta, concatenate([on_slopes, other])
 
 
 def _planar_turn(U: Any, U_o: Array) -> tuple[Any, Any]:
@@ -128,5 +126,5 @@ def unit_axes(axis: Array | None) -> Array:
     """Return the one axis of a joint as a unit vector, (1, 3); z where it is not given."""
     if axis is None:
         return np.array([[0.0, 0.0, 1.0]])
-    found: Array = direction(axis[None])[1]
-    return found
+    axes: Array = direction(axis[None])[1]
+    return axes

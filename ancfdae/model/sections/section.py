@@ -1,7 +1,5 @@
 """What a cross-section has to state: where its area lies, how it shears and how it twists."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -75,8 +73,8 @@ class Section(abc.ABC):
 
     def form(self) -> tuple[object, ...]:
         """Return what sections must share to differ in their sizes only."""
-        own = (getattr(self, each.name) for each in fields(self) if each.kw_only)
-        return (type(self), *own)
+        options = (getattr(self, each.name) for each in fields(self) if each.kw_only)
+        return (type(self), *options)
 
     @property
     @abc.abstractmethod

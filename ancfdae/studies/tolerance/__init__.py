@@ -1,0 +1,1 @@
+"""Numbers to a tolerance: methods and settings chosen by pilot runs, with bars."""

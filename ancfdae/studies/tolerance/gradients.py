@@ -1,0 +1,99 @@
+"""Values and gradients of objectives to a tolerance."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ancfdae.equations import MechanicalSystem
+from ancfdae.errors import InvalidInput, ToleranceMissed, require_positive
+from ancfdae.integrators import AdjointIntegrator, Integrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.sensitivity.accuracy import Accuracy
+from ancfdae.sensitivity.adjoint import Adjoint
+from ancfdae.sensitivity.direct import Direct
+from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, UnfinishedRun
+from ancfdae.sensitivity.objectives import Objective
+from ancfdae.studies.tolerance.search import Found, search
+from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Sample, Second
+from ancfdae.studies.tolerance.sequences import Sequence as Runs
+
+# Up to so many variables HHT differentiates directly, which also tells whether waves are resolved.
+_DIRECT = 6
+
+
+def gradients_within(
+    system: MechanicalSystem,
+    objectives: Sequence[Objective],
+    t_end: float,
+    tolerance: float,
+    method: GradientMethod | None,
+    progress: bool,
+) -> list[Gradient]:
+    """Return values and gradients with bars below the tolerance, or a warning and the best."""
+    require_tolerance(tolerance)
+    scale = np.where(system.b == 0, 1.0, np.abs(system.b))
+
+    def measure(integrator: Integrator) -> Sample:
+        way = method or _method(integrator, system.n_b)
+        try:
+            results = way.gradients(Run(system, t_end, integrator, progress), objectives)
+        except UnfinishedRun as error:
+            run = error.solution
+            steps = run.statistics.steps
+            return Sample([], None, steps, error, float(run.t[-1]) / t_end)
+        vectors = [x for each in results for x in (np.array([each.value]), each.gradient * scale)]
+        run = results[0].solution
+        return Sample(vectors, run.estimated_errors, run.statistics.steps, results)
+
+    second = Second(system, t_end)
+    sequences: list[Runs] = [second, Fifth(system, t_end, second)]
+    if method is None or isinstance(method, Direct):
+        sequences.append(Eighth(system, t_end, tolerance))
+    found = search(sequences, measure, _sizes, tolerance)
+    if not found.reached:
+        warnings.warn(f"tolerance {tolerance:g}: {found.why}", ToleranceMissed, stacklevel=4)
+    return _results(found, scale, tolerance)
+
+
+def require_tolerance(tolerance: float) -> None:
+    """Refuse a tolerance that means nothing or that round-off is above."""
+    require_positive("tolerance", tolerance)
+    if not 1e-11 <= tolerance <= 0.1:
+        raise InvalidInput("tolerance", "must lie in [1e-11, 0.1]", tolerance, "Try 1e-4.")
+
+
+def _method(integrator: Integrator, variables: int) -> GradientMethod:
+    adjoint = isinstance(integrator, AdjointIntegrator) and variables > _DIRECT
+    return Adjoint() if adjoint else Direct()
+
+
+def _sizes(vectors: list[Array]) -> list[float]:
+    """Return the sizes for pairs of a value and a scaled gradient."""
+    norms = [float(np.linalg.norm(each)) for each in vectors]
+    pairs = zip(norms[::2], norms[1::2], strict=True)
+    return [size for value, slope in pairs for size in (max(value, slope), slope)]
+
+
+def _results(found: Found, scale: Array, tolerance: float) -> list[Gradient]:
+    """Put the estimates into the results of the finest run."""
+    results, done = found.result, []
+    assert isinstance(results, list)
+    for each, value, slope in zip(
+        results, found.estimates[::2], found.estimates[1::2], strict=True
+    ):
+        accuracy = Accuracy(
+            tolerance,
+            found.reached,
+            float(value.bar[0]),
+            slope.bar / scale,
+            found.integrator,
+            found.why,
+            found.trials,
+        )
+        numbers = {"value": float(value.x[0]), "gradient": slope.x / scale}
+        done.append(replace(each, **numbers, accuracy=accuracy))
+    return done

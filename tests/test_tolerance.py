@@ -1,0 +1,150 @@
+"""Gradients to a tolerance: errors below it, bars that hold, words where it is out of reach."""
+
+import numpy as np
+import pytest
+
+from ancfdae import (
+    HHT,
+    Beam,
+    Direct,
+    Explicit,
+    InvalidInput,
+    Material,
+    Pin,
+    Rectangle,
+    RigidMotion,
+    Scene,
+    Terminal,
+    ToleranceMissed,
+    custom,
+    gradient,
+    gradients,
+    position,
+)
+from ancfdae.studies.tolerance import search
+from ancfdae.studies.tolerance.bars import halved, tightened
+from validation.external.slider_crank import SliderCrank, kinetic_energy_integral
+
+ANGLE = Terminal(custom(lambda t, q, v, lam, b: q[:, 0], "angle"))
+
+
+def rod(length=1.0, mass=1.0, time=1.0):
+    """A soft rod that turns and falls, with waves, in units of its own."""
+    force = mass * length / time**2
+    soft = Material(1100 * mass / length**3, 5e6 * force / length**2, 0.4)
+    beam = Beam("rod", (0, 0), (0.8 * length, 0), 2, Rectangle(0.04 * length, 0.04 * length), soft)
+    start = [RigidMotion("rod", 6.0 / time, (0, 0))]
+    scene = Scene([beam], [Pin(beam.at_start)], (0, -9.81 * length / time**2), start)
+    return scene, Terminal(position(beam.at_end, 0)), 0.1 * time
+
+
+def relative_error(result, exact, b):
+    """Return the errors of value and gradient as the tolerance measures them."""
+    slope = exact.gradient * b
+    size = np.linalg.norm(slope)
+    errors = abs(result.value - exact.value), np.linalg.norm(result.gradient * b - slope)
+    return errors[0] / max(size, abs(exact.value)), errors[1] / size
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6])
+def test_errors_are_below_the_tolerance_and_bars_hold(tolerance):
+    system = SliderCrank()
+    objectives = [kinetic_energy_integral(), ANGLE]
+    found = gradients(system, objectives, 2.0, tolerance=tolerance)
+    exact = gradients(system, objectives, 2.0, Explicit(1e-12))
+    for result, truth in zip(found, exact, strict=True):
+        assert result.accuracy.reached
+        assert max(relative_error(result, truth, system.b)) < tolerance
+        assert abs(result.value - truth.value) <= result.accuracy.value_bar
+        assert np.all(np.abs(result.gradient - truth.gradient) <= result.accuracy.gradient_bar)
+
+
+def test_units_do_not_change_digits():
+    design = ["rod.height", "rod.density"]
+    scenes = rod(), rod(length=1e3, mass=1e-3, time=1e3)
+    one, other = (gradient(*each, tolerance=1e-3, design=design) for each in scenes)
+    assert other.value / 1e3 == pytest.approx(one.value, rel=1e-10)
+    steps = [[trial.steps for trial in each.accuracy.trials] for each in (one, other)]
+    assert steps[0] == steps[1]
+
+
+def test_waves_are_followed_where_the_objective_sees_them():
+    scene, end, t_end = rod()
+    design = ["rod.height", "rod.density"]
+    found = gradient(scene, end, t_end, tolerance=1e-4, design=design)
+    truth = gradient(scene, end, t_end, Explicit(1e-11), design=design)
+    assert max(relative_error(found, truth, np.array([0.04, 1100.0]))) < 1e-4
+    assert found.accuracy.reached
+    assert "+-" in repr(found)
+
+
+def test_out_of_reach_is_said_with_the_price(monkeypatch):
+    monkeypatch.setattr(search, "_MOST", 1e5)
+    scene, end, t_end = rod()
+    design = ["rod.height", "rod.density"]
+    with pytest.warns(ToleranceMissed, match=r"To the tolerance: HHT .* more"):
+        found = gradient(scene, end, t_end, tolerance=1e-8, design=design)
+    truth = gradient(scene, end, t_end, Explicit(1e-11), design=design)
+    assert not found.accuracy.reached
+    assert np.all(np.abs(found.gradient - truth.gradient) <= found.accuracy.gradient_bar)
+
+
+def test_many_variables_take_the_adjoint():
+    scene, end, t_end = rod()
+    parts = ("height", "width", "density", "youngs_modulus")
+    design = [f"rod.{part}[{k}]" for part in parts for k in (0, 1)]
+    found = gradient(scene, end, t_end, tolerance=1e-3, design=design)
+    truth = gradient(scene, end, t_end, Explicit(1e-10), design=design, method=Direct())
+    error = np.abs(found.gradient - truth.gradient)
+    assert np.all(error <= found.accuracy.gradient_bar)
+
+
+def test_either_an_integrator_or_a_tolerance():
+    with pytest.raises(InvalidInput, match="tolerance: chooses its own runs"):
+        gradient(SliderCrank(), ANGLE, 1.0, HHT(0.1), tolerance=1e-3)
+    with pytest.raises(InvalidInput, match="integrator: is needed"):
+        gradient(SliderCrank(), ANGLE, 1.0)
+    for wrong in (0.0, -1.0, 1.0, 1e-13, float("nan")):
+        with pytest.raises(InvalidInput, match="tolerance"):
+            gradient(SliderCrank(), ANGLE, 1.0, tolerance=wrong)
+
+
+def runs(order, waves, count=5):
+    """Vectors whose error falls with an order, with what waves add by chance, and the truth."""
+    noise = np.random.default_rng(1).normal(size=(count, 3)) * waves
+    steps = 0.5 ** np.arange(count)[:, None]
+    error = np.array([1.0, -0.5, 2.0]) * steps**order * (1 + 0.3 * steps)
+    return error + noise
+
+
+def test_an_order_that_is_seen_is_used():
+    estimate = halved(runs(2, 0.0), 2, resolved=True)
+    assert estimate.converges
+    assert np.all(np.abs(estimate.x) <= estimate.bar)
+    assert np.linalg.norm(estimate.x) < 0.1 * np.linalg.norm(runs(2, 0.0)[-1])
+    high = halved(runs(5, 0.0), 5, resolved=True)
+    assert high.converges
+    assert np.all(np.abs(high.x) <= high.bar)
+    assert np.all(high.bar <= 20 * np.max(np.abs(high.x)))
+
+
+@pytest.mark.parametrize("resolved", [False, True])
+def test_without_an_order_the_bar_is_that_of_the_differences(resolved):
+    estimate = halved(runs(2, 1.0), 2, resolved=resolved)
+    assert not estimate.converges
+    np.testing.assert_array_equal(estimate.x, runs(2, 1.0)[-1])
+    assert np.all(np.abs(estimate.x) <= estimate.bar)
+
+
+def test_an_order_that_waves_hide_is_not_believed():
+    # Runs may fall by four by chance; without resolved waves that says nothing.
+    estimate = halved(runs(2, 0.0), 2, resolved=False)
+    assert not estimate.converges
+    d = np.diff(runs(2, 0.0), axis=0)
+    assert np.all(estimate.bar >= 3 * np.abs(d[-1]))
+
+
+def test_no_component_is_sure_by_chance():
+    estimate = tightened([np.array([1.0, 1.0]), np.array([1.0, 1.1])])
+    # 1.5 times the difference, or half the root mean square of both for the first component.
+    np.testing.assert_allclose(estimate.bar, [0.15 / np.sqrt(2) / 2, 0.15])

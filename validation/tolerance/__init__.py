@@ -1,0 +1,1 @@
+"""Report on gradients to a tolerance."""
