@@ -111,14 +111,14 @@ class Assembly:
         self._free, d = np.flatnonzero(free), declared.Z.shape[1]
         is_shift = np.broadcast_to(np.arange(motions.n_x) < d, free.shape).ravel()
         self._shift = is_shift[self._free]
-        self._all = free.size
+        self._units = np.where(self._shift, self._size, 1.0)
 
     @cached_property
     def _freedom(self) -> scipy.sparse.csr_array:
         """Free motions in their units, as columns of all."""
-        units = np.where(self._shift, self._size, 1.0)
         place = self._free, np.arange(len(self._free))
-        return scipy.sparse.csr_array((units, place), shape=(self._all, len(self._free)))
+        shape = self._motions.none.size, len(self._free)
+        return scipy.sparse.csr_array((self._units, place), shape=shape)
 
     @cached_property
     def _rates(self) -> Assembly:
@@ -362,7 +362,7 @@ class Assembly:
         """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
         none = self._motions.none
         motion = none.astype(x.dtype).ravel()
-        motion += self._freedom @ x
+        motion[self._free] = self._units * x
         return motion.reshape(none.shape)
 
     def _placed(self, declared: Declared, x: Array) -> Array:
@@ -375,8 +375,7 @@ class Assembly:
 
         def work(multipliers: Array) -> Array:
             force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
-            collected: Array = self._freedom.T @ self._motions.collect(T, force).ravel()
-            return collected
+            return np.asarray(self._units * self._motions.collect(T, force).ravel()[self._free])
 
         x, sigma, rho = y
         shift = self._shift
