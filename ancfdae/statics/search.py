@@ -41,18 +41,37 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
         start = softest(balance, 0.0, balance.q_0, balance.lam_0)
         if not start.stable or start.free.shape[1]:
             return _settled(balance, start, max_steps)
-    followed = _followed(balance, first, max_steps)
+    followed = _followed(balance, first, True, max_steps)
+    if followed.outcome.stable_to is not None and balance.gyroscopic:
+        followed = _nearer(balance, followed, max_steps)
     if followed.outcome.verdict not in _FAILED:
         return followed
     settled = _settled(balance, start, max_steps)
     return settled if settled.outcome.success else followed
 
 
-def _followed(balance: Balance, start: Balanced | Unsolved, max_steps: int) -> SearchEnd:
+def _nearer(balance: Balance, followed: SearchEnd, max_steps: int) -> SearchEnd:
+    """Return an equilibrium nearer to the start than one that has lost its stability on the way.
+
+    Above a critical speed a shaft turns about its axis of inertia. No path from rest leads there;
+    one along which the centrifugal stiffness acts in full does, and it ends without a check: far
+    above that speed the negative stiffness is none of the softest.
+    """
+    unbound = replace(balance, follows=False)
+    other = _followed(unbound, unbound.begun(), False, max_steps)
+    far, near = (balance.length(end.q - balance.q_0) for end in (followed, other))
+    if other.outcome.success and (near < far or not followed.outcome.success):
+        return replace(other, outcome=replace(other.outcome, stable_to=0.0))
+    return followed
+
+
+def _followed(
+    balance: Balance, start: Balanced | Unsolved, stable: bool, max_steps: int
+) -> SearchEnd:
     if isinstance(start, Unsolved):
         outcome = LoadOutcome(start.verdict, 0.0, 0, 0.0)
         return SearchEnd(balance.q_0, balance.lam_0, outcome)
-    first = PathPoint(0.0, start.q, start.lam, *start.path, stable=True)
+    first = PathPoint(0.0, start.q, start.lam, *start.path, stable)
     path = LoadPath(balance, first, max_steps)
     verdict, last = path.follow(), path.places[-1]
     outcome = LoadOutcome(verdict, last.s, len(path.places) - 1, path.residual, path.stable_to())

@@ -65,7 +65,6 @@ class Evaluate:
     method: GradientMethod | None = None
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_flag("Evaluate.gradient", self.gradient)
         kinds = (Objective,) if self.gradient else (Objective, Observable)
         require_kind("Evaluate.of", self.of, kinds, "For example Terminal(position(...)).")
