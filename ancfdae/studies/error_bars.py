@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -132,16 +133,12 @@ def error_bars(
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
-    runs: list[Gradient] = []
-    settings, chosen = integrator, Direct() if method is None else method
-    for _ in range(levels):
-        if runs:
-            settings = settings.refined(runs[-1].solution)
-        runs.append(
-            gradient(
-                model, objective, t_end, settings, design=design, method=chosen, progress=progress
-            )
-        )
+    method = Direct() if method is None else method
+    run = partial(gradient, model, objective, t_end, design=design, method=method)
+    settings, runs = integrator, [run(integrator, progress=progress)]
+    while len(runs) < levels:
+        settings = settings.refined(runs[-1].solution)
+        runs.append(run(settings, progress=progress))
     x = np.array([[run.value, *run.gradient] for run in runs])
     bars, orders = _bars(np.diff(x, axis=0), integrator.order)
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
