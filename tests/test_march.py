@@ -7,6 +7,7 @@ which `only_the_kernel` refuses.
 """
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -205,6 +206,21 @@ def test_threads_march_side_by_side_as_alone():
         thread.start()
     for thread in threads:
         thread.join()
+    assert all(np.array_equal(x, y) for x, y in zip(alone, together, strict=True))
+
+
+@pytest.mark.parametrize("method", [Direct(), Adjoint()], ids=repr)
+def test_gradients_in_threads_are_those_alone_to_the_last_bit(method):
+    scene, h = crank_slider(), 2.0**-10
+    objective = Integral(position(scene.beams[-1].at_end, 0))
+    systems = [assemble(scene, [f"{x.name}.height" for x in scene.beams[:k]]) for k in (1, 2, 1, 2)]
+
+    def of(system):
+        return gradient(system, objective, 64 * h, HHT(h), method=method).gradient
+
+    alone = [of(system) for system in systems]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(of, systems))
     assert all(np.array_equal(x, y) for x, y in zip(alone, together, strict=True))
 
 
