@@ -40,8 +40,10 @@ from ancfdae import (
     differentiate,
     gradient,
     kernels,
+    multiplier,
     position,
     simulate,
+    velocity,
 )
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import RedundantConstraints
@@ -259,13 +261,15 @@ def test_passes_of_every_element_are_the_same_in_the_kernel(kind, damping):
 
 
 def test_passes_of_driven_joints_are_the_same_in_the_kernel():
-    # Phi depends on time, and in the distance on products, which have a curvature.
+    # Phi depends on time and design, and in the distance on products, which have a curvature;
+    # objectives have seeds on q, v and lam.
     rod, arm = KINDS["planar"]
     held = [Pin(rod.at_start), Drive(rod.at_start, Harmonic(0.5, 40.0))]
-    held.append(Distance(rod.at_end, 0.3, arm.at_end))
+    held.append(Distance(rod.at_end, 0.3, arm.at_end, name="bar"))
     scene = Scene([rod, arm], held, (0, -9.81), project_start=True)
-    system = assemble(scene, ["rod.youngs_modulus", "arm.density", "rod.length"])
-    assert_same_passes(system, Integral(position(arm.at_end, 1)), HHT(STEP), COUNT * STEP)
+    system = assemble(scene, ["rod.youngs_modulus", "arm.density", "rod.length", "bar.length"])
+    for of in (position(arm.at_end, 1), velocity(arm.at_end, 1), multiplier("bar", 0)):
+        assert_same_passes(system, Integral(of**2), HHT(STEP), COUNT * STEP)
 
 
 def test_passes_of_every_load_are_the_same_in_the_kernel():
