@@ -1,7 +1,5 @@
 """What keeps a rigid body rigid: its directions stay orthonormal."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

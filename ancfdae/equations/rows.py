@@ -6,8 +6,6 @@ call: one of the states in turn is evaluated alone, and the imaginary parts, whi
 made of, must agree. A function that fails is evaluated state by state from then on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import final
 

@@ -1,7 +1,5 @@
 """Collects nodes of a run into a solution."""
 
-from __future__ import annotations
-
 import time
 from typing import TypeAlias, final
 

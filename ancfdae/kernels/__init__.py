@@ -98,6 +98,9 @@ class MatrixLayout(NamedTuple):
 #: Gauss points, whose matrix needs a band, or that no time is left for.
 ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
 
+#: How Newton's method for the stages of a step ends.
+STAGES_SOLVED, STAGES_DIVERGED, STAGES_NOT_FINITE, STAGES_SINGULAR = range(4)
+
 #: Numbers among the rules of `prepare`.
 RULES = 17
 
@@ -131,6 +134,7 @@ prepare = _kernels.prepare
 pull_back_steps = _kernels.pull_back_steps
 recombine = _kernels.recombine
 relative = _kernels.relative
+solve_stages = _kernels.solve_stages
 strain = _kernels.strain
 stressed = _kernels.stressed
 tangents = _kernels.tangents

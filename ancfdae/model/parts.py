@@ -1,7 +1,5 @@
 """What joints and loads share: a name, points of beams or bodies, and design targets."""
 
-from __future__ import annotations
-
 import abc
 import re
 from collections.abc import Mapping, Sequence

@@ -25,8 +25,6 @@ coefficients of highest degree that N points resolve show whether aliasing is ro
 not, all radii shrink, and a function whose coefficients never decay is refused.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

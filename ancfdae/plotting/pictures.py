@@ -1,7 +1,5 @@
 """Pictures of a mechanism as it stands and moves, and films of it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

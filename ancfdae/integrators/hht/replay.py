@@ -4,8 +4,6 @@ The node that a part begins with is all that Newton's method needs, so that a pa
 whenever it is taken.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import final
 

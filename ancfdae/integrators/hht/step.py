@@ -10,8 +10,6 @@ derivative in the design. The tolerance bounds delta / h, which falls with h^2; 
 delta, and its runs then err by the tolerance to the power 2/3.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar, final
 
 import numpy as np

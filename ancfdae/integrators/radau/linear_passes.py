@@ -27,8 +27,9 @@ from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.completion import Completion
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.radau.stages import Begin, Stages, exact, stage_matrices
+from ancfdae.integrators.radau.stages import Begin, Stages, factorised, stage_matrices
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, at_stages
+from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
 
@@ -53,7 +54,7 @@ class LinearStages:
         q, v, a, lam = (np.concatenate(x[:, 1:]) for x in states)
         rough, times = list[Stages](), t[:, 1:].ravel()
         for s, size in enumerate(h):
-            begin = Begin(float(t[s, 0]), states[0][s, 0], states[1][s, 0], float(size))
+            begin = Begin(float(size), float(t[s, 0]), *(x[s, 0] for x in states))
             x = begin.displacements(states[0][s, 1:])
             rough.append(begin.stages(x, states[3][s, 1:]))
         V, A = (np.concatenate(x) for x in zip(*((x.v, x.a) for x in rough), strict=True))
@@ -74,7 +75,7 @@ class LinearStages:
         M = local.M if len(local.M) == 1 else local.M[at]
         f_v = None if local.f_v is None else local.f_v[at]
         jacobians = Linearisation(M, local.f_q[at], f_v, local.Phi_q[at])
-        return exact(matrices, float(self.h[s]), jacobians)
+        return factorised(matrices, float(self.h[s]), jacobians)
 
     def advance(
         self, s: int, matrices: CoupledSaddlePoints, q_b: Array, v_b: Array
@@ -194,6 +195,17 @@ def pull_back(
             covectors.insert(0, covector)
         gradient += linear.pull_back(*map(np.concatenate, zip(*covectors, strict=True)))
     return gradient, on
+
+
+def through_start(problem: Problem, on: Array, seeds: Seeds, gradient: Array) -> Array:
+    """Add to a gradient what goes through the first instant, with its seeds."""
+    none = np.zeros(problem.system.n_q), np.zeros(problem.system.n_lam)
+    q, v, lam = (
+        x if seed is None else x + seed[0]
+        for x, seed in ((on[0], seeds.q), (on[1], seeds.v), (none[1], seeds.lam))
+    )
+    on_start = Covectors(q, v, none[0], lam, gradient)
+    return pull_back_start(problem.system, problem.matrices, problem.initial, on_start)
 
 
 def _linearised(problem: Problem, run: Solution, h: Array, steps: slice) -> LinearStages:

@@ -1,7 +1,5 @@
 """Steps that are known before the run: of one size, or between given instants."""
 
-from __future__ import annotations
-
 import abc
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Observables of what moves a scene: torque of a drive, force of a guide, power of all loads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, final
 

@@ -6,8 +6,6 @@ all: int rho r_i r_j dV = sum_ab m_ab X_ai X_bj, with X = 1 for positions and 0 
 of r where the factor is one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

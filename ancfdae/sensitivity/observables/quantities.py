@@ -1,7 +1,5 @@
 """Observables of joints and energies, time, and the design variables themselves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -14,8 +14,6 @@ are best in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it. A ca
 axes across it: its shear force along 1 and its moment about 2 are the sizes of the vectors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import final

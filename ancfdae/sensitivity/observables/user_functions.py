@@ -1,7 +1,5 @@
 """Functions that a user brings: of observables, or of the bare states."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """Observables of material points: components of positions, velocities and slopes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, final
 
