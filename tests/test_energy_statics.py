@@ -69,7 +69,8 @@ def test_statics_by_every_method(d, section, energy):
             assert abs(direct.gradient @ along - steps.gradient[0]) < 1e-9 * scale
     tip = position(beam.at_end, 1)
     slopes = static_gradient(scene, tip, design=design).gradient
-    for _, along in all_at_once(design, b):
+    # That values given to the scene are those of the variables, one direction shows.
+    for _, along in all_at_once(design, b, 1):
         low, high = (
             equilibrium(moved(scene, design, b + h * along)).solution.position(beam.at_end)[0, 1]
             for h in (-1e-4, 1e-4)
@@ -92,7 +93,7 @@ def test_modes_about_an_equilibrium_by_both_methods_and_differences(d, section, 
     slopes = direct.frequencies_b * b / direct.frequencies[:, None]
     other = adjoint.frequencies_b * b / adjoint.frequencies[:, None]
     assert np.max(np.abs(slopes - other)) < 1e-9 * np.max(np.abs(slopes))
-    for _, along in all_at_once(design, b):
+    for _, along in all_at_once(design, b, 2):
         low, high = (lowest(moved(scene, design, b + h * along)).frequencies for h in (-1e-4, 1e-4))
         found = (high - low) / 2e-4 / direct.frequencies
         expected = direct.frequencies_b @ along / direct.frequencies

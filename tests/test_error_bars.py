@@ -1,5 +1,6 @@
 """Error bars of objectives and gradients: how large, how often they hold, when they widen."""
 
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -41,12 +42,18 @@ def numbers(value, slope):
     return np.array([value, *slope])
 
 
+@cache
+def exact_of(name):
+    build, objective, t_end, *_ = CASES[name]
+    return numbers(*gradient(build(), objective, t_end, Explicit(1e-11), method=Direct()).pair)
+
+
 @pytest.mark.parametrize("levels", [2, 3])
 @pytest.mark.parametrize("controlled", [False, True])
 @pytest.mark.parametrize("name", CASES)
 def test_bars_hold_and_are_not_wasteful(name, controlled, levels):
     build, objective, t_end, step, rtol = CASES[name]
-    exact = numbers(*gradient(build(), objective, t_end, Explicit(1e-11), method=Direct()).pair)
+    exact = exact_of(name)
     integrator = HHT(rtol=rtol) if controlled else HHT(step)
     found = error_bars(build(), objective, t_end, integrator, levels=levels)
     error = np.abs(numbers(found.value, found.gradient) - exact)
@@ -113,7 +120,7 @@ def test_no_better_tolerance_is_refused():
 @pytest.mark.parametrize("name", CASES)
 def test_adjoint_weighted_estimate_is_the_error(name, controlled):
     build, objective, t_end, step, rtol = CASES[name]
-    exact = gradient(build(), objective, t_end, Explicit(1e-11), method=Direct()).value
+    exact = exact_of(name)[0]
     integrator = HHT(rtol=0.1 * rtol) if controlled else HHT(0.5 * step)
     found = adjoint_error(build(), objective, t_end, integrator)
     # The estimate is the error but for terms of the next order.

@@ -73,6 +73,7 @@ from ancfdae.plotting import (
     gradient_bars,
     history,
     painters,
+    pictures,
     snapshots,
     write_vtk,
 )
@@ -575,6 +576,19 @@ def test_film_has_its_frames_and_they_move(planar, tmp_path):
         first = np.asarray(film.convert("RGB")).copy()
         film.seek(2)
         assert np.any(first != np.asarray(film.convert("RGB")))
+
+
+@pytest.mark.parametrize("moves", ["planar", "spatial"])
+def test_films_are_what_drawing_each_frame_whole_gives(
+    moves, request, tmp_path, monkeypatch, capsys
+):
+    motion, settings = request.getfixturevalue(moves), {"frames": 2, "seconds": 1, "dpi": 40}
+    quick = animate(*motion, tmp_path / "quick.gif", Speed(), **settings, progress=True)
+    assert "2/2" in capsys.readouterr().err
+    monkeypatch.setattr(pictures, "_freeze", lambda *_: None)
+    whole = animate(*motion, tmp_path / "whole.gif", Speed(), **settings)
+    assert quick.read_bytes() == whole.read_bytes()
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.skipif(shutil.which("ffprobe") is None, reason="ffmpeg is not installed")

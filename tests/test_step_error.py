@@ -8,7 +8,7 @@ import pytest
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.integrators.hht.equations import Coefficients, Node, NodeSensitivity
 from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.hht.step import Stepper
+from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start
@@ -34,7 +34,7 @@ def stepper(initial=None, derivative=None, alpha=-0.3, sizes_b=SIZES_B):
     if initial is not None:
         problem = replace(problem, initial=initial)
     problem = replace(problem, derivative=derivative)
-    return Stepper(problem, alpha, (1.0, 1), tolerance, Recorder(system, 1))
+    return HHTStepper(problem, alpha, (1.0, 1), tolerance, Recorder(system, 1))
 
 
 def expected_error(j, alpha):

@@ -21,6 +21,7 @@ from validation.peers import report as peers
 from validation.pendulum import report as pendulum
 from validation.performance import report as performance
 from validation.report import Report
+from validation.rotation import report as rotation
 from validation.test_set import report as test_set
 from validation.tolerance import report as tolerance
 
@@ -132,6 +133,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "out right, how fast with the mesh, and are the derivatives those of the solution?",
         run=literature.run,
         source="literature",
+    ),
+    Definition(
+        name="rotation",
+        title="Blades and shafts that turn steadily",
+        question="Are equilibria, modes and their derivatives in a turning frame those of rotating "
+        "blades and whirling shafts, over the speed?",
+        run=rotation.run,
+        source="aim",
     ),
     Definition(
         name="design",

@@ -51,7 +51,7 @@ class _Extent:
 
 
 _FULL = _Extent(1.0, range(7, 17), (1e-5, 1e-7, 1e-9), 1e-11)
-_QUICK = _Extent(2 * _SPACING, (7, 8, 9), (1e-5, 1e-6), 1e-8)
+_QUICK = _Extent(2 * _SPACING, (7, 8, 9), (1e-4, 1e-5), 1e-7)
 
 
 def run(report: Report, quick: bool) -> None:

@@ -1,7 +1,5 @@
 """The start of a scene: what is declared, bodies following the joints, and its derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final

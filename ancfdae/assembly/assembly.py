@@ -111,7 +111,9 @@ class Assembly:
         self._free, d = np.flatnonzero(free), declared.Z.shape[1]
         is_shift = np.broadcast_to(np.arange(motions.n_x) < d, free.shape).ravel()
         self._shift = is_shift[self._free]
-        self._units = np.where(self._shift, self._size, 1.0)
+        units = np.where(self._shift, self._size, 1.0)
+        place = self._free, np.arange(len(self._free))
+        self._freedom = scipy.sparse.csr_array((units, place), shape=(free.size, len(self._free)))
 
     @cached_property
     def _rates(self) -> Assembly:
@@ -185,7 +187,7 @@ class Assembly:
             # What is declared stands; a perturbation follows it.
             F = self._position_equations(self._declared, y)
             return _plus(y, -1j * LeastNorm(self._position_matrix(y)).solve(F.imag))
-        closing = self._search(self._soft)
+        closing = self._search(True) if self._soft else self._nearest
         if closing is not None and (self._soft or self._fits(closing)):
             return closing
         closed = [] if self._soft else self._from_elsewhere()
@@ -244,8 +246,12 @@ class Assembly:
         """Whether bodies only come as near to their joints as rigid motions can."""
         if not (self._moves and self._strains):
             return False
-        closing = self._search(False)
-        return closing is None or self._open(closing[0]) > _CLOSED
+        return self._nearest is None or self._open(self._nearest[0]) > _CLOSED
+
+    @cached_property
+    def _nearest(self) -> _Unknowns | None:
+        """Closed joints, or what Newton's method takes for them."""
+        return self._search(False)
 
     def _start(self, soft: bool) -> _Unknowns:
         rows = np.zeros(0 if soft else self._rows)
@@ -283,20 +289,18 @@ class Assembly:
         T = self._motions.tangent(Z, motion)
         Phi = self.left(q).real[: self._rows]
         loads = (sigma, Phi, rho) if len(sigma) == len(Phi) else (Phi,)
-        bends = [self._bend(Z, motion, q, T, s) for s in loads]
-        return self._matrix(self._jacobian(q, T), bends)
+        moving = self._motions.matrix(T) @ self._freedom
 
-    def _bend(
-        self, Z: Array, motion: Array, q: Array, T: Array, multipliers: Array
-    ) -> scipy.sparse.csr_array:
-        """(J^T s)_x with s held: curvature of the joints, and of the turns."""
-        lam = self._spread(multipliers)
-        constraints, matrix = self._declared.constraints, self._motions.matrix(T)
-        values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
-        force = constraints.reaction(0.0, q, lam).real
-        curvature = self._motions.curvature(Z, motion, force)
-        bend = matrix.T @ (self._pattern.csr(values) @ matrix) + self._motions.blocks(curvature)
-        return self._scaled(bend.tocsr()[self._free], self._units)
+        def bend(multipliers: Array) -> scipy.sparse.csr_array:
+            """(J^T s)_x with s held: curvature of the joints, and of the turns."""
+            lam, constraints = self._spread(multipliers), self._declared.constraints
+            values = only(constraints.constraint_force_q(lam[None], np.zeros(1))).real
+            force = constraints.reaction(0.0, q, lam).real
+            turns = self._motions.blocks(self._motions.curvature(Z, motion, force))
+            of_joints = moving.T @ (self._pattern.csr(values) @ moving)
+            return of_joints + self._freedom.T @ turns @ self._freedom
+
+        return self._matrix(self._jacobian(q, T), [bend(s) for s in loads])
 
     @cached_property
     def _position_inverse(self) -> LeastNorm:
@@ -353,7 +357,7 @@ class Assembly:
         """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
         none = self._motions.none
         motion = none.astype(x.dtype).ravel()
-        motion[self._free] = self._units * x
+        motion += self._freedom @ x
         return motion.reshape(none.shape)
 
     def _placed(self, declared: Declared, x: Array) -> Array:
@@ -366,8 +370,8 @@ class Assembly:
 
         def work(multipliers: Array) -> Array:
             force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
-            collected: Array = self._motions.collect(T, force).ravel()[self._free]
-            return self._units * collected
+            collected: Array = self._freedom.T @ self._motions.collect(T, force).ravel()
+            return collected
 
         x, sigma, rho = y
         shift = self._shift
@@ -386,13 +390,8 @@ class Assembly:
         """J, dimensionless, shape (n_rows, n_free)."""
         constraints = self._declared.constraints
         B = constraints.pattern.csr(constraints.constraint_q(0.0, q).real)[: self._rows]
-        return self._scaled(B @ self._motions.matrix(T), self._weights[: self._rows])
-
-    def _scaled(self, matrix: scipy.sparse.csr_array, rows: Array) -> scipy.sparse.csr_array:
-        """Return columns of free motions in their units, and rows in those given."""
-        free = matrix[:, self._free].tocoo()
-        values = free.data * rows[free.row] * self._units[free.col]
-        return scipy.sparse.csr_array((values, (free.row, free.col)), shape=free.shape)
+        rows = scipy.sparse.diags_array(self._weights[: self._rows])
+        return (rows @ B @ (self._motions.matrix(T) @ self._freedom)).tocsr()
 
     def _matrix(
         self, J: scipy.sparse.csr_array, bends: Sequence[scipy.sparse.csr_array]

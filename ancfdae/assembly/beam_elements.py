@@ -1,7 +1,5 @@
 """Elements of one beam of a scene, for what is asked of its sections."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar, final

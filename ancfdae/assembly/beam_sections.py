@@ -1,7 +1,5 @@
 """Forces and stresses in the sections of beams, prepared when they are first asked for."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import final
 

@@ -1,7 +1,5 @@
 """Elements as one block: their invariants, prepared once per distinct element."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """Elastic and internal damping forces of all elements that deform, with design derivatives."""
 
-from __future__ import annotations
-
 from typing import final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Energies and momenta of a scene and of its parts; instants are rows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import final
 

@@ -1,7 +1,5 @@
 """Which right angles of sections joints hold already, or need not hold."""
 
-from __future__ import annotations
-
 from collections.abc import Container
 from typing import final
 

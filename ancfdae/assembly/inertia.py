@@ -1,7 +1,5 @@
 """Mass matrix of a scene, its design derivatives, and gravity."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import final

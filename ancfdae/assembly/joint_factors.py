@@ -1,7 +1,5 @@
 """Factors of time that coefficients of driven joints have, of all joints at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import final
 

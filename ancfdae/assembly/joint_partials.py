@@ -1,7 +1,5 @@
 """What design variables change in the numbers of joints."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import final

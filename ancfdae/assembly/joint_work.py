@@ -4,8 +4,6 @@ A joint exerts -Phi_q^T lam, and Phi_q v = -Phi_t: its power is lam . Phi_t. A l
 its rate, Phi_t = Phi_x x', so that lam . Phi_x, the power at x' = 1, is what does work on x.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Any, final
 

@@ -3,8 +3,6 @@
 Plain numbers only, so that a saved solution can be read without its scene.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, final

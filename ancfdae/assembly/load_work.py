@@ -1,7 +1,5 @@
 """Power of a load: F . V, the forces on its vectors times their rates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -9,8 +9,6 @@ the mass matrix is the sum of m (x) I_d over all blocks (docs/theory/03-joints-a
     point mass    m = mass w w^T, with position sum_a w_a X_a
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -4,8 +4,6 @@ A beam has n_s vectors per node and one more per kink, what is rigid one frame o
 reference point and its directions (docs/theory/02-strain-energy.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -1,7 +1,5 @@
 """Joints and loads of a scene as numbers: their vectors, design fields and reference."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

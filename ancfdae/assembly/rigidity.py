@@ -1,7 +1,5 @@
 """What keeps a rigid body rigid: its directions stay orthonormal."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 
@@ -9,7 +7,7 @@ import numpy as np
 
 from ancfdae.model.joints import Equations, Joint
 from ancfdae.model.joints.joint import empty_coefficients
-from ancfdae.model.parts import Direction, Elements, Vectors
+from ancfdae.model.parts import Elements, FrameDirection, Vectors
 from ancfdae.numerics.arrays import Array
 
 
@@ -28,7 +26,7 @@ class Rigidity(Joint):
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the directions."""
-        return tuple(Direction(self.beam, k + 1) for k in range(elements.d))
+        return tuple(FrameDirection(self.beam, k + 1) for k in range(elements.d))
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Entries i <= j of d_i . d_j."""

@@ -1,7 +1,5 @@
 """Reading a solution from its file, with the names of its scene."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any

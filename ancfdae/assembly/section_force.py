@@ -1,7 +1,5 @@
 """Section forces of beams with their partials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 from typing import final

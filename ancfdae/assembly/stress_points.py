@@ -1,7 +1,5 @@
 """Von Mises stresses at many points of beams with their partials."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from typing import final

@@ -9,8 +9,6 @@ with the rate w, J x = axis x x and p the place of the axis (zero for slopes): t
 M a + Phi_q^T lam - Q has M c in addition, which is linear in v and affine in q.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from typing import final

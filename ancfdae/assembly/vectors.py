@@ -14,7 +14,7 @@ import scipy
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.model.bodies import Point
 from ancfdae.model.elements import Quantity
-from ancfdae.model.parts import CentreLine, Direction, Normal
+from ancfdae.model.parts import CentreLine, FrameDirection, Normal
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.linear_map import LinearMap
@@ -111,7 +111,7 @@ def point_vectors(
     for name in names:
         if isinstance(name, CentreLine):
             vectors.append(naming.centre_line(name.beam))
-        elif isinstance(name, Direction):
+        elif isinstance(name, FrameDirection):
             vectors.append(naming.direction(name.body, name.number))
         elif isinstance(name, Normal):
             place = None if places is None else places[name.point]

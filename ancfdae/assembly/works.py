@@ -1,7 +1,5 @@
 """Power of driven joints and of loads, prepared when it is first asked for."""
 
-from __future__ import annotations
-
 from typing import final
 
 from ancfdae.assembly.joint_work import JointWork, at_unit_rate

@@ -1,7 +1,5 @@
 """What complex arithmetic needs of a system: analytic functions, and how far they are smooth."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from contextvars import ContextVar

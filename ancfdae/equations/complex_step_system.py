@@ -43,10 +43,10 @@ import numpy as np
 
 from ancfdae.equations.analytic import Reach, require_analytic
 from ancfdae.equations.motion import Motion, require_perturbation
-from ancfdae.equations.rows import Rows
+from ancfdae.equations.rows import RowCalls
 from ancfdae.equations.system import Direction, MechanicalSystem
 from ancfdae.errors import InvalidInput
-from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.contour import derivative
 from ancfdae.numerics.patterns import Pattern
 
@@ -297,13 +297,30 @@ class ComplexStepSystem(MechanicalSystem):
 
     def _residual_q(self, t: float, q: Array, v: Array | None, a: Array, lam: Array) -> Array:
         """Differentiate M a - Q in q, and lam . Phi twice."""
-
-        def unconstrained(x: Array) -> Array:
-            inertia = self.mass_times(x, a)
-            return inertia if v is None else inertia - self.force(t, x, v)
-
-        f_q = self._by_coordinate(unconstrained, q, self.pattern)
+        f_q, (steps, still) = np.zeros(self.n_q**2), self._steps
+        if not self.traits.constant_mass:
+            f_q = f_q + _by_row(self.rows.of(self.mass_matrix, q + steps) @ a)
+        if v is not None:
+            f_q = f_q - self._force_by(t, q + steps, v + still)
         return f_q if self.traits.linear_constraints else f_q + self._curvature(t, q, lam)
+
+    def _residual_v(self, t: float, q: Array, v: Array) -> Array:
+        steps, still = self._steps
+        return -self._force_by(t, q + still, v + steps)
+
+    @cached_property
+    def _steps(self) -> tuple[Array, Array]:
+        """Rows of imaginary steps along no coordinate and along each, and as many zeros."""
+        steps = 1j * STEP * np.eye(self.n_q + 1, self.n_q, -1)
+        return steps, np.zeros_like(steps)
+
+    def _force_by(self, t: float, q: Array, v: Array) -> Array:
+        """Differentiate Q along rows of steps, the first of which does not move."""
+
+        def of_state(state: Array) -> Array:
+            return self.force(t, *np.split(state, 2))
+
+        return _by_row(self.rows.of(of_state, np.concatenate([q, v], axis=1)))
 
     def _curvature(self, t: float, q: Array, lam: Array) -> Array:
         """(Phi_q^T lam)_q, along every coordinate and every sum of two."""
@@ -312,11 +329,15 @@ class ComplexStepSystem(MechanicalSystem):
         i, j = np.triu_indices(n)
         changes = np.eye(n)[i] + np.eye(n)[j] * (i != j)[:, None]
 
-        def moved(s: complex) -> Array:
-            return _constraint_moved(base, m, s * changes * reach)
+        def moved(s: Array) -> Array:
+            rows = (s[:, None, None] * changes * reach).reshape(-1, n)
+            return _constraint_moved(base, m, rows).reshape(*s.shape, len(i), -1)
+
+        def terms() -> Array:
+            return self._d.terms(_constraint_at, m, (0.0,))
 
         curvature = np.zeros((n, n))
-        second = derivative(moved, (1.0,), 2, lambda: self._d.terms(_constraint_at, m, (0.0,)))
+        second = derivative(moved, (1.0,), 2, terms, together=True)
         curvature[i, j] = second @ m.lam
         pure = np.diag(curvature)
         mixed = np.triu(0.5 * (curvature - pure[:, None] - pure), 1)
@@ -324,9 +345,9 @@ class ComplexStepSystem(MechanicalSystem):
         return np.asarray(result.ravel())
 
     @cached_property
-    def rows(self) -> Rows:
-        """What evaluates Phi and M at many states."""
-        return Rows({self.n_q, self.n_lam})
+    def rows(self) -> RowCalls:
+        """What evaluates Phi, M and Q at many states."""
+        return RowCalls({self.n_q, 2 * self.n_q, self.n_lam})
 
     @cached_property
     def _d(self) -> Differentiator:
@@ -340,6 +361,11 @@ class ComplexStepSystem(MechanicalSystem):
 @cache
 def _full(rows: int, columns: int) -> Pattern:
     return Pattern.full((rows, columns))
+
+
+def _by_row(values: Array) -> Array:
+    """Imaginary parts of rows of values beyond the first, as columns of a full pattern."""
+    return np.asarray((np.imag(values[1:]) - np.imag(values[0])).T.ravel() / STEP)
 
 
 def _force_along(change: Motion) -> Kernel:
@@ -373,5 +399,5 @@ def _constraint_rate(system: MechanicalSystem, m: Motion, s: complex, changes: A
     return _constraint_moved(system, m.at(s), changes)
 
 
-def _rows(system: MechanicalSystem) -> Rows:
+def _rows(system: MechanicalSystem) -> RowCalls:
     return cast(ComplexStepSystem, system).rows

@@ -1,7 +1,5 @@
 """Derivatives of a system's values by complex steps: how all that is not written follows."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Callable
 from functools import cached_property

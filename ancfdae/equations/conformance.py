@@ -1,7 +1,5 @@
 """Check of an implementation of the protocol: every member against the values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -1,7 +1,5 @@
 """Derivatives of M a + Phi_q^T lam with a and lam held, and right sides that they make up."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ancfdae.equations.system import MechanicalSystem

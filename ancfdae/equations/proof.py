@@ -3,8 +3,6 @@
 Each takes ``add(name, error, tolerance)`` and a `Probe`.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from types import FunctionType, MethodType

@@ -6,8 +6,6 @@ call: one of the states in turn is evaluated alone, and the imaginary parts, whi
 made of, must agree. A function that fails is evaluated state by state from then on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import final
 
@@ -22,7 +20,7 @@ _ROUND_OFF = 1e-9
 
 
 @final
-class Rows:
+class RowCalls:
     """Evaluates functions of one system at rows of states; numbers like t are shared."""
 
     def __init__(self, sizes: set[int]) -> None:

@@ -1,7 +1,5 @@
 """Saddle-point matrices of a system, solved in their two parts; constraints must be independent."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

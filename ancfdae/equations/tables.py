@@ -1,7 +1,5 @@
 """Solutions as tables of pandas, which is imported when one is asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Rules that arguments are held against."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import os

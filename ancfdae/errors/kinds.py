@@ -3,8 +3,6 @@
 They read ``where: rule; got value. Repair.``
 """
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Iterable
 from typing import Any, final

@@ -1,7 +1,5 @@
 """Outcomes of a run: what was computed stays usable."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Protocol, TypeVar, final

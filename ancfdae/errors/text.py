@@ -1,7 +1,5 @@
 """Plain text for readers: shortened lists, aligned columns."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Iterable, Sequence
 

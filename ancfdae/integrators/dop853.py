@@ -8,8 +8,6 @@ stages have Y_i' = U_i, those of y are linear in the accelerations K_j of the st
 so that a stage is one product of a matrix, 2 x (2 + i), with the rows y, u, K_1, ..., K_i.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache

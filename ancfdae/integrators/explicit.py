@@ -11,8 +11,6 @@ estimate of the method; where that says that they are too few for an integrand, 
 step come from its dense output.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ accelerations and multipliers recomputed from positions and velocities by one li
 accurate than what a solver carries along. Integrals follow the steps, not the instants.
 """
 
-from __future__ import annotations
-
 import abc
 import warnings
 from collections.abc import Callable, Sequence

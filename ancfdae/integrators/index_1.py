@@ -15,8 +15,6 @@ matrix is that at the state before, the right side of the second line is at the 
 design derivatives of the state are moved onto the derivatives of the constraints in the same way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeAlias, final
 

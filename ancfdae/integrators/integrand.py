@@ -4,8 +4,6 @@ The integrator says where the points lie and which weights they have; what is ma
 there is the integrand's.
 """
 
-from __future__ import annotations
-
 import abc
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """Integrals beside the motion, refined until their own error is within the tolerance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import final

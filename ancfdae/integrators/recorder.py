@@ -1,7 +1,5 @@
 """Collects nodes of a run into a solution."""
 
-from __future__ import annotations
-
 import time
 from typing import TypeAlias, final
 
@@ -14,7 +12,7 @@ from ancfdae.errors import InvalidInput, Outcome
 from ancfdae.numerics.arrays import Array
 
 # Rows of q, v, a and lam.
-Rows: TypeAlias = tuple[Array, Array, Array, Array]
+StateRows: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 @final
@@ -108,7 +106,7 @@ class Recorder:
             array[rows] = value
         self._rows, self._control = rows.stop, control
 
-    def room(self, count: int) -> Rows:
+    def room(self, count: int) -> StateRows:
         """Return the next rows of q, v, a and lam, for states that `take` counts."""
         while self._rows + count > len(self._arrays[0]):
             self._arrays = [np.concatenate([x, np.zeros_like(x)]) for x in self._arrays]

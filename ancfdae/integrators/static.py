@@ -1,7 +1,5 @@
 """Equilibrium as a run of one instant, so that every gradient method differentiates it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -1,7 +1,5 @@
 """Integrators that take one step after another under a control of the step."""
 
-from __future__ import annotations
-
 import abc
 import time
 import warnings

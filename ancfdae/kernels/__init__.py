@@ -81,7 +81,7 @@ class Plan(NamedTuple):
     moving: tuple[tuple[LoadPlan, bool], ...]
 
 
-class Layout(NamedTuple):
+class MatrixLayout(NamedTuple):
     """Order and scale of the unknowns, and where values stand in an envelope or in a band.
 
     The envelope is (first, chosen, places, signs) as for `ldl_factor`, and the band (half, flat,
@@ -97,6 +97,9 @@ class Layout(NamedTuple):
 #: Why a march ends: with all steps, or before one that it does not solve, that needs factors at
 #: Gauss points, whose matrix needs a band, or that no time is left for.
 ALL_TAKEN, NOT_SOLVED, NEEDS_GAUSS, INDEFINITE, OUT_OF_TIME = range(5)
+
+#: How Newton's method for the stages of a step ends.
+STAGES_SOLVED, STAGES_DIVERGED, STAGES_NOT_FINITE, STAGES_SINGULAR = range(4)
 
 #: Numbers among the rules of `prepare`.
 RULES = 17
@@ -131,6 +134,7 @@ prepare = _kernels.prepare
 pull_back_steps = _kernels.pull_back_steps
 recombine = _kernels.recombine
 relative = _kernels.relative
+solve_stages = _kernels.solve_stages
 strain = _kernels.strain
 stressed = _kernels.stressed
 tangents = _kernels.tangents

@@ -6,7 +6,7 @@ shape (..., n, n_y, d), packed matrices (..., n, n_g).
 
 from typing import Any, TypeAlias
 
-from ancfdae.kernels import Array, Block, Layout, Plan
+from ancfdae.kernels import Array, Block, MatrixLayout, Plan
 
 def relative(block: Block, q: Array, /) -> Array:
     """Return Y = R q."""
@@ -233,7 +233,7 @@ def ldl_factor(
 def ldl_solve(factors: Array, first: Array, order: Array, right: Array, /) -> Array:
     """Return P^T (L D L^T)^-1 P x for right sides x along the last axis; P as in `band_solve`."""
 
-def prepare(plan: Plan, layout: Layout, rules: Array, /) -> object:
+def prepare(plan: Plan, layout: MatrixLayout, rules: Array, /) -> object:
     """Return what `march` takes.
 
     The rules are hht_alpha, Newton's tolerance, most iterations and the other numbers of
@@ -265,6 +265,27 @@ def pull_back_steps(
     """Take the transposed steps back from the last; return as `differentiate_steps`.
 
     Seeds are rows on q, v and lam, `on`, (6, n_q), is overwritten; written are rows of mu and zeta.
+    """
+
+def solve_stages(
+    prepared: object,
+    coupled: tuple[Array, Array, int, Array, Array, Array],
+    state: tuple[Array, Array, Array, Array],
+    x: Array,
+    lam: Array,
+    of_joints: Array,
+    of_loads: Array,
+    tableau: Array,
+    rules: Array,
+    /,
+) -> tuple[int, float, tuple[int, int, int]]:
+    """Solve for x and lam of the three stages of a step of Radau IIA, from (q, v, a, lam) before.
+
+    The coupled matrix is (order, scale, half, flat, factors) as in `band_factor`, and the places of
+    blocks (i, j) in its K. Factors are those at the stages and at the start, (4, n_parts) and
+    (4, n_loads). The tableau is c, A^-1 and A^-2, the rules are `stage_rules` in `stages.h`.
+    Returns how it ends, the size of the last correction, and counts of iterations, factorisations
+    and whether round-off ended it.
     """
 
 def march(

@@ -1205,6 +1205,7 @@ static PyObject *py_ldl_solve(PyObject *const *args)
 /* ---- marches ------------------------------------------------------------------------------- */
 
 #include "prepared.h"
+#include "stages.h"
 
 /* ---- module -------------------------------------------------------------------------------- */
 
@@ -1247,6 +1248,7 @@ FUNCTION(prepare, 3)
 FUNCTION(march, 8)
 FUNCTION(differentiate_steps, 6)
 FUNCTION(pull_back_steps, 6)
+FUNCTION(solve_stages, 9)
 
 #define FUNCTION_OF_MANY(name)                                                                     \
     static PyObject *any_##name(PyObject *self, PyObject *const *args, Py_ssize_t count)           \
@@ -1294,6 +1296,7 @@ static PyMethodDef methods[] = {
     METHOD(march),
     METHOD(differentiate_steps),
     METHOD(pull_back_steps),
+    METHOD(solve_stages),
     {NULL, NULL, 0, NULL},
 };
 

@@ -276,22 +276,28 @@ static void NAME(load_tangents)(const NAME(plan) *p, NAME(room) *r, const double
                                r->q, r->v, velocity, r->of_load, values);
 }
 
-/* The same at the state as it stands. */
-static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
-                            const double *of_loads)
+/* Values of f_q and f_v at the state as it stands, from a row of factors of loads. */
+static void NAME(linearised)(const NAME(plan) *p, NAME(room) *r, const double *factors)
 {
     const T *v = p->damped ? r->v : NULL;
-    r->counts[1]++;
     memset(r->f_q, 0, (size_t)p->nnz * sizeof(T));
     NAME(tangents)(p->n_y, p->d, &p->block, r->q, v, 0, p->index, p->nnz, r->f_q);
     NAME(constraint_curvature)(p->constraints, p->numbers.l, r->c[0], r->lam, r->f_q);
-    NAME(load_tangents)(p, r, of_loads + AT_END * p->n_factors, 0, r->f_q);
-    if (p->velocity) {
-        memset(r->f_v, 0, (size_t)p->nnz * sizeof(T));
-        if (p->damped)
-            NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->f_v);
-        NAME(load_tangents)(p, r, of_loads + AT_END * p->n_factors, 1, r->f_v);
-    }
+    NAME(load_tangents)(p, r, factors, 0, r->f_q);
+    if (!p->velocity)
+        return;
+    memset(r->f_v, 0, (size_t)p->nnz * sizeof(T));
+    if (p->damped)
+        NAME(tangents)(p->n_y, p->d, &p->block, r->q, NULL, 1, p->index, p->nnz, r->f_v);
+    NAME(load_tangents)(p, r, factors, 1, r->f_v);
+}
+
+/* Factorise eq. (6) at the state as it stands. */
+static int NAME(factorised)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                            const double *of_loads)
+{
+    r->counts[1]++;
+    NAME(linearised)(p, r, of_loads + AT_END * p->n_factors);
     return NAME(factor_sum)(p, r, c, r->f_q, p->velocity ? r->f_v : NULL, r->B);
 }
 

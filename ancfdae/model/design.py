@@ -1,7 +1,5 @@
 """Design variables: named numbers of a scene that sensitivities are taken for."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,5 @@
 """Grounds of joints that were left out: the place of the point in the reference configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeAlias, TypeVar
 

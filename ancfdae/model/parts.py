@@ -1,7 +1,5 @@
 """What joints and loads share: a name, points of beams or bodies, and design targets."""
 
-from __future__ import annotations
-
 import abc
 import re
 from collections.abc import Mapping, Sequence
@@ -55,7 +53,7 @@ _NO_NAME = re.compile(r"\.(?!\d)|\[")
 
 @final
 @dataclass(frozen=True)
-class Direction:
+class FrameDirection:
     """A direction of the axes of something rigid, for what keeps it rigid; counted from 1 on."""
 
     body: str
@@ -63,14 +61,14 @@ class Direction:
 
 
 #: Vectors of material points (which point, and position or which slope), or of whole beams.
-Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | Direction, ...]
+Vectors: TypeAlias = tuple[tuple[Point, Quantity] | Normal | CentreLine | FrameDirection, ...]
 
 
 def _is_vector(name: object) -> bool:
     """Whether it is one of `Vectors`."""
     if isinstance(name, tuple):
         return len(name) == 2 and isinstance(name[0], Point) and isinstance(name[1], Quantity)
-    return isinstance(name, Normal | CentreLine | Direction)
+    return isinstance(name, Normal | CentreLine | FrameDirection)
 
 
 class Part(Designable, abc.ABC):

@@ -1,7 +1,5 @@
 """Point mass: a mass lumped at a point of a beam or a body."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

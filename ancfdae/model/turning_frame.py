@@ -1,7 +1,5 @@
 """A frame that turns at a constant rate, in which a scene is declared."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -5,8 +5,6 @@ held, is linear in q_b and lam_b: on_q . q_b + on_lam . lam_b + on_b. Its parts 
 f = M a + Phi_q^T lam - Q along motions, as in `totals`, transposed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias, final

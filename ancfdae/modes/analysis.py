@@ -1,7 +1,5 @@
 """From a system and a configuration to its modes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem

@@ -5,8 +5,6 @@ With N a basis of the null space of Phi_q, orthonormal in M, motions x = N y sat
     y'' + D_N y' + K_N y = 0,     D_N = N^T D N,  K_N = N^T K N
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

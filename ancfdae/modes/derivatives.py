@@ -14,8 +14,6 @@ entry k of x held and equation k left out it is regular and keeps its pattern (N
 rest, c x, follows from the norm.
 """
 
-from __future__ import annotations
-
 from typing import TypeAlias
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Periods of small motions, from which a step follows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import final
 

@@ -13,8 +13,6 @@ matrix turns it into a correction, and Ritz's method gives the values. Their rou
 by another rounding of coordinates and shapes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias, final

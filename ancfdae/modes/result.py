@@ -1,7 +1,5 @@
 """Modes: frequencies, damping and shapes of small motions, and their design derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from typing import final

@@ -143,6 +143,9 @@ def _damped(small: Linearised, count: int, highest: bool) -> Eigenpairs:
         moving = np.abs(s) ** 2 > ROUND_OFF * _noise(small, s, X) * np.abs(s)
         s, X = s[moving], X[:, moving]
     order = np.argsort(-np.abs(s) if highest else _rank(small, s, X), kind="stable")[:count]
+    if not highest:
+        # Before they are sharpened some grow by round-off, which would take the place of others.
+        order = np.union1d(order, np.argsort(np.abs(s), kind="stable")[:count])
     s, X, change = _each_sharpened(small, s[order], X[:, order])
     if not highest:
         none = np.zeros(rigid.shape[1])

@@ -4,8 +4,6 @@ With f = M a + Phi_q^T lam - Q at rest, K x and D x are its derivatives along th
 (0, x, 0) and (0, 0, x) of (t, q, v).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

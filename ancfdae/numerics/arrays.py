@@ -5,8 +5,6 @@ part. Values must keep it (no ``abs``, no conjugation); decisions, such as
 convergence tests, must look at the real part only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 

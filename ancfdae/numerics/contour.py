@@ -25,8 +25,6 @@ coefficients of highest degree that N points resolve show whether aliasing is ro
 not, all radii shrink, and a function whose coefficients never decay is refused.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache
@@ -52,6 +50,8 @@ def derivative(
     radii: tuple[float, ...],
     order: int = 1,
     scale: Callable[[], Array] = lambda: np.zeros(1),
+    *,
+    together: bool = False,
 ) -> Array:
     """Return the derivative at zero of order `order` in the first argument, 1 in the others.
 
@@ -67,13 +67,16 @@ def derivative(
         Returns values of the size of the terms of f. Where these cancel on the whole circle, as
         those of a constraint do along its own motion, only round-off is left, and these values show
         it. Asked for where the values on the circle do not explain the residual.
+    together : bool
+        Whether f takes arrays of numbers, and returns a row for each.
     """
+    of_all = f if together else _one_by_one(f)
     if len(radii) == 1 and order == 1:
         step = STEP * radii[0]
-        return np.asarray(np.imag(f(1j * step)) / step)
+        return np.asarray(np.imag(of_all(np.array([1j * step]))[0]) / step)
     terms = cache(lambda: float(np.max(np.abs(scale()), initial=0.0)))
     for _ in range(_SHRINKS):
-        circle = _on_circle(f, radii, order)
+        circle = _on_circle(of_all, radii, order)
         # Mostly the values on the circle suffice.
         if circle.resolved(0.0) or circle.resolved(terms()):
             return circle.value
@@ -88,8 +91,12 @@ def derivative(
 
 def circle_size(f: Callable[..., Array], radius: float) -> float | None:
     """Largest value on the circle; None if the circle does not resolve f to round-off."""
-    circle = _on_circle(f, (radius,), 1)
+    circle = _on_circle(_one_by_one(f), (radius,), 1)
     return circle.largest if circle.resolved(0.0) else None
+
+
+def _one_by_one(f: Callable[..., Array]) -> Callable[..., Array]:
+    return lambda *z: np.array([f(*numbers) for numbers in zip(*z, strict=True)])
 
 
 class _Circle(NamedTuple):
@@ -113,7 +120,7 @@ def _on_circle(f: Callable[..., Array], radii: tuple[float, ...], order: int) ->
         mean, size = np.zeros(()), np.zeros(())
         for c in product(roots, repeat=len(radii) - 1):
             factors = np.multiply(radii, (1.0, *c))
-            values = np.array([f(*(factors * s)) for s in _UPPER])
+            values = f(*np.outer(factors, _UPPER))
             size = np.maximum(size, np.max(np.abs(values), axis=0))
             mean = mean + values / np.prod(c)
         mean = mean / len(roots) ** (len(radii) - 1)

@@ -6,8 +6,6 @@
 [ B_1 .. B_s           0       ]
 """
 
-from __future__ import annotations
-
 from typing import final
 
 import numpy as np
@@ -43,10 +41,19 @@ class CoupledFactors:
 
 @final
 class CoupledSaddlePoints:
-    """Coupled matrices of one system: constant patterns; weights and values of B scale as there."""
+    """Coupled matrices of one system: constant patterns; weights and values of B scale as there.
+
+    Where the unknowns of the system have an order in a band, all copies of one stand together.
+    """
 
     def __init__(
-        self, copies: int, K: Pattern, B: Pattern, weights: Array, constraint_values: Array
+        self,
+        copies: int,
+        K: Pattern,
+        B: Pattern,
+        weights: Array,
+        constraint_values: Array,
+        order: Array | None = None,
     ) -> None:
         self._copies, (m, n) = copies, B.shape
         self._n = n
@@ -58,7 +65,19 @@ class CoupledSaddlePoints:
         B_rows, B_columns = B.rows.astype(int) + m * copy, B.columns.astype(int) + n * copy
         constraints = Pattern((copies * m, copies * n), B_rows.ravel(), B_columns.ravel())
         scales = np.tile(weights, copies), np.tile(constraint_values, copies)
-        self._matrices = SaddlePoint(pattern, constraints, *scales)
+        if order is not None:
+            place, copy = order[:, None], np.arange(copies)
+            multiplier = (copies - 1) * n + copy * m + place
+            order = np.where(place < n, copy * n + place, multiplier).ravel()
+        self._matrices = SaddlePoint(pattern, constraints, *scales, order=order)
+
+    @property
+    def arrays(self) -> tuple[Array, Array, int, Array, Array, Array] | None:
+        """Order, scale and band of the unknowns, and places of K; None where the band is wide."""
+        layout = self._matrices.layout(band=True)
+        if layout is None or layout.band is None:
+            return None
+        return layout.order, layout.scale, *layout.band, self._places.ravel()
 
     def factor(self, K: Array, B: Array) -> CoupledFactors:
         """Factorise for values K, (s, s, size of the pattern), and B, (s, size).

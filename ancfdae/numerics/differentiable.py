@@ -1,7 +1,5 @@
 """Whether the complex step of a function is its derivative."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

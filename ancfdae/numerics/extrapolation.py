@@ -6,8 +6,6 @@ least against its neighbours is where they balance. With values good to eps it i
 1e-11, ten times better than a plain central difference at its best step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Orthonormal frames."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ancfdae.numerics.arrays import Array

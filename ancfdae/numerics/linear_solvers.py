@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from ancfdae.errors import SingularMatrix
-from ancfdae.kernels import Layout, add_scaled, band_factor, band_solve, ldl_factor, ldl_solve
+from ancfdae.kernels import MatrixLayout, add_scaled, band_factor, band_solve, ldl_factor, ldl_solve
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.orders import little_fill, narrow_band
 from ancfdae.numerics.patterns import Pattern
@@ -73,7 +73,7 @@ class SaddlePoint:
 
     The weights of the coordinates, (n,), are positive, usually the diagonal of the mass matrix;
     the rows of constraints are scaled by the values of B at the start. K is symmetric where that
-    is said.
+    is said. Where an order of the unknowns is given they stand in a band in that order.
     """
 
     def __init__(
@@ -83,17 +83,19 @@ class SaddlePoint:
         weights: Array,
         constraint_values: Array,
         symmetric: bool = False,
+        order: Array | None = None,
     ) -> None:
         self._patterns, m = (pattern, constraint_pattern), constraint_pattern.shape[0]
         scale = 1.0 / np.sqrt(weights)
         squared = (constraint_values.real * scale[constraint_pattern.columns]) ** 2
         length = np.sqrt(np.bincount(constraint_pattern.rows, squared, minlength=m))
         self.scale = np.concatenate([scale, 1.0 / np.where(length > 0, length, 1.0)])
-        self._order = narrow_band(*self._patterns)
+        self._order = narrow_band(*self._patterns) if order is None else order
         rows, columns = self._places(self._order)
         self._half_width = int(np.max(np.abs(rows - columns), initial=0))
+        self._narrow = order is not None or self._half_width <= _BAND_HALF_WIDTH
         self._envelope = None
-        if symmetric and self._half_width <= _BAND_HALF_WIDTH:
+        if symmetric and self._narrow:
             self._envelope = _Envelope(self._order, rows, columns, *self._patterns)
 
     @property
@@ -101,13 +103,13 @@ class SaddlePoint:
         """Number of unknowns."""
         return len(self.scale)
 
-    def layout(self, band: bool) -> Layout | None:
+    def layout(self, band: bool) -> MatrixLayout | None:
         """Return the positions of values, in a band where requested; None if it is too wide."""
-        if self._half_width > _BAND_HALF_WIDTH:
+        if not self._narrow:
             return None
         band_map = self._band.arrays if band or not self._envelope else None
         envelope = self._envelope.arrays if self._envelope else None
-        return Layout(self._order, self.scale, envelope, band_map)
+        return MatrixLayout(self._order, self.scale, envelope, band_map)
 
     def factor(self, K: Array, B: Array) -> Factorization:
         """Factorise for the given values of K and B.
@@ -133,7 +135,7 @@ class SaddlePoint:
     @cached_property
     def _storage(self) -> _Storage:
         """What factorises with exchanges."""
-        if self._half_width <= _BAND_HALF_WIDTH:
+        if self._narrow:
             return self._band
         order = little_fill(*self._patterns)
         return _SparseStorage(self.scale, order, *self._places(order))

@@ -1,7 +1,5 @@
 """Gauss-Legendre quadrature over the reference element."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rotation matrices from numbers, complex-safe, many at once."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ancfdae.numerics.arrays import Array

@@ -1,7 +1,5 @@
 """A gradient over the elements of a beam as bars on its shape."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

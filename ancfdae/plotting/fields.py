@@ -1,7 +1,5 @@
 """What colours a mechanism: numbers at the points of its meshes at every instant."""
 
-from __future__ import annotations
-
 import abc
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """How long arrows are drawn, and the points of springs, ways and moments."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final, final
 

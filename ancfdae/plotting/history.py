@@ -1,7 +1,5 @@
 """Observables over time with bands of what a change of each design variable does to them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

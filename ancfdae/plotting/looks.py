@@ -1,7 +1,5 @@
 """Which colour, dashes and marker a label has: the same method the same ones in every figure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final, final

@@ -1,7 +1,5 @@
 """Symbols in plain labels as mathematics: rho_1, 2^-7, 1e7."""
 
-from __future__ import annotations
-
 import re
 from typing import Final
 

@@ -1,7 +1,5 @@
 """A mechanism at some instants, as data: what every picture, animation and export is made of."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

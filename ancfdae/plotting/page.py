@@ -3,8 +3,6 @@
 Places are kept as 16 bit integers over the extent of the film, colours as 8 bit.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from importlib.resources import files

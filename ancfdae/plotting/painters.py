@@ -1,7 +1,5 @@
 """Paint a mechanism at one instant into axes of matplotlib, in the plane and in space."""
 
-from __future__ import annotations
-
 import abc
 from typing import Any, Final, final
 

@@ -1,7 +1,5 @@
 """Pictures of a mechanism as it stands and moves, and films of it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import animation
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ancfdae.equations import Solution
@@ -108,6 +107,7 @@ def animate(
     dpi: int = 100,
     limits: Sequence[float] | None = None,
     camera: Sequence[float] | None = None,
+    progress: bool = False,
 ) -> Path:
     """Write a film of a motion: GIF, MP4, or a page to turn and zoom, by the suffix of the path.
 
@@ -125,6 +125,8 @@ def animate(
         How long the film takes; s.
     dpi : int
         Dots per inch of the 7.5 inches of GIF and MP4.
+    progress : bool
+        Show a bar while frames of GIF and MP4 are drawn.
 
     Returns
     -------
@@ -154,7 +156,7 @@ def animate(
         write_page(shown, file, seconds, title, seen)
         return file
     with settings():
-        _film(shown, file, frames / seconds, title, dpi, seen)
+        _film(shown, file, frames / seconds, title, dpi, seen, progress)
     return file
 
 
@@ -183,18 +185,28 @@ def _camera(where: str, scene: Scene, camera: Sequence[float] | None) -> tuple[f
 
 
 def _film(
-    shown: Mechanism, file: Path, rate: float, title: str, dpi: int, camera: tuple[float, float]
+    shown: Mechanism,
+    file: Path,
+    rate: float,
+    title: str,
+    dpi: int,
+    camera: tuple[float, float],
+    progress: bool,
 ) -> None:
+    from tqdm import tqdm
+
     writers: dict[str, Any] = {".gif": animation.PillowWriter, ".mp4": animation.FFMpegWriter}
     figure, brush = canvas(shown, title, True, camera)
     # Found once: it takes longer than all the rest of a frame.
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     brush.settle(figure)
-    clock = figure.text(0.02, 0.98, "", va="top", fontsize=10)
     writer = writers[file.suffix](fps=rate)
     with writer.saving(figure, file, dpi):
-        for k, t in enumerate(shown.motion.t.tolist()):
+        _freeze(figure, brush, dpi)
+        clock = figure.text(0.02, 0.98, "", va="top", fontsize=10)
+        times = tqdm(shown.motion.t.tolist(), "film", disable=not progress, unit="frame")
+        for k, t in enumerate(times):
             clock.set_text(f"t = {t:.3g} s")
             artists = brush.bodies(k) + brush.symbols(k)
             for artist in artists:
@@ -202,6 +214,20 @@ def _film(
             writer.grab_frame()
             for artist in artists:
                 artist.remove()
+
+
+def _freeze(figure: Figure, brush: Painter, dpi: int) -> None:
+    """Put an image of all that stands still behind what moves; drawing it takes longer."""
+    drawing: Any = FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    drawing.draw()
+    image = np.array(drawing.buffer_rgba())
+    for artist in figure.get_children():
+        artist.set_visible(artist is brush.axes)
+    brush.axes.set_axis_off()
+    brush.axes.set_title("")
+    brush.axes.patch.set_visible(False)
+    figure.figimage(image, zorder=-1)
 
 
 def _label_instants(brush: Painter, drawn: Mechanism) -> None:

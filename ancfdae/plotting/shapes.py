@@ -4,8 +4,6 @@ Places are those of material points, exact in the shape functions. What depends 
 complex-safe, so that derivatives are complex steps.
 """
 
-from __future__ import annotations
-
 import abc
 from typing import final
 

@@ -1,7 +1,5 @@
 """Joints, loads and point masses as marks, lines and arrows that move with the mechanism."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, final
 

@@ -5,8 +5,6 @@ raw arrays. The package vtk itself is 140 MB, and meshio, which reads the files 
 has had no release since January 2024.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Discrete adjoint: the transpose of the discrete equations, start included."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ repeat, is the schedule of Griewank & Walther (revolve, ACM TOMS 26, 2000) by th
 `checkpoint_schedules`, with the least repetitions that the number of kept states allows.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Sequence

@@ -23,8 +23,6 @@ Time derivatives of M, f_v, H_v and H_lam along the run are taken by second-orde
 its grid, so the gradient differs from the discrete one by O(h^2).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Direct differentiation (eqs. 21-25): sensitivities of the whole motion, then the chain rule."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

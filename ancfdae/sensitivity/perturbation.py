@@ -4,8 +4,6 @@ Finite differences are the check that the paper uses; the complex step gives der
 discrete solution to round-off.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -39,7 +39,7 @@ _FAR, _GROWTHS = 100.0, 4
 
 @final
 @dataclass
-class Work:
+class SearchCounts:
     """Counters of a search."""
 
     iterations: int = 0
@@ -51,7 +51,7 @@ class Work:
 
 @final
 @dataclass(frozen=True)
-class Solved:
+class Balanced:
     """A solution at the load fraction s, and the matrix and correction of the last iteration."""
 
     s: float
@@ -80,7 +80,7 @@ class Balance:
     t: float
     q_0: Array
     lam_0: Array
-    work: Work = field(default_factory=Work)
+    work: SearchCounts = field(default_factory=SearchCounts)
 
     @staticmethod
     def of(system: MechanicalSystem, t: float, q_0: Array, lam_0: Array) -> Balance:
@@ -169,7 +169,7 @@ class Balance:
         lam: Array,
         mu: float = 0.0,
         anchor: Array | None = None,
-    ) -> Solved | Unsolved:
+    ) -> Balanced | Unsolved:
         """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a."""
         test = _Convergence(self)
         try:
@@ -184,7 +184,7 @@ class Balance:
                     dq, dlam = solve(factors, R, -Phi)
                     q, lam = q + dq, lam + dlam
                     if test.converged(q, lam, dq, dlam, R, K, Phi_q):
-                        return Solved(s, q, lam, factors, iteration, test.size)
+                        return Balanced(s, q, lam, factors, iteration, test.size)
                     if test.diverged:
                         break
         except SingularMatrix:
@@ -209,7 +209,7 @@ class Balance:
             R = R - mu * self.system.pattern.dot(self.M_0, q - anchor)
         return R, self.system.constraint(self.t, q) - (1.0 - s) * self.Phi_0
 
-    def polished(self, q: Array, lam: Array) -> Solved | Unsolved:
+    def polished(self, q: Array, lam: Array) -> Balanced | Unsolved:
         """Solve the equations of the full load to the last digit, from a solution near it.
 
         Corrections with one matrix are added as long as they halve; that of a thin or a finely
@@ -231,7 +231,7 @@ class Balance:
             q, lam = q + dq, lam + dlam
         size = float(sizes[0]) / self.extent
         if self.is_round_off(R, K, q, lam):
-            return Solved(1.0, q, lam, factors, 0, size)
+            return Balanced(1.0, q, lam, factors, 0, size)
         return Unsolved(Verdict.NO_CONVERGENCE, size)
 
     def is_round_off(self, R: Array, K: Array, q: Array, lam: Array) -> bool:

@@ -12,8 +12,10 @@ from ancfdae.studies.calls import (
 )
 from ancfdae.studies.campbell import Campbell, campbell
 from ancfdae.studies.error_bars import ErrorBars, error_bars
+from ancfdae.studies.fit import Fit
 from ancfdae.studies.mass_properties import MassProperties, mass_properties
-from ancfdae.studies.misfit import Fit, Misfit
+from ancfdae.studies.misfit import Misfit, RunFit
+from ancfdae.studies.misfit_at_rest import FrequencyMisfit, StaticMisfit
 from ancfdae.studies.modes import modes, suggest_step
 from ancfdae.studies.observing import Observations, observations
 from ancfdae.studies.responses import Response, Responses

@@ -6,8 +6,6 @@ objective's own quadrature is added; from its value on every second instant it i
 I - Q_h = -(Q_2h - Q_h)/3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """The calls that a user needs: simulate, differentiate, gradient."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 

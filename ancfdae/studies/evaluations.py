@@ -1,23 +1,20 @@
 """Designs that an optimiser asked for: each is computed once, and one may have no values."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias, final
+from typing import Generic, TypeAlias, TypeVar, final
 
 import numpy as np
 
-from ancfdae.equations.solution import Solution
 from ancfdae.errors import AncfdaeError, FailedDesign, require_array
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.method import Run
 from ancfdae.studies.sweep_result import SweepRow
 
-Ran: TypeAlias = tuple[Run, Solution]
-# Takes the design values, whether derivatives are wanted, and the run there if it is kept.
-Compute: TypeAlias = Callable[[Array, bool, Ran | None], tuple[Array, Array | None, Ran]]
+# What values come from at a design: a run, modes.
+R = TypeVar("R")
+# Takes the design values, whether derivatives are wanted, and the result there if it is kept.
+Compute: TypeAlias = Callable[[Array, bool, R | None], tuple[Array, Array | None, R]]
 
 
 @final
@@ -37,8 +34,8 @@ class Evaluation:
 
 
 @final
-class Evaluations:
-    """What was computed at designs x = b / scale, with the last `runs` of them.
+class Evaluations(Generic[R]):
+    """What was computed at designs x = b / scale, with the results of the last `kept` of them.
 
     The first design must have values, and with `strict` every one; of a later one without values
     the user is warned. `rows` are the designs in their order, with values or errors.
@@ -48,16 +45,16 @@ class Evaluations:
         self,
         names: Sequence[str],
         count: int,
-        compute: Compute,
+        compute: Compute[R],
         *,
         scale: Array | float = 1.0,
-        runs: int = 1,
+        kept: int = 1,
         strict: bool = False,
     ) -> None:
         self._names, self._count, self._compute = tuple(names), count, compute
-        self._scale, self._most, self._strict = scale, runs, strict
+        self._scale, self._most, self._strict = scale, kept, strict
         self._known: dict[bytes, Evaluation] = {}
-        self._runs: dict[bytes, Ran] = {}
+        self._results: dict[bytes, R] = {}
         self._good: list[Array] = []
         self.rows: list[SweepRow] = []
 
@@ -69,21 +66,21 @@ class Evaluations:
             known = self._evaluated(x, derivatives)
         return known
 
-    def solution(self, x: Array) -> Solution:
-        """Return the run at x; raises the error of a design that has none."""
+    def result(self, x: Array) -> R:
+        """Return what values at x come from; raises the error of a design that has none."""
         known = self.at(x, derivatives=False)
         if known.error is not None:
             raise known.error
-        if known.x.tobytes() not in self._runs:
+        if known.x.tobytes() not in self._results:
             self._evaluated(known.x, derivatives=False)
-        return self._runs[known.x.tobytes()][1]
+        return self._results[known.x.tobytes()]
 
     def _evaluated(self, x: Array, derivatives: bool) -> Evaluation:
         key, b = x.tobytes(), x * self._scale
         at = dict(zip(self._names, b.tolist(), strict=True))
         others = [other for other in self._good if not np.array_equal(other, x)]
         try:
-            values, jacobian, ran = self._compute(b, derivatives, self._runs.pop(key, None))
+            values, jacobian, result = self._compute(b, derivatives, self._results.pop(key, None))
         except AncfdaeError as error:
             self.rows.append(SweepRow(at, None, f"{type(error).__name__}: {error}"))
             if self._strict or not others:
@@ -95,9 +92,9 @@ class Evaluations:
             if key not in self._known:
                 self.rows.append(SweepRow(at, values))
             self._good = [*others, x][-2:]
-            if len(self._runs) == self._most:
-                del self._runs[next(iter(self._runs))]
-            self._runs[key] = ran
+            if len(self._results) == self._most:
+                del self._results[next(iter(self._results))]
+            self._results[key] = result
             slopes = None if jacobian is None else jacobian * self._scale
             evaluation = Evaluation(x, values, slopes)
         self._known[key] = evaluation

@@ -5,8 +5,6 @@ is its class and its attributes, a class of a user's its code. Packages that are
 by name, so that what changes within them is not seen; neither are comments and places in a file.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import pickle

@@ -1,7 +1,5 @@
 """Mass, centre of mass and inertia of a scene as it starts, with design derivatives."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

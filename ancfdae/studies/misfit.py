@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import final
 
 import numpy as np
-import scipy
 
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
@@ -28,7 +26,7 @@ from ancfdae.sensitivity.method import Run, finished
 from ancfdae.sensitivity.objectives import NonFiniteObjective
 from ancfdae.sensitivity.observables import Observable, States, states_of
 from ancfdae.studies.calls import design_bounds, differentiable
-from ancfdae.studies.evaluations import Evaluation, Evaluations, Ran
+from ancfdae.studies.fit import MeasuredFit
 
 
 @final
@@ -102,7 +100,7 @@ class Misfit:
         integrator: Integrator,
         *,
         design: Sequence[str | DesignVariable] | None = None,
-    ) -> Fit:
+    ) -> RunFit:
         """Return residuals and Jacobian as functions of the design values.
 
         Parameters
@@ -126,115 +124,39 @@ class Misfit:
         system = differentiable(model, design)
         for observable in self.observables:
             observable.check(system)
-        return Fit(self, Run(system, float(t_end), integrator), design_bounds(system, design))
+        run = Run(system, float(t_end), integrator)
+        return RunFit(system, design_bounds(system, design), self, run)
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """Residuals of a model and their Jacobian, for ``scipy.optimize.least_squares``.
-
-    ``least_squares(fit.residuals, fit.start, fit.jacobian, bounds=fit.bounds, x_scale="jac",
-    gtol=None)`` finds the design values. Without ``gtol=None`` it may stop at the start and report
-    success: SciPy compares J^T r with 1e-8 in any units, and in moduli in Pa that is small.
-    Both functions come from one run with direct differentiation per design, which is kept for the
-    other. A later design than the first whose run ends early, or which cannot be put together, is
-    warned about (`FailedDesign`); its residuals are infinite, so that SciPy steps back.
+class RunFit(MeasuredFit[tuple[Run, Solution]]):
+    """Residuals of a run, from one run with direct differentiation per design.
 
     Attributes
     ----------
     misfit : Misfit
     run : Run
         The system, the end time and the integrator.
-    bounds : pair of arrays, shape (n_b,)
-        Lower and upper bounds of the design values; infinite where there are none.
-    design_names : tuple of str
-        Of the design values, in their order.
     """
 
     misfit: Misfit
     run: Run
-    bounds: tuple[Array, Array]
-
-    @property
-    def design_names(self) -> tuple[str, ...]:
-        """Names of the design values."""
-        return tuple(self.run.system.design_names)
-
-    @property
-    def start(self) -> Array:
-        """Design values of the model, shape (n_b,)."""
-        return np.asarray(self.run.system.b, dtype=float)
-
-    def residuals(self, b: Array) -> Array:
-        """Return weight times (observable - data) of every measurement, row by row of the data.
-
-        Raises
-        ------
-        InvalidInput
-            If the first design cannot be put together.
-        UnfinishedRun
-            If its run ends early; the error carries what was computed.
-        NonFiniteObjective
-            If an observable is not finite in it.
-        """
-        return self._at(b).values.copy()
-
-    def jacobian(self, b: Array) -> Array:
-        """Return the derivative of the residuals, shape (n_measurements, n_b).
-
-        NaN where the design has no residuals; see there.
-        """
-        jacobian = self._at(b).jacobian
-        assert jacobian is not None  # always computed
-        return jacobian.copy()
 
     def solution(self, b: Array) -> Solution:
         """Return the run at these design values; raises the error of a design that has none."""
-        return self._designs.solution(b)
+        return self.result(b)[1]
 
-    def covariance(self, b: Array) -> Array:
-        """Return the covariance of the design values, shape (n_b, n_b), inverse of J^T J.
+    @property
+    def count(self) -> int:
+        """Number of measurements."""
+        return int(np.count_nonzero(~np.isnan(self.misfit.data)))
 
-        In first order, if the weights are one over the standard deviations of independent errors
-        of the data and b is the best fit. Infinite where the data do not tell the variables apart.
-        Raises the error of a design that has no residuals.
-        """
-        self.solution(b)
-        J = self.jacobian(b)
-        # Scaled to columns of length one, so that units do not matter.
-        lengths = np.sqrt(np.sum(J * J, axis=0))
-        if np.any(lengths == 0):
-            return np.full((len(lengths), len(lengths)), np.inf)
-        _, values, V = np.linalg.svd(J / lengths, full_matrices=False)
-        if len(J) < len(lengths) or values[-1] <= np.finfo(float).eps * len(J) * values[0]:
-            return np.full((len(lengths), len(lengths)), np.inf)
-        half = V.T / values / lengths[:, None]
-        return np.asarray(half @ half.T)
-
-    def intervals(self, b: Array, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Return the confidence interval of every design value, by name.
-
-        In first order, of errors that are normally distributed; as `covariance`.
-        """
-        require_positive("level", level)
-        if level >= 1:
-            raise InvalidInput("level", "must be below 1", level, "0.95 is the usual one.")
-        half = scipy.special.ndtri(0.5 * (1 + level)) * np.sqrt(np.diag(self.covariance(b)))
-        limits = zip((b - half).tolist(), (b + half).tolist(), strict=True)
-        return dict(zip(self.design_names, limits, strict=True))
-
-    @cached_property
-    def _designs(self) -> Evaluations:
-        measured = int(np.count_nonzero(~np.isnan(self.misfit.data)))
-        return Evaluations(self.design_names, measured, self._computed)
-
-    def _at(self, b: Array) -> Evaluation:
-        return self._designs.at(b)
-
-    def _computed(self, b: Array, derivatives: bool, ran: Ran | None) -> tuple[Array, Array, Ran]:
+    def computed(
+        self, b: Array, derivatives: bool, result: tuple[Run, Solution] | None
+    ) -> tuple[Array, Array, tuple[Run, Solution]]:
         """Return residuals and Jacobian, whatever is wanted: they come from one run."""
-        run, solution = ran or (self.run.at(b), None)
+        run, solution = result or (self.run.at(b), None)
         misfit, solution = self.misfit, solution or finished(run.solution(sensitivities=True))
         values, slopes = [], []
         for observable in misfit.observables:

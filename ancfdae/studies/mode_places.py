@@ -1,7 +1,5 @@
 """Where `modes` linearises, and how that depends on the design."""
 
-from __future__ import annotations
-
 import abc
 from functools import cached_property
 from typing import TypeAlias, final

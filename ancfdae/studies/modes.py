@@ -1,7 +1,5 @@
 """Calls for natural frequencies and shapes, and for a step that follows them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ancfdae.equations import MechanicalSystem

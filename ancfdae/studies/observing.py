@@ -1,7 +1,5 @@
 """Observables at some instants of a run of any number of steps."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A component of OpenMDAO, the only place that imports it (``pip install "ancfdae[openmdao]"``)."""
 
-from __future__ import annotations
-
 from typing import Any, final
 
 from ancfdae.errors import AncfdaeError, MissingPackage, require_kind

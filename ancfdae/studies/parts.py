@@ -1,7 +1,5 @@
 """Runs of any number of steps, taken part by part; of each part only some instants are kept."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from typing import Any, TypeAlias, final

@@ -39,7 +39,7 @@ from ancfdae.sensitivity import Direct, GradientMethod
 from ancfdae.sensitivity.method import Run
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import cheapest, design_bounds, differentiable, require_objectives
-from ancfdae.studies.evaluations import Evaluation, Evaluations, Ran
+from ancfdae.studies.evaluations import Evaluation, Evaluations
 from ancfdae.studies.sweep_result import Sweep
 
 # Runs that are kept: optimisers go back to the design before the last one where a step was too
@@ -130,7 +130,7 @@ class Responses:
             len(functions),
             self._computed,
             scale=self._scale,
-            runs=_KEPT,
+            kept=_KEPT,
             strict=strict,
         )
 
@@ -188,7 +188,7 @@ class Responses:
 
     def solution(self, x: Array) -> Solution:
         """Return the run at x; raises the error of a design that has none."""
-        return self._designs.solution(x)
+        return self._designs.result(x)[1]
 
     def __repr__(self) -> str:
         """Return the functions and what was run."""
@@ -200,8 +200,8 @@ class Responses:
         return self._designs.at(x, derivatives=derivatives)
 
     def _computed(
-        self, b: Array, derivatives: bool, ran: Ran | None
-    ) -> tuple[Array, Array | None, Ran]:
+        self, b: Array, derivatives: bool, ran: tuple[Run, Solution] | None
+    ) -> tuple[Array, Array | None, tuple[Run, Solution]]:
         """Run a design, or differentiate the run that is there."""
         self._asked = self._asked or derivatives
         run, solution = ran or (self._run.at(b), None)

@@ -1,7 +1,5 @@
 """Calls at rest: an equilibrium, and the gradient of what is observed there."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ancfdae.equations import MechanicalSystem

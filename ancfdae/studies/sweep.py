@@ -1,7 +1,5 @@
 """The call: one function at many designs, here or in the workers of an executor."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor

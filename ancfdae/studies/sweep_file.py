@@ -4,8 +4,6 @@ The first line tells of which model and function the rows are, every other line 
 that was cut off by a crash is dropped.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """Rows of a sweep: designs, results and errors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final

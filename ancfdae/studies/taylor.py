@@ -1,7 +1,5 @@
 """Taylor test: the remainder of a first-order expansion must shrink with the square."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -15,7 +15,7 @@ from validation.scenes import crank_slider
 __all__ = ["run"]
 
 _FULL = Extent(2.0, range(6, 12), [10.0**-k for k in range(1, 13)], 9, 8)
-_QUICK = Extent(0.25, (6, 7), [1e-2, 1e-5, 1e-8], 1, 2)
+_QUICK = Extent(0.125, (6, 7), [1e-2, 1e-5, 1e-8], 1, 2)
 
 
 def run(report: Report, quick: bool) -> None:

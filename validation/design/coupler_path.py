@@ -9,13 +9,13 @@ from ancfdae import (
     HHT,
     Beam,
     Drive,
-    Fit,
     Material,
     Misfit,
     Pin,
     Point,
     PointMass,
     Rectangle,
+    RunFit,
     Scene,
     Uniform,
     position,
@@ -59,7 +59,7 @@ def hoeken(elements: int, rigid: bool = False) -> Scene:
     return Scene(beams, joints, (0, -9.81), assemble=True, bodies=[weight])
 
 
-def path_fit(elements: int, steps: int) -> Fit:
+def path_fit(elements: int, steps: int) -> RunFit:
     """Return residuals, in mm, to a straight line, passed as the rigid linkage passes it."""
     t_end = np.pi / _SPEED
     integrator = HHT(t_end / steps)
@@ -70,7 +70,7 @@ def path_fit(elements: int, steps: int) -> Fit:
     return misfit.fit(hoeken(elements), t_end, integrator, design=_DESIGN)
 
 
-def evaluation(fit: Fit) -> Once:
+def evaluation(fit: RunFit) -> Once:
     """Return half the sum of squares over 100, by lengths over the unit."""
 
     @Once
@@ -81,7 +81,7 @@ def evaluation(fit: Fit) -> Once:
     return evaluate
 
 
-def optimise(fit: Fit, iterations: int) -> Optimisation:
+def optimise(fit: RunFit, iterations: int) -> Optimisation:
     """Find the lengths by Gauss and Newton's method with a trust region."""
     evaluate, clock = evaluation(fit), stopwatch()
     result = least_squares(
@@ -102,7 +102,7 @@ def coupler_path(quick: bool) -> Case:
     elements, steps = (2, 24) if quick else (4, 48)
     fit = path_fit(elements, steps)
     found = optimise(fit, 2 if quick else 40)
-    search = searched(found.evaluate, found.start, 0.1, 13 if quick else 150)
+    search = searched(found.evaluate, found.start, 0.1, 6 if quick else 150)
     before, after = (_rms(fit, x) for x in (found.start, found.optimum))
     return Case(
         key="coupler-path",
@@ -130,12 +130,12 @@ def coupler_path(quick: bool) -> Case:
     )
 
 
-def _rms(fit: Fit, x: Array) -> float:
+def _rms(fit: RunFit, x: Array) -> float:
     """Distance from the path; mm."""
     return float(np.sqrt(2 * np.mean(fit.residuals(_UNIT * x) ** 2)))
 
 
-def _panels(fit: Fit, found: Optimisation) -> list[Panel]:
+def _panels(fit: RunFit, found: Optimisation) -> list[Panel]:
     wanted = np.array(fit.misfit.data)
     bars, paths = [], [Series("wanted", wanted[0], wanted[1], line=False, marker=True)]
     for name, x in (("Hoeken's proportions", found.start), ("optimum", found.optimum)):

@@ -115,7 +115,7 @@ def crank_rod(quick: bool) -> Case:
     """Return the case."""
     elements, steps, iterations = (2, 60, 2) if quick else (6, 150, 60)
     found = optimise(elements, steps, iterations)
-    search = searched(found.evaluate, found.start, 0.3, 8 if quick else 150, found.bounds)
+    search = searched(found.evaluate, found.start, 0.3, 5 if quick else 150, found.bounds)
     radius = _lightest_uniform(elements, steps)
     lightest = float(found.evaluate(found.optimum)[0][0])
     return Case(

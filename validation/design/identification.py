@@ -10,10 +10,10 @@ from ancfdae import (
     Beam,
     Clamp,
     DesignVariable,
-    Fit,
     Material,
     Misfit,
     Rectangle,
+    RunFit,
     Scene,
     position,
     simulate,
@@ -41,7 +41,7 @@ def cantilever() -> Scene:
     return Scene([rod], [Clamp(rod.at_start)], (0, -9.81))
 
 
-def record(noise: Array | float) -> Fit:
+def record(noise: Array | float) -> RunFit:
     """Return the fit to a simulated record of the tip with this noise."""
     scene, t_end = cantilever(), _STEP * _STEPS
     tip = scene.beams[0].at_end
@@ -51,7 +51,7 @@ def record(noise: Array | float) -> Fit:
     return misfit.fit(scene, t_end, HHT(_STEP), design=_DESIGN)
 
 
-def gauss_newton(fit: Fit, x: Array, iterations: int) -> tuple[Array, Array, int]:
+def gauss_newton(fit: RunFit, x: Array, iterations: int) -> tuple[Array, Array, int]:
     """Return values over the true ones, where the last run was, and the number of runs."""
     runs = 0
     while runs < iterations:
@@ -84,7 +84,7 @@ def coverage(records: int) -> tuple[Array, Array, int]:
     return np.array(estimates), np.array(holds), runs
 
 
-def optimise(fit: Fit, start: Array, iterations: int) -> Optimisation:
+def optimise(fit: RunFit, start: Array, iterations: int) -> Optimisation:
     """Find stiffness and damping over the true ones, from afar."""
     clock = stopwatch()
 
@@ -111,8 +111,8 @@ def identification(quick: bool) -> Case:
     noise = _NOISE * np.random.default_rng(1).standard_normal(_STEPS)
     fit = record(noise)
     found = optimise(fit, np.array([1.5, 0.5]), 2 if quick else 40)
-    search = searched(found.evaluate, found.start, 0.2, 10 if quick else 100)
-    estimates, holds, runs = coverage(4 if quick else 100)
+    search = searched(found.evaluate, found.start, 0.2, 5 if quick else 100)
+    estimates, holds, runs = coverage(2 if quick else 100)
     shares = 100 * np.mean(holds, axis=0)
     half = 100 * _QUANTILE * np.sqrt(np.diag(fit.covariance(_TRUE * found.optimum))) / _TRUE
     return Case(
@@ -141,7 +141,7 @@ def identification(quick: bool) -> Case:
     )
 
 
-def _panels(fit: Fit, found: Optimisation, estimates: Array) -> list[Panel]:
+def _panels(fit: RunFit, found: Optimisation, estimates: Array) -> list[Panel]:
     tip = cantilever().beams[0].at_end
     series = [Series("record", fit.misfit.times, fit.misfit.data[0], line=False, marker=True)]
     for name, x in (("start", found.start), ("found", found.optimum)):

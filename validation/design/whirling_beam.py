@@ -77,7 +77,7 @@ def whirling_beam(quick: bool) -> Case:
     """Return the case."""
     elements, steps, iterations = (2, 32, 2) if quick else (4, 64, 40)
     found = optimise(elements, steps, iterations)
-    search = searched(found.evaluate, found.start, 0.2, 10 if quick else 150, found.bounds)
+    search = searched(found.evaluate, found.start, 0.2, 5 if quick else 150, found.bounds)
     best = float(np.exp(found.evaluate(found.optimum)[0][0] / 2))
     uniform = float(np.exp(found.evaluate(found.start)[0][0] / 2))
     return Case(

@@ -14,12 +14,12 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem, PlannedSystem
 from ancfdae.integrators.hht.equations import Node
 from ancfdae.integrators.hht.small_steps import PLACES
-from ancfdae.integrators.recorder import Recorder, Rows
+from ancfdae.integrators.recorder import Recorder, StateRows
 from ancfdae.kernels import (
     INDEFINITE,
     NEEDS_GAUSS,
     RULES,
-    Layout,
+    MatrixLayout,
     Plan,
     differentiate_steps,
     march,
@@ -42,7 +42,9 @@ OnStates: TypeAlias = tuple[Array | None, Array | None, Array | None]
 class Prepared:
     """A plan and the matrices of a run as kernels take them; the rules are `StepSolver.rules`."""
 
-    def __init__(self, plan: Plan, layout: Layout, matrices: SaddlePoint, rules: Array) -> None:
+    def __init__(
+        self, plan: Plan, layout: MatrixLayout, matrices: SaddlePoint, rules: Array
+    ) -> None:
         self.plan, self._matrices, self._rules = plan, matrices, rules
         self.arrays = prepare(plan, layout, rules)
 
@@ -128,7 +130,7 @@ class CompiledSteps:
         prepared = Prepared.of(system, matrices, rules)
         return prepared and cls(prepared, recorder)
 
-    def march(self, before: Node, h: Array, ends: Array, rows: Rows) -> tuple[int, Node]:
+    def march(self, before: Node, h: Array, ends: Array, rows: StateRows) -> tuple[int, Node]:
         """Take as many steps as go; states are written to rows of q, v, A and lam."""
         t, q, v, a, lam, A, motion = before
         starts = np.concatenate([[t], ends[:-1]])

@@ -11,8 +11,6 @@ belongs to this motion.
 Only guesses differ, not the equations; what they give has the derivatives of any other step.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

@@ -25,8 +25,6 @@ paper's form would multiply M at one instant with an acceleration at another and
 order; this one stays second order.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final

@@ -19,8 +19,6 @@ Design partials of many steps are formed at once. Kernels linearise, factorise a
 recurrence step by step (`compiled`); what they do not take is linearised many steps at once here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """HHT-I3 (eqs. 2-6, Fig. 1), with any control of its steps."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, replace
 from typing import ClassVar, final
@@ -27,7 +25,7 @@ from ancfdae.integrators.hht.equations import (
 from ancfdae.integrators.hht.replay import Replay, through_start
 from ancfdae.integrators.hht.small_steps import Nodes, node_after
 from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.hht.step import Stepper
+from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, Seeds
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
@@ -98,10 +96,10 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
 
     def _stepper(
         self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
-    ) -> Stepper:
+    ) -> HHTStepper:
         newton = self.newton_tolerance, self.max_iterations
         tolerance = self.steps.tolerance(t_end, problem.scales.q, sizes_b)
-        return Stepper(problem, self.hht_alpha, newton, tolerance, recorder)
+        return HHTStepper(problem, self.hht_alpha, newton, tolerance, recorder)
 
     def _state_after(self, run: Solution) -> tuple[Node, None]:
         return node_after(run, len(run.t) - 1, self.hht_alpha), None

@@ -3,8 +3,6 @@
 Derivation: docs/theory/05-hht-i3.md.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple, TypeAlias, final
 

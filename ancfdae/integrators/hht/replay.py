@@ -4,8 +4,6 @@ The node that a part begins with is all that Newton's method needs, so that a pa
 whenever it is taken.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import final
 
@@ -22,13 +20,13 @@ from ancfdae.integrators.hht.equations import (
 )
 from ancfdae.integrators.hht.small_steps import Nodes
 from ancfdae.integrators.hht.start import RecurrenceStart
-from ancfdae.integrators.hht.step import Stepper
+from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.integrator import RunInParts, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.integrators.step_control.march import Reached, march
-from ancfdae.integrators.step_control.planned import Plan
+from ancfdae.integrators.step_control.planned import StepPlan
 from ancfdae.numerics.arrays import Array
 
 
@@ -48,10 +46,10 @@ class Replay(RunInParts):
     def part(self, node: Node, first: int, last: int) -> tuple[Solution, Node]:
         """March over a plan of the known steps."""
         recorder, h = Recorder(self._problem.system, last - first + 1), self._steps.h
-        stepper = Stepper(self._problem, self._steps.alpha, self._newton, None, recorder)
+        stepper = HHTStepper(self._problem, self._steps.alpha, self._newton, None, recorder)
         recorder.record(*(stepper.recorded((node, None)) if first else stepper.consistent()))
         begun = Reached(first, float(self.t[first]), float(h[max(first - 1, 0)]), (node, None))
-        plan = Plan(h[:last], self.t[1 : last + 1])
+        plan = StepPlan(h[:last], self.t[1 : last + 1])
         run, reached = march(stepper, plan, recorder, float(self.t[last]), False, begun)
         self.taken += reached.n - first
         outcome = replace(run.outcome, step=reached.n)

@@ -10,8 +10,6 @@ derivative in the design. The tolerance bounds delta / h, which falls with h^2; 
 delta, and its runs then err by the tolerance to the power 2/3.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar, final
 
 import numpy as np
@@ -42,7 +40,7 @@ State = tuple[Node, NodeSensitivity | None]
 
 
 @final
-class Stepper(OneStepMethod[State]):
+class HHTStepper(OneStepMethod[State]):
     """Takes the steps of a run, with derivatives where those of the start are given.
 
     The tolerance, of the error of a step, is None where nothing controls it; the counters of the

@@ -27,7 +27,7 @@ from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.completion import Completion
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.radau.stages import Begin, Stages, exact, stage_matrices
+from ancfdae.integrators.radau.stages import Begin, Stages, factorised, stage_matrices
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, at_stages
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
@@ -38,7 +38,7 @@ _CHUNK_NUMBERS = 200_000
 
 @final
 @dataclass(frozen=True)
-class LinearSteps:
+class LinearStages:
     """k steps of sizes h, (k,), linearised at their stages, which are rows, 3 k."""
 
     system: MechanicalSystem
@@ -48,12 +48,12 @@ class LinearSteps:
     completion: Completion
 
     @staticmethod
-    def of(problem: Problem, h: Array, t: Array, states: Sequence[Array]) -> LinearSteps:
+    def of(problem: Problem, h: Array, t: Array, states: Sequence[Array]) -> LinearStages:
         """Linearise steps of which start, stages and end are given, (k, 4, ...)."""
         q, v, a, lam = (np.concatenate(x[:, 1:]) for x in states)
         rough, times = list[Stages](), t[:, 1:].ravel()
         for s, size in enumerate(h):
-            begin = Begin(float(t[s, 0]), states[0][s, 0], states[1][s, 0], float(size))
+            begin = Begin(float(size), float(t[s, 0]), *(x[s, 0] for x in states))
             x = begin.displacements(states[0][s, 1:])
             rough.append(begin.stages(x, states[3][s, 1:]))
         V, A = (np.concatenate(x) for x in zip(*((x.v, x.a) for x in rough), strict=True))
@@ -63,7 +63,7 @@ class LinearSteps:
         stages = Stages(q, V, stage_a, stage_lam)
         completion = Completion.of(problem.system, factors, times, (q, v, a, lam), (dv, sigma))
         local = problem.system.linearise(times, *stages)
-        return LinearSteps(problem.system, h, stages, local, completion)
+        return LinearStages(problem.system, h, stages, local, completion)
 
     @cached_property
     def _partials(self) -> DesignPartials:
@@ -74,7 +74,7 @@ class LinearSteps:
         M = local.M if len(local.M) == 1 else local.M[at]
         f_v = None if local.f_v is None else local.f_v[at]
         jacobians = Linearisation(M, local.f_q[at], f_v, local.Phi_q[at])
-        return exact(matrices, float(self.h[s]), jacobians)
+        return factorised(matrices, float(self.h[s]), jacobians)
 
     def advance(
         self, s: int, matrices: CoupledSaddlePoints, q_b: Array, v_b: Array
@@ -196,10 +196,10 @@ def pull_back(
     return gradient, on
 
 
-def _linearised(problem: Problem, run: Solution, h: Array, steps: slice) -> LinearSteps:
+def _linearised(problem: Problem, run: Solution, h: Array, steps: slice) -> LinearStages:
     rows = 3 * np.arange(steps.start, steps.stop)[:, None] + np.arange(4)
     states = [x[rows] for x in (run.q, run.v, run.a, run.lam)]
-    return LinearSteps.of(problem, h[steps], run.t[rows], states)
+    return LinearStages.of(problem, h[steps], run.t[rows], states)
 
 
 def _chunks(system: MechanicalSystem, n: int, columns: int) -> Sequence[slice]:

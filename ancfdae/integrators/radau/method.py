@@ -13,7 +13,7 @@ from ancfdae.errors import Verdict
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau import linear_passes
-from ancfdae.integrators.radau.step import State, Stepper
+from ancfdae.integrators.radau.step import RadauStepper, State
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.integrators.step_control import StepControl
@@ -21,7 +21,7 @@ from ancfdae.integrators.stepped import EXACT, SteppedIntegrator
 from ancfdae.numerics.arrays import Array
 
 # The estimate of a step falls with h^4, the error of the run with h^5: its power 5/4.
-_SHARE, _POWER = 0.1, 4 / 5
+_SHARE, _POWER = 0.05, 4 / 5
 
 
 @final
@@ -74,7 +74,7 @@ class Radau(SteppedIntegrator):
 
     def _stepper(
         self, problem: Problem, t_end: float, sizes_b: Array, recorder: Recorder
-    ) -> Stepper:
+    ) -> RadauStepper:
         newton = self.newton_tolerance, self.max_iterations
         tolerances = []
         for sizes in (problem.scales.q, problem.scales.v):
@@ -82,7 +82,7 @@ class Radau(SteppedIntegrator):
             if tolerance is not None:
                 rtol, atol = (_SHARE * x**_POWER for x in (tolerance.rtol, tolerance.atol))
                 tolerances.append(replace(tolerance, rtol=rtol, atol=atol))
-        return Stepper(problem, newton, tuple(tolerances), recorder)
+        return RadauStepper(problem, newton, tuple(tolerances), recorder)
 
     def _state_after(self, run: Solution) -> State:
         rows = tuple(x[-4:] for x in (run.t, run.q, run.v, run.a, run.lam))

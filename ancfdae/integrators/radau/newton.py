@@ -1,34 +1,48 @@
-"""Newton's method for the stages of a step: simplified, and exact where that does not converge."""
+"""Newton's method for the stages of a step.
+
+A kernel (`stages.h`) solves the same equations by the same rules for a system that is a plan of
+arrays; the formulas here serve complex numbers and all other systems.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ancfdae.equations import Linearisation, reaction
-from ancfdae.errors import Verdict
+from ancfdae.equations import PlannedSystem, reaction
+from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.stages import (
     Begin,
-    SimplifiedMatrix,
     Stages,
-    exact,
+    factorised,
+    linearised,
     residuals,
     stage_matrices,
 )
-from ancfdae.integrators.radau.tableau import SQUARED, at_stages
+from ancfdae.integrators.radau.tableau import INVERSE, PLACES, SQUARED, at_stages
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Failure
-from ancfdae.kernels import finite, norm
+from ancfdae.kernels import (
+    RULES,
+    STAGES_NOT_FINITE,
+    STAGES_SINGULAR,
+    STAGES_SOLVED,
+    Plan,
+    finite,
+    norm,
+    prepare,
+    solve_stages,
+)
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
+from ancfdae.numerics.coupled import CoupledFactors
 
-# Where more than so many iterations are to come the exact matrix takes over, or is formed anew.
+# Where more than so many iterations are to come the matrix is formed anew.
 _MORE = 4
-# Forces that are so many times those before are those of strains that the guess has wrong: only the
-# exact matrix brings them down.
+# Forces that are so many times those before are those of strains that the guess has wrong: a matrix
+# made there serves once.
 _JUMP = 10.0
 # Corrections are measured against so many times the forces before at most: a diverging iterate has
 # huge ones.
@@ -41,14 +55,14 @@ _ROUND_OFF, _POSITIONS = 1e-6, 1e4
 _EPS, _TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 # An imaginary perturbation lags the real part by some iterations.
 _LAG = 4
+_TABLEAU = np.concatenate([x.ravel() for x in (PLACES, INVERSE, SQUARED)])
 
 
-class Solved(NamedTuple):
-    """Scaled displacements and multipliers of the stages, and the matrix they were found with."""
+class SolvedStages(NamedTuple):
+    """Scaled displacements and multipliers of the stages."""
 
     x: Array
     lam: Array
-    matrix: SimplifiedMatrix
 
 
 @final
@@ -60,20 +74,53 @@ class StageSolver:
     ) -> None:
         self._problem, self._recorder = problem, recorder
         self._tolerance, self._most = tolerance, max_iterations
-        system = problem.system
-        self._weights = np.tile(system.weights, 3)
-        self._matrices: CoupledSaddlePoints | None = None
-        self._least = max(10 * system.traits.force_round_off, _TINY)
+        self._weights = np.tile(problem.system.weights, 3)
+        self._matrices = stage_matrices(problem)
+        self._least = max(10 * problem.system.traits.force_round_off, _TINY)
+        rules = tolerance, max_iterations, self._least, _MORE, _JUMP, _MOST, _SLOW, _ROUND_OFF
+        self._rules = np.array([0.0, *rules, _POSITIONS])
+        self._kernel = self._prepared()
 
-    def solve(self, begin: Begin, guess: tuple[Array, Array], usual: float) -> Solved | Failure:
-        """Solve the equations of a step from a guess of x and of the multipliers.
+    def _prepared(self) -> tuple[Plan, object, Any] | None:
+        """Return plan, plan as a kernel takes it, and the matrix; None where there are none."""
+        system, layout = self._problem.system, self._problem.matrices.layout(band=False)
+        plan = system.plan if isinstance(system, PlannedSystem) else None
+        coupled = self._matrices.arrays
+        if plan is None or layout is None or coupled is None:
+            return None
+        return plan, prepare(plan, layout, np.zeros(RULES)), coupled
 
-        `usual` is the size of the motion before.
-        """
-        most = _MOST * usual if usual > _TINY else math.inf
+    def solve(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
+        """Solve the equations of a step from a guess of x and of the multipliers."""
+        if self._kernel is None or guess[0].dtype.kind == "c":
+            return self._iterated(begin, guess)
+        plan, prepared, coupled = self._kernel
+        (x, lam), (q, v, a, lam_0) = (map(np.array, each) for each in (guess, begin.state))
+        instants = np.append(begin.times, begin.t)
+        joints, still = plan.joint_factors, np.ones((1, 1))
+        factors = still if joints is None else joints(instants, 1)[0]
+        tables = factors, plan.load_factors(instants), _TABLEAU, self._rules
+        self._rules[0] = begin.h
+        ends, size, (iterations, factorisations, stuck) = solve_stages(
+            prepared, coupled, (q, v, a, lam_0), x, lam, *tables
+        )
+        self._recorder.residuals += 3 * iterations
+        self._recorder.iterations += iterations
+        self._recorder.factorisations += factorisations
+        self._recorder.round_off_steps += stuck
+        if ends == STAGES_SINGULAR:
+            raise SingularMatrix("the matrix of the stages is singular")
+        if ends == STAGES_SOLVED:
+            return SolvedStages(x, lam)
+        why = Verdict.NOT_FINITE if ends == STAGES_NOT_FINITE else Verdict.NO_CONVERGENCE
+        return Failure(why, size)
+
+    def _iterated(self, begin: Begin, guess: tuple[Array, Array]) -> SolvedStages | Failure:
         (x, lam), system, n_q = guess, self._problem.system, self._problem.system.n_q
-        matrix: SimplifiedMatrix | CoupledFactors | None = None
-        simplified = None
+        usual = self._usual(begin)
+        most = _MOST * usual if usual > _TINY else math.inf
+        matrix: CoupledFactors | None = None
+        strained = False
         last = size = motion = math.inf
         settled, floor = 0, _POSITIONS * _EPS * norm(begin.q, system.weights) / begin.h**2
         lag = _LAG if x.dtype.kind == "c" or system.b.dtype.kind == "c" else 0
@@ -86,63 +133,46 @@ class StageSolver:
                 return Failure(Verdict.NOT_FINITE, size)
             now = self._motion(stages.a, *forces)
             motion = min(motion, most, now)
-            if simplified is None:
-                simplified = self._simplified(begin, stages)
-                matrix = simplified
-            if matrix is None or now > _JUMP * usual:
-                matrix = self._exact(begin, stages)
+            fresh = matrix is None or strained
+            if matrix is None or strained:
+                matrix, strained = self._factorised(begin, stages), now > _JUMP * usual
             change = matrix.solve(R)
             x, lam = x - change[:, :n_q], lam - change[:, n_q:]
-            size = self._size(simplified, change) / motion
+            size = self._size(begin, stages, change) / motion
             if not math.isfinite(size):
                 break
             rate = min(size / last, 1.0) if last < math.inf else float(size > 0)
             stuck = last < math.inf and rate > _SLOW and size <= _ROUND_OFF + floor / motion
-            if stuck or settled or size * min(rate / (1.001 - rate), 1.0) <= self._tolerance:
+            left = size * (rate**2 if fresh else min(rate / (1.001 - rate), 1.0))
+            if stuck or settled or left <= self._tolerance:
                 settled += 1
                 if settled == 1:
                     self._recorder.round_off_steps += stuck
                 if settled > lag:
-                    return Solved(x, lam, simplified)
+                    return SolvedStages(x, lam)
             elif last < math.inf and size * rate**_MORE > self._tolerance:
-                matrix, size = None, math.inf
+                matrix = None
             last = size
         return Failure(Verdict.NO_CONVERGENCE, size)
 
-    def _simplified(self, begin: Begin, stages: Stages) -> SimplifiedMatrix:
-        """Factorise at the middle one of the stages."""
-        self._recorder.factorisations += 2
-        return SimplifiedMatrix(
-            self._problem, begin.h, self._linearised(begin, stages, slice(1, 2))
-        )
-
-    def _exact(self, begin: Begin, stages: Stages) -> CoupledFactors:
-        """Factorise at every stage."""
-        if self._matrices is None:
-            self._matrices = stage_matrices(self._problem)
+    def _factorised(self, begin: Begin, stages: Stages) -> CoupledFactors:
         self._recorder.factorisations += 1
-        return exact(self._matrices, begin.h, self._linearised(begin, stages, slice(3)))
+        local = linearised(self._problem.system, begin.times, *stages)
+        return factorised(self._matrices, begin.h, local)
 
-    def _linearised(self, begin: Begin, stages: Stages, rows: slice) -> Linearisation:
-        """Linearise at some stages; an imaginary perturbation is left out."""
-        states = (np.real(x[rows]) for x in stages)
-        local = self._problem.system.linearise(begin.times[rows], *states)
-        f_v = None if local.f_v is None else local.f_v.real
-        return Linearisation(local.M.real, local.f_q.real, f_v, local.Phi_q.real)
-
-    def _size(self, matrix: SimplifiedMatrix, change: Array) -> float:
+    def _size(self, begin: Begin, stages: Stages, change: Array) -> float:
         """Size of a correction: of the accelerations and of the reactions, in units of force."""
         system, n_q = self._problem.system, self._problem.system.n_q
         a = at_stages(SQUARED, change[:, :n_q]).ravel()
-        Phi_q, dlam = matrix.local.Phi_q[0], change[:, n_q:]
-        force = system.constraint_pattern.dot_transposed(Phi_q, dlam.T).T.ravel()
+        rows = zip(begin.times.tolist(), stages.q, change[:, n_q:], strict=True)
+        force = np.concatenate([reaction(system, *row) for row in rows])
         return norm(a, self._weights, force, 1 / self._weights)
 
-    def usual(self, t: float, q: Array, v: Array, a: Array, lam: Array) -> float:
-        """Size of the motion at three stages like this state."""
-        system = self._problem.system
-        state = a, reaction(system, t, q, lam), system.force(t, q, v)
-        return self._motion(*(np.tile(x, 3) for x in state))
+    def _usual(self, begin: Begin) -> float:
+        """Size of the motion at three stages like the start."""
+        system, (q, v, a, lam) = self._problem.system, begin.state
+        forces = reaction(system, begin.t, q, lam), system.force(begin.t, q, v)
+        return self._motion(*(np.tile(x, 3) for x in (a, *forces)))
 
     def _motion(self, a: Array, *forces: Array) -> float:
         """Size of accelerations, reactions and forces of all stages together."""

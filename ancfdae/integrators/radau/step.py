@@ -9,7 +9,9 @@ IV.8). With a_0 of the state before, e its weights and k = gamma, in the scaled 
     r_q = h sum e_i x_i,    r_v = a_0 + sum (e^T A^-1)_i x_i
     [k^2 M + h k f_v + h^2 f_q   Phi_q^T] [dq]   [h^2 (M (r_v + k r_q/h) + f_v r_q)]
     [Phi_q                       0      ] [. ] = [0                                ],
-    dv = k dq/h - r_q.
+    dv = k dq/h - r_q,
+
+applied twice, the second time to r_q = k dq/h, r_v = k dv/h: stiff vibrations in a_0 must not pass.
 """
 
 from __future__ import annotations
@@ -18,12 +20,13 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
+from ancfdae.equations import Linearisation
 from ancfdae.equations.saddle_points import solve
 from ancfdae.integrators.completion import completed
 from ancfdae.integrators.problem import Problem
-from ancfdae.integrators.radau.linear_passes import LinearSteps
-from ancfdae.integrators.radau.newton import Solved, StageSolver
-from ancfdae.integrators.radau.stages import Begin, stage_matrices
+from ancfdae.integrators.radau.linear_passes import LinearStages
+from ancfdae.integrators.radau.newton import SolvedStages, StageSolver
+from ancfdae.integrators.radau.stages import Begin, linearised, stage_matrices
 from ancfdae.integrators.radau.tableau import (
     BUTCHER,
     EMBEDDED,
@@ -58,7 +61,7 @@ class State(NamedTuple):
 
 
 @final
-class Stepper(OneStepMethod[State]):
+class RadauStepper(OneStepMethod[State]):
     """Takes the steps of a run, with derivatives where those of the start are given.
 
     Tolerances are those of positions and of velocities; none where nothing controls the error.
@@ -99,7 +102,7 @@ class Stepper(OneStepMethod[State]):
     def advance(self, h: float, before: State, t: float) -> State | Failure:
         """Solve the equations of the step to t, and complete its stages."""
         t_0, *last = (x[-1] for x in before.rows)
-        begin = Begin(float(t_0), last[0], last[1], h)
+        begin = Begin(h, float(t_0), *last)
         solved = self._solved(begin, before)
         if isinstance(solved, Failure):
             return solved
@@ -112,55 +115,62 @@ class Stepper(OneStepMethod[State]):
         self._recorder.factorisations += accelerations.factorisations - counted
         columns = (np.array(x) for x in zip(last, *rows, strict=True))
         after = State(h, (np.append(t_0, times), *columns))
-        return self._controlled(solved, before, after) if self._tolerances else after
+        return self._controlled(solved.x, before, after) if self._tolerances else after
 
-    def _solved(self, begin: Begin, before: State) -> Solved | Failure:
+    def _solved(self, begin: Begin, before: State) -> SolvedStages | Failure:
         """Solve the equations of a step, by way of shorter ones from its start if need be."""
         h, v, part = begin.h, begin.v, 1.0
         still = np.multiply.outer(PLACES[:, 0] ** 2 / 2, before.rows[3][-1])
         x, lam = still, np.tile(before.rows[4][-1], (3, 1))
-        usual = self._solver.usual(begin.t, *(row[-1] for row in before.rows[1:]))
         if len(before.rows[0]) > 1:
             x = at_stages(BUTCHER, continued(before.rows[2], 1 + h / before.h * PLACES) - v) / h
-        solved = self._solver.solve(begin, (x, lam), usual)
+        solved = self._solver.solve(begin, (x, lam))
         # Where steps are controlled a smaller one is the better cure.
         while isinstance(solved, Failure) and part > _SHORTEST and not self._tolerances:
             part /= 4
-            solved = self._solver.solve(begin._replace(h=part * h), (still, lam), usual)
+            solved = self._solver.solve(begin._replace(h=part * h), (still, lam))
         self._recorder.continued += part < 1 and not isinstance(solved, Failure)
         while part < 1 and not isinstance(solved, Failure):
             V = begin._replace(h=part * h).stages(solved.x, solved.lam).v
             part *= 2
             ahead = continued(np.concatenate([v[None], V]), 2 * PLACES)
             guess = at_stages(BUTCHER, ahead - v) / (part * h), solved.lam
-            solved = self._solver.solve(begin._replace(h=part * h), guess, usual)
+            solved = self._solver.solve(begin._replace(h=part * h), guess)
         return solved
 
-    def _controlled(self, solved: Solved, before: State, after: State) -> State:
+    def _controlled(self, x: Array, before: State, after: State) -> State:
         """Add the estimated errors, and derivatives with theirs."""
-        errors = self._embedded(solved, after.h, before.rows[3][-1].real, solved.x.real)
+        middle = linearised(self._problem.system, *(row[2:3] for row in after.rows))
+        errors = self._embedded(middle, after.h, before.rows[3][-1].real, x.real)
         if self._matrices is None:
             return after._replace(errors=errors)
         self._recorder.factorisations += 1
         t, *states = (x[None] for x in after.rows)
-        steps = LinearSteps.of(self._problem, np.array([after.h]), t, states)
+        steps = LinearStages.of(self._problem, np.array([after.h]), t, states)
         first = [x[-1:] for x in before.derivatives]
         rows, x_b = steps.advance(0, self._matrices, first[0][0], first[1][0])
         derivatives = tuple(map(np.concatenate, zip(first, rows, strict=True)))
-        errors += self._embedded(solved, after.h, first[2][0], x_b)
+        errors += self._embedded(middle, after.h, first[2][0], x_b)
         return after._replace(derivatives=derivatives, errors=errors)
 
-    def _embedded(self, solved: Solved, h: float, a: Array, x: Array) -> tuple[Array, ...]:
+    def _embedded(self, local: Linearisation, h: float, a: Array, x: Array) -> tuple[Array, ...]:
         """Return dq and dv; columns of derivatives alike."""
-        system, local = self._problem.system, solved.matrix.local
-        r_q = h * at_stages(EMBEDDED, x)[0]
-        r_v = a + at_stages(EMBEDDED @ INVERSE, x)[0]
-        right = system.pattern.dot(local.M[0], r_v + GAMMA / h * r_q)
-        if local.f_v is not None:
-            right = right + system.pattern.dot(local.f_v[0], r_q)
-        side = np.zeros((system.n_lam, *right.shape[1:]))
-        dq = solve(solved.matrix.real, h**2 * right, side)[0]
-        return dq, GAMMA / h * dq - r_q
+        system, (M, f_q, f_v) = self._problem.system, (local.M[0], local.f_q[0], local.f_v)
+        terms: tuple[tuple[float, Array], ...] = (GAMMA**2, M), (h**2, f_q)
+        if f_v is not None:
+            terms = (*terms, (GAMMA * h, f_v[0]))
+        self._recorder.factorisations += 1
+        factors = self._problem.matrices.factor_sum(terms, local.Phi_q[0])
+        dq, dv = h * at_stages(EMBEDDED, x)[0], a + at_stages(EMBEDDED @ INVERSE, x)[0]
+        side = np.zeros((system.n_lam, *dq.shape[1:]))
+        for share in (1.0, GAMMA / h):
+            r_q, r_v = share * dq, share * dv
+            right = system.pattern.dot(M, r_v + GAMMA / h * r_q)
+            if f_v is not None:
+                right = right + system.pattern.dot(f_v[0], r_q)
+            dq = solve(factors, h**2 * right, side)[0]
+            dv = GAMMA / h * dq - r_q
+        return dq, dv
 
     def error(self, h: float, before: State, after: State) -> float:
         """Return the largest e, of positions, velocities and their derivatives."""

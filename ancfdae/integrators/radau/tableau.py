@@ -25,17 +25,8 @@ SQUARED = INVERSE @ INVERSE
 EMBEDDED = np.array([[-13 - 7 * _ROOT, -13 + 7 * _ROOT, -1]]) / 3
 
 
-def _diagonalised() -> tuple[tuple[float, Array, Array], tuple[complex, Array, Array]]:
-    values, vectors = np.linalg.eig(INVERSE)
-    rows = np.linalg.inv(vectors)
-    real, pair = int(np.argmin(np.abs(values.imag))), int(np.argmax(values.imag))
-    size = vectors[0, real]  # The real pair of vectors may be written with a complex factor.
-    first = float(values[real].real), (vectors[:, real] / size).real, (rows[real] * size).real
-    return first, (complex(values[pair]), vectors[:, pair], rows[pair])
-
-
-#: A^-1 = T diag(gamma, mu, conj(mu)) T^-1; column of T and row of T^-1 for gamma and for mu.
-(GAMMA, REAL_COLUMN, REAL_ROW), (MU, COLUMN, ROW) = _diagonalised()
+#: The real eigenvalue of A^-1.
+GAMMA = float(min(np.linalg.eigvals(INVERSE), key=lambda x: abs(x.imag)).real)
 
 
 def at_stages(matrix: Array, x: Array) -> Array:

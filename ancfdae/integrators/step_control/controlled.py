@@ -48,8 +48,9 @@ _MOST = 4.0
 _CHANGE = 0.2
 # A rejection within so many steps of the start begins anew: the start is made for its step.
 _RESTART = 10
-# So many last steps change linearly, and their number is fixed, to meet the end without a jump.
-_LAST_STEPS = 10
+# So many last steps change linearly, and their number is fixed, to meet the end without a jump;
+# where steps may jump the last ones are equal.
+_LAST_STEPS, _LAST_EQUAL = 10, 1
 # A run ends where the step falls below this part of its length, or of the time reached.
 _SMALLEST = 1e-13
 # Numbers of `_Filter.state`.
@@ -157,6 +158,7 @@ class _Filter(Controller):
         state: tuple[float, ...] = (),
     ) -> None:
         self._order, self._bears_jumps = method.order, method.bears_jumps
+        self._last_steps = _LAST_EQUAL if method.bears_jumps else _LAST_STEPS
         self._t_end, self._max_steps = t_end, max_steps
         self._h = self._start = first
         self._taken = 0
@@ -180,7 +182,7 @@ class _Filter(Controller):
         if self._taken >= self._max_steps:
             return Verdict.STEP_LIMIT
         left = self._t_end - t
-        if self._remaining == 0 and left < (_LAST_STEPS + 0.5) * self._h:
+        if self._remaining == 0 and left < (self._last_steps + 0.5) * self._h:
             self._remaining = max(1, math.ceil(left / self._h * (1 - 1e-9)))
         count = self._remaining
         if count == 1:

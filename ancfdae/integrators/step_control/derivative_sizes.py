@@ -4,8 +4,6 @@ Derivatives in parameters start from zero, so that the start does not tell their
 (`tolerance`), but a run before does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Steps that are known before the run: of one size, or between given instants."""
 
-from __future__ import annotations
-
 import abc
 import math
 from dataclasses import dataclass
@@ -48,7 +46,7 @@ class _KnownSteps(StepControl):
     ) -> Controller:
         """Return the plan."""
         t = self.instants(t_end)
-        return Plan(self.sizes(t), t[1:])
+        return StepPlan(self.sizes(t), t[1:])
 
     @final
     def continues(self, t: Array, state: tuple[float, ...], t_end: float) -> bool:
@@ -168,7 +166,7 @@ class GivenSteps(_KnownSteps):
 
 
 @final
-class Plan(Controller):
+class StepPlan(Controller):
     """Sizes and ends of all steps, of the one that begins at instant n at place n."""
 
     def __init__(self, sizes: Array, ends: Array) -> None:

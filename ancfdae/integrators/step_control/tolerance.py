@@ -18,8 +18,6 @@ derivatives as much again; the largest e is that of the step. S_j is the largest
 derivative j in the run, relative to the coordinates (`derivative_sizes`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -12,8 +12,6 @@ scikit-sundae prints error messages and has no switch for it; they are kept off 
 outcome of a run reports the same.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 import warnings

@@ -5,8 +5,6 @@ the sensitivities in the error test, so that every design variable costs one mor
 matrix of the states. Backward: see `idas_adjoint`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
 

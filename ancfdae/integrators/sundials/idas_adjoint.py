@@ -14,8 +14,6 @@ objective's partials,
     y = [p_q S_q, p_v S_v] / P,        quadrature  on_b b / P.
 """
 
-from __future__ import annotations
-
 from typing import Any, final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Memory of IDAS for an index-reduced form, and the callbacks that it calls."""
 
-from __future__ import annotations
-
 from typing import Any, final
 
 import numpy as np

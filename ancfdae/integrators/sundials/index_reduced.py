@@ -22,8 +22,6 @@ J = F_x + c_j F_x'. With dPhi_q/dt and d^2Phi_q/dt^2 taken along the motion,
 Unknowns and equations are scaled (`Scales`), so that tolerances are pure numbers.
 """
 
-from __future__ import annotations
-
 import abc
 from enum import Enum
 from typing import NamedTuple, final

@@ -9,8 +9,6 @@ the quintic polynomials that take q, v and a at both ends: of order six, above t
 (five). Asking the solver for states within every step would cost as much as its steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import final
 

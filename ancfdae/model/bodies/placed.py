@@ -1,7 +1,5 @@
 """Where a body stands: a place and a turn about it, both design targets."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Material points of beams and rigid bodies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -1,7 +1,5 @@
 """Shapes of rigid bodies of one density: what gives their mass and moments."""
 
-from __future__ import annotations
-
 import abc
 from dataclasses import dataclass
 from typing import final

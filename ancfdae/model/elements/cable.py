@@ -11,8 +11,6 @@ the Gram matrix and vanishes in a straight reference: it is the linear term p_o.
 All invariants are integrals over xi times moments of the section and powers of l.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import final

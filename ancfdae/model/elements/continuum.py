@@ -10,8 +10,6 @@ points and areas of the section, its factors, C and powers of l only. The former
 or two numbers, are differentiated by complex steps, and so is R; the product rule does the rest.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

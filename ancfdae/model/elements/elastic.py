@@ -14,8 +14,6 @@ Y and V have shape (..., n, n_y, d): leading axes are instants. A has shape (n, 
 (1, n_g, n_g) when all elements share it. Most elements have no p_o.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

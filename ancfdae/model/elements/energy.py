@@ -4,8 +4,6 @@ Every energy is 1/2 int eps^T C eps dV, plus for some 1/2 int A eps^T C_axis eps
 of the line of centroids; E and nu enter C only. Derivations: docs/theory/02-strain-energy.md.
 """
 
-from __future__ import annotations
-
 import abc
 from dataclasses import dataclass
 from typing import ClassVar, final

@@ -1,7 +1,5 @@
 """Polynomials in xi that the elements share, and shape functions of beams with sections (eq. 8)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

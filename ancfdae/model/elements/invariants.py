@@ -12,8 +12,6 @@ measure that is no difference to the reference; the reference must be in
 balance under it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ Gram = Y Y^T, and linearly. A symmetric n_y x n_y matrix is stored as the
 vector g of its upper triangle (15 entries for n_y = 5, 28 for n_y = 7).
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

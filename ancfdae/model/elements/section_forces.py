@@ -19,8 +19,6 @@ For loads at nodes this is exact; for spread ones, inertia among them, the error
 in the length (docs/theory/02-strain-energy.md).
 """
 
-from __future__ import annotations
-
 from typing import final
 
 import numpy as np

@@ -4,8 +4,6 @@ They are the second Piola-Kirchhoff ones of the law, S = C (E + tau E'), in the 
 reference section, as a linear map of the Gram matrix like the strains (`strain_fields`).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import final
 

@@ -4,8 +4,6 @@ Lengths are divided by the element length l, and the chord r_2 - r_1 with them (
 that the length enters through the fibres only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import final

@@ -1,7 +1,5 @@
 """Joints about an axis: the section of a point keeps across it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias

@@ -1,7 +1,5 @@
 """Clamp: position and orientation of a section are held."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """Cylindrical joint: a section turns about an axis and slides along it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

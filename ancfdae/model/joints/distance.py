@@ -1,7 +1,5 @@
 """Distance between two points: a massless rigid link."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

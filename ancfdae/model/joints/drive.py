@@ -1,7 +1,5 @@
 """Prescribed turning of a section, against ground or another section."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final

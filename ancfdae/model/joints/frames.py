@@ -1,7 +1,5 @@
 """Directions of joints: across a given one, and carried along by ground or by a section."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Sequence
 from typing import final

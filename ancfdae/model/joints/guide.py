@@ -1,7 +1,5 @@
 """Prescribed place of a point along a direction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -1,7 +1,5 @@
 """Moving base: a section is held, and its place moves by a law of time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

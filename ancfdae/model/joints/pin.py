@@ -1,7 +1,5 @@
 """Pin in the plane, spherical joint in space: two points coincide."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

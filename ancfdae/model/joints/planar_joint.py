@@ -1,7 +1,5 @@
 """Planar joint: a section slides in a plane and turns about its normal."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

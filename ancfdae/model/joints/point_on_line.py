@@ -1,7 +1,5 @@
 """Point on a line fixed to ground: a massless slider."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """Prismatic joint: a section slides along an axis and does not turn."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

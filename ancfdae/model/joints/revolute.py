@@ -1,7 +1,5 @@
 """Revolute joint about any axis: points coincide, sections turn about the axis only."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -1,7 +1,5 @@
 """Universal joint: two sections meet in a cross of two axes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

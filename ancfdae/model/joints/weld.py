@@ -1,7 +1,5 @@
 """Weld: two sections are held against each other."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

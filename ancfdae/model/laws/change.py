@@ -1,7 +1,5 @@
 """Smooth passage from one law to another."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, final

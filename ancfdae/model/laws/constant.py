@@ -1,7 +1,5 @@
 """A number that stays."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
 

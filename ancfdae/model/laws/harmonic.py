@@ -1,7 +1,5 @@
 """Harmonic oscillation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
 

@@ -1,7 +1,5 @@
 """What a law of time states: a number as a function of time, with three time derivatives."""
 
-from __future__ import annotations
-
 import abc
 from typing import Any, final
 

@@ -1,7 +1,5 @@
 """Smooth passage from one value to another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
 

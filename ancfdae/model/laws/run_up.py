@@ -1,7 +1,5 @@
 """Run up to a rate, which is held."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
 

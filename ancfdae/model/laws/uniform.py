@@ -1,7 +1,5 @@
 """Uniform and uniformly accelerated motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
 

@@ -1,7 +1,5 @@
 """Elastic bearing: springs and dampers in all directions and about all axes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, final

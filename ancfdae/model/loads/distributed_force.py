@@ -1,7 +1,5 @@
 """Force per length along the centre line of a beam."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

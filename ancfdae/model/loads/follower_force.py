@@ -1,7 +1,5 @@
 """Force that turns with the section it acts on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final

@@ -1,7 +1,5 @@
 """Friction curve that can be differentiated."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

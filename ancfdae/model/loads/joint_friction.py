@@ -1,7 +1,5 @@
 """Friction against turning in a pin or revolute joint."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final

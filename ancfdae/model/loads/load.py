@@ -7,8 +7,6 @@ multiplies it. The assembler writes its operations down, and lifts it to Q = L^T
 design derivatives.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Collection
 from typing import Any, ClassVar, final

@@ -1,7 +1,5 @@
 """Moment on a section."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final

@@ -1,7 +1,5 @@
 """Force on a point."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -14,8 +14,6 @@ every further turn dphi, because the three directions favour none. The gradients
 function: a torque T does the work T dtheta, its forces are T theta_U.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, final
 

@@ -1,7 +1,5 @@
 """Spring and damper between two points, or between a point and the ground."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final

@@ -1,7 +1,5 @@
 """Torque of a motor between two sections, or on one against the ground."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final

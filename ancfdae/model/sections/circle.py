@@ -1,7 +1,5 @@
 """Solid circular cross-section and tube."""
 
-from __future__ import annotations
-
 import abc
 from dataclasses import dataclass
 from typing import final

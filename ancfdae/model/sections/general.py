@@ -1,7 +1,5 @@
 """Cross-sections given by their moments or by points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import final

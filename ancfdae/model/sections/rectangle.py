@@ -1,7 +1,5 @@
 """Rectangular cross-section, and sums of rectangles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final

@@ -1,7 +1,5 @@
 """What a cross-section has to state: where its area lies, how it shears and how it twists."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace

@@ -1,7 +1,5 @@
 """Torsion of rectangles, and how shear and radial stress spread over the depth of a section."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

@@ -1,7 +1,5 @@
 """Cross-sections of straight walls: rectangular box and I section."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, final
 

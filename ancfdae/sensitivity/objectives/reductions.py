@@ -6,8 +6,6 @@ differentiate the same number. Integrals over time are taken from the integrator
 them beside the motion (`totals`).
 """
 
-from __future__ import annotations
-
 import abc
 from dataclasses import dataclass
 from typing import Any, cast, final

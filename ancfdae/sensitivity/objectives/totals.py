@@ -1,7 +1,5 @@
 """Integrals of objectives that an integrator takes beside the motion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import final
 

@@ -1,7 +1,5 @@
 """Observables of what moves a scene: torque of a drive, force of a guide, power of all loads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, final
 
@@ -10,7 +8,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import require_text
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_scene
 
 
@@ -19,12 +17,12 @@ def drive_torque(joint: str) -> Observable:
 
     It is work conjugate to the angle: its product with the rate of the angle is `joint_power`.
     """
-    return Work(joint, unit_rate=True)
+    return DriveWork(joint, unit_rate=True)
 
 
 def guide_force(joint: str) -> Observable:
     """Return the force of a `Guide` on what it moves, along its direction; N."""
-    return Work(joint, unit_rate=True)
+    return DriveWork(joint, unit_rate=True)
 
 
 def joint_power(joint: str) -> Observable:
@@ -32,7 +30,7 @@ def joint_power(joint: str) -> Observable:
 
     ``Integral(joint_power("motor"))`` is its work; J.
     """
-    return Work(joint, unit_rate=False)
+    return DriveWork(joint, unit_rate=False)
 
 
 def load_power(load: str) -> Observable:
@@ -65,12 +63,12 @@ class LoadPower(Leaf):
         """Differentiate with respect to q, v and b."""
         work = known_scene(system).works.of_load(self.load)
         q, v, b = work.partials(states.t, states.q, states.v)
-        return LeafGradient(q=Rows(slice(None), q), v=Rows(slice(None), v), b=b)
+        return LeafGradient(q=Columns(slice(None), q), v=Columns(slice(None), v), b=b)
 
 
 @final
 @dataclass(frozen=True)
-class Work(Leaf):
+class DriveWork(Leaf):
     """Power of a driven joint, at the rate of its law or at a rate of one."""
 
     multipliers: ClassVar[bool] = True
@@ -95,4 +93,4 @@ class Work(Leaf):
         work = known_scene(system).works.of_joint(self.joint, self.unit_rate)
         q, lam, b = work.partials(states.t, states.q, states.lam)
         columns = np.arange(work.rows.start, work.rows.stop)
-        return LeafGradient(q=Rows(slice(None), q), lam=Rows(columns, lam), b=b)
+        return LeafGradient(q=Columns(slice(None), q), lam=Columns(columns, lam), b=b)

@@ -6,8 +6,6 @@ no derivative. A complex operand therefore stands for a small interval around it
 the function is not finite on all of it, the result is NaN.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final

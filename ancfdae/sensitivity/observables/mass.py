@@ -6,8 +6,6 @@ all: int rho r_i r_j dV = sum_ab m_ab X_ai X_bj, with X = 1 for positions and 0 
 of r where the factor is one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
@@ -19,7 +17,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput, require_text, require_vector
 from ancfdae.model.bodies import Point
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_scene, require_index
 from ancfdae.sensitivity.observables.vectors import position
 
@@ -150,7 +148,7 @@ class MassIntegral(Leaf):
                 momenta = scene.energies.momenta(other, self.beam)
                 along = _spread(momenta.reshape(len(momenta), -1, d)[..., 0], factor, d)
                 parts[name] = parts[name] + along if name in parts else along
-        rows = {name: Rows(slice(None), part) for name, part in parts.items()}
+        rows = {name: Columns(slice(None), part) for name, part in parts.items()}
         both, first, second = (scene.energies.kinetic_b(x, self.beam) for x in (a + b, a, b))
         gradient = np.broadcast_to(both - first - second, (len(states.t), system.n_b))
         return LeafGradient(q=rows.get("q"), v=rows.get("v"), b=gradient)

@@ -28,7 +28,7 @@ from ancfdae.sensitivity.observables.states import Named, States, states_of
 
 @final
 @dataclass(frozen=True)
-class Rows:
+class Columns:
     """Partials of one number per instant that vanish outside a few columns, none of them twice.
 
     The values have shape (k, m), or (1, m) if all instants share them.
@@ -49,16 +49,16 @@ class Rows:
 class LeafGradient:
     """Partials of a leaf, in b with the states held, (k, n_b); None where it does not depend."""
 
-    q: Rows | None = None
-    v: Rows | None = None
-    lam: Rows | None = None
+    q: Columns | None = None
+    v: Columns | None = None
+    lam: Columns | None = None
     b: Array | None = None
 
     @staticmethod
     def of(p: StatePartials) -> LeafGradient:
         """Return partials in some columns as those of a leaf."""
-        v = Rows(p.columns, p.v) if np.any(p.v) else None
-        return LeafGradient(q=Rows(p.columns, p.q), v=v, b=p.b)
+        v = Columns(p.columns, p.v) if np.any(p.v) else None
+        return LeafGradient(q=Columns(p.columns, p.q), v=v, b=p.b)
 
 
 @final
@@ -152,7 +152,7 @@ class Observable(Expression["Observable"]):
             for leaf, factor in leaf_weights(values, weight).items():
                 gradient = cast(Leaf, leaf).leaf_gradient(system, states)
                 for name, states_of in (("q", states.q), ("v", states.v), ("lam", states.lam)):
-                    rows: Rows | None = getattr(gradient, name)
+                    rows: Columns | None = getattr(gradient, name)
                     if rows is not None:
                         parts[name] = rows.add_to(parts[name], factor, states_of.shape[1])
                 if gradient.b is not None:

@@ -1,7 +1,5 @@
 """Observables of joints and energies, time, and the design variables themselves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 
@@ -10,7 +8,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_text
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import (
     Named,
     States,
@@ -96,7 +94,7 @@ class Multiplier(Leaf):
 
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """One in the column of the multiplier."""
-        return LeafGradient(lam=Rows(np.array([self._column(system)]), np.ones((1, 1))))
+        return LeafGradient(lam=Columns(np.array([self._column(system)]), np.ones((1, 1))))
 
     def _column(self, system: Named) -> int:
         return known_naming(system).layout.joint(self.joint).first_row + self.row
@@ -131,9 +129,9 @@ class Energy(Leaf):
         """T_v and T_b, or U_q and U_b."""
         energies, q, v = known_scene(system).energies, states.q, states.v
         if self.kinetic:
-            rows = Rows(slice(None), energies.momenta(v, self.beam))
+            rows = Columns(slice(None), energies.momenta(v, self.beam))
             return LeafGradient(v=rows, b=energies.kinetic_b(v, self.beam))
-        rows = Rows(slice(None), energies.strain_q(q, self.beam))
+        rows = Columns(slice(None), energies.strain_q(q, self.beam))
         return LeafGradient(q=rows, b=energies.strain_b(q, self.beam))
 
 

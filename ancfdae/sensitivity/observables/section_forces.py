@@ -14,8 +14,6 @@ are best in the middle of an element, moments at 1/2 -+ 1/(2 sqrt 3) of it. A ca
 axes across it: its shear force along 1 and its moment about 2 are the sizes of the vectors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import final
@@ -28,7 +26,7 @@ from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Obser
 from ancfdae.sensitivity.observables.states import Named, States, known_scene, require_index
 
 
-class Component(IntEnum):
+class ForceComponent(IntEnum):
     """Which force or moment of a section; the value is its place among them."""
 
     AXIAL_FORCE = 0
@@ -41,7 +39,7 @@ class Component(IntEnum):
 
 def axial_force(point: Point) -> Observable:
     """Return the axial force in a beam at a point of its axis, positive in tension; N."""
-    return SectionForce(point, Component.AXIAL_FORCE)
+    return SectionForce(point, ForceComponent.AXIAL_FORCE)
 
 
 def shear_force(point: Point, along: int = 1) -> Observable:
@@ -49,7 +47,7 @@ def shear_force(point: Point, along: int = 1) -> Observable:
 
     `along` is 1 for the height of the section and 2 for its width.
     """
-    components = (Component.SHEAR_FORCE_Y, Component.SHEAR_FORCE_Z)
+    components = (ForceComponent.SHEAR_FORCE_Y, ForceComponent.SHEAR_FORCE_Z)
     return SectionForce(point, components[_across("shear_force, along", along)])
 
 
@@ -59,13 +57,13 @@ def bending_moment(point: Point, about: int = 2) -> Observable:
     `about` is 2 for the width of the section, the z axis of a planar scene, and 1 for its height.
     A positive moment about z bends the beam towards its height axis.
     """
-    components = (Component.BENDING_MOMENT_Y, Component.BENDING_MOMENT_Z)
+    components = (ForceComponent.BENDING_MOMENT_Y, ForceComponent.BENDING_MOMENT_Z)
     return SectionForce(point, components[_across("bending_moment, about", about)])
 
 
 def torque(point: Point) -> Observable:
     """Return the torque in a spatial beam at a point of its axis; N m."""
-    return SectionForce(point, Component.TORQUE)
+    return SectionForce(point, ForceComponent.TORQUE)
 
 
 def _across(where: str, axis: int) -> int:
@@ -84,7 +82,7 @@ class SectionForce(Leaf):
     """A force or moment in a beam, in the axes of its section."""
 
     point: Point
-    component: Component
+    component: ForceComponent
 
     def __post_init__(self) -> None:
         require_point("section force, point", self.point)
@@ -99,7 +97,11 @@ class SectionForce(Leaf):
     def check_leaf(self, system: Named) -> None:
         """Refuse a point that does not exist, and what a plane or a cable lacks."""
         element = known_scene(system).naming.layout.beam(self.point.beam).element
-        planar = (Component.AXIAL_FORCE, Component.SHEAR_FORCE_Y, Component.BENDING_MOMENT_Z)
+        planar = (
+            ForceComponent.AXIAL_FORCE,
+            ForceComponent.SHEAR_FORCE_Y,
+            ForceComponent.BENDING_MOMENT_Z,
+        )
         if Quantity.SLOPE_Z not in element.quantities and self.component not in planar:
             raise InvalidInput(
                 "section force",

@@ -13,8 +13,6 @@ far from the centroid can have. A strain of 1e-9 is added in squares, E times
 1e-9, so that the stress has a derivative where there is none.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import final
 

@@ -1,7 +1,5 @@
 """Functions that a user brings: of observables, or of the bare states."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
@@ -13,7 +11,7 @@ from ancfdae.errors import InvalidInput, require_function, require_kind
 from ancfdae.numerics.arrays import STEP, Array
 from ancfdae.numerics.differentiable import require_derivative
 from ancfdae.sensitivity.observables.functions import Function, require_vectorised
-from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import Named, States, known_system
 
 
@@ -104,7 +102,7 @@ class Custom(Leaf):
                 partial[:, i] = np.imag(self._call(complex_states, b)) / STEP
                 moved[..., i] = moved[..., i].real
             parts.append(partial)
-        on_q, on_v, on_lam = (Rows(slice(None), partial) for partial in parts[:3])
+        on_q, on_v, on_lam = (Columns(slice(None), partial) for partial in parts[:3])
         return LeafGradient(on_q, on_v, on_lam, parts[3])
 
     def _call(self, states: States, b: Array) -> Array:

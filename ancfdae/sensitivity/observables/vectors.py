@@ -1,7 +1,5 @@
 """Observables of material points: components of positions, velocities and slopes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, final
 
@@ -11,7 +9,7 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.model.bodies import Point, Quantity, require_point
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.observables.functions import Function
-from ancfdae.sensitivity.observables.observable import Leaf, LeafGradient, Observable, Rows
+from ancfdae.sensitivity.observables.observable import Columns, Leaf, LeafGradient, Observable
 from ancfdae.sensitivity.observables.states import (
     Named,
     States,
@@ -26,12 +24,12 @@ def position(point: Point, axis: int) -> Observable:
 
     Axes 0, 1 and 2 are x, y and z.
     """
-    return Component(point, Quantity.POSITION, axis)
+    return VectorComponent(point, Quantity.POSITION, axis)
 
 
 def velocity(point: Point, axis: int) -> Observable:
     """Return a component of the velocity of a point; m/s. Axes as in `position`."""
-    return Component(point, Quantity.POSITION, axis, rate=True)
+    return VectorComponent(point, Quantity.POSITION, axis, rate=True)
 
 
 def slope(point: Point, along: int, axis: int) -> Observable:
@@ -40,7 +38,7 @@ def slope(point: Point, along: int, axis: int) -> Observable:
     `along` is 0 for the tangent, 1 and 2 for the slopes along the section's height and width.
     """
     require_index("slope, along", along)
-    return Component(point, Quantity(along + 1), axis)
+    return VectorComponent(point, Quantity(along + 1), axis)
 
 
 def deflection(point: Point, frame_at: Point) -> Observable:
@@ -72,7 +70,7 @@ def axial_strain(point: Point) -> Observable:
     r_ox is the slope in the reference configuration, not of unit length off the centre line of
     curved and twisted beams and between their nodes.
     """
-    x, y, z = (Component(point, Quantity.SLOPE_X, i, may_lack=True) for i in range(3))
+    x, y, z = (VectorComponent(point, Quantity.SLOPE_X, i, may_lack=True) for i in range(3))
     return 0.5 * ((x * x + y * y + z * z) / ReferenceSquare(point) - 1.0)
 
 
@@ -133,7 +131,7 @@ class ReferenceSquare(Leaf):
 
 @final
 @dataclass(frozen=True)
-class Component(Leaf):
+class VectorComponent(Leaf):
     """A component of a position or slope vector, or of its time derivative if `rate`.
 
     If it `may_lack`, it is zero where the plane has none.
@@ -168,7 +166,7 @@ class Component(Leaf):
     def leaf_gradient(self, system: MechanicalSystem, states: States) -> LeafGradient:
         """Return the weights, and their design derivatives times the coordinates."""
         columns, weights, weights_b = self._combination(system)
-        rows = Rows(columns, weights[None])
+        rows = Columns(columns, weights[None])
         b = self._of(states)[:, columns] @ weights_b if np.any(weights_b) else None
         return LeafGradient(v=rows, b=b) if self.rate else LeafGradient(q=rows, b=b)
 

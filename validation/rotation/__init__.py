@@ -1,0 +1,1 @@
+"""Report on steady rotation: blades, whirling shafts, derivatives, a simulation."""

@@ -1,0 +1,133 @@
+"""Whirling shaft with a disc: forward and backward whirl, beside the Euler-Bernoulli solution."""
+
+from typing import Final
+
+import numpy as np
+import scipy
+
+from ancfdae import (
+    Beam,
+    Circle,
+    Clamp,
+    Material,
+    RigidBody,
+    RigidCylinder,
+    Scene,
+    TurningFrame,
+    Weld,
+    campbell,
+)
+from ancfdae.plotting import Panel, Series
+from validation.external.runs import Requirement
+from validation.literature.tables import Array, relative
+from validation.report import Agreement, Report
+
+__all__ = ["shaft_scene", "shafts"]
+
+_LENGTH, _RADIUS, _RHO, _E = 1.0, 0.005, 7850.0, 2.1e11
+_DISC, _THICKNESS = 0.1, 0.01
+# Modes that bend, at the highest rate; between them one of torsion.
+_COUNT: Final = 6
+
+
+def shaft_scene(elements: int) -> Scene:
+    """Return a shaft that is held at one end and carries a disc at the other."""
+    material = Material(_RHO, _E, 0.3)
+    rod = Beam("shaft", (0, 0, 0), (0, 0, _LENGTH), elements, Circle(_RADIUS), material)
+    shape = RigidCylinder(_DISC, _THICKNESS)
+    disc = RigidBody("disc", (0, 0, _LENGTH), shape=shape, density=_RHO)
+    joints = [Clamp(rod.at_start), Weld(rod.at_end, disc.at(0, 0, 0))]
+    return Scene([rod], joints, bodies=[disc], frame=TurningFrame(0.0))
+
+
+def shafts(report: Report, quick: bool) -> list[Requirement]:
+    """Fill the section and return what was required of it."""
+    report.heading("Whirling shaft")
+    report.text(_TEXT)
+    elements, rates = (
+        (4, np.arange(0.0, 201.0, 50.0)) if quick else (8, np.arange(0.0, 401.0, 25.0))
+    )
+    diagram = campbell(shaft_scene(elements), rates, _COUNT)
+    bending = np.abs(diagram.whirl[-1]) > 0.99
+    # At rest circles of both senses coincide.
+    speeds = np.sort(diagram.whirl_speeds[1:][:, bending], axis=1)
+    counts = int(np.sum(speeds[-1] < 0)), int(np.sum(speeds[-1] > 0))
+    exact = np.array([_whirl(rate, *counts) for rate in rates[1:]])
+    error = report.figure("shaft.error", float(np.max(relative(speeds, exact))))
+    rows = [
+        [
+            f"{rates[1:][k]:g}",
+            *(f"{a:.3f} ({b:.3f})" for a, b in zip(speeds[k], exact[k], strict=True)),
+        ]
+        for k in (0, len(speeds) // 2, -1)
+    ]
+    names = [f"backward {k + 1}" for k in range(counts[0])][::-1]
+    names += [f"forward {k + 1}" for k in range(counts[1])]
+    report.table(["rate [rad/s]", *(f"{name} (reference)" for name in names)], rows)
+    panels = _panels(rates, names, speeds, exact, diagram.frequencies)
+    report.plot("shaft", panels, 2, _TITLE, _CAPTION)
+    report.claim(
+        "Forward and backward whirl of a shaft with a disc",
+        "within 0.2 % of the Euler-Bernoulli shaft",
+        f"within {100 * error:.2g} % at all rates",
+        Agreement.AGREES if error < 2e-3 else Agreement.DISAGREES,
+    )
+    return [Requirement(f"whirling shaft, {elements} elements: all speeds", 2e-3, error)]
+
+
+def _panels(
+    rates: Array, names: list[str], speeds: Array, exact: Array, frequencies: Array
+) -> list[Panel]:
+    outside = [
+        Series(f"{name}, reference", rates[1:], np.abs(exact[:, k])) for k, name in enumerate(names)
+    ]
+    points = np.tile(rates[1:], len(names)), np.abs(speeds).T.ravel()
+    outside.append(Series("elements", *points, line=False, marker=True))
+    outside.append(Series("rate", rates, rates, dashed=True))
+    inside = [Series(f"mode {k}", rates, column) for k, column in enumerate(frequencies.T)]
+    axes = "rate [rad/s]", "frequency [rad/s]"
+    return [
+        Panel("whirl seen at rest", *axes, outside),
+        Panel("modes in the turning frame", *axes, inside),
+    ]
+
+
+def _whirl(rate: float, backward: int, forward: int) -> Array:
+    """Return the whirl speeds nearest to zero, ascending, of the Euler-Bernoulli shaft."""
+    grid = np.linspace(0.5, 2000.0, 8000)
+    roots = []
+    for sign, count in ((-1.0, backward), (1.0, forward)):
+        values = np.array([_determinant(sign * x, rate) for x in grid])
+        places = np.flatnonzero(values[:-1] * values[1:] < 0)[:count]
+        ends = [(sign * grid[i], sign * grid[i + 1]) for i in places]
+        roots += [scipy.optimize.brentq(_determinant, a, b, args=(rate,)) for a, b in ends]
+    return np.sort(roots)
+
+
+def _determinant(speed: float, rate: float) -> float:
+    """Return that of the end conditions for u = a (cosh kx - cos kx) + b (sinh kx - sin kx)."""
+    area, moment = np.pi * _RADIUS**2, np.pi * _RADIUS**4 / 4
+    m = _RHO * np.pi * _DISC**2 * _THICKNESS
+    across, polar = m * (_DISC**2 / 4 + _THICKNESS**2 / 12), m * _DISC**2 / 2
+    k = (_RHO * area * speed**2 / (_E * moment)) ** 0.25
+    C, S, c, s = (f(k * _LENGTH) for f in (np.cosh, np.sinh, np.cos, np.sin))
+    u, u_1 = np.array([C - c, S - s]), k * np.array([S + s, C - c])
+    u_2, u_3 = k**2 * np.array([C + c, S + s]), k**3 * np.array([S - s, C + c])
+    tilt = across * speed**2 - polar * rate * speed
+    rows = [_E * moment * u_2 - tilt * u_1, _E * moment * u_3 + m * speed**2 * u]
+    return float(np.linalg.det(rows) / (C * k) ** 2)
+
+
+_TITLE = "Whirling shaft: Campbell diagram seen at rest and in the turning frame"
+_CAPTION = """
+Right: mode 2 is torsion; modes 1 and 4, forward whirl, have the frequency |whirl - rate| and touch
+zero at their critical speeds, where the rate crosses their lines on the left.
+"""
+_TEXT = """
+A round steel shaft (radius 5 mm, length 1 m) that is held at one end and carries a disc (radius
+0.1 m, thickness 1 cm) at the other. *Reference*: the Euler-Bernoulli shaft with distributed mass
+and without rotary inertia of its own; with u = x + i y the disc asks at the end for
+E I u'' = (J_d ω² - J_p Ω ω) u' and E I u''' = -m ω² u; roots of the determinant, ω > 0 forward,
+ω < 0 backward. *Here*: modes in the turning frame, `Campbell.whirl_speeds`; nothing is said of
+gyroscopic moments but the mass matrix of the disc.
+"""
