@@ -147,8 +147,8 @@ def _picture(report: Report, rows: Sequence[_Row]) -> None:
             Series(f"tolerance {tolerance:g}", np.arange(1.0, len(dear) + 1), dear, marker=True)
         )
     panels = [
-        Panel("True errors, sorted", "row", "error / tolerance [-]", errors, y_scale="log"),
-        Panel("Prices, sorted", "row", "CPU / best in hindsight [-]", prices, y_scale="log"),
+        Panel("True errors, sorted", "row [-]", "error / tolerance [-]", errors, y_scale="log"),
+        Panel("Prices, sorted", "row [-]", "CPU / best in hindsight [-]", prices, y_scale="log"),
     ]
     report.plot("rows", panels, caption="One point for each scene and objective.")
 

@@ -121,7 +121,7 @@ class _Halved(Sequence):
     def words(self) -> str:
         """Whether waves are resolved."""
         if not self.resolved:
-            return f"{self.name} does not resolve all waves; bars are three times what its runs differ by"
+            return f"{self.name} does not resolve all waves; bars are those of its differences"
         return f"{self.name} resolves all waves of the derivatives; errors fall with its order"
 
     @property
