@@ -16,6 +16,7 @@ from ancfdae import (
     ControlledSteps,
     Direct,
     Drive,
+    Evaluate,
     Explicit,
     FiniteDifference,
     FixedSteps,
@@ -25,19 +26,26 @@ from ancfdae import (
     Integral,
     InvalidInput,
     Material,
+    Misfit,
     Pin,
     Point,
     Radau,
     Rectangle,
+    Responses,
     Scene,
     Terminal,
+    adjoint_error,
     assemble,
     custom,
     differentiate,
     error_bars,
     gradient,
+    observations,
     position,
     simulate,
+    sweep,
+    taylor_test,
+    tradeoff,
     velocity,
 )
 from ancfdae.errors import Verdict
@@ -424,7 +432,88 @@ def test_bars_of_three_levels_see_order_five():
     assert np.all(np.abs(bars.gradient - exact.gradient) < bars.gradient_bar)
 
 
-def test_parts_of_a_run_are_refused_in_words():
-    system = CartesianPendulum(-1.0, 2.0)
-    with pytest.raises(InvalidInput, match="parts of its runs"):
-        gradient(system, OBJECTIVE, 1.0, Radau(0.1), method=Adjoint(memory="1 MB"))
+KNOWN = FixedSteps(1 / 32), GivenSteps(tuple(np.linspace(0, 1, 33) ** 1.3))
+
+
+@pytest.mark.parametrize("steps", KNOWN)
+@pytest.mark.parametrize(("memory", "repeats"), [("3 kB", True), ("1 MB", False)])
+def test_the_adjoint_within_a_limit_of_memory(steps, memory, repeats):
+    system, integrator = CartesianPendulum(-1.0, 2.0), Radau(steps)
+    all_kept = gradient(system, OBJECTIVE, 1.0, integrator, method=Adjoint())
+    in_parts = gradient(system, OBJECTIVE, 1.0, integrator, method=Adjoint(memory=memory))
+    np.testing.assert_allclose(in_parts.gradient, all_kept.gradient, rtol=1e-13)
+    assert in_parts.value == pytest.approx(all_kept.value, rel=1e-14)
+    assert (in_parts.solution.statistics.steps > 32) == repeats
+
+
+def test_some_instants_are_kept():
+    system, integrator = CartesianPendulum(-1.0, 2.0), Radau(1 / 32)
+    run = simulate(system, 1.0, integrator)
+    kept = simulate(system, 1.0, integrator, keep=10)
+    rows = [0, 30, 60, 90, 96]  # Ends of every tenth step, and of the last.
+    for name in ("t", *STATES):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(run, name)[rows])
+    assert kept.statistics.steps == 32
+    times = (0.3, 0.5, 0.77)
+    between = simulate(system, 1.0, integrator, keep=times)
+    np.testing.assert_array_equal(between.lam, run.at(times).lam)
+
+
+@pytest.mark.parametrize("integrator", [Radau(0.05), Radau(rtol=1e-5)])
+def test_it_stands_in_every_call(integrator):
+    system, times = CartesianPendulum(-1.0, 2.0), (0.25, 1.0)
+    objective, x = Terminal(custom(speed, "v_x")), custom(lambda t, q, v, lam, b: q[:, 0], "x")
+    exact = gradient(system, objective, 1.0, integrator)
+    run = exact.solution
+    (row,) = sweep(system, [{}], Evaluate(objective, 1.0, integrator)).results
+    assert row["value"] == pytest.approx(exact.value, rel=1e-12)
+    assert Responses(system, {"v": objective}, 1.0, integrator)["v"](system.b) == exact.value
+    # Along L alone: v is proportional to s where L and g both are.
+    assert taylor_test(system, objective, 1.0, integrator, direction=(1.0, 0.0)).order > 1.9
+    misfit = Misfit([x], times, np.zeros((1, 2)))
+    residuals = misfit.fit(system, 1.0, integrator).residuals(system.b)
+    np.testing.assert_allclose(residuals, run.at(times).q[:, 0], rtol=1e-12)
+    bars = error_bars(system, objective, 1.0, integrator)
+    assert abs(bars.value - exact.value) < 1e-3
+    (setting,) = tradeoff(system, objective, 1.0, [integrator], reference=Explicit(1e-9)).rows
+    assert setting.error("gradient") < 1e-2
+    frozen = integrator.frozen(run)
+    seen = observations(system, [x], 1.0, frozen, keep=times)
+    np.testing.assert_allclose(seen.values[:, 0], run.at(times).q[:, 0], rtol=1e-9)
+    memory = gradient(system, objective, 1.0, frozen, method=Adjoint(memory="1 MB"))
+    np.testing.assert_allclose(memory.gradient, exact.gradient, rtol=1e-11)
+
+
+def test_what_it_cannot_is_refused_in_words():
+    system, controlled = CartesianPendulum(-1.0, 2.0), Radau(rtol=1e-4)
+    with pytest.raises(InvalidInput, match="known before the run"):
+        gradient(system, OBJECTIVE, 1.0, controlled, method=Adjoint(memory="1 MB"))
+    with pytest.raises(InvalidInput, match="known before the run"):
+        simulate(system, 1.0, controlled, keep=2)
+    with pytest.raises(InvalidInput, match="defects of its steps"):
+        adjoint_error(system, OBJECTIVE, 1.0, Radau(0.1))
+
+
+# ---------------------------------------------------------------- units
+
+
+def in_units(metre, kilogram, second):
+    """A damped rod of steel that swings, in these parts of the units."""
+    density, modulus = kilogram / metre**3, kilogram / metre / second**2
+    steel = Material(7800.0 * density, 2e9 * modulus, 0.3, damping_time=1e-3 * second)
+    rectangle = Rectangle(0.02 * metre, 0.01 * metre)
+    rod = Beam("rod", (0.0, 0.0), (metre, 0.0), 2, rectangle, steel)
+    return Scene([rod], [Pin(rod.at_start)], (0, -9.81 * metre / second**2))
+
+
+def test_other_units_give_the_same_digits():
+    metre, second = 1e3, 2.0**10
+    runs = []
+    for units in ((1.0, 1.0, 1.0), (metre, 1e-3, second)):
+        run = simulate(in_units(*units), 0.2 * units[2], Radau(rtol=1e-4))
+        tip = run.position(Point("rod", 1.0))
+        runs.append((run.t / units[2], tip / units[0], run.statistics))
+    (t, tip, told), (t_scaled, tip_scaled, told_scaled) = runs
+    assert told.steps == told_scaled.steps
+    np.testing.assert_allclose(t, t_scaled, rtol=1e-9)
+    np.testing.assert_allclose(tip, tip_scaled, rtol=0, atol=1e-9)

@@ -536,8 +536,8 @@ def test_an_outcome_is_a_sentence():
     outcome = LoadOutcome(Verdict.NO_CONVERGENCE, 0.25, 3, 1e-3, 0.125)
     assert str(outcome) == (
         "the Newton iteration did not converge at 25 % of the load, after 3 steps; what is in "
-        "balance with that part is kept; the last relative correction was 0.001; it is unstable "
-        "(buckled), with a negative stiffness above 12.5 % of the load."
+        "balance with that part is kept; the last relative correction was 0.001; unless it turns, "
+        "it is unstable (buckled), with a negative stiffness above 12.5 % of the load."
     )
     assert str(LoadOutcome(Verdict.EQUILIBRIUM, 1.0, 1, 0.0, downhill=True)) == (
         "the equilibrium was reached in 1 step downhill."

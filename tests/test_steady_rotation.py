@@ -279,3 +279,18 @@ def test_round_off_that_grows_takes_no_place_of_a_mode():
         scene = shaft().with_values({"scene.rate": 150.0, "shaft.length": length})
         found = modes(scene, 4, at=equilibrium(scene)).frequencies
         np.testing.assert_allclose(found, [65.7, 80.2, 138.4, 160.1], rtol=1e-3)
+
+
+@pytest.mark.parametrize("rate", [8.0, 14.0, 100.0])
+def test_an_unbalanced_shaft_centres_itself_above_its_critical_speed(rate):
+    scene = shaft()
+    extra = PointMass(scene.bodies[0].at(0.08, 0, 0), 0.01, name="extra")
+    joints, bodies = scene.joints, [*scene.bodies, extra]
+    at = equilibrium(Scene(scene.beams, joints, bodies=bodies, frame=TurningFrame(rate)))
+    assert at.outcome.success
+    assert (at.outcome.stable_to is None) == (rate < 10.85)
+    x = at.solution.position(scene.beams[0].at_end)[0, 0]
+    # One mass on a spring: e w^2/(w_1^2 - w^2), e = 0.01 * 0.08 / mass; the shaft has a tenth of
+    # the mass of the disc, and the disc tilts.
+    e = 0.01 * 0.08 / (7850 * np.pi * 0.1**2 * 0.01)
+    np.testing.assert_allclose(x, e * rate**2 / (10.85**2 - rate**2), rtol=0.15)

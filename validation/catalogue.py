@@ -124,7 +124,7 @@ CATALOGUE: tuple[Definition, ...] = (
         question="Is a gradient that was asked for to a tolerance right to it, do its bars "
         "hold, and what does it cost against the best setting in hindsight?",
         run=tolerance.run,
-        source="issue",
+        source="expectation",
     ),
     Definition(
         name="literature",

@@ -89,7 +89,7 @@ class Vectors:
 
     def of(self, q: Array) -> Array:
         """Return U for rows of q, shape (k, n_v, d)."""
-        return self._L.rows(q).reshape(len(q), self.count, self.d)
+        return self._L(q).reshape(len(q), self.count, self.d)
 
     def of_b(self, q: Array) -> Array:
         """Return the design partial of U with q held, shape (k, n_v, d, n_b)."""
@@ -100,7 +100,7 @@ class Vectors:
 
     def lift(self, F: Array) -> Array:
         """Return L^T F, shape (k, n_v, d) to (k, n_q)."""
-        return self._L.rows_transposed(F.reshape(len(F), math.prod(F.shape[1:])))
+        return self._L.transposed(F.reshape(len(F), math.prod(F.shape[1:])))
 
 
 def point_vectors(

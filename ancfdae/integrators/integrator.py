@@ -165,9 +165,11 @@ class RunInParts(abc.ABC):
     """A run whose parts can be taken again, from instant `first` to instant `last` of `t`.
 
     A part begins with the node that the one before ends with, all that the method knows there.
-    `taken` counts the steps, repeated ones included.
+    `taken` counts the steps, repeated ones included. A step has `degree` instants, as in a
+    solution; parts end at ends of steps.
     """
 
+    degree: ClassVar[int] = 1
     t: Array
     taken: int
 

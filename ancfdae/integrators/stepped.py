@@ -21,7 +21,12 @@ from ancfdae.errors import (
 from ancfdae.integrators.integrator import AdjointIntegrator
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.step_control import ControlledSteps, FixedSteps, StepControl
+from ancfdae.integrators.step_control import (
+    ControlledSteps,
+    FixedSteps,
+    GivenSteps,
+    StepControl,
+)
 from ancfdae.integrators.step_control.contracts import OneStepMethod
 from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
 from ancfdae.integrators.step_control.march import Reached, march
@@ -103,6 +108,15 @@ class SteppedIntegrator(AdjointIntegrator):
     def sizes(self, solution: Solution) -> Array:
         """Return the steps of a run of this integrator, shape (n,)."""
         return self.steps.sizes(solution.t[:: self.degree])
+
+    @final
+    def _known_instants(self, t_end: float) -> Array:
+        """Return the ends of all steps of a run; refuse steps that are not known before."""
+        if isinstance(self.steps, FixedSteps | GivenSteps):
+            return self.steps.instants(t_end)
+        name, rule = type(self).__name__, "needs steps that are known before the run"
+        repair = f"Repeat the steps of a run: {name}.frozen(simulate(...))."
+        raise InvalidInput(f"{name}.steps", rule, repr(self.steps), repair)
 
     def frozen(self, solution: Solution) -> Self:
         """Return the integrator that repeats the steps of a run, whatever the design.

@@ -25,21 +25,9 @@ class LinearMap:
         return LinearMap(scipy.sparse.csr_array((values, (rows, columns)), shape=shape))
 
     def __call__(self, x: Array) -> Array:
-        """Multiply a vector, shape (m,)."""
+        """Multiply a vector, shape (m,), or each row of an array, (k, m) to (k, n)."""
         return csr_rows(*self.csr, x)
-
-    def columns(self, x: Array) -> Array:
-        """Multiply a vector or the columns of an array, shape (m, k)."""
-        return csr_rows(*self.csr, x.T).T
-
-    def rows(self, x: Array) -> Array:
-        """Multiply each row of an array, shape (k, m) to (k, n)."""
-        return csr_rows(*self.csr, x)
-
-    def rows_transposed(self, x: Array) -> Array:
-        """Multiply each row with the transposed matrix, shape (k, n) to (k, m)."""
-        return csr_rows_transposed(*self.csr, x, self._width)
 
     def transposed(self, x: Array) -> Array:
-        """Multiply with the transposed (not conjugated) matrix."""
+        """Multiply each row with the transposed (not conjugated) matrix, (k, n) to (k, m)."""
         return csr_rows_transposed(*self.csr, x, self._width)

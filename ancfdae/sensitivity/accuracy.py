@@ -61,7 +61,6 @@ class Accuracy:
         return sum(each.seconds for each in self.trials)
 
     def __repr__(self) -> str:
-        """Return verdict, reason, and the runs with what they cost."""
         verdict = "reached" if self.reached else "NOT reached"
         rows = [("run", "steps", "seconds", "error")]
         for each in self.trials:

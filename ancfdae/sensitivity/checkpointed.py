@@ -61,11 +61,13 @@ def gradients(
         isinstance(integrator, PartwiseIntegrator) and isinstance(integrator, AdjointIntegrator)
     ):
         rule = "needs an integrator that can take parts of its runs again, such as HHT"
-        repair = "Use HHT(step=...), or leave it out."
+        repair = "Use HHT(step=...) or Radau(step=...), or leave it out."
         raise InvalidInput("memory", rule, repr(integrator), repair)
     started, replay = time.perf_counter(), integrator.replay(system, run.t_end)
-    length, kept = division(system, len(replay.t) - 1, memory)
-    watched = [_Watched(system, objective, replay.t) for objective in objectives]
+    length, kept = division(system, len(replay.t) - 1, memory, replay.degree)
+    watched = [
+        _Watched(system, objective, TimeGrid(replay.t, replay.degree)) for objective in objectives
+    ]
     backward = _Backward(system, replay, length, watched)
     for action in schedule(-(-(len(replay.t) - 1) // length), kept):
         backward.follow(action)
@@ -75,19 +77,23 @@ def gradients(
     return [Gradient(x.value, x.gradient, system.design_names, method, solution) for x in watched]
 
 
-def division(system: MechanicalSystem, steps: int, memory: float) -> tuple[int, int]:
-    """Return steps in a part, and states to keep: half of the memory is for each.
+def division(
+    system: MechanicalSystem, steps: int, memory: float, degree: int = 1
+) -> tuple[int, int]:
+    """Return instants in a part, and states to keep: half of the memory is for each.
 
-    A part of all steps, and no repetition, where the memory holds that.
+    A part of all instants, and no repetition, where the memory holds that. Steps of `degree`
+    instants stay whole, and what is kept has all of one.
     """
     number = np.dtype(float).itemsize
     row = number * _COPIES * (3 * system.n_q + system.n_lam + 1)
-    node = number * (4 * system.n_q + system.n_lam + 1)
+    node = number * degree * (4 * system.n_q + system.n_lam + 1)
     if row * (steps + 1) <= memory:
         return steps, 1
     length, kept = int(memory / 2 // row) - 1, int(memory / 2 // node)
+    length -= length % degree
     if length < 1:
-        rule = f"must be {4 * row / 1e6:.3g} MB or more for {system.n_q} coordinates"
+        rule = f"must be {2 * (degree + 1) * row / 1e6:.3g} MB or more for {system.n_q} coordinates"
         raise InvalidInput("memory", rule, f"{memory / 1e6:.3g} MB", "Give more.")
     return length, min(kept, -(-steps // length))
 
@@ -102,9 +108,11 @@ def schedule(parts: int, kept: int) -> Any:
 class _Watched:
     """An objective whose observables are followed part by part."""
 
-    def __init__(self, system: MechanicalSystem, objective: Objective, t: Array) -> None:
-        self._system, self._objective, self._grid = system, objective, TimeGrid(t, 1)
-        self._values = {x: np.zeros(len(t)) for x in cast("list[Reduction]", leaves(objective))}
+    def __init__(self, system: MechanicalSystem, objective: Objective, grid: TimeGrid) -> None:
+        self._system, self._objective, self._grid = system, objective, grid
+        self._values = {
+            x: np.zeros(len(grid.t)) for x in cast("list[Reduction]", leaves(objective))
+        }
         self._slopes: dict[Reduction, Array] = {}
         # What observables remember where a part begins.
         self._past: dict[int, dict[object, float]] = {0: {}}

@@ -68,7 +68,6 @@ class ContinuousAdjoint(GradientMethod):
     hht_alpha: float = -0.3
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_alpha("ContinuousAdjoint.hht_alpha", self.hht_alpha)
 
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:

@@ -74,13 +74,17 @@ class Unsolved:
 @final
 @dataclass(frozen=True)
 class Balance:
-    """The equations of one search, which starts at q_0 and lam_0; see the module."""
+    """The equations of one search, which starts at q_0 and lam_0; see the module.
+
+    Unless it `follows`, P is taken for zero: all loads are held as they are at the start.
+    """
 
     system: MechanicalSystem
     t: float
     q_0: Array
     lam_0: Array
     work: SearchCounts = field(default_factory=SearchCounts)
+    follows: bool = True
 
     @staticmethod
     def of(system: MechanicalSystem, t: float, q_0: Array, lam_0: Array) -> Balance:
@@ -107,8 +111,7 @@ class Balance:
     @cached_property
     def r_0(self) -> Array:
         """Unbalanced forces at the start, but for the loads that turn."""
-        P, _ = self.system.following_load(self.t, self.q_0)
-        return self.unbalanced(self.q_0, self.lam_0) - P
+        return self.unbalanced(self.q_0, self.lam_0) - self._following(self.q_0)[0]
 
     @cached_property
     def Phi_0(self) -> Array:
@@ -119,6 +122,17 @@ class Balance:
     def M_0(self) -> Array:
         """Mass at the start, values on the pattern."""
         return self.system.mass(self.q_0)
+
+    @cached_property
+    def gyroscopic(self) -> bool:
+        """Whether velocity forces have a part that does no work, as in a turning frame."""
+        rest = np.zeros((1, self.system.n_q))
+        states = self.q_0.real[None], rest, rest, self.lam_0.real[None]
+        f_v = self.system.linearise(np.array([self.t]), *states).f_v
+        if f_v is None:
+            return False
+        D = self.system.pattern.csr(f_v[0].real)
+        return bool(abs(D - D.T).max() > _ROUNDINGS * _EPS * abs(D).max())
 
     @cached_property
     def diagonal(self) -> Array:
@@ -147,14 +161,19 @@ class Balance:
 
     def held_back(self, q: Array) -> Array:
         """Return the forces that the equations lack at s = 0."""
-        return self.r_0 + self.system.following_load(self.t, q)[0]
+        return self.r_0 + self._following(q)[0]
+
+    def _following(self, q: Array) -> tuple[Array, Array]:
+        if self.follows:
+            return self.system.following_load(self.t, q)
+        return np.zeros_like(q), np.zeros(self.system.pattern.size)
 
     def tangent(self, s: float, q: Array, lam: Array) -> Array:
         """Return K, minus the derivative of the forces in q, values on the pattern."""
         rest = np.zeros((1, len(q)))
         K = only(self.system.linearise(np.array([self.t]), q[None], rest, rest, lam[None]).f_q)
         if s < 1.0:
-            K = K + (1.0 - s) * self.system.following_load(self.t, q)[1]
+            K = K + (1.0 - s) * self._following(q)[1]
         return K
 
     def factor(self, K: Array, Phi_q: Array) -> Factorization:

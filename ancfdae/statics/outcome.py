@@ -66,5 +66,5 @@ class LoadOutcome:
                 text += f"; the last relative correction was {self.residual:.3g}"
         if self.stable_to is not None:
             above = f" above {100 * self.stable_to:.3g} % of the load" if self.stable_to else ""
-            text += f"; it is unstable (buckled), with a negative stiffness{above}"
+            text += f"; unless it turns, it is unstable (buckled), with a negative stiffness{above}"
         return f"{text}."

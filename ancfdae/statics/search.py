@@ -40,10 +40,26 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     if not start.stable or start.free.shape[1]:
         return _settled(balance, start, max_steps)
     followed = _followed(balance, start, max_steps)
+    if followed.outcome.stable_to is not None and balance.gyroscopic:
+        followed = _nearer(balance, followed, start, max_steps)
     if followed.outcome.verdict not in _FAILED:
         return followed
     settled = _settled(balance, start, max_steps)
     return settled if settled.outcome.success else followed
+
+
+def _nearer(balance: Balance, followed: SearchEnd, start: Softness, max_steps: int) -> SearchEnd:
+    """Return an equilibrium nearer to the start than one that has lost its stability on the way.
+
+    Above a critical speed a shaft turns about its axis of inertia. No path from rest leads there;
+    one along which the centrifugal stiffness acts in full does, and it ends without a check: far
+    above that speed the negative stiffness is none of the softest.
+    """
+    other = _followed(replace(balance, follows=False), replace(start, stable=False), max_steps)
+    far, near = (balance.length(end.q - balance.q_0) for end in (followed, other))
+    if other.outcome.success and (near < far or not followed.outcome.success):
+        return replace(other, outcome=replace(other.outcome, stable_to=0.0))
+    return followed
 
 
 def _followed(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -140,13 +141,12 @@ def error_bars(
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
-    runs: list[Gradient] = []
-    system = differentiable(model, design)
-    settings, chosen = integrator, Direct() if method is None else method
-    for _ in range(levels):
-        if runs:
-            settings = settings.refined(runs[-1].solution)
-        runs.append(gradient(system, objective, t_end, settings, method=chosen, progress=progress))
+    method, system = method or Direct(), differentiable(model, design)
+    run = partial(gradient, system, objective, t_end, method=method)
+    settings, runs = integrator, [run(integrator, progress=progress)]
+    while len(runs) < levels:
+        settings = settings.refined(runs[-1].solution)
+        runs.append(run(settings, progress=progress))
     x = np.array([[run.value, *run.gradient] for run in runs])
     differences, resolved = np.diff(x, axis=0), _resolved(*runs[-2:])
     bars, orders = _bars(differences, integrator.order)

@@ -145,7 +145,6 @@ class TimeLimit:
         self._timer.daemon = True
 
     def __enter__(self) -> TimeLimit:
-        """Start the clock."""
         self._thread = threading.get_ident()
         if self.seconds is not None:
             self._timer.start()

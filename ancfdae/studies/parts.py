@@ -43,11 +43,12 @@ class RunOfParts:
         t, self._between = self._run.t, not isinstance(keep, int)
         if isinstance(keep, int):
             require_count("keep", keep, "keep=100 keeps one instant of 100.")
-            kept = np.arange(0, len(t), keep)
+            kept = np.arange(0, len(t), keep * self._run.degree)
             self.times = t[kept if kept[-1] == len(t) - 1 else np.append(kept, len(t) - 1)]
         else:
             self.times = _instants(keep, float(t[-1]))
-        self._length = max(1, _NUMBERS // (3 * system.n_q + system.n_lam + 1))
+        steps = _NUMBERS // (self._run.degree * (3 * system.n_q + system.n_lam + 1))
+        self._length = max(1, steps) * self._run.degree
 
     def __iter__(self) -> Iterator[tuple[Solution, Solution]]:
         """Integrate; the last part may have failed."""
@@ -64,7 +65,8 @@ class RunOfParts:
                 if self._between and len(times):
                     yield part, part.at(times)
                 else:
-                    yield part, replace(part, **_rows(part, np.searchsorted(part.t, times)))
+                    rows = _rows(part, np.searchsorted(part.t, times))
+                    yield part, replace(part, **rows, degree=1)
                 if not part.outcome.success:
                     return
 
@@ -82,7 +84,8 @@ class RunOfParts:
             for each in fields(Statistics)
         }
         # Without the steps in between nothing can go on from its end.
-        return replace(ends[-1], **arrays, statistics=Statistics(**counts), control=())
+        told = Statistics(**counts)
+        return replace(ends[-1], **arrays, statistics=told, degree=1, control=())
 
 
 def _instants(keep: Sequence[float] | Array, end: float) -> Array:

@@ -9,7 +9,6 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import (
-    InvalidInput,
     StabilityWarning,
     Verdict,
 )
@@ -29,7 +28,7 @@ from ancfdae.integrators.hht.step import HHTStepper
 from ancfdae.integrators.integrator import DefectIntegrator, PartwiseIntegrator, Seeds
 from ancfdae.integrators.problem import Problem, Scales
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.step_control import FixedSteps, GivenSteps, StepControl
+from ancfdae.integrators.step_control import StepControl
 from ancfdae.integrators.step_control.tolerance import estimated_errors
 from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.numerics.arrays import Array
@@ -136,11 +135,7 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
 
     def replay(self, system: MechanicalSystem, t_end: float) -> Replay:
         """Return the run to `t_end` part by part; its steps must be known before."""
-        if not isinstance(self.steps, FixedSteps | GivenSteps):
-            rule = "needs steps that are known before the run"
-            repair = "Repeat the steps of a run: HHT.frozen(simulate(...))."
-            raise InvalidInput("HHT.steps", rule, repr(self.steps), repair)
-        t = self.steps.instants(t_end)
+        t = self._known_instants(t_end)
         newton = self.newton_tolerance, self.max_iterations
         steps = Steps(self.steps.sizes(t), self.hht_alpha)
         return Replay(Problem.of(system, t_end), steps, t, newton)

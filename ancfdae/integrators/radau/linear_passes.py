@@ -29,6 +29,7 @@ from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau.stages import Begin, Stages, factorised, stage_matrices
 from ancfdae.integrators.radau.tableau import INVERSE, PLACES, at_stages
+from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
 
@@ -194,6 +195,17 @@ def pull_back(
             covectors.insert(0, covector)
         gradient += linear.pull_back(*map(np.concatenate, zip(*covectors, strict=True)))
     return gradient, on
+
+
+def through_start(problem: Problem, on: Array, seeds: Seeds, gradient: Array) -> Array:
+    """Add to a gradient what goes through the first instant, with its seeds."""
+    none = np.zeros(problem.system.n_q), np.zeros(problem.system.n_lam)
+    q, v, lam = (
+        x if seed is None else x + seed[0]
+        for x, seed in ((on[0], seeds.q), (on[1], seeds.v), (none[1], seeds.lam))
+    )
+    on_start = Covectors(q, v, none[0], lam, gradient)
+    return pull_back_start(problem.system, problem.matrices, problem.initial, on_start)
 
 
 def _linearised(problem: Problem, run: Solution, h: Array, steps: slice) -> LinearStages:

@@ -10,12 +10,12 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.solution import Solution
 from ancfdae.errors import Verdict
-from ancfdae.integrators.integrator import Seeds
+from ancfdae.integrators.integrator import PartwiseIntegrator, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.radau import linear_passes
+from ancfdae.integrators.radau.replay import RadauReplay
 from ancfdae.integrators.radau.step import RadauStepper, State
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.integrators.step_control import StepControl
 from ancfdae.integrators.stepped import EXACT, SteppedIntegrator
 from ancfdae.numerics.arrays import Array
@@ -26,7 +26,7 @@ _SHARE, _POWER = 0.05, 4 / 5
 
 @final
 @dataclass(frozen=True, init=False)
-class Radau(SteppedIntegrator):
+class Radau(SteppedIntegrator, PartwiseIntegrator):
     """Radau IIA with three stages at a fixed step, or with error control; for stiff damped scenes.
 
     Of order 5 in q, v, a, lam and their design derivatives at the ends of steps, of order 4 at the
@@ -98,12 +98,12 @@ class Radau(SteppedIntegrator):
     ) -> Array:
         """Return the gradient of an objective by the discrete adjoint."""
         problem = Problem.of(system, float(solution.t[-1]) or 1.0)
-        on = np.zeros((2, system.n_q))
-        h = self.sizes(solution)
-        gradient, (q, v) = linear_passes.pull_back(problem, solution, h, seeds, on, progress)
-        q, v, lam = (
-            x if seed is None else x + seed[0]
-            for x, seed in ((q, seeds.q), (v, seeds.v), (np.zeros(system.n_lam), seeds.lam))
-        )
-        on_start = Covectors(q, v, np.zeros(system.n_q), lam, gradient)
-        return pull_back_start(system, problem.matrices, problem.initial, on_start)
+        on, h = np.zeros((2, system.n_q)), self.sizes(solution)
+        gradient, on = linear_passes.pull_back(problem, solution, h, seeds, on, progress)
+        return linear_passes.through_start(problem, on, seeds, gradient)
+
+    def replay(self, system: MechanicalSystem, t_end: float) -> RadauReplay:
+        """Return the run to `t_end` part by part; its steps must be known before."""
+        ends = self._known_instants(t_end)
+        newton = self.newton_tolerance, self.max_iterations
+        return RadauReplay(Problem.of(system, t_end), self.steps.sizes(ends), ends, newton)
