@@ -141,7 +141,8 @@ def error_bars(
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
-    method, system = method or Direct(), differentiable(model, design)
+    method = Direct() if method is None else method
+    system = differentiable(model, design)
     run = partial(gradient, system, objective, t_end, method=method)
     settings, runs = integrator, [run(integrator, progress=progress)]
     while len(runs) < levels:
