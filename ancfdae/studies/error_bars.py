@@ -7,6 +7,9 @@ multiplies it by the safety factor of Roache's grid convergence index (J. Fluids
 where the order is assumed, 1.25 where it is observed. An observed order is limited to 1/2 to 2,
 so that runs that do not converge yet get wide bars, and d_2 is taken as d_1/4 at least.
 
+Where runs say that their steps do not resolve the waves of the derivatives, differences have no
+order, and the bar is a multiple of them (`tolerance.bars.unresolved`).
+
 SUNDIALS and SciPy choose their steps themselves. The refined run has a tenth of the tolerance, the
 bar is the whole difference, and no value is extrapolated.
 
@@ -33,8 +36,13 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod
 from ancfdae.sensitivity.objectives import Objective
+<<<<<<< HEAD
 from ancfdae.studies.calls import gradient
 from ancfdae.studies.meshes import with_mesh
+=======
+from ancfdae.studies.calls import differentiable, gradient
+from ancfdae.studies.tolerance.bars import unresolved
+>>>>>>> main
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
@@ -77,8 +85,8 @@ class ErrorBars:
     resolved : bool or None
         Whether the steps resolve the waves of the derivatives: whether their estimated errors
         (`Solution.estimated_errors`) fall at the order of the integrator from the last run but
-        one. Where they do not, an error may be ten or twenty times its bar. None without such an
-        estimate, which only `Direct` with `HHT` provides.
+        one. Where they do not, bars are three to five times what runs differ by. None without such
+        an estimate, which only `Direct` with `HHT` provides.
     """
 
     names: tuple[str, ...]
@@ -105,6 +113,7 @@ class ErrorBars:
 
     def __repr__(self) -> str:
         """Return value and derivatives with their bars, and how the finest run ended."""
+<<<<<<< HEAD
         small: dict[str, Sequence[float] | Array]
         small = {"bar": (self.value_bar, *self.gradient_bar), "order": self.orders}
         if "mesh" in self.parts:
@@ -119,6 +128,25 @@ class ErrorBars:
             cells = ("-" if np.isnan(each) else f"{each:.2g}" for each in others)
             rows.append((name, f"{x:.9g}", f"{y:.9g}", *cells))
         known = {True: "yes", False: "no, do not trust the bars", None: "not known"}
+=======
+        numbers = zip(
+            ("objective", *self.names),
+            (self.value, *self.gradient),
+            (self.value_bar, *self.gradient_bar),
+            (self.extrapolated_value, *self.extrapolated_gradient),
+            self.orders,
+            strict=True,
+        )
+        rows = [("", "value", "bar", "extrapolated", "order")]
+        for name, x, bar, better, order in numbers:
+            seen = "-" if np.isnan(order) else f"{order:.2g}"
+            rows.append((name, f"{x:.9g}", f"{bar:.2g}", f"{better:.9g}", seen))
+        known = {
+            True: "yes",
+            False: "no, bars are multiples of what runs differ by",
+            None: "not known",
+        }
+>>>>>>> main
         finest = self.runs[-1].solution.outcome
         end = f"waves resolved: {known[self.resolved]}\nfinest run: {finest}"
         return f"{columns(rows)}\n{end}"
@@ -158,6 +186,7 @@ def error_bars(
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
+<<<<<<< HEAD
     chosen = Direct() if method is None else method
 
     def run(at: _Mesh, settings: Integrator) -> Gradient:
@@ -177,6 +206,22 @@ def error_bars(
     if coarser:
         on_meshes = _numbers([*(run(each, integrator) for each in coarser), runs[0]])
         parts["mesh"], mesh_orders = bars(np.diff(on_meshes, axis=0), MESH_ORDER)
+=======
+    method = Direct() if method is None else method
+    system = differentiable(model, design)
+    run = partial(gradient, system, objective, t_end, method=method)
+    settings, runs = integrator, [run(integrator, progress=progress)]
+    while len(runs) < levels:
+        settings = settings.refined(runs[-1].solution)
+        runs.append(run(settings, progress=progress))
+    x = np.array([[run.value, *run.gradient] for run in runs])
+    differences, resolved = np.diff(x, axis=0), _resolved(*runs[-2:])
+    bars, orders = _bars(differences, integrator.order)
+    if resolved is False:
+        scale = np.where(system.b == 0, 1.0, np.abs(system.b))
+        slopes = unresolved(differences[:, 1:] * scale) / scale
+        bars = np.append(unresolved(differences[:, :1]), slopes)
+>>>>>>> main
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
     better = x[-1] + gain * (x[-1] - x[-2])
     return ErrorBars(
@@ -189,7 +234,7 @@ def error_bars(
         orders=orders,
         mesh_orders=mesh_orders,
         runs=tuple(runs),
-        resolved=_resolved(*runs[-2:]),
+        resolved=resolved,
     )
 
 
