@@ -76,8 +76,8 @@ def tiny(h, alpha, count):
 @pytest.mark.parametrize(
     ("build", "h", "count"),
     [
-        (lambda: CartesianPendulum(-1.0, 2.0), 1e-5, 200),
-        (lambda: CartesianPendulum(-1.0, 2.0), 1e-7, 200),
+        (lambda: CartesianPendulum(-1.0, 2.0), 1e-5, 100),
+        (lambda: CartesianPendulum(-1.0, 2.0), 1e-7, 100),
         (GuidedDoublePendulum, 1e-6, 16),
         (chain, 1e-7, 40),
     ],

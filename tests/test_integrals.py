@@ -167,7 +167,7 @@ def test_tradeoff_ranks_by_the_integral_itself():
     rough, fine, finest = tradeoff(
         CartesianPendulum(),
         objective,
-        5.0,
+        2.0,
         [HHT(2.0**-5), HHT(2.0**-8), IDA(1e-9, intervals=1)],
         reference=Explicit(1e-10, intervals=1),
     ).rows
@@ -206,8 +206,8 @@ SQUARED_MULTIPLIER = Integral(custom(lambda t, q, v, lam, b: lam[:, 0] ** 2, "mu
 )
 def test_integrals_of_a_system_of_ones_own_cost_little_beside_its_motion(kind, objective, most):
     system, integrator = Counted(), kind(1e-8)
-    motion = forces_of(differentiate, system, 4.0, integrator)
-    both = forces_of(gradient, system, objective, 4.0, integrator, method=Direct())
+    motion = forces_of(differentiate, system, 2.0, integrator)
+    both = forces_of(gradient, system, objective, 2.0, integrator, method=Direct())
     # Explicit keeps the dense output of steps whose stages are too few: three stages beside twelve,
     # and the repetition of the first steps that need it.
     assert motion <= both < (max(most, 1.3) if kind is Explicit else most) * motion

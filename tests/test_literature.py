@@ -107,7 +107,7 @@ def test_closed_forms_reproduce_the_frequencies_of_the_supported_beam():
 
 def test_rod_reproduces_the_limit_load_of_the_arch():
     # The print holds without extension, 3e-5 at h/R = 0.01, and has three digits.
-    assert arch._reference_limit(8).load == pytest.approx(8.97, abs=5e-3)
+    assert arch._reference_limit(6).load == pytest.approx(8.97, abs=5e-3)
 
 
 def test_tangent_of_the_moving_rod_is_the_derivative_of_its_forces():
@@ -123,7 +123,7 @@ def test_tangent_of_the_moving_rod_is_the_derivative_of_its_forces():
 
 
 def test_moving_rod_at_constant_speed_has_the_extension_of_the_closed_form():
-    rod = HubRod(10.0, 2.8e7, 1.0e7, 1.4e4, 1.2, 6e-4, degree=5)
+    rod = HubRod(10.0, 2.8e7, 1.0e7, 1.4e4, 1.2, 6e-4, degree=3)
     times = np.linspace(0, 40, 401)
 
     def slowly(t):

@@ -97,7 +97,7 @@ def test_residuals_and_jacobian_are_those_of_every_measurement():
         assert residuals.shape == (18,)
         assert J.shape == (18, 3)
         rows = [(i, k) for i in range(3) for k in range(len(TIMES)) if not np.isnan(data[i, k])]
-        for number in (0, 3, 8, 12, 17):
+        for number in (0, 8, 17):
             i, k = rows[number]
             single = AtTimes(SEEN[i], TIMES[k])
             exact = gradient(pendulum(), single, END, integrator, design=DESIGN, method=Direct())

@@ -17,12 +17,14 @@ from validation.crank_slider import report as crank_slider
 from validation.design import report as design
 from validation.extremes import report as extremes
 from validation.literature import report as literature
+from validation.models import report as models
 from validation.peers import report as peers
 from validation.pendulum import report as pendulum
 from validation.performance import report as performance
 from validation.report import Report
 from validation.rotation import report as rotation
 from validation.test_set import report as test_set
+from validation.tolerance import report as tolerance
 
 __all__ = ["CATALOGUE", "Definition"]
 
@@ -118,6 +120,14 @@ CATALOGUE: tuple[Definition, ...] = (
         source="expectation",
     ),
     Definition(
+        name="tolerance",
+        title="Gradients to a tolerance",
+        question="Is a gradient that was asked for to a tolerance right to it, do its bars "
+        "hold, and what does it cost against the best setting in hindsight?",
+        run=tolerance.run,
+        source="expectation",
+    ),
+    Definition(
         name="literature",
         title="Beams of the literature",
         question="Do published problems of beams and cables, at rest, vibrating and moving, come "
@@ -165,5 +175,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "many runs, beside what the project asks of them?",
         run=performance.run,
         source="aim",
+    ),
+    Definition(
+        name="models",
+        title="Which model a gradient needs",
+        question="Which of the models that a scene can be simplified to, on which mesh and with "
+        "which step, gives a value and its gradient to a tolerance at the least cost, and where "
+        "are rigid bodies enough for the value and wrong for the gradient?",
+        run=models.run,
+        source="ask",
     ),
 )

@@ -133,7 +133,6 @@ def _distinct(
 
 
 def _no_elements(element: BeamElement, parameters: Array) -> ElementBlock:
-    """Return the block of a scene where nothing deforms."""
     n_g, none = element.n_y * (element.n_y + 1) // 2, np.zeros(0, dtype=np.int64)
     A, g = np.zeros((0, n_g, n_g), parameters.dtype), np.zeros((0, n_g), parameters.dtype)
     m = np.zeros((0, element.n_a, element.n_a), parameters.dtype)

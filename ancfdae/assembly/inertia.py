@@ -123,11 +123,11 @@ class Inertia:
 
     def times(self, x: Array) -> Array:
         """M x for a vector or for columns."""
-        return self._M.columns(x)
+        return self._M(x.T).T
 
     def times_b(self, a: Array) -> Array:
         """(M a)_b for one a or for rows, shape (..., n_q, n_b)."""
-        return self._M_b.rows(a).reshape((*a.shape[:-1], self._n_b, self._n_q)).mT
+        return self._M_b(a).reshape((*a.shape[:-1], self._n_b, self._n_q)).mT
 
     def pull_back(self, a: Array, x: Array, gravity: bool = True) -> Array:
         """Sum over instants of (M a - gravity)_b^T x, shape (n_b,); a and x have shape (k, n_q)."""

@@ -57,5 +57,4 @@ def _beam(meta: Mapping[str, Any]) -> BeamLayout:
 
 
 def _tuples(nested: Any) -> Any:
-    """Return nested lists of numbers as tuples."""
     return tuple(map(_tuples, nested)) if isinstance(nested, list) else nested

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-import scipy
 
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.model.bodies import Point
@@ -65,14 +64,8 @@ class Vectors:
         return (len(self.first) - 1) // self.d
 
     @cached_property
-    def matrix(self) -> scipy.sparse.csr_array:
-        """L."""
-        shape = self.count * self.d, self.n_q
-        return scipy.sparse.csr_array((self.value, self.column, self.first), shape=shape)
-
-    @cached_property
     def _L(self) -> LinearMap:
-        return LinearMap(self.matrix)
+        return LinearMap((self.first, self.column, self.value), self.n_q)
 
     @cached_property
     def moves(self) -> Array:
@@ -89,7 +82,7 @@ class Vectors:
 
     def of(self, q: Array) -> Array:
         """Return U for rows of q, shape (k, n_v, d)."""
-        return self._L.rows(q).reshape(len(q), self.count, self.d)
+        return self._L(q).reshape(len(q), self.count, self.d)
 
     def of_b(self, q: Array) -> Array:
         """Return the design partial of U with q held, shape (k, n_v, d, n_b)."""
@@ -100,7 +93,7 @@ class Vectors:
 
     def lift(self, F: Array) -> Array:
         """Return L^T F, shape (k, n_v, d) to (k, n_q)."""
-        return self._L.rows_transposed(F.reshape(len(F), math.prod(F.shape[1:])))
+        return self._L.transposed(F.reshape(len(F), math.prod(F.shape[1:])))
 
 
 def point_vectors(

@@ -150,8 +150,7 @@ class Differentiator:
         return derivative(moved, (*radii, radius), order, lambda: self.terms(kernel, m, radii))
 
     def _at(self, db: Array) -> MechanicalSystem:
-        """Return the system at other design values; the same ones come again and again."""
-        key = db.tobytes()
+        key = db.tobytes()  # The same values come again and again.
         if key not in self._moved:
             if len(self._moved) >= _KEPT:
                 self._moved.clear()

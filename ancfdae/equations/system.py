@@ -94,7 +94,6 @@ class Traits:
     force_round_off: float = 0.0
 
     def __post_init__(self) -> None:
-        """Validate."""
         *flags, round_off = fields(self)
         for flag in flags:
             require_flag(f"Traits.{flag.name}", getattr(self, flag.name))

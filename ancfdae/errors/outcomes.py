@@ -64,7 +64,6 @@ class Outcome:
         return self.verdict in (Verdict.FINISHED, Verdict.EQUILIBRIUM)
 
     def __str__(self) -> str:
-        """Return the outcome as a sentence."""
         moving = self.load is None
         if self.success:
             when = f"t = {self.time:.6g}, " if moving else ""

@@ -171,7 +171,6 @@ class Target:
         return self.parameter if self.element is None else f"{self.parameter}[{self.element}]"
 
     def __str__(self) -> str:
-        """Return the target as the user writes it."""
         return f"{self.owner}.{self.indexed}"
 
 
@@ -202,7 +201,6 @@ class DesignVariable:
     bounds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Validate."""
         where = f"design variable {self.name!r}"
         rule = "needs a non-empty sequence of targets"
         repair = 'Write DesignVariable("E", ["rod.youngs_modulus"]).'

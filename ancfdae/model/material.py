@@ -35,7 +35,6 @@ class Material:
     damping_time: float = 0.0
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_positive("Material.density", self.density)
         require_positive("Material.youngs_modulus", self.youngs_modulus)
         require_finite("Material.poisson_ratio", self.poisson_ratio)

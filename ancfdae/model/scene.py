@@ -103,7 +103,6 @@ class Scene(SceneDesign):
         self._check_rest()
 
     def __repr__(self) -> str:
-        """Return the names of all parts."""
         beams = listed(f"{beam.name} ({beam.element_count} elements)" for beam in self.beams)
         kinds = (self.bodies, self.joints, self.loads)
         bodies, joints, loads = (listed(part.name for part in x) for x in kinds)

@@ -56,7 +56,6 @@ class RigidMotion(Designable):
     vector_words: ClassVar[Mapping[str, str]] = {"angular_velocity": "angular_velocity"}
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_text("RigidMotion.body", self.body)
         self.check_fields(f"start of {self.body!r}")
 

@@ -51,7 +51,6 @@ class TurningFrame(Designable):
     )
 
     def __post_init__(self) -> None:
-        """Validate."""
         self.check_fields("TurningFrame")
 
     def check(self, dimension: int, gravity: Numbers | None) -> None:

@@ -36,7 +36,6 @@ class Configuration:
     v: Array | None = None
 
     def __repr__(self) -> str:
-        """Return sizes and time."""
         sizes = f"{len(self.q)} coordinates, {len(self.lam)} multipliers"
         return f"Configuration: {sizes}, t = {self.t:.6g}"
 

@@ -37,7 +37,6 @@ class StepSuggestion:
     per_period: float
 
     def __str__(self) -> str:
-        """Return step and periods as a sentence."""
         return (
             f"A step of {self.step:.3g} takes {self.per_period:.6g} steps in a period of "
             f"{self.resolved:.3g}; periods range from {self.fastest:.3g} to {self.slowest:.3g}."

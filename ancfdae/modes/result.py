@@ -43,7 +43,6 @@ class ModeDerivatives:
     shapes_b: tuple[Array | None, ...]
 
     def __repr__(self) -> str:
-        """Return the names of the design variables."""
         return f"ModeDerivatives of {len(self.exponents_b)} modes in {listed(self.names)}"
 
 
@@ -162,7 +161,6 @@ class Modes:
         return self.derivatives
 
     def __repr__(self) -> str:
-        """Return a table of the modes and what they are about."""
         rows = [["mode", "rad/s", "damping ratio", ""]]
         ratios = self.damping_ratios
         for j, kind in enumerate(self.kinds):

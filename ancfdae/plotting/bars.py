@@ -108,7 +108,6 @@ def _distribution(shown: Mechanism, gradient: Gradient, target: str) -> tuple[in
 
 
 def _include(axes: Any, bars: Array, d: int) -> None:
-    """Widen the limits, so that no bar is cut off."""
     low, high = bars.reshape(-1, d).min(axis=0), bars.reshape(-1, d).max(axis=0)
     for axis, a, b in zip("xyz", low.tolist(), high.tolist(), strict=False):
         left, right = getattr(axes, f"get_{axis}lim")()

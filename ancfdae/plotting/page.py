@@ -73,7 +73,6 @@ def _packed(array: Array, kind: npt.DTypeLike) -> str:
 
 
 def _spatial(x: Array) -> Array:
-    """Return places with three components."""
     return x if x.shape[-1] == 3 else np.concatenate([x, 0.0 * x[..., :1]], axis=-1)
 
 

@@ -61,11 +61,10 @@ class Accuracy:
         return sum(each.seconds for each in self.trials)
 
     def __repr__(self) -> str:
-        """Return verdict, reason, and the runs with what they cost."""
         verdict = "reached" if self.reached else "NOT reached"
         rows = [("run", "steps", "seconds", "error")]
         for each in self.trials:
             numbers = str(each.steps or "not ended"), f"{each.seconds:.2g}", f"{each.error:.1g}"
-            rows.append((repr(each.integrator), *numbers))
+            rows.append((type(each.integrator).__name__, *numbers))
         head = f"tolerance {self.tolerance:g} {verdict}, {self.seconds:.2g} s. {self.why}"
         return f"{head}\n{columns(rows, shorten=False)}"

@@ -34,12 +34,10 @@ class Adjoint(GradientMethod):
     memory: str | float | None = None
 
     def __post_init__(self) -> None:
-        """Validate."""
         if self.memory is not None:
             size_of(self.memory)
 
     def __repr__(self) -> str:
-        """Return a short form that can be typed back."""
         return f"Adjoint(memory={self.memory!r})" if self.memory is not None else "Adjoint()"
 
     @property

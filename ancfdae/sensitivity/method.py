@@ -89,12 +89,10 @@ class Gradient:
         return table
 
     def __repr__(self) -> str:
-        """Return value, method, derivatives by name and outcome."""
         head, rows, tail = self._table()
         return f"{head}\n{columns(rows)}\n{tail}"
 
     def _repr_html_(self) -> str:
-        """Return the same as notebooks show it."""
         return page(*self._table())
 
     def _table(self) -> tuple[str, list[tuple[str, str]], str]:
@@ -123,7 +121,6 @@ class Run:
     after: Solution | None = None
 
     def __post_init__(self) -> None:
-        """Validate."""
         repair = "For example HHT(step=0.01)."
         require_kind("integrator", self.integrator, (Integrator,), repair)
         require_flag("progress", self.progress)

@@ -45,7 +45,6 @@ class AdjointError:
         return self.value + self.error
 
     def __repr__(self) -> str:
-        """Return value, error and outcome."""
         numbers = f"objective {self.value:.9g}, estimated error {self.error:.2g}"
         return f"{numbers} (extrapolated {self.extrapolated_value:.9g})\n{self.solution.outcome}"
 

@@ -73,7 +73,6 @@ class Campbell:
         return np.asarray(self.rates[:, None] + sense * self.frequencies)
 
     def __repr__(self) -> str:
-        """Return a table of the frequencies."""
         head = ["rate", *(f"mode {j}" for j in range(self.exponents.shape[1]))]
         values = np.column_stack([self.rates, self.frequencies])
         rows = [[f"{x:.6g}" for x in row] for row in values]

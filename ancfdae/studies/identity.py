@@ -154,6 +154,5 @@ def _package(value: FunctionType | type) -> str:
 
 
 def _names(code: CodeType) -> set[str]:
-    """Return the names that a code and those within it read."""
     inner = (_names(each) for each in code.co_consts if isinstance(each, CodeType))
     return set(code.co_names).union(*inner)

@@ -48,7 +48,6 @@ class Observations:
     outcome: Outcome
 
     def __repr__(self) -> str:
-        """Return sizes, the last values and the outcome."""
         head = f"Observations: {len(self.t)} instants of {self.steps} steps"
         rows = [["observable", "last value"]]
         rows += [[str(k), f"{x:.6g}"] for k, x in enumerate(self.values[-1] if len(self.t) else ())]

@@ -67,11 +67,9 @@ class Sweep:
         return pandas().DataFrame(rows)
 
     def __repr__(self) -> str:
-        """Return the first rows, and how many failed."""
         return f"{self._head}\n{columns(self._cells())}"
 
     def _repr_html_(self) -> str:
-        """Return the same as notebooks show it."""
         return page(self._head, self._cells())
 
     @property

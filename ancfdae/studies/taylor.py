@@ -53,7 +53,6 @@ class TaylorTest:
         return float(np.min(np.where(np.isnan(orders), np.inf, orders)))
 
     def __repr__(self) -> str:
-        """Return value, method, order and the remainders."""
         numbers = zip(self.sizes, self.zeroth, self.first, strict=True)
         rows = [("size", "change", "remainder")]
         rows += [(f"{s:.3g}", f"{change:.3g}", f"{rest:.3g}") for s, change, rest in numbers]

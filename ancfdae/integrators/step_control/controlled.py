@@ -93,7 +93,7 @@ class ControlledSteps(StepControl):
     sensitivities: bool = False
 
     def __post_init__(self) -> None:
-        """Validate; a NumPy number of single precision would spread its precision."""
+        # Python's numbers: one of NumPy's of single precision would spread its precision.
         require_rtol("ControlledSteps.rtol", self.rtol, _LEAST_RTOL)
         object.__setattr__(self, "rtol", float(self.rtol))
         if self.atol is not None:

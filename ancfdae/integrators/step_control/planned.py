@@ -66,7 +66,7 @@ class FixedSteps(_KnownSteps):
     step: float
 
     def __post_init__(self) -> None:
-        """Validate; a NumPy number of single precision would spread its precision."""
+        # Python's numbers: one of NumPy's of single precision would spread its precision.
         require_positive("FixedSteps.step", self.step)
         require_square("FixedSteps.step", float(self.step))
         object.__setattr__(self, "step", float(self.step))
@@ -131,7 +131,6 @@ class GivenSteps(_KnownSteps):
         object.__setattr__(self, "times", tuple(t.tolist()))
 
     def __repr__(self) -> str:
-        """Return a short form; that of few instants can be typed back."""
         if len(self.times) <= _SHOWN:
             return f"GivenSteps(times={self.times})"
         first = ", ".join(map(repr, self.times[:3]))

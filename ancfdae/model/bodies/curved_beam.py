@@ -61,7 +61,6 @@ class CurvedBeam(BeamBody):
     kinks: Sequence[float] = ()
 
     def __post_init__(self) -> None:
-        """Validate."""
         where = f"beam {self.name!r}"
         positions = require_array(f"{where}, positions", self.positions)
         if positions.ndim != 2 or positions.shape[0] < 2 or positions.shape[1] not in (2, 3):

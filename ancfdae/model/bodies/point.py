@@ -50,7 +50,6 @@ class Point:
     before: bool = False
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_text("point, beam", self.beam)
         where = f"point of {self.beam!r}"
         require_flag(f"{where}, before", self.before)
@@ -73,7 +72,6 @@ class Point:
         return first | {"y": self.y, "z": self.z}
 
     def __str__(self) -> str:
-        """Return a short name, such as rod@0.5, rod@0.5 before or box(0.1, 0)."""
         if self.fraction is not None:
             return f"{self.beam}@{self.fraction:g}{' before' if self.before else ''}"
         place = (self.x, self.y, self.z) if self.z else (self.x, self.y)

@@ -96,7 +96,6 @@ class RigidBody(Placed, Designable):
     )
 
     def __post_init__(self) -> None:
-        """Validate."""
         require_name("RigidBody.name", self.name)
         where = f"body {self.name!r}"
         require_vector(f"{where}, position", self.position)

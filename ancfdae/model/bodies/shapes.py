@@ -25,7 +25,6 @@ class BodyShape(Designable, abc.ABC):
         """
 
     def __post_init__(self) -> None:
-        """Validate."""
         self.check_fields(type(self).__name__)
 
 

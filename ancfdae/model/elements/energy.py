@@ -39,7 +39,6 @@ class StrainEnergy(abc.ABC):
     corrected: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        """Validate."""
         where = f"{type(self).__name__}.assumed_strains"
         require_kind(where, self.assumed_strains, (bool,), "Use True or False.")
 

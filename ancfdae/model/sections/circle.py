@@ -124,7 +124,6 @@ class Tube(_Round):
     thickness: float
 
     def __post_init__(self) -> None:
-        """Validate."""
         super().__post_init__()
         rule = "must be less than the radius"
         require_smaller("Tube.thickness", self.thickness, self.radius, rule)

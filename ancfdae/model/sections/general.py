@@ -113,7 +113,6 @@ class PointSection(Section):
     shear_centre: Sequence[float] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        """Validate and freeze."""
         super().__post_init__()
         areas = require_array("PointSection.areas", self.areas)
         if areas.ndim != 1 or not np.sum(areas) > 0:

@@ -46,7 +46,6 @@ class Section(abc.ABC):
     torsion_constant: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        """Validate."""
         where = type(self).__name__
         for name in self.size_names():
             require_positive(f"{where}.{name}", getattr(self, name))

@@ -26,7 +26,6 @@ class _Walled(Rectangular):
     flange_thickness: float
 
     def __post_init__(self) -> None:
-        """Validate."""
         super().__post_init__()
         for name, walls, outer, extent in (
             ("flange_thickness", 2 * self.flange_thickness, self.height, "height"),
