@@ -164,7 +164,7 @@ def test_the_path_closes_gaps_and_its_tangent_leads_along_it():
     np.testing.assert_allclose(
         system.constraint(0.0, point.q), 0.7 * system.constraint(0.0, q_0), atol=1e-12
     )
-    q_s, lam_s = balance.path_tangent(point.q, point.factors)
+    q_s, lam_s = point.path
     for ours, part in ((q_s, "q"), (lam_s, "lam")):
         slope = (getattr(ahead, part) - getattr(behind, part)) / (2 * ds)
         # ds^2 of the third derivative.

@@ -23,6 +23,7 @@ from validation.performance import report as performance
 from validation.report import Report
 from validation.rotation import report as rotation
 from validation.test_set import report as test_set
+from validation.tolerance import report as tolerance
 
 __all__ = ["CATALOGUE", "Definition"]
 
@@ -115,6 +116,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "processor time, on soft and stiff, damped and undamped scenes, and what does error "
         "control of HHT-I3 gain?",
         run=work_precision.run,
+        source="expectation",
+    ),
+    Definition(
+        name="tolerance",
+        title="Gradients to a tolerance",
+        question="Is a gradient that was asked for to a tolerance right to it, do its bars "
+        "hold, and what does it cost against the best setting in hindsight?",
+        run=tolerance.run,
         source="expectation",
     ),
     Definition(

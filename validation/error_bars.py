@@ -23,6 +23,7 @@ from ancfdae import (
     reaction,
 )
 from ancfdae.equations import MechanicalSystem
+from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies import as_system
@@ -128,7 +129,7 @@ def _measured(case: _Case, quick: bool) -> list[_Found]:
     )
     rows = []
     for integrator in case.settings:
-        for levels in (2,) if quick or not isinstance(integrator, HHT) else (2, 3):
+        for levels in (2,) if quick or integrator.order is None else (2, 3):
             bars = error_bars(
                 case.model,
                 case.objective,
@@ -155,7 +156,7 @@ def _row(
     factor = np.append(1.0, scale) / sizes
     exact = np.append(value, slope)
     kind = type(integrator).__name__
-    if isinstance(integrator, HHT):
+    if isinstance(integrator, SteppedIntegrator):
         controlled = isinstance(integrator.steps, ControlledSteps)
         kind = "HHT, controlled" if controlled else "HHT, fixed"
     return _Found(

@@ -20,6 +20,7 @@ from ancfdae import (
 )
 from ancfdae.assembly import AncfSystem
 from ancfdae.integrators import IndexReduction
+from ancfdae.integrators.stepped import SteppedIntegrator
 from validation.scenes import pendulum_deflection
 
 __all__ = [
@@ -103,14 +104,15 @@ def family(integrator: Integrator) -> str:
 
 def label(integrator: Integrator) -> str:
     """Return the setting that decides about accuracy."""
-    if isinstance(integrator, HHT):
+    if isinstance(integrator, SteppedIntegrator):
         return f"step 2^{int(np.log2(step_of(integrator)))} s"
     assert isinstance(integrator, IDA | IDAS | Explicit)
     return f"rtol {integrator.rtol:.0e}"
 
 
-def step_of(integrator: HHT) -> float:
+def step_of(integrator: Integrator) -> float:
     """Return the step of a run with a fixed one."""
+    assert isinstance(integrator, SteppedIntegrator)
     assert isinstance(integrator.steps, FixedSteps)
     return integrator.steps.step
 

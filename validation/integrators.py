@@ -216,7 +216,7 @@ def _convergence(
     sizes = _sizes(reference)
     table, steps = [], []
     for done, own in found:
-        if isinstance(done.integrator, HHT):
+        if done.integrator.order is not None:
             table.append(np.array([own.deflection, *own.sensitivities]) / sizes)
             steps.append(step_of(done.integrator))
     relative = np.array(table)

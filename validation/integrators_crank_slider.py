@@ -255,7 +255,7 @@ def _show(
 ) -> list[float]:
     """Table and plot of the errors of HHT-I3; returns the mean orders."""
     names = ("Ψ", *_SYMBOLS)
-    steps = [step_of(each.integrator) for each in ladder if isinstance(each.integrator, HHT)]
+    steps = [step_of(each.integrator) for each in ladder]
     rows: list[list[object]] = []
     for k, step in enumerate(steps):
         order = np.log2(table[k - 1] / table[k]) if k else np.full(len(names), np.nan)

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
-from ancfdae import HHT, Explicit, Setting, Tradeoff
+from ancfdae import Explicit, Setting, Tradeoff
 from ancfdae.plotting import Panel, Series
 from validation.report import Agreement, Report
 from validation.work_precision_control import gains, newton, trust
 from validation.work_precision_findings import (
+    alpha,
     cheapest_of,
     controlled,
     controlled_both,
@@ -32,7 +33,7 @@ _GROUPS = {
     "HHT fixed": fixed,
     "HHT controlled": controlled,
     "both controlled": controlled_both,
-    "high order": lambda row: not isinstance(row.integrator, HHT),
+    "high order": lambda row: row.integrator.order != 2,
 }
 
 
@@ -101,7 +102,7 @@ def _within(table: Tradeoff, seconds: float) -> Setting | None:
     rows = [
         row
         for row in table.rows
-        if isinstance(row.integrator, HHT) and row.finished and row.seconds <= seconds
+        if row.integrator.order == 2 and row.finished and row.seconds <= seconds
     ]
     return min(rows, key=lambda row: row.error("gradient"), default=None)
 
@@ -142,7 +143,7 @@ def _stiff(report: Report, found: Sequence[Measured]) -> None:
         if not each.case.name.startswith("stiff"):
             continue
         for kind, table in zip(OBJECTIVES, each.tables, strict=True):
-            ours = cheapest_of(table, 1e-2, lambda row: isinstance(row.integrator, HHT))
+            ours = cheapest_of(table, 1e-2, lambda row: row.integrator.order == 2)
             other = cheapest_of(table, 1e-2, _GROUPS["high order"])
             own, theirs = (x.seconds if x else float("inf") for x in (ours, other))
             wins.append(own < theirs)
@@ -167,21 +168,16 @@ def _alphas(report: Report, found: Sequence[Measured]) -> None:
     for each in found:
         for kind, table in zip(OBJECTIVES, each.tables, strict=True):
             cells = []
-            for alpha in ALPHAS:
-                last = [r for r in table.rows if fixed(r) and _alpha(r) == alpha][-1]
+            for damping in ALPHAS:
+                last = [r for r in table.rows if fixed(r) and alpha(r) == damping][-1]
                 cells.append(f"{last.error('gradient'):.1g} / {last.error('multipliers'):.1g}")
                 if last.finished:
-                    key = f"alpha.{each.case.name}.{kind}.{abs(alpha):g}"
+                    key = f"alpha.{each.case.name}.{kind}.{abs(damping):g}"
                     report.figure(f"{key}.gradient", last.error("gradient"))
             rows.append([each.case.title, kind, *cells])
     report.text(_ALPHA_TEXT)
-    report.table(["scene", "gradient", *(f"{alpha:g}" for alpha in ALPHAS)], rows)
+    report.table(["scene", "gradient", *(f"{x:g}" for x in ALPHAS)], rows)
     report.text(_ALPHA_NOTES)
-
-
-def _alpha(row: Setting) -> float:
-    assert isinstance(row.integrator, HHT)
-    return row.integrator.hht_alpha
 
 
 # ---------------------------------------------------------------- scenes
@@ -207,7 +203,7 @@ def _scene(report: Report, each: Measured) -> None:
     rows: list[list[object]] = []
     for k, row in enumerate((*first.rows, first.reference)):
         other = (*each.tables[1].rows, each.tables[1].reference)[k]
-        if isinstance(row.integrator, HHT) and row.integrator.hht_alpha not in _SHOWN:
+        if alpha(row) not in (None, *_SHOWN):
             continue
         rows.append(_cells(row, other, reference=row is first.reference))
         if row.finished and row is not first.reference:
@@ -235,7 +231,7 @@ def _panel(title: str, table: Tradeoff, of: str) -> Panel:
         error = getattr(row, of)
         if error is None or not 0 < error < _ALLOWED:
             continue
-        if isinstance(row.integrator, HHT) and row.integrator.hht_alpha not in _SHOWN:
+        if alpha(row) not in (None, *_SHOWN):
             continue
         lines.setdefault(_line(row), []).append((row.seconds, error))
     series = [
@@ -246,11 +242,11 @@ def _panel(title: str, table: Tradeoff, of: str) -> Panel:
 
 
 def _line(row: Setting) -> str:
-    if not isinstance(row.integrator, HHT):
+    if alpha(row) is None:
         return type(row.integrator).__name__
     kind = "both controlled" if controlled_both(row) else "fixed"
     kind = "controlled" if controlled(row) else kind
-    return f"HHT {kind}, alpha = {row.integrator.hht_alpha:g}"
+    return f"HHT {kind}, alpha = {alpha(row):g}"
 
 
 _METHOD = """

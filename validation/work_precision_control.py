@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
-from ancfdae import HHT, Setting, Tradeoff
+from ancfdae import Setting, Tradeoff
 from validation.report import Agreement, Report
 from validation.work_precision_findings import (
     Choice,
     Gain,
+    alpha,
     best_gain,
     control,
     controlled,
@@ -133,9 +134,8 @@ def newton(report: Report, quick: bool) -> None:
 
 def _place(row: Setting) -> str:
     steps = control(row)
-    assert isinstance(row.integrator, HHT)
     assert steps is not None
-    return f"rtol {steps.rtol:.0e}, alpha {row.integrator.hht_alpha:g}"
+    return f"rtol {steps.rtol:.0e}, alpha {alpha(row):g}"
 
 
 _GAIN_TEXT = f"""

@@ -10,6 +10,7 @@ from ancfdae import HHT, ControlledSteps, Setting, TargetNotReached, Tradeoff
 
 __all__ = [
     "Gain",
+    "alpha",
     "best_gain",
     "cheapest_of",
     "controlled",
@@ -26,7 +27,7 @@ Choice = Callable[[Setting], bool]
 
 def fixed(row: Setting) -> bool:
     """Whether a setting is HHT-I3 at a fixed step."""
-    return isinstance(row.integrator, HHT) and control(row) is None
+    return alpha(row) is not None and control(row) is None
 
 
 def controlled(row: Setting) -> bool:
@@ -46,13 +47,18 @@ def control(row: Setting) -> ControlledSteps | None:
     return steps if isinstance(steps, ControlledSteps) else None
 
 
+def alpha(row: Setting) -> float | None:
+    """Return the numerical damping of HHT-I3; None for other integrators."""
+    return row.integrator.hht_alpha if isinstance(row.integrator, HHT) else None
+
+
 def short_name(row: Setting) -> str:
     """Return family and setting in a few characters."""
-    integrator = row.integrator
-    if isinstance(integrator, HHT):
+    damping = alpha(row)
+    if damping is not None:
         both = " of both" if controlled_both(row) else ""
-        return f"HHT {row.label}{both}, alpha {integrator.hht_alpha:g}"
-    return f"{type(integrator).__name__} {row.label}"
+        return f"HHT {row.label}{both}, alpha {damping:g}"
+    return f"{type(row.integrator).__name__} {row.label}"
 
 
 def cheapest_of(table: Tradeoff, target: float, choice: Choice) -> Setting | None:
@@ -137,20 +143,15 @@ def best_gain(
     gains = []
     for row in settled(table).rows:
         if choice(row) and floor <= row.error("gradient") <= ceiling:
-            alpha = _alpha(row) if same_alpha else None
-            seconds = seconds_for(table, row.error("gradient"), partial(_is_fixed, alpha=alpha))
+            same = alpha(row) if same_alpha else None
+            seconds = seconds_for(table, row.error("gradient"), partial(_is_fixed, damping=same))
             if np.isfinite(seconds):
                 gains.append(Gain(row, seconds))
     return min(gains, key=lambda gain: gain.ratio, default=None)
 
 
-def _alpha(row: Setting) -> float:
-    assert isinstance(row.integrator, HHT)
-    return row.integrator.hht_alpha
-
-
-def _is_fixed(row: Setting, alpha: float | None) -> bool:
-    return fixed(row) and (alpha is None or _alpha(row) == alpha)
+def _is_fixed(row: Setting, damping: float | None) -> bool:
+    return fixed(row) and damping in (None, alpha(row))
 
 
 def largest_ratio(

@@ -111,9 +111,14 @@ class Assembly:
         self._free, d = np.flatnonzero(free), declared.Z.shape[1]
         is_shift = np.broadcast_to(np.arange(motions.n_x) < d, free.shape).ravel()
         self._shift = is_shift[self._free]
-        units = np.where(self._shift, self._size, 1.0)
+        self._units = np.where(self._shift, self._size, 1.0)
+
+    @cached_property
+    def _freedom(self) -> scipy.sparse.csr_array:
+        """Free motions in their units, as columns of all."""
         place = self._free, np.arange(len(self._free))
-        self._freedom = scipy.sparse.csr_array((units, place), shape=(free.size, len(self._free)))
+        shape = self._motions.none.size, len(self._free)
+        return scipy.sparse.csr_array((self._units, place), shape=shape)
 
     @cached_property
     def _rates(self) -> Assembly:
@@ -357,7 +362,7 @@ class Assembly:
         """Return the motion of all bodies, (n_bodies, n_x), from what is free of it."""
         none = self._motions.none
         motion = none.astype(x.dtype).ravel()
-        motion += self._freedom @ x
+        motion[self._free] = self._units * x
         return motion.reshape(none.shape)
 
     def _placed(self, declared: Declared, x: Array) -> Array:
@@ -370,8 +375,7 @@ class Assembly:
 
         def work(multipliers: Array) -> Array:
             force = declared.constraints.reaction(0.0, q, self._spread(multipliers))
-            collected: Array = self._freedom.T @ self._motions.collect(T, force).ravel()
-            return collected
+            return np.asarray(self._units * self._motions.collect(T, force).ravel()[self._free])
 
         x, sigma, rho = y
         shift = self._shift
@@ -414,12 +418,11 @@ class Assembly:
         """One over the size for equations of lengths, which displacements change; else one."""
         Z = self._declared.Z.real
         constraints = self._declared.constraints
-        B = constraints.pattern.csr(constraints.constraint_q(0.0, Z.ravel()).real)
-        T = self._motions.matrix(self._motions.tangent(Z, self._motions.none))
-        J = abs(B @ T).tocsr()
-        shifts = np.arange(J.shape[1]) % self._motions.n_x < Z.shape[1]
+        B = constraints.constraint_q(0.0, Z.ravel()).real
+        T = self._motions.tangent(Z, self._motions.none)
+        by_shifts, by_any = self._motions.reach(constraints.pattern, B, T).T
         # Of a slope that is long in its own units nothing but round-off moves with the body.
-        is_length = J[:, shifts].max(axis=1).toarray() > 1e-9 * J.max(axis=1).toarray()
+        is_length = by_shifts > 1e-9 * by_any
         return np.where(is_length, 1.0 / self._size, 1.0)
 
     def _gaps(self, x: Array) -> Array:

@@ -80,6 +80,12 @@ class LoadForces:
         """Return what a kernel takes of the loads that move, and whether they use velocities."""
         return tuple((load.plan, load.item.uses_velocity) for load in self._moving)
 
+    @property
+    def turning(self) -> Array:
+        """Return one for each law of `factors` whose load turns with the motion, else zero."""
+        still = np.zeros(len(self._timed))
+        return np.append(still, [float(not load.item.load.elastic) for load in self._moving])
+
     def timed(self) -> tuple[Array, Array]:
         """Return the sum of constant loads, (n_q,), and what laws multiply, (n_loads, n_q)."""
         rows = [row for _, row in self._timed]

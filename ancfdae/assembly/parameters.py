@@ -104,7 +104,7 @@ class ParameterMap:
 
     def driven(self) -> tuple[ElementParameter, ...]:
         """Return the parameters that some design variable drives."""
-        return tuple(ElementParameter(int(k)) for k in np.unique(self.parameters))
+        return tuple(map(ElementParameter, sorted(set(self.parameters.tolist()))))
 
 
 def parameter_map(scene: Scene, design: Sequence[DesignVariable]) -> ParameterMap:

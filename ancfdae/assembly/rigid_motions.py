@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from ancfdae.numerics.arrays import STEP, Array
+from ancfdae.numerics.patterns import Pattern
 from ancfdae.numerics.rotations import cayley, cayley_partials
 
 
@@ -64,6 +65,18 @@ class RigidMotions:
         columns = np.broadcast_to(self._owner[:, None, None] * n_x + np.arange(n_x), T.shape)
         shape = (n * d, self._count * n_x)
         return scipy.sparse.csr_array((T.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+
+    def reach(self, pattern: Pattern, B: Array, T: Array) -> Array:
+        """Return how far rows of B go with displacements, and with any motion, (n_rows, 2)."""
+        vector, axis = np.divmod(pattern.columns, self._d)
+        pair = pattern.rows.astype(np.int64) * self._count + self._owner[vector]
+        order = np.argsort(pair, kind="stable")
+        begins = np.flatnonzero(np.diff(pair[order], prepend=-1))
+        moved = np.abs(np.add.reduceat((B[:, None] * T[vector, axis])[order], begins))
+        sizes = np.stack([moved[:, : self._d].max(axis=1), moved.max(axis=1)], axis=1)
+        reach = np.zeros((pattern.shape[0], 2))
+        np.maximum.at(reach, pair[order][begins] // self._count, sizes)
+        return reach
 
     def blocks(self, values: Array) -> scipy.sparse.csr_array:
         """Return matrices of each body, (n_bodies, n_x, n_x), as one matrix of all motions."""

@@ -212,6 +212,7 @@ class AncfSystem(PlannedSystem):
             self._constraints.factors.table,
             self._loads.factors,
             self._loads.plans(),
+            self._loads.turning,
         )
 
     # -- the protocol --------------------------------------------------------------------------

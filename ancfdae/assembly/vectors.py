@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-import scipy
 
 from ancfdae.assembly.naming import PointVector, SceneNaming
 from ancfdae.model.bodies import Point
@@ -65,14 +64,8 @@ class Vectors:
         return (len(self.first) - 1) // self.d
 
     @cached_property
-    def matrix(self) -> scipy.sparse.csr_array:
-        """L."""
-        shape = self.count * self.d, self.n_q
-        return scipy.sparse.csr_array((self.value, self.column, self.first), shape=shape)
-
-    @cached_property
     def _L(self) -> LinearMap:
-        return LinearMap(self.matrix)
+        return LinearMap((self.first, self.column, self.value), self.n_q)
 
     @cached_property
     def moves(self) -> Array:

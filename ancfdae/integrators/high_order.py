@@ -31,6 +31,7 @@ from ancfdae.integrators.quadrature import Quadrature
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.numerics.time_grid import TimeGrid
 
 # Steps that together advance by less than this share of the end time. Single steps may be lost in
@@ -188,8 +189,6 @@ class HighOrder(QuadratureIntegrator):
         integrands: Sequence[Integrand] = (),
     ) -> Solution:
         """Integrate from t = 0 to `t_end`, integrals beside the motion."""
-        from tqdm import tqdm
-
         if any(np.iscomplexobj(x) for x in (system.b, *system.start())):
             rule, got = "computes in real numbers", "a complex system"
             raise InvalidInput(type(self).__name__, rule, got, "Use HHT.")
@@ -206,7 +205,7 @@ class HighOrder(QuadratureIntegrator):
         try:
             with np.errstate(all="ignore"):  # A blow-up is told by the outcome.
                 march = self.start(problem, t_end, quadrature)
-                for t in tqdm(grid.t[1:], disable=not progress, unit="instant"):
+                for t in progress_bar(progress, grid.t[1:], unit="instant"):
                     point = march.to(float(t))
                     if isinstance(point, Verdict):
                         verdict = point

@@ -63,7 +63,8 @@ class Plan(NamedTuple):
     same without zeros. `loads` are rows of forces, and `B` is Phi_q with any values. Factors of
     time are functions of instants, (k,): those of constraints with derivatives, (orders, k,
     n_parts), None where nothing is driven, and those of loads, (k, n_loads), of `moving` ones
-    last. Of these it says whether they use velocities.
+    last. Of these it says whether they use velocities, and whether they turn with the motion
+    without being elastic, as numbers.
     """
 
     block: Block
@@ -79,6 +80,7 @@ class Plan(NamedTuple):
     joint_factors: Callable[[Array, int], Array] | None
     load_factors: Callable[[Array], Array]
     moving: tuple[tuple[LoadPlan, bool], ...]
+    turning: Array
 
 
 class MatrixLayout(NamedTuple):
@@ -103,6 +105,19 @@ STAGES_SOLVED, STAGES_DIVERGED, STAGES_NOT_FINITE, STAGES_SINGULAR = range(4)
 
 #: Numbers among the rules of `prepare`.
 RULES = 17
+
+
+@final
+class Rest(IntEnum):
+    """Why `rest` ends: solved or not, or where it needs a band, or is stuck at its round-off."""
+
+    SOLVED = 0
+    NO_CONVERGENCE = 1
+    NOT_FINITE = 2
+    SINGULAR = 3
+    INDEFINITE = 4
+    STUCK = 5
+
 
 add_scaled = _kernels.add_scaled
 balance = _kernels.balance
@@ -129,11 +144,13 @@ load_tangents = _kernels.load_tangents
 ldl_solve = _kernels.ldl_solve
 lifted = _kernels.lifted
 march = _kernels.march
+narrow_order = _kernels.narrow_order
 norm = _kernels.norm
 prepare = _kernels.prepare
 pull_back_steps = _kernels.pull_back_steps
 recombine = _kernels.recombine
 relative = _kernels.relative
+rest = _kernels.rest
 solve_stages = _kernels.solve_stages
 strain = _kernels.strain
 stressed = _kernels.stressed

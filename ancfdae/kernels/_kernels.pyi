@@ -167,6 +167,12 @@ def csr_rows_transposed(
 ) -> Array:
     """Return M^T x for rows of x; M has `size` columns."""
 
+def narrow_order(first_K: Array, columns_K: Array, first_B: Array, columns_B: Array, /) -> Array:
+    """Return an order of coordinates and multipliers in which [K, B^T; B, 0] has a narrow band.
+
+    The better of the one given and that of Cuthill and McKee, reversed; K has a symmetric pattern.
+    """
+
 def csr_subtract(
     first: Array,
     columns: Array,
@@ -313,3 +319,19 @@ def add_scaled(x: Array, s: Any, y: Array, /) -> Array:
 
 def finite(x: Array, /) -> bool:
     """Tell whether every entry is finite."""
+
+def rest(
+    prepared: Any,
+    state: tuple[Array, Array, Array, Array],
+    known: tuple[Array, Array | None, Array, Array],
+    factors: tuple[Array, Array, Array],
+    rules: Array,
+    /,
+) -> tuple[int, int, float, int]:
+    """Solve for an equilibrium under part of the load, from q and lam, by Newton's method.
+
+    The state (q, lam, q_s, lam_s) is written in place. Known are (q_0, anchor or None, r_0, Phi_0),
+    factors those of constraints, of loads as they act, and of those that turn. Returns why it ends
+    (`Rest`), iterations, the size of the last correction, and whether K is surely positive
+    definite.
+    """

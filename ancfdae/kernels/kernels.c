@@ -109,6 +109,7 @@ static double seconds_now(void)
 #include "symmetric.h"
 #include "march.h"
 #include "passes.h"
+#include "rest.h"
 #undef T
 #undef NAME
 #undef MATH
@@ -135,6 +136,7 @@ static double seconds_now(void)
 #undef CLONES
 
 #include "constraint_totals.h"
+#include "orders.h"
 
 /* ---- arguments ---------------------------------------------------------------------------- */
 
@@ -747,6 +749,47 @@ static PyObject *py_csr_subtract(PyObject *const *args)
     return done ? Py_NewRef(Py_None) : NULL;
 }
 
+/* Patterns (first, columns) of rows with columns below n. */
+static int pattern_taken(PyObject *const *args, npy_intp n, PyArrayObject **first,
+                         PyArrayObject **columns)
+{
+    return taken(args[0], NPY_INT32, 1, first) && taken(args[1], NPY_INT32, 1, columns) &&
+           is_csr(*first, *columns, *columns, n);
+}
+
+/* narrow_order(first_K, columns_K, first_B, columns_B): an order of coordinates and multipliers. */
+static PyObject *py_narrow_order(PyObject *const *args)
+{
+    PyArrayObject *first[2] = {NULL}, *columns[2] = {NULL}, *order = NULL;
+    npy_int32 *room = NULL;
+    npy_int64 *other = NULL;
+    npy_intp n = PyArray_Check(args[0]) ? PyArray_SIZE((PyArrayObject *)args[0]) - 1 : 0;
+    if (pattern_taken(args, n, &first[0], &columns[0]) &&
+        pattern_taken(args + 2, n, &first[1], &columns[1])) {
+        npy_intp m = PyArray_SIZE(first[1]) - 1, size = n + m;
+        room = PyMem_Malloc((size_t)(8 * size + 8 + PyArray_SIZE(columns[1])) * sizeof *room);
+        other = PyMem_Malloc((size_t)size * sizeof *other + 1);
+        order = room && other ? (PyArrayObject *)PyArray_SimpleNew(1, &size, NPY_INT64) : NULL;
+        if (size > NPY_MAX_INT32 / 8 || (m && !n)) {
+            wrong("there must be coordinates, and indices of 32 bits for them");
+            Py_CLEAR(order);
+        } else if (!order)
+            PyErr_NoMemory();
+    }
+    if (order) {
+        graph g = {n, PyArray_SIZE(first[1]) - 1, data_of(first[0]), data_of(columns[0]),
+                   data_of(first[1]), data_of(columns[1]), NULL, NULL, NULL, NULL, NULL};
+        graph_narrow(&g, room, PyArray_DATA(order), other);
+    }
+    PyMem_Free(room);
+    PyMem_Free(other);
+    for (int i = 0; i < 2; i++) {
+        Py_XDECREF(first[i]);
+        Py_XDECREF(columns[i]);
+    }
+    return (PyObject *)order;
+}
+
 /* recombine(matrix, z, after, ahead): rows of matrix times z; three of them to `after`, and three
  * to `ahead`, in place, which may be rows of z. */
 static PyObject *py_recombine(PyObject *const *args)
@@ -1238,6 +1281,7 @@ FUNCTION(stressed, 2)
 FUNCTION(csr_rows, 4)
 FUNCTION(csr_rows_transposed, 5)
 FUNCTION(csr_subtract, 7)
+FUNCTION(narrow_order, 4)
 FUNCTION(recombine, 4)
 FUNCTION(balance, 5)
 FUNCTION(band_factor, 6)
@@ -1248,6 +1292,7 @@ FUNCTION(prepare, 3)
 FUNCTION(march, 8)
 FUNCTION(differentiate_steps, 6)
 FUNCTION(pull_back_steps, 6)
+FUNCTION(rest, 5)
 FUNCTION(solve_stages, 9)
 
 #define FUNCTION_OF_MANY(name)                                                                     \
@@ -1286,6 +1331,7 @@ static PyMethodDef methods[] = {
     METHOD(csr_rows),
     METHOD(csr_rows_transposed),
     METHOD(csr_subtract),
+    METHOD(narrow_order),
     METHOD(recombine),
     METHOD(balance),
     METHOD(band_factor),
@@ -1296,6 +1342,7 @@ static PyMethodDef methods[] = {
     METHOD(march),
     METHOD(differentiate_steps),
     METHOD(pull_back_steps),
+    METHOD(rest),
     METHOD(solve_stages),
     {NULL, NULL, 0, NULL},
 };

@@ -238,6 +238,23 @@ static int NAME(residual_at)(const NAME(plan) *p, NAME(room) *r, const step_coef
     return sum == 0;
 }
 
+/* Factorise eq. (6) in a band, from values as below: 0 or NOT_SOLVED. */
+static int NAME(banded_sum)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
+                            const T *f_q, const T *f_v, const T *B)
+{
+    npy_intp n = p->n_q + p->n_lam, n_B = p->constraints->n_values;
+    for (npy_intp i = 0; i < p->nnz; i++)
+        r->sum[i] = c->in_A * p->K.values[i] + c->in_q * f_q[i];
+    for (npy_intp i = 0; f_v && i < p->nnz; i++)
+        r->sum[i] += c->in_v * f_v[i];
+    r->banded = 1;
+    memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
+    return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, B, p->factors,
+                             p->flat, r->matrix, r->pivots)
+               ? NOT_SOLVED
+               : 0;
+}
+
 /* Factorise eq. (6) from values of f_q, f_v, NULL where there is none, and Phi_q: 0, NOT_SOLVED, or
  * INDEFINITE. */
 static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coefficients *c,
@@ -252,18 +269,7 @@ static int NAME(factor_sum)(const NAME(plan) *p, NAME(room) *r, const step_coeff
         if (NAME(ldl_factor)(n, p->first, p->signs, r->matrix, r->least) == 0)
             return r->banded = 0;
     }
-    if (!p->flat)
-        return INDEFINITE;
-    for (npy_intp i = 0; i < p->nnz; i++)
-        r->sum[i] = c->in_A * p->K.values[i] + c->in_q * f_q[i];
-    for (npy_intp i = 0; f_v && i < p->nnz; i++)
-        r->sum[i] += c->in_v * f_v[i];
-    r->banded = 1;
-    memset(r->matrix, 0, (size_t)n * (3 * (size_t)p->half + 1) * sizeof(T));
-    return NAME(band_factor)(p->gbtrf, (int)n, (int)p->half, p->nnz, n_B, r->sum, B, p->factors,
-                             p->flat, r->matrix, r->pivots)
-               ? NOT_SOLVED
-               : 0;
+    return p->flat ? NAME(banded_sum)(p, r, c, f_q, f_v, B) : INDEFINITE;
 }
 
 /* Subtract Q_q, or Q_v, of loads that move. */

@@ -113,7 +113,7 @@ static int kept_block(Prepared *x, PyObject *object, PyObject *index)
     return p->index != NULL;
 }
 
-enum { PLAN_ITEMS = 13, LAYOUT_ITEMS = 4 };
+enum { PLAN_ITEMS = 14, LAYOUT_ITEMS = 4 };
 
 /* A plan of constraints, and (first, columns, values) of Phi_q. */
 static int kept_constraints(Prepared *x, PyObject *object, PyObject *B)
@@ -453,4 +453,40 @@ static PyObject *py_pull_back_steps(PyObject *const *args)
     steps = pulled_back(p, &x->room, &s, given, on, mu, zeta, &ends);
     Py_END_ALLOW_THREADS
     return Py_BuildValue("ni", steps, ends);
+}
+
+/* ---- equilibria ------------------------------------------------------------------------------ */
+
+/* rest(prepared, state, known, factors, rules): Newton's method from a state (q, lam, q_s, lam_s),
+ * written in place, with (q_0, anchor or None, r_0, Phi_0); why it ends, iterations, the size of the
+ * last correction, and whether K is surely positive definite there. */
+static PyObject *py_rest(PyObject *const *args)
+{
+    enum { STATE, KNOWN = 4, FACTORS = 8, ALL = 11 };
+    Prepared *x = PyCapsule_GetPointer(args[0], prepared_name);
+    if (!x)
+        return NULL;
+    const plan_real *p = &x->plan;
+    npy_intp of_q = p->n_q, of_lam = p->n_lam, of_rules = sizeof(rest_rules) / sizeof(double);
+    npy_intp of_joints = p->constraints->n_parts, of_loads = p->n_factors;
+    npy_intp sizes[ALL] = {of_q, of_lam, of_q, of_lam, of_q, of_q, of_q, of_lam, of_joints,
+                           of_loads, of_loads};
+    double *data[ALL], *rules;
+    for (int i = 0; i < ALL; i++) {
+        int group = i < KNOWN ? STATE : i < FACTORS ? KNOWN : FACTORS;
+        PyObject *own = item(args[1 + group / 4], group == FACTORS ? 3 : 4, i - group);
+        if (!own || !in_place(own, i == KNOWN + 1, 1, sizes + i, data + i))
+            return NULL;
+    }
+    if (!in_place(args[4], 0, 1, &of_rules, &rules))
+        return NULL;
+    rest_problem own = {.q_0 = data[4], .anchor = data[5], .r_0 = data[6], .Phi_0 = data[7],
+                        .of_joints = data[8], .of_loads = data[9], .of_turning = data[10]};
+    rest_state to = {data[0], data[1], data[2], data[3], INFINITY, 0, 0};
+    memcpy(&own.rules, rules, sizeof own.rules);
+    int why;
+    Py_BEGIN_ALLOW_THREADS
+    why = rested(p, &x->room, &own, &to);
+    Py_END_ALLOW_THREADS
+    return Py_BuildValue("iidi", why, to.iterations, to.size, to.definite);
 }

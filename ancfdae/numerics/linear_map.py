@@ -4,25 +4,30 @@ from __future__ import annotations
 
 from typing import final
 
-import scipy
+import numpy as np
 
-from ancfdae.kernels import csr_rows, csr_rows_transposed
+from ancfdae.kernels import Csr, csr_rows, csr_rows_transposed
 from ancfdae.numerics.arrays import Array
 
 
 @final
 class LinearMap:
-    """A constant matrix, shape (n, m), that is only ever multiplied with; `csr` are its arrays."""
+    """A constant matrix, shape (n, m), that is only ever multiplied with.
 
-    def __init__(self, matrix: scipy.sparse.csr_array) -> None:
-        first, columns = (x.astype("int32", copy=False) for x in (matrix.indptr, matrix.indices))
-        self.csr = first, columns, matrix.data
-        self._width = matrix.shape[1]
+    `csr` are its rows: where they begin, columns and values.
+    """
+
+    def __init__(self, csr: Csr, width: int) -> None:
+        first, columns, values = csr
+        self.csr = first.astype(np.int32, copy=False), columns.astype(np.int32, copy=False), values
+        self._width = width
 
     @staticmethod
     def of(rows: Array, columns: Array, values: Array, shape: tuple[int, int]) -> LinearMap:
-        """Return the map with these entries; entries at the same place are summed."""
-        return LinearMap(scipy.sparse.csr_array((values, (rows, columns)), shape=shape))
+        """Return the map with these entries; entries at the same place add."""
+        order = np.argsort(rows, kind="stable")
+        first = np.append(0, np.cumsum(np.bincount(rows, minlength=shape[0])))
+        return LinearMap((first, columns[order], values[order]), shape[1])
 
     def __call__(self, x: Array) -> Array:
         """Multiply a vector, shape (m,), or each row of an array, (k, m) to (k, n)."""

@@ -12,15 +12,14 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from ancfdae.kernels import narrow_order
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.patterns import Pattern
 
 
 def narrow_band(pattern: Pattern, constraint_pattern: Pattern) -> Array:
-    """Return the order of reverse Cuthill and McKee."""
-    graph = _graph(pattern, constraint_pattern)
-    order = scipy.sparse.csgraph.reverse_cuthill_mckee(graph, symmetric_mode=True)
-    return _with_multipliers(order, constraint_pattern)
+    """Return the order of reverse Cuthill and McKee, or the scene's own where that is better."""
+    return narrow_order(*pattern.places, *constraint_pattern.places)
 
 
 def little_fill(pattern: Pattern, constraint_pattern: Pattern) -> Array:

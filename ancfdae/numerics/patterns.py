@@ -50,6 +50,11 @@ class Pattern:
         """Row of every entry."""
         return np.repeat(np.arange(self.shape[0], dtype=np.int32), np.diff(self._first))
 
+    @property
+    def places(self) -> tuple[Array, Array]:
+        """Where rows begin, and columns."""
+        return self._first, self.columns
+
     def index(self, rows: Array, columns: Array) -> Array:
         """Return the indices of positions in the value vector; they must be in the pattern.
 

@@ -1,12 +1,14 @@
 """Observables over time with bands of what a change of each design variable does to them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ancfdae.equations import MechanicalSystem, Sensitivities, Solution
 from ancfdae.errors import InvalidInput, UnknownName, require_kind, require_positive
+from ancfdae.numerics.arrays import Array
 from ancfdae.plotting.charts import require_unit, settings
 from ancfdae.plotting.looks import COLOURS
 from ancfdae.sensitivity.observables import Observable
@@ -47,6 +49,24 @@ def history(
     require_kind("history, solution", solution, (Solution,), "Call differentiate.")
     require_kind("history, observables", observables, (Mapping,), "For example {'tip [m]': ...}.")
     require_positive("history, percent", percent)
+    _check_observables(system, observables)
+    sensitivities, states = _checked_sensitivities(system, solution), states_of(solution)
+    with settings():
+        figure = Figure(figsize=(_SIZE[0], _SIZE[1] * len(observables) + 0.6), layout="constrained")
+        rows = figure.subplots(len(observables), sharex=True, squeeze=False)[:, 0]
+        for axes, (label, observable) in zip(rows, observables.items(), strict=True):
+            partials = observable.partials(system, states)
+            slopes = partials.total(sensitivities.q_b, sensitivities.v_b, sensitivities.lam_b)
+            axes.set_ylabel(label)
+            axes.plot(solution.t, partials.value, color="black", lw=1.4, label=label, zorder=3)
+            widths = np.abs(slopes * system.b) * percent / 100
+            _draw_bands(axes, solution.t, partials.value, widths, sensitivities.names)
+        rows[-1].set_xlabel("t [s]")
+        _name_bands(figure, rows[0], sensitivities.names, percent)
+    return figure
+
+
+def _check_observables(system: MechanicalSystem, observables: Mapping[str, Observable]) -> None:
     if not observables:
         rule, repair = "needs at least one observable", "For example {'tip [m]': ...}."
         raise InvalidInput("history", rule, "none", repair)
@@ -54,33 +74,24 @@ def history(
         require_unit("history, observables", label)
         require_kind("history, observable", observable, (Observable,), "For example position(...).")
         observable.check(system)
-    sensitivities, states = _checked_sensitivities(system, solution), states_of(solution)
-    with settings():
-        figure = Figure(figsize=(_SIZE[0], _SIZE[1] * len(observables) + 0.6), layout="constrained")
-        rows = figure.subplots(len(observables), sharex=True, squeeze=False)[:, 0]
-        for axes, (label, observable) in zip(rows, observables.items(), strict=True):
-            partials = observable.partials(system, states)
-            value, slopes = (
-                partials.value,
-                partials.total(sensitivities.q_b, sensitivities.v_b, sensitivities.lam_b),
-            )
-            axes.set_ylabel(label)
-            axes.plot(solution.t, value, color="black", lw=1.4, label=label, zorder=3)
-            widths = np.abs(slopes * system.b) * percent / 100
-            # The widest first, so that none hides another.
-            for i in np.argsort(-widths.max(axis=0)).tolist():
-                low, high = value - widths[:, i], value + widths[:, i]
-                look = {"color": COLOURS[i % len(COLOURS)], "alpha": 0.45, "lw": 0.5}
-                axes.fill_between(solution.t, low, high, label=sensitivities.names[i], **look)
-        rows[-1].set_xlabel("t [s]")
-        bands = dict(zip(*rows[0].get_legend_handles_labels()[::-1], strict=True))
-        figure.legend(
-            [bands[name] for name in sensitivities.names],
-            [f"{name} ± {percent:g} %" for name in sensitivities.names],
-            loc="outside lower center",
-            ncols=min(4, len(sensitivities.names)),
-        )
-    return figure
+
+
+def _draw_bands(axes: Axes, t: Array, value: Array, widths: Array, names: Sequence[str]) -> None:
+    """Draw a band for each variable, the widest first, so that none hides another."""
+    for i in np.argsort(-widths.max(axis=0)).tolist():
+        low, high = value - widths[:, i], value + widths[:, i]
+        colour = COLOURS[i % len(COLOURS)]
+        axes.fill_between(t, low, high, label=names[i], color=colour, alpha=0.45, lw=0.5)
+
+
+def _name_bands(figure: Figure, axes: Axes, names: Sequence[str], percent: float) -> None:
+    bands = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(
+        [bands[name] for name in names],
+        [f"{name} ± {percent:g} %" for name in names],
+        loc="outside lower center",
+        ncols=min(4, len(names)),
+    )
 
 
 def _checked_sensitivities(system: MechanicalSystem, solution: Solution) -> Sensitivities:

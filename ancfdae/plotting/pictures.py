@@ -60,7 +60,6 @@ def snapshots(
     colour : Field, optional
         `StrainEnergyDensity()`, `VonMisesStress()`, `AxialForce()`, `BendingMoment()`, `Speed()` or
         `Sensitivity(variable)`. Bodies without the quantity are grey.
-    title : str
     limits : (float, float), optional
         Values of the first and the last colour, so that pictures can be compared; by default the
         least and the largest in the picture.
@@ -68,10 +67,7 @@ def snapshots(
         From where space is seen: elevation above the plane x y and azimuth, in degrees; by default
         (22, -60). (0, -90) shows x to the right and z upwards, (90, -90) x and y.
 
-    Returns
-    -------
-    Figure
-        For `save`, or ``figure.savefig``.
+    The figure is for `save`, or ``figure.savefig``.
 
     Raises
     ------
@@ -87,8 +83,7 @@ def snapshots(
         figure, brush = canvas(shown, title, True, seen)
         count = len(shown.motion.t)
         for k in range(count):
-            share = (k + 1) / count
-            brush.bodies(k, _FAINT + (1 - _FAINT) * share**2)
+            brush.bodies(k, _FAINT + (1 - _FAINT) * ((k + 1) / count) ** 2)
         brush.symbols(count - 1)
         if count > 1:
             _label_instants(brush, shown)
@@ -128,10 +123,6 @@ def animate(
     progress : bool
         Show a bar while frames of GIF and MP4 are drawn.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     InvalidInput
@@ -144,11 +135,8 @@ def animate(
     require_count("animate, dpi", dpi, "For example 100.")
     require_positive("animate, seconds", seconds)
     require_text("animate, title", title)
-    if file.suffix == ".mp4" and not animation.FFMpegWriter.isAvailable():
-        raise MissingPackage(
-            "animate: MP4 needs the program ffmpeg, which is not on the path. Install it (apt "
-            "install ffmpeg, brew install ffmpeg), or write a .gif or .html."
-        )
+    if file.suffix == ".mp4":
+        _require_ffmpeg()
     seen = _camera("animate", scene, camera)
     shown = mechanism(scene, solution, frames_of(solution, frames).tolist(), colour, limits)
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -158,6 +146,14 @@ def animate(
     with settings():
         _film(shown, file, frames / seconds, title, dpi, seen, progress)
     return file
+
+
+def _require_ffmpeg() -> None:
+    if not animation.FFMpegWriter.isAvailable():
+        raise MissingPackage(
+            "animate: MP4 needs the program ffmpeg, which is not on the path. Install it (apt "
+            "install ffmpeg, brew install ffmpeg), or write a .gif or .html."
+        )
 
 
 def checked_path(where: str, path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:

@@ -49,10 +49,6 @@ def write_vtk(
     times : sequence of float, optional
         By default all instants of the solution; s.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     InvalidInput
@@ -64,11 +60,7 @@ def write_vtk(
     evtk = require_package("write_vtk", "pyevtk.hl", "vtk")
     group = require_package("write_vtk", "pyevtk.vtk", "vtk")
     shown, declared = mechanism(scene, solution, times, None), mechanism(scene, None, None, None)
-    folder = file.with_suffix("")
-    if folder.is_file():
-        rule, repair = "needs a folder of its name beside it", "Choose another name."
-        raise InvalidInput("write_vtk, path", rule, f"the file {folder}", repair)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = _folder_beside(file)
     faces, points = shown.faces, point_data(shown, declared)
     bodies = np.repeat(np.arange(len(shown.meshes)), [len(mesh.faces) for mesh in shown.meshes])
     series = group.VtkGroup(str(folder))
@@ -81,14 +73,25 @@ def write_vtk(
             offsets=4 * np.arange(1, len(faces) + 1),
             cell_types=np.full(len(faces), _QUAD, dtype=np.uint8),
             cellData={"body": bodies},
-            pointData={
-                name: _components(x[k]) if x.ndim == 3 else np.ascontiguousarray(x[k])
-                for name, x in points.items()
-            },
+            pointData={name: _at(x, k) for name, x in points.items()},
         )
         series.addFile(written, sim_time=t)
     series.save()
     return file
+
+
+def _at(field: Array, k: int) -> Any:
+    return _components(field[k]) if field.ndim == 3 else np.ascontiguousarray(field[k])
+
+
+def _folder_beside(file: Path) -> Path:
+    """Return the folder of the name of a file, made if there is none."""
+    folder = file.with_suffix("")
+    if folder.is_file():
+        rule, repair = "needs a folder of its name beside it", "Choose another name."
+        raise InvalidInput("write_vtk, path", rule, f"the file {folder}", repair)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def point_data(shown: Mechanism, declared: Mechanism) -> dict[str, Array]:

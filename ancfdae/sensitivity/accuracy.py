@@ -65,6 +65,6 @@ class Accuracy:
         rows = [("run", "steps", "seconds", "error")]
         for each in self.trials:
             numbers = str(each.steps or "not ended"), f"{each.seconds:.2g}", f"{each.error:.1g}"
-            rows.append((repr(each.integrator), *numbers))
+            rows.append((type(each.integrator).__name__, *numbers))
         head = f"tolerance {self.tolerance:g} {verdict}, {self.seconds:.2g} s. {self.why}"
         return f"{head}\n{columns(rows, shorten=False)}"

@@ -40,6 +40,7 @@ from ancfdae.integrators.index_1 import Accelerations
 from ancfdae.integrators.start import Covectors, consistent_start, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, finished, keeping
 from ancfdae.sensitivity.objectives import Objective, ObjectivePartials
 from ancfdae.sensitivity.objectives.reductions import OverTime
@@ -110,11 +111,9 @@ def _with_smooth_multipliers(
     Those of HHT-I3 carry transients of O(h^2) from the start and from changes of the step. (37)
     would hand them to zeta divided by h^2, and the gradient would err by O(h).
     """
-    from tqdm import tqdm
-
     accelerations = Accelerations(system, saddle_point(system, 0.0))
     states = list(zip(solution.t[1:], solution.q[1:], solution.v[1:], strict=True))
-    bar = tqdm(states, "multipliers", disable=not progress, unit="step")
+    bar = progress_bar(progress, states, desc="multipliers", unit="step")
     later = [accelerations.solve(float(t), q, v)[1] for t, q, v in bar]
     # At the start the reported v has no shift, unlike at later instants.
     near, t = slice(0, _LEAST_STEPS), solution.t
@@ -176,14 +175,12 @@ class _BackwardRun:
 
     def gradient(self, progress: bool) -> Array:
         """Eq. (42)."""
-        from tqdm import tqdm
-
         system, s = self._system, self._solution
         state, epsilon, gamma = self._end()
         mu, zeta = np.zeros_like(s.q), np.zeros_like(s.lam)
         mu[-1], zeta[-1] = state.mu, state.zeta
         steps = range(len(s.t) - 2, -1, -1)
-        for n in tqdm(steps, "adjoint", disable=not progress, unit="step"):
+        for n in progress_bar(progress, steps, desc="adjoint", unit="step"):
             state = self._step(state, n)
             mu[n], zeta[n] = state.mu, state.zeta
         weighted = mu * self._w[:, None], zeta * self._w[:, None]

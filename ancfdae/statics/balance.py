@@ -21,9 +21,10 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.equations.held import velocity_side
 from ancfdae.equations.saddle_points import saddle_point, solve
 from ancfdae.errors import InvalidInput, SingularMatrix, Verdict
-from ancfdae.kernels import finite, norm
+from ancfdae.kernels import Rest, finite, norm
 from ancfdae.numerics.arrays import Array, only
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.statics.compiled import CompiledRest, RestEnd, RestStart
 
 # Estimated error after the last iteration, relative to positions and to forces: near round-off.
 _TOLERANCE = 1e-13
@@ -52,14 +53,18 @@ class SearchCounts:
 @final
 @dataclass(frozen=True)
 class Balanced:
-    """A solution at the load fraction s, and the matrix and correction of the last iteration."""
+    """A solution at the load fraction s, dq/ds and dlam/ds there, and the last correction.
+
+    K is surely positive definite if it is `definite`; else it has to be looked at.
+    """
 
     s: float
     q: Array
     lam: Array
-    factors: Factorization
-    iterations: int
-    correction: float
+    path: tuple[Array, Array]
+    iterations: int = 0
+    correction: float = 0.0
+    definite: bool = False
 
 
 @final
@@ -181,6 +186,25 @@ class Balance:
         self.work.factorisations += 1
         return self.matrices.factor(K, Phi_q)
 
+    @cached_property
+    def _compiled(self) -> CompiledRest | None:
+        if not self.follows:
+            return None
+        sizes = self.position, self.load, _TOLERANCE, _FAR, _GROWTHS
+        known = RestStart(self.q_0, self.r_0, self.Phi_0, *sizes)
+        return CompiledRest.of(self.system, self.matrices, self.t, known)
+
+    def begun(self) -> Balanced | Unsolved:
+        """Return the start, which solves the equations at s = 0, with its path."""
+        q, lam = self.q_0, self.lam_0
+        if self._compiled:
+            return self._counted(0.0, self._compiled.solve(0.0, q, lam, 0.0, None, 0))
+        try:
+            factors = self.factor(self.tangent(0.0, q, lam), self.Phi_q(q))
+        except SingularMatrix:
+            return Unsolved(Verdict.SINGULAR, 0.0)
+        return Balanced(0.0, q, lam, self._path(q, factors))
+
     def solve(
         self,
         s: float,
@@ -190,6 +214,25 @@ class Balance:
         anchor: Array | None = None,
     ) -> Balanced | Unsolved:
         """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a."""
+        if self._compiled and not np.iscomplexobj(q):
+            found = self._compiled.solve(s, q, lam, mu, anchor, _ITERATIONS)
+            if found.why != Rest.STUCK:
+                return self._counted(s, found)
+            q, lam = found.q, found.lam
+        return self._solve(s, q, lam, mu, anchor)
+
+    def _counted(self, s: float, found: RestEnd) -> Balanced | Unsolved:
+        self.work.iterations += found.iterations
+        self.work.residuals += found.iterations
+        self.work.factorisations += found.iterations + 1
+        if found.why == Rest.SOLVED:
+            return Balanced(s, *found[1:])
+        verdicts = {Rest.NOT_FINITE: Verdict.NOT_FINITE, Rest.SINGULAR: Verdict.SINGULAR}
+        return Unsolved(verdicts.get(found.why, Verdict.NO_CONVERGENCE), found.correction)
+
+    def _solve(
+        self, s: float, q: Array, lam: Array, mu: float, anchor: Array | None
+    ) -> Balanced | Unsolved:
         test = _Convergence(self)
         try:
             with np.errstate(all="ignore"):
@@ -203,7 +246,7 @@ class Balance:
                     dq, dlam = solve(factors, R, -Phi)
                     q, lam = q + dq, lam + dlam
                     if test.converged(q, lam, dq, dlam, R, K, Phi_q):
-                        return Balanced(s, q, lam, factors, iteration, test.size)
+                        return Balanced(s, q, lam, self._path(q, factors), iteration, test.size)
                     if test.diverged:
                         break
         except SingularMatrix:
@@ -228,8 +271,10 @@ class Balance:
             R = R - mu * self.system.pattern.dot(self.M_0, q - anchor)
         return R, self.system.constraint(self.t, q) - (1.0 - s) * self.Phi_0
 
-    def polished(self, q: Array, lam: Array) -> Balanced | Unsolved:
+    def polished(self, q: Array, lam: Array) -> tuple[Array, Array, float] | Unsolved:
         """Solve the equations of the full load to the last digit, from a solution near it.
+
+        Returns q, lam and the size of the last correction.
 
         Corrections with one matrix are added as long as they halve; that of a thin or a finely
         divided beam has few digits. What is left must be round-off, or it is no solution.
@@ -250,7 +295,7 @@ class Balance:
             q, lam = q + dq, lam + dlam
         size = float(sizes[0]) / self.extent
         if self.is_round_off(R, K, q, lam):
-            return Balanced(1.0, q, lam, factors, 0, size)
+            return q, lam, size
         return Unsolved(Verdict.NO_CONVERGENCE, size)
 
     def is_round_off(self, R: Array, K: Array, q: Array, lam: Array) -> bool:
@@ -266,7 +311,7 @@ class Balance:
         noise = max(system.traits.force_round_off, _EPS * self.strength(blur))
         return self.strength(R.real) <= noise + _ROUNDINGS * _EPS * (force + reactions)
 
-    def path_tangent(self, q: Array, factors: Factorization) -> tuple[Array, Array]:
+    def _path(self, q: Array, factors: Factorization) -> tuple[Array, Array]:
         """Return dq/ds and dlam/ds of the path of solutions."""
         return solve(factors, self.held_back(q), -self.Phi_0)
 

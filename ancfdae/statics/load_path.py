@@ -90,12 +90,11 @@ class LoadPath:
         point = balance.solve(s, *self._extrapolated(s))
         if isinstance(point, Unsolved):
             return point
-        tangent = balance.path_tangent(point.q, point.factors)
         # Whether it is stable is asked of a place on the path only.
-        place = PathPoint(s, point.q, point.lam, *tangent, stable=False)
+        place = PathPoint(s, point.q, point.lam, *point.path, stable=False)
         if self._jumped(before, place):
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
-        stable = softest(balance, s, place.q, place.lam).stable
+        stable = point.definite or softest(balance, s, place.q, place.lam).stable
         if stable != before.stable and s - before.s > _SMALL:
             return Unsolved(Verdict.NO_CONVERGENCE, 0.0)
         return replace(place, stable=stable), point.iterations

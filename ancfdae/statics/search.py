@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import final
 
-from ancfdae.errors import SingularMatrix, Verdict
+from ancfdae.errors import Verdict
 from ancfdae.numerics.arrays import Array
-from ancfdae.statics.balance import Balance, Unsolved
+from ancfdae.statics.balance import Balance, Balanced, Unsolved
 from ancfdae.statics.load_path import LoadPath, PathPoint
 from ancfdae.statics.mobility import free_mechanism
 from ancfdae.statics.outcome import LoadOutcome
@@ -36,39 +36,42 @@ def search(balance: Balance, max_steps: int) -> SearchEnd:
     FreeMechanism
         If a motion is held by nothing.
     """
-    start = softest(balance, 0.0, balance.q_0, balance.lam_0)
-    if not start.stable or start.free.shape[1]:
-        return _settled(balance, start, max_steps)
-    followed = _followed(balance, start, max_steps)
+    first, start = balance.begun(), None
+    if isinstance(first, Unsolved) or not first.definite:
+        start = softest(balance, 0.0, balance.q_0, balance.lam_0)
+        if not start.stable or start.free.shape[1]:
+            return _settled(balance, start, max_steps)
+    followed = _followed(balance, first, True, max_steps)
     if followed.outcome.stable_to is not None and balance.gyroscopic:
-        followed = _nearer(balance, followed, start, max_steps)
+        followed = _nearer(balance, followed, max_steps)
     if followed.outcome.verdict not in _FAILED:
         return followed
     settled = _settled(balance, start, max_steps)
     return settled if settled.outcome.success else followed
 
 
-def _nearer(balance: Balance, followed: SearchEnd, start: Softness, max_steps: int) -> SearchEnd:
+def _nearer(balance: Balance, followed: SearchEnd, max_steps: int) -> SearchEnd:
     """Return an equilibrium nearer to the start than one that has lost its stability on the way.
 
     Above a critical speed a shaft turns about its axis of inertia. No path from rest leads there;
     one along which the centrifugal stiffness acts in full does, and it ends without a check: far
     above that speed the negative stiffness is none of the softest.
     """
-    other = _followed(replace(balance, follows=False), replace(start, stable=False), max_steps)
+    unbound = replace(balance, follows=False)
+    other = _followed(unbound, unbound.begun(), False, max_steps)
     far, near = (balance.length(end.q - balance.q_0) for end in (followed, other))
     if other.outcome.success and (near < far or not followed.outcome.success):
         return replace(other, outcome=replace(other.outcome, stable_to=0.0))
     return followed
 
 
-def _followed(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
-    q, lam = balance.q_0, balance.lam_0
-    try:
-        factors = balance.factor(balance.tangent(0.0, q, lam), balance.Phi_q(q))
-    except SingularMatrix:
-        return SearchEnd(q, lam, LoadOutcome(Verdict.SINGULAR, 0.0, 0, 0.0))
-    first = PathPoint(0.0, q, lam, *balance.path_tangent(q, factors), start.stable)
+def _followed(
+    balance: Balance, start: Balanced | Unsolved, stable: bool, max_steps: int
+) -> SearchEnd:
+    if isinstance(start, Unsolved):
+        outcome = LoadOutcome(start.verdict, 0.0, 0, 0.0)
+        return SearchEnd(balance.q_0, balance.lam_0, outcome)
+    first = PathPoint(0.0, start.q, start.lam, *start.path, stable)
     path = LoadPath(balance, first, max_steps)
     verdict, last = path.follow(), path.places[-1]
     outcome = LoadOutcome(verdict, last.s, len(path.places) - 1, path.residual, path.stable_to())
@@ -82,15 +85,15 @@ def _polished(balance: Balance, end: SearchEnd) -> SearchEnd:
     if isinstance(exact, Unsolved):
         outcome = replace(end.outcome, verdict=exact.verdict, residual=exact.residual)
         return replace(end, outcome=outcome)
-    outcome = replace(end.outcome, residual=exact.correction)
-    return SearchEnd(exact.q, exact.lam, outcome)
+    q, lam, correction = exact
+    return SearchEnd(q, lam, replace(end.outcome, residual=correction))
 
 
-def _settled(balance: Balance, start: Softness, max_steps: int) -> SearchEnd:
+def _settled(balance: Balance, start: Softness | None, max_steps: int) -> SearchEnd:
     downhill = Settling(balance, max_steps)
     verdict = downhill.run()
     q, lam, steps, residual = downhill.q, downhill.lam, downhill.steps, downhill.residual
-    if downhill.gone and start.free.shape[1]:
+    if downhill.gone and start and start.free.shape[1]:
         raise free_mechanism(balance.system.naming, balance.q_0, start.free)
     if verdict is not Verdict.EQUILIBRIUM:
         return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))

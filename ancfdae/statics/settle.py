@@ -57,7 +57,9 @@ class Settling:
                     return solved.verdict
                 continue
             moved, held = self._share(solved.q - self.q), self._held(mu, solved.q - self.q)
-            if moved > _SETTLED and not softest(balance, 1.0, solved.q, solved.lam, mu).stable:
+            if moved > _SETTLED and not (
+                solved.definite or softest(balance, 1.0, solved.q, solved.lam, mu).stable
+            ):
                 # A step this long goes uphill.
                 balance.work.rejected += 1
                 mu *= 4.0

@@ -43,7 +43,6 @@ def simulate(
 
     Parameters
     ----------
-    model : Scene or MechanicalSystem
     t_end : float
         End time; s.
     integrator : Integrator
@@ -82,6 +81,12 @@ def simulate(
             raise InvalidInput("keep", rule, "both", repair)
         return uninterrupted(RunOfParts(run.system, t_end, integrator, keep, progress).solution())
     solution = uninterrupted(run.solution())
+    _warn_of_long_steps(solution)
+    return solution
+
+
+def _warn_of_long_steps(solution: Solution) -> None:
+    """Tell the caller of the caller where the errors are larger than the motion."""
     errors = solution.estimated_errors
     if solution.outcome.success and errors is not None and not errors.motion <= 1:
         warnings.warn(
@@ -89,9 +94,8 @@ def simulate(
             "coordinates: its steps are too long to follow the motion. Take shorter ones "
             "(suggest_step tells which), or rtol.",
             StabilityWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-    return solution
 
 
 def differentiate(

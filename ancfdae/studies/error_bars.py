@@ -7,6 +7,9 @@ multiplies it by the safety factor of Roache's grid convergence index (J. Fluids
 where the order is assumed, 1.25 where it is observed. An observed order is limited to 1/2 to 2,
 so that runs that do not converge yet get wide bars, and d_2 is taken as d_1/4 at least.
 
+Where runs say that their steps do not resolve the waves of the derivatives, differences have no
+order, and the bar is a multiple of them (`tolerance.bars.unresolved`).
+
 SUNDIALS and SciPy choose their steps themselves. The refined run has a tenth of the tolerance, the
 bar is the whole difference, and no value is extrapolated.
 """
@@ -16,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -30,7 +34,8 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.studies.calls import gradient
+from ancfdae.studies.calls import differentiable, gradient
+from ancfdae.studies.tolerance.bars import unresolved
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
@@ -67,8 +72,8 @@ class ErrorBars:
     resolved : bool or None
         Whether the steps resolve the waves of the derivatives: whether their estimated errors
         (`Solution.estimated_errors`) fall at the order of the integrator from the last run but
-        one. Where they do not, an error may be ten or twenty times its bar. None without such an
-        estimate, which only `Direct` with `HHT` provides.
+        one. Where they do not, bars are three to five times what runs differ by. None without such
+        an estimate, which only `Direct` with `HHT` provides.
     """
 
     names: tuple[str, ...]
@@ -96,7 +101,11 @@ class ErrorBars:
         for name, x, bar, better, order in numbers:
             seen = "-" if np.isnan(order) else f"{order:.2g}"
             rows.append((name, f"{x:.9g}", f"{bar:.2g}", f"{better:.9g}", seen))
-        known = {True: "yes", False: "no, do not trust the bars", None: "not known"}
+        known = {
+            True: "yes",
+            False: "no, bars are multiples of what runs differ by",
+            None: "not known",
+        }
         finest = self.runs[-1].solution.outcome
         end = f"waves resolved: {known[self.resolved]}\nfinest run: {finest}"
         return f"{columns(rows)}\n{end}"
@@ -132,18 +141,20 @@ def error_bars(
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
-    runs: list[Gradient] = []
-    settings, chosen = integrator, Direct() if method is None else method
-    for _ in range(levels):
-        if runs:
-            settings = settings.refined(runs[-1].solution)
-        runs.append(
-            gradient(
-                model, objective, t_end, settings, design=design, method=chosen, progress=progress
-            )
-        )
+    method = Direct() if method is None else method
+    system = differentiable(model, design)
+    run = partial(gradient, system, objective, t_end, method=method)
+    settings, runs = integrator, [run(integrator, progress=progress)]
+    while len(runs) < levels:
+        settings = settings.refined(runs[-1].solution)
+        runs.append(run(settings, progress=progress))
     x = np.array([[run.value, *run.gradient] for run in runs])
-    bars, orders = _bars(np.diff(x, axis=0), integrator.order)
+    differences, resolved = np.diff(x, axis=0), _resolved(*runs[-2:])
+    bars, orders = _bars(differences, integrator.order)
+    if resolved is False:
+        scale = np.where(system.b == 0, 1.0, np.abs(system.b))
+        slopes = unresolved(differences[:, 1:] * scale) / scale
+        bars = np.append(unresolved(differences[:, :1]), slopes)
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
     better = x[-1] + gain * (x[-1] - x[-2])
     return ErrorBars(
@@ -156,7 +167,7 @@ def error_bars(
         extrapolated_gradient=better[1:],
         orders=orders,
         runs=tuple(runs),
-        resolved=_resolved(*runs[-2:]),
+        resolved=resolved,
     )
 
 

@@ -11,6 +11,7 @@ from contextlib import closing, suppress
 from typing import TypeVar, final
 
 from ancfdae.errors import InvalidInput
+from ancfdae.numerics.progress import progress_bar
 
 _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")
@@ -42,11 +43,9 @@ def answers(
     KeyboardInterrupt
         Also if a worker was interrupted.
     """
-    from tqdm import tqdm
-
     here = ((key, function(task)) for key, task in tasks.items())
     arriving = here if executor is None else _from_workers(function, tasks, executor, chunk)
-    bar = tqdm(total=done + len(tasks), initial=done, disable=not progress, unit="run")
+    bar = progress_bar(progress, total=done + len(tasks), initial=done, unit="run")
     with bar, closing(arriving):
         for key, answer in arriving:
             bar.update()

@@ -139,12 +139,12 @@ class FrequencyFit(MeasuredFit[Modes]):
     ) -> tuple[Array, Array, Modes]:
         """Return residuals and Jacobian from the modes and their derivatives."""
         data, weights = np.asarray(self.misfit.data), np.asarray(self.misfit.weights)
-        found = result or self._modes(self.system.with_values(b), len(data))
-        vibrations = _vibrations(found)[: len(data)]
+        computed = result or self._modes(self.system.with_values(b), len(data))
+        vibrations = _vibrations(computed)[: len(data)]
         measured = ~np.isnan(data)
         rows = vibrations[measured]
-        residuals = weights[measured] * (found.natural_frequencies[rows] - data[measured])
-        return residuals, weights[measured, None] * found.natural_frequencies_b[rows], found
+        residuals = weights[measured] * (computed.natural_frequencies[rows] - data[measured])
+        return residuals, weights[measured, None] * computed.natural_frequencies_b[rows], computed
 
     def _modes(self, system: MechanicalSystem, count: int) -> Modes:
         """Return modes with that many vibrations among them."""
@@ -155,11 +155,11 @@ class FrequencyFit(MeasuredFit[Modes]):
                 raise NoEquilibrium(at)
         wanted = count
         while True:
-            found = modes(system, wanted, at=at)
-            missing = count - len(_vibrations(found))
+            lowest = modes(system, wanted, at=at)
+            missing = count - len(_vibrations(lowest))
             if missing <= 0:
-                return found
-            if len(found.exponents) < wanted:
+                return lowest
+            if len(lowest.exponents) < wanted:
                 raise InvalidInput(
                     "FrequencyMisfit.data",
                     f"must be at most the {count - missing} vibrations that the model has",
@@ -169,9 +169,9 @@ class FrequencyFit(MeasuredFit[Modes]):
             wanted += missing
 
 
-def _vibrations(found: Modes) -> Array:
+def _vibrations(computed: Modes) -> Array:
     """Return which modes vibrate."""
-    return np.flatnonzero([kind is MotionKind.VIBRATION for kind in found.kinds])
+    return np.flatnonzero([kind is MotionKind.VIBRATION for kind in computed.kinds])
 
 
 def require_measured(where: str, data: object, count: int | None) -> Array:

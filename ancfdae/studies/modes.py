@@ -30,7 +30,6 @@ def modes(
 
     Parameters
     ----------
-    model : Scene or MechanicalSystem
     count : int
         How many; modes that coincide are not separated, so there may be a few more.
     at : Equilibrium or Configuration, optional
@@ -48,11 +47,8 @@ def modes(
         How frequencies are differentiated: `Direct` (default) with the shapes, `Adjoint` by one
         transposed solve for each mode, independent of the number of design variables.
 
-    Returns
-    -------
-    Modes
-        Lowest first: growing motions (of an unstable equilibrium), rigid ones (s = 0), then
-        vibrations by frequency.
+    Lowest first: growing motions (of an unstable equilibrium), rigid ones (s = 0), then vibrations
+    by frequency.
 
     Raises
     ------

@@ -13,6 +13,7 @@ from ancfdae.errors import InvalidInput, require_array, require_count
 from ancfdae.integrators import Integrator, PartwiseIntegrator
 from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.progress import progress_bar
 
 # One instant of so many steps, with the start and the end; or these instants.
 Keep: TypeAlias = int | Sequence[float] | Array
@@ -52,10 +53,8 @@ class RunOfParts:
 
     def __iter__(self) -> Iterator[tuple[Solution, Solution]]:
         """Integrate; the last part may have failed."""
-        from tqdm import tqdm
-
         node, last = self._run.start(), len(self._run.t) - 1
-        with tqdm(total=last, disable=not self._progress, unit="step") as bar:
+        with progress_bar(self._progress, total=last, unit="step") as bar:
             for first in range(0, last, self._length):
                 part, node = self._run.part(node, first, min(first + self._length, last))
                 part = advised(self._system, part)

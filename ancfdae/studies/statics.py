@@ -57,18 +57,22 @@ def equilibrium(
     require_count("max_steps", max_steps, _STEPS)
     system = as_system(model, design)
     if start is not None:
-        require_kind("start", start, (Equilibrium,), "Pass what `equilibrium` returned.")
-        if (len(start.q), len(start.lam)) != (system.n_q, system.n_lam):
-            raise InvalidInput(
-                "start",
-                f"must have {system.n_q} coordinates and {system.n_lam} multipliers",
-                f"{len(start.q)} and {len(start.lam)}",
-                "Start from an equilibrium of the same beams and joints; where other loads act "
-                "within a beam, declare Beam(kinks=...).",
-            )
+        _require_start_of(system, start)
     return uninterrupted(
         find_equilibrium(system, start=start, max_steps=max_steps, sensitivities=bool(system.n_b))
     )
+
+
+def _require_start_of(system: MechanicalSystem, start: Equilibrium) -> None:
+    require_kind("start", start, (Equilibrium,), "Pass what `equilibrium` returned.")
+    if (len(start.q), len(start.lam)) != (system.n_q, system.n_lam):
+        raise InvalidInput(
+            "start",
+            f"must have {system.n_q} coordinates and {system.n_lam} multipliers",
+            f"{len(start.q)} and {len(start.lam)}",
+            "Start from an equilibrium of the same beams and joints; where other loads act "
+            "within a beam, declare Beam(kinks=...).",
+        )
 
 
 def static_gradient(

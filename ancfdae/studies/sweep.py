@@ -1,7 +1,7 @@
 """The call: one function at many designs, here or in the workers of an executor."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
@@ -107,7 +107,6 @@ def sweep(
 
     Parameters
     ----------
-    model : Scene or MechanicalSystem
     designs : sequence of mappings, or array, shape (n, n_b)
         Values by target or `DesignVariable`, as `Scene.with_values` takes them, of a system by the
         names of its design variables; or a row of values per design, of the variables `design`.
@@ -128,10 +127,7 @@ def sweep(
     progress : bool
         Whether to show a progress bar.
 
-    Returns
-    -------
-    Sweep
-        Rows in the order of the designs. One that fails is a row with its error.
+    Rows are in the order of the designs. One that fails is a row with its error.
 
     Raises
     ------
@@ -140,6 +136,25 @@ def sweep(
     Interrupted
         At Ctrl-C; its `result` is the sweep with the rows that are done.
     """
+    _check(model, what, executor, chunk, progress)
+    given = _mappings(model, designs, design)
+    values = [{_name(key): value for key, value in each.items()} for each in given]
+    path = None if file is None else require_folder("file", require_path("file", file))
+    kept = None if path is None else SweepFile(path, model, what, values)
+    rows = {} if kept is None else kept.rows()
+    tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
+    parts = {"model": model, "what": what}
+    arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows), chunk=chunk)
+    interrupted = _collect(arriving, rows, values, kept)
+    left = "not computed: the sweep was interrupted"
+    in_order = (rows.get(k) or SweepRow(x, None, left) for k, x in enumerate(values))
+    done = Sweep(tuple(in_order))
+    if interrupted:
+        raise Interrupted(done, f"{len(rows)} of {len(values)} designs were done")
+    return done
+
+
+def _check(model: object, what: object, executor: object, chunk: int, progress: bool) -> None:
     require_kind("model", model, (Scene, MechanicalSystem), "Pass one of them.")
     require_flag("progress", progress)
     if not callable(what):
@@ -147,14 +162,15 @@ def sweep(
     if executor is not None:
         require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
     require_count("chunk", chunk, "1 is best for calls of 0.1 s and more.")
-    given = _mappings(model, designs, design)
-    values = [{_name(key): value for key, value in each.items()} for each in given]
-    path = None if file is None else require_folder("file", require_path("file", file))
-    kept = None if path is None else SweepFile(path, model, what, values)
-    rows = {} if kept is None else kept.rows()
-    tasks = {k: _Task(model, x, values[k], what) for k, x in enumerate(given) if k not in rows}
-    interrupted, parts = False, {"model": model, "what": what}
-    arriving = answers(_row, tasks, executor, parts, progress=progress, done=len(rows), chunk=chunk)
+
+
+def _collect(
+    arriving: Generator[tuple[int, Any], None, None],
+    rows: dict[int, SweepRow],
+    values: list[dict[str, float]],
+    kept: SweepFile | None,
+) -> bool:
+    """Take rows as they arrive, and keep them in the file; return whether Ctrl-C came before."""
     with closing(arriving):
         try:
             for k, answer in arriving:
@@ -163,13 +179,8 @@ def sweep(
                 else:
                     rows[k] = answer if kept is None else kept.append(k, answer)
         except KeyboardInterrupt:
-            interrupted = True
-    left = "not computed: the sweep was interrupted"
-    in_order = (rows.get(k) or SweepRow(x, None, left) for k, x in enumerate(values))
-    done = Sweep(tuple(in_order))
-    if interrupted:
-        raise Interrupted(done, f"{len(rows)} of {len(values)} designs were done")
-    return done
+            return True
+    return False
 
 
 @final

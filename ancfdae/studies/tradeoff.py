@@ -74,10 +74,7 @@ def tradeoff(
         client; by default in this process, one after the other. Model and objective must
         pickle (no lambda in `custom` or `apply`). Threads would count each other's processor time.
 
-    Returns
-    -------
-    Tradeoff
-        A setting that fails is a row with its message.
+    A setting that fails is a row with its message.
 
     Raises
     ------
@@ -88,20 +85,8 @@ def tradeoff(
     KeyboardInterrupt
         If Ctrl-C comes before the reference is there.
     """
-    repair = "For example [HHT(step=0.01)]."
-    settings = require_each("settings", settings, (Integrator,), repair)
-    if not settings:
-        raise InvalidInput("settings", "must not be empty", "none", repair)
-    if reference is not None:
-        require_kind("reference", reference, (Integrator,), "For example Explicit(1e-10).")
-    if method is not None:
-        require_kind("method", method, (GradientMethod,), "For example Direct().")
-    if executor is not None:
-        require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
+    settings = _checked(settings, reference, method, executor, repeats, time_limit)
     require_flag("progress", progress)
-    require_count("repeats", repeats, "1 is enough for ratios of long runs.")
-    if time_limit is not None:
-        require_positive("time_limit", time_limit)
     system = differentiable(model, design)
     require_objectives(system, [objective], t_end)
     reference, why = (reference, "") if reference is not None else _suitable(system, t_end)
@@ -118,6 +103,31 @@ def tradeoff(
     if left:
         raise Interrupted(done, f"{len(settings) - left} of {len(settings)} settings were measured")
     return done
+
+
+def _checked(
+    settings: Sequence[Integrator],
+    reference: Integrator | None,
+    method: GradientMethod | None,
+    executor: Executor | None,
+    repeats: int,
+    time_limit: float | None,
+) -> Sequence[Integrator]:
+    """Return the settings; refuse what no trade-off can be made with."""
+    repair = "For example [HHT(step=0.01)]."
+    settings = require_each("settings", settings, (Integrator,), repair)
+    if not settings:
+        raise InvalidInput("settings", "must not be empty", "none", repair)
+    if reference is not None:
+        require_kind("reference", reference, (Integrator,), "For example Explicit(1e-10).")
+    if method is not None:
+        require_kind("method", method, (GradientMethod,), "For example Direct().")
+    if executor is not None:
+        require_kind("executor", executor, (Executor,), "For example ProcessPoolExecutor(2).")
+    require_count("repeats", repeats, "1 is enough for ratios of long runs.")
+    if time_limit is not None:
+        require_positive("time_limit", time_limit)
+    return settings
 
 
 def _suitable(system: MechanicalSystem, t_end: float) -> tuple[Integrator, str]:

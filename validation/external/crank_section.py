@@ -127,7 +127,7 @@ def _end_error(solution: Solution) -> float | None:
 
 def _extrapolation(report: Report, runs: Sequence[_Run]) -> tuple[list[float], float]:
     """Orders between the last two steps of HHT, and the error after Richardson's step."""
-    values = [run.errors for run in runs if isinstance(run.integrator, HHT)]
+    values = [run.errors for run in runs if run.integrator.order is not None]
     coarse, fine = values[-2], values[-1]
     assert coarse is not None
     assert fine is not None

@@ -8,6 +8,7 @@ import numpy as np
 
 from ancfdae import HHT, Integral, Solution, custom
 from ancfdae.integrators import Integrator
+from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.plotting import Panel, Series
 from validation.external import published
 from validation.external.pendulum_section import speed
@@ -24,7 +25,6 @@ from validation.external.runs import (
     setting,
 )
 from validation.external.scleronomic import Array
-from validation.integrator_runs import step_of
 from validation.report import Agreement, Report
 
 __all__ = ["four_bar"]
@@ -51,7 +51,7 @@ class _Run:
     def name(self) -> str:
         """Integrator and tolerance of Newton's method, where it matters."""
         x = self.integrator
-        if isinstance(x, HHT):
+        if isinstance(x, SteppedIntegrator):
             return f"HHT, newton_tolerance = {x.newton_tolerance or 1e-14:.0e}"
         return type(x).__name__
 
@@ -112,7 +112,8 @@ def _table(report: Report, runs: Sequence[_Run]) -> None:
             continue
         cells = [f"{error:.1e}" for error in each.errors]
         name = key("four-bar", each.integrator)
-        if isinstance(each.integrator, HHT) and each.integrator.newton_tolerance == _TOLERANCE:
+        x = each.integrator
+        if isinstance(x, SteppedIntegrator) and x.newton_tolerance == _TOLERANCE:
             name = f"{name}.tolerant"
         report.figure(f"{name}.reached", float(solution.t[-1]))
         if len(each.errors):
@@ -219,11 +220,8 @@ def _slope_error(solution: Solution | None, exact: Array) -> Array | None:
 def _verdict(
     report: Report, runs: Sequence[_Run], step: float, slopes: Mapping[Integrator, float]
 ) -> list[Requirement]:
-    chosen = next(
-        each
-        for each in runs
-        if isinstance(each.integrator, HHT) and step_of(each.integrator) == step
-    )
+    tolerant = HHT(step, newton_tolerance=_TOLERANCE)
+    chosen = next(each for each in runs if each.integrator == tolerant)
     error = float(np.max(chosen.errors)) if chosen.attempt.finished else float("inf")
     slope = slopes.get(chosen.integrator, float("inf"))
     silent = sum(_judged(each).endswith("WRONG") for each in runs)

@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from ancfdae import (
-    HHT,
     IDA,
     IDAS,
     Adjoint,
@@ -27,6 +26,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.integrators import Integrator
+from ancfdae.integrators.stepped import SteppedIntegrator
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
@@ -160,7 +160,7 @@ def controlled(
 
 def setting(integrator: Integrator) -> str:
     """Return the step or the tolerance in words."""
-    if isinstance(integrator, HHT):
+    if isinstance(integrator, SteppedIntegrator):
         return f"h = {step_of(integrator):g}"
     assert isinstance(integrator, IDA | IDAS | Explicit)
     return f"rtol = {integrator.rtol:.0e}"

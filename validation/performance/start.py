@@ -12,23 +12,32 @@ from validation.scenes import crank_slider
 
 __all__ = ["measure"]
 
-_PROGRAM = "import time; t = time.perf_counter(); import ancfdae; print(time.perf_counter() - t)"
+_IMPORT = "import time; t = time.perf_counter(); import ancfdae; print(time.perf_counter() - t)"
+_FIRST = """
+import time
+from ancfdae import *
+from validation.scenes import pendulum
+scene, t = pendulum(), time.perf_counter()
+simulate(assemble(scene), 2**-10, HHT(2**-10))
+print(time.perf_counter() - t)
+"""
 
 
 def measure(repeats: int = 5) -> list[Row]:
-    """Return the time of `import ancfdae` in a new process, and that of an assembly."""
+    """Return the time of the import, of a first run in a new process, and of an assembly."""
     assembly = seconds(lambda: assemble(crank_slider()), repeats)
     return [
-        Row("import ancfdae", _import(repeats), "s", "at most 0.3"),
+        Row("import ancfdae", _fresh(_IMPORT, repeats), "s", "at most 0.3"),
+        Row("first assembly and step, pendulum", _fresh(_FIRST, repeats), "s", "at most 0.05"),
         Row("crank-slider assembled", 1e3 * assembly, "ms", "at most 10"),
     ]
 
 
-def _import(repeats: int) -> float:
-    """Return the median time of the import; modules are compiled, as by `pip install`."""
+def _fresh(program: str, repeats: int) -> float:
+    """Return the median of what a new process prints; modules are compiled, as by `pip install`."""
     with tempfile.TemporaryDirectory() as folder:
         own = {name: x for name, x in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-        call = [sys.executable, "-c", _PROGRAM]
+        call = [sys.executable, "-c", program]
         times = [
             float(
                 subprocess.run(

@@ -45,6 +45,8 @@ _METHODS: Final[dict[str, GradientMethod]] = {
 }
 # Two ways agree where their gradients differ by less than this.
 _EQUAL = 1e-9
+# Processor seconds; a family's tighter settings are left out after a run that took longer.
+_PATIENCE = 60.0
 
 
 class _Setting(NamedTuple):
@@ -144,8 +146,14 @@ def _ladder(report: Report, case: _Case, rtols: Sequence[float], halvings: int) 
     rows: list[list[object]] = []
     value: dict[str, list[tuple[float, float]]] = {}
     slope: dict[str, list[tuple[float, float]]] = {}
+    slow: set[str] = set()
     for setting in _settings(case.system, rtols, halvings):
+        if setting.family in slow:
+            rows.append([setting.family, setting.words, "-", "-", "-", "not run: see Method"])
+            continue
         attempt = differentiated(case.problem, setting.integrator, Direct())
+        if attempt.seconds > _PATIENCE:
+            slow.add(setting.family)
         rows.append([setting.family, setting.words, *_cells(case, attempt)])
         if attempt.value is None:
             continue
@@ -207,6 +215,7 @@ SciPy's DOP853 at a tolerance of 1e-13 (Robertson's reactions: Radau with the va
 and a complex step through the whole integration. Errors are relative; a component of the gradient
 counts by the size of its design variable. Times are processor seconds of one call, with the
 gradient; every function of a problem is Python, called at complex numbers for its derivatives.
+After a run of more than 60 s the tighter settings of an integrator are not run.
 """
 
 _LIMITS = """

@@ -20,7 +20,7 @@ import numpy as np
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import Verdict
 from ancfdae.integrators.hht.equations import Coefficients, Node, predict_increment, rescaled
-from ancfdae.integrators.hht.newton import Found, Step, StepSolver
+from ancfdae.integrators.hht.newton import SolvedStep, Step, StepSolver
 from ancfdae.integrators.step_control.contracts import Failure
 from ancfdae.kernels import norm
 from ancfdae.numerics.arrays import Array
@@ -58,7 +58,7 @@ def solved(
 
 def continued(solver: StepSolver, step: Step, why: Failure) -> tuple[Node | Failure, float]:
     """Follow the branch, beside the part of the step that was solved."""
-    branch: deque[tuple[float, Found]] = deque(maxlen=_POINTS)
+    branch: deque[tuple[float, SolvedStep]] = deque(maxlen=_POINTS)
     reached, stride = 0.0, 1.0
     most = solver.iterations + _MOST * solver.max_iterations
     while solver.iterations < most:
@@ -103,8 +103,8 @@ def _remedy(h: float, part: float) -> str:
 
 
 def _solved(
-    solver: StepSolver, step: Step, part: float, branch: Sequence[tuple[float, Found]]
-) -> Found | Failure:
+    solver: StepSolver, step: Step, part: float, branch: Sequence[tuple[float, SolvedStep]]
+) -> SolvedStep | Failure:
     """Solve the equations of a part of the step from a guess, which must be close."""
     c, before, t = step
     now = t if part == 1.0 else before.t + part * (t - before.t)
@@ -113,7 +113,7 @@ def _solved(
     return solver.follow((Coefficients(part * c.h, c.alpha), state, now), guess, rough)
 
 
-def _guess(part: float, branch: Sequence[tuple[float, Found]]) -> tuple[Array, Array]:
+def _guess(part: float, branch: Sequence[tuple[float, SolvedStep]]) -> tuple[Array, Array]:
     """Return a and lam on the polynomial through solutions."""
     s = np.array([reached for reached, _ in branch])
     weights = [np.prod((part - np.delete(s, i)) / (x - np.delete(s, i))) for i, x in enumerate(s)]

@@ -45,6 +45,7 @@ from ancfdae.integrators.integrator import Seeds
 from ancfdae.kernels import recombine
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.linear_solvers import Factorization, SaddlePoint
+from ancfdae.numerics.progress import progress_bar
 
 # Numbers held at once by a chunk of steps: small enough for the cache (crank-slider, measured:
 # chunks of 16 to 32 steps are 1.4 times faster than 64).
@@ -155,8 +156,6 @@ def differentiate(
     Returns q_b, v_b, A_b, lam_b, shapes (n_t, n_q, n_b) and (n_t, n_lam, n_b), cut to the steps
     done, and how the pass ended.
     """
-    from tqdm import tqdm
-
     system, n_t = nodes.problem.system, len(nodes.run.t)
     n_b, n_q = system.n_b, system.n_q
     states, lam_b = np.zeros((n_t, 3, n_b, n_q)), np.zeros((n_t, n_b, system.n_lam))
@@ -164,7 +163,7 @@ def differentiate(
     done, verdict = 1, Verdict.FINISHED
     try:
         steps = _advance(nodes, start, states, lam_b)
-        with tqdm(None, "derivatives", n_t - 1, disable=not progress, unit="step") as bar:
+        with progress_bar(progress, total=n_t - 1, desc="derivatives", unit="step") as bar:
             for taken in steps:
                 done += taken
                 bar.update(taken)
@@ -283,10 +282,8 @@ def pull_back_part(
     if defects is None:
         compiled = CompiledPasses.of(system, nodes.problem.matrices, all_steps.alpha)
         on = on.copy()
-    from tqdm import tqdm
-
     chunks = _chunks(system, n_t, 0, linearised=not compiled or bool(maybe_small.any()))
-    for steps in tqdm(chunks[::-1], "adjoint", disable=not progress, unit="chunk"):
+    for steps in progress_bar(progress, chunks[::-1], desc="adjoint", unit="chunk"):
         linear = _computed(nodes, steps)
         mu, zeta = np.zeros_like(linear.states[0]), np.zeros_like(linear.states[3])
         k = len(mu)

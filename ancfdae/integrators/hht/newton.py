@@ -110,12 +110,30 @@ def _slow(size: float, rate: float | None, tolerance: float, allowed: float) -> 
     return rate > _SLOW or (size < _NEAR and size * rate**3 > tolerance)
 
 
-class Found(NamedTuple):
+class SolvedStep(NamedTuple):
     """A solution, whether round-off disturbs it, and the slowest rate of the corrections."""
 
     node: Node
     round_off: bool
     rate: float
+
+
+@final
+class _Shrinking:
+    """Rates at which corrections shrink; the slowest of those above round-off."""
+
+    def __init__(self) -> None:
+        self._last, self.slowest = math.inf, 0.0
+
+    def rate(self, size: float) -> tuple[float, bool]:
+        """Return the rate of one more correction, and whether it is the first."""
+        last, self._last = self._last, size
+        if last == math.inf:
+            return float(size > 0), True
+        rate = min(size / last, 1.0) if last > 0 else float(size > 0)
+        if size > _ROUND_OFF:
+            self.slowest = max(self.slowest, rate)
+        return rate, False
 
 
 @final
@@ -164,7 +182,7 @@ class StepSolver:
             return before.a
         return add_scaled(before.a, times, rise)
 
-    def follow(self, step: Step, guess: tuple[Array, Array], rough: float) -> Found | Failure:
+    def follow(self, step: Step, guess: tuple[Array, Array], rough: float) -> SolvedStep | Failure:
         """Solve them from a guess that is close to the solution.
 
         Where corrections do not shrink quickly from the first one on, the solution that they lead
@@ -172,7 +190,7 @@ class StepSolver:
         """
         return self._solve(step, guess, max(rough, self._tolerance), _CLOSE)
 
-    def accept(self, solved: Found) -> Node:
+    def accept(self, solved: SolvedStep) -> Node:
         """Count what was found as a step."""
         self._recorder.round_off_steps += solved.round_off
         return solved.node
@@ -184,18 +202,15 @@ class StepSolver:
         tolerance: float,
         allowed: float,
         patience: int = 1,
-    ) -> Found | Failure:
+    ) -> SolvedStep | Failure:
         """Iterate from a guess; corrections above round-off shrink at the allowed rate at least."""
         (c, before, t), system, n_q = step, self._system, self._system.n_q
         equations = _Equations(system, step, self._motion_before(before))
         a, lam = guess
-        last, settled, motion = math.inf, 0, self._most(before)
-        size, slowest, round_off = math.inf, 0.0, False
+        settled, motion, shrinking = 0, self._most(before), _Shrinking()
+        size, round_off = math.inf, False
         jacobian: Factorization | None = None
-        # The imaginary part of a complex step lags the real part by one iteration, and one is
-        # for its round-off; as a guess it serves as it is. The real part goes its own way.
-        is_complex = a.dtype.kind == "c" or system.b.dtype.kind == "c"
-        more = 2 if is_complex and tolerance == self._tolerance else 0
+        more = self._for_imaginary_part(a, tolerance)
         for _ in range(patience * self.max_iterations + more):
             (q, v, A), (R, *forces) = equations.at(a, lam)
             self._recorder.residuals += 1
@@ -216,23 +231,28 @@ class StepSolver:
             # last accepted step.
             motion = min(motion, now)
             size = self._size(t, q, x) / motion
-            rate = min(size / last, 1.0) if 0 < last < math.inf else float(size > 0)
-            if last < math.inf and size > _ROUND_OFF:
-                slowest = max(slowest, rate)
-                if rate > allowed:
-                    break
+            rate, first = shrinking.rate(size)
+            if not first and size > _ROUND_OFF and rate > allowed:
+                break
             stuck = fresh and self._stuck(size, rate, R, now)
             if stuck or _left(size, rate, fresh) <= tolerance or size <= tolerance:
                 settled += 1
                 if settled == 1:
                     round_off = stuck or self._blurred(t, q, a, lam)
                 if settled > more:
-                    return Found(equations.node(a, lam, now), round_off, slowest)
-            first = last == math.inf
+                    return SolvedStep(equations.node(a, lam, now), round_off, shrinking.slowest)
             if settled or _slow(size, None if first else rate, tolerance, allowed):
                 jacobian = None
-            last = size
         return Failure(Verdict.NO_CONVERGENCE, size)
+
+    def _for_imaginary_part(self, a: Array, tolerance: float) -> int:
+        """Return how many iterations more the imaginary part needs; a guess serves as it is.
+
+        It lags the real part by one iteration, and one is for its round-off. The real part goes its
+        own way.
+        """
+        is_complex = a.dtype.kind == "c" or self._system.b.dtype.kind == "c"
+        return 2 if is_complex and tolerance == self._tolerance else 0
 
     def _stuck(self, size: float, rate: float, R: Array, motion: float) -> bool:
         """Whether corrections of a fresh matrix are round-off.

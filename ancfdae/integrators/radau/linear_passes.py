@@ -32,6 +32,7 @@ from ancfdae.integrators.radau.tableau import INVERSE, PLACES, at_stages
 from ancfdae.integrators.start import Covectors, pull_back_start
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.coupled import CoupledFactors, CoupledSaddlePoints
+from ancfdae.numerics.progress import progress_bar
 
 # Numbers held at once by a chunk of steps.
 _CHUNK_NUMBERS = 200_000
@@ -143,15 +144,13 @@ def differentiate(
 
     Returns q_b, v_b, a_b and lam_b of all instants, cut to the steps done, and how the pass ended.
     """
-    from tqdm import tqdm
-
     assert problem.derivative is not None
     matrices, arrays = stage_matrices(problem), list[Array]()
     for x in problem.derivative:
         arrays.append(np.concatenate([x[None], np.empty((len(run.t) - 1, *x.shape))]))
     done, verdict = 1, Verdict.FINISHED
     try:
-        with tqdm(total=len(h), desc="derivatives", disable=not progress, unit="step") as bar:
+        with progress_bar(progress, total=len(h), desc="derivatives", unit="step") as bar:
             for steps in _chunks(problem.system, len(h), problem.system.n_b):
                 linear = _linearised(problem, run, h, steps)
                 for s in range(len(linear.h)):
@@ -177,13 +176,11 @@ def pull_back(
     gradient but for what goes through the first instant, and covectors on q and v there, from
     which its seeds are left out.
     """
-    from tqdm import tqdm
-
     system, matrices = problem.system, stage_matrices(problem)
     gradient, still = np.zeros(system.n_b), np.zeros((len(run.t), system.n_q))
     on_q, on_v = (still if x is None else x for x in (seeds.q, seeds.v))
     chunks = _chunks(system, len(h), 0)
-    for steps in tqdm(chunks[::-1], "adjoint", disable=not progress, unit="chunk"):
+    for steps in progress_bar(progress, chunks[::-1], desc="adjoint", unit="chunk"):
         linear, covectors = _linearised(problem, run, h, steps), list[list[Array]]()
         for s in range(len(linear.h) - 1, -1, -1):
             n = 3 * (steps.start + s) + 1

@@ -10,6 +10,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors import Outcome, SingularMatrix, Verdict
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.step_control.contracts import Controller, Failure, OneStepMethod
+from ancfdae.numerics.progress import progress_bar
 
 
 class Reached(NamedTuple):
@@ -36,11 +37,9 @@ def march(
 
     The recorder has what was reached before.
     """
-    from tqdm import tqdm
-
     if reached is _NOWHERE:
         recorder.record(*method.consistent())
-    with tqdm(total=t_end, initial=reached.t, disable=not progress, unit="s") as bar:
+    with progress_bar(progress, total=t_end, initial=reached.t, unit="s") as bar:
         try:
             # A run that diverges overflows; its outcome reports it, so NumPy's warnings are off.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

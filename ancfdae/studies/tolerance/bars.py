@@ -20,6 +20,8 @@ from ancfdae.numerics.arrays import Array
 # Error over the last difference, or over half the one before if that is more: where waves are not
 # resolved, and where they are, when nothing is known yet of the order but the last fall.
 _UNRESOLVED, _FALLEN = 3.0, 2.0
+# The same where there is one difference only.
+_ALONE = 4.5
 # How far the order seen may be from that of the method, for the differences to be its error.
 _NEAR = 0.6
 # Least fall of the differences of extrapolated numbers, whose order is one higher at least.
@@ -46,7 +48,7 @@ def halved(runs: Sequence[Array], order: int, resolved: bool) -> Estimate:
     last = _spread(d[-1])
     before = _spread(d[-2]) if len(d) > 1 else last
     if not (resolved and _falls(sizes[-2:], order)):
-        return Estimate(runs[-1], _UNRESOLVED * np.maximum(last, before / 2), False)
+        return Estimate(runs[-1], unresolved(d), False)
     if order > 2:
         return Estimate(runs[-1], _HIGH * np.maximum(last, before / 2**order), True)
     if _falls(sizes[-3:], order, 3):
@@ -56,6 +58,17 @@ def halved(runs: Sequence[Array], order: int, resolved: bool) -> Estimate:
             bar = _EXTRAPOLATED * np.maximum(_spread(d[-1]), _spread(d[-2]) / 2 ** (order + 2))
             return Estimate(better[-1], bar, True)
     return Estimate(runs[-1], _FALLEN * np.maximum(last, before / 2**order), True)
+
+
+def unresolved(differences: Array) -> Array:
+    """Return bars of a vector from the rows of differences of its runs, of which no order is known.
+
+    The last difference may be small by chance, so the one before counts too.
+    """
+    last = _spread(differences[-1])
+    if len(differences) == 1:
+        return _ALONE * last
+    return _UNRESOLVED * np.maximum(last, _spread(differences[-2]) / 2)
 
 
 def tightened(runs: Sequence[Array]) -> Estimate:

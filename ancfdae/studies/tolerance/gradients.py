@@ -53,10 +53,10 @@ def gradients_within(
     sequences: list[Runs] = [second, Fifth(system, t_end, second)]
     if method is None or isinstance(method, Direct):
         sequences.append(Eighth(system, t_end, tolerance))
-    found = search(sequences, measure, _sizes, tolerance)
-    if not found.reached:
-        warnings.warn(f"tolerance {tolerance:g}: {found.why}", ToleranceMissed, stacklevel=4)
-    return _results(found, scale, tolerance)
+    reached = search(sequences, measure, _sizes, tolerance)
+    if not reached.reached:
+        warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceMissed, stacklevel=4)
+    return _results(reached, scale, tolerance)
 
 
 def require_tolerance(tolerance: float) -> None:
@@ -78,21 +78,21 @@ def _sizes(vectors: list[Array]) -> list[float]:
     return [size for value, slope in pairs for size in (max(value, slope), slope)]
 
 
-def _results(found: Found, scale: Array, tolerance: float) -> list[Gradient]:
+def _results(reached: Found, scale: Array, tolerance: float) -> list[Gradient]:
     """Put the estimates into the results of the finest run."""
-    results, done = found.result, []
+    results, done = reached.result, []
     assert isinstance(results, list)
     for each, value, slope in zip(
-        results, found.estimates[::2], found.estimates[1::2], strict=True
+        results, reached.estimates[::2], reached.estimates[1::2], strict=True
     ):
         accuracy = Accuracy(
             tolerance,
-            found.reached,
+            reached.reached,
             float(value.bar[0]),
             slope.bar / scale,
-            found.integrator,
-            found.why,
-            found.trials,
+            reached.integrator,
+            reached.why,
+            reached.trials,
         )
         numbers = {"value": float(value.x[0]), "gradient": slope.x / scale}
         done.append(replace(each, **numbers, accuracy=accuracy))

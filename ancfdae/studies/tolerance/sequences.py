@@ -121,7 +121,7 @@ class _Halved(Sequence):
     def words(self) -> str:
         """Whether waves are resolved."""
         if not self.resolved:
-            return f"{self.name} does not resolve all waves; bars are twice what its runs differ by"
+            return f"{self.name} does not resolve all waves; bars are those of its differences"
         return f"{self.name} resolves all waves of the derivatives; errors fall with its order"
 
     @property
@@ -191,7 +191,7 @@ class Fifth(_Halved):
         """Return the work of a step; infinite until the other sequence resolves all waves."""
         if not self.resolved:
             return math.inf
-        return 2000.0 + 6.0 * self._n if self._compiled else 13000.0
+        return 1000.0 + 50.0 * self._n if self._compiled else 13000.0
 
     @property
     def resolved(self) -> bool:
@@ -226,7 +226,7 @@ class Eighth(Sequence):
         of_a_step = 1000.0 + 4.0 * self._n if self._compiled else 110000.0
         traits = self._system.traits
         if not (traits.constant_mass and traits.constant_constraints):
-            of_a_step = max(of_a_step, 12000.0)
+            of_a_step = max(of_a_step, 12000.0 + 100.0 * self._n)
         return self._steps * self._dearer**ahead * of_a_step
 
     def expected(self, tolerance: float) -> int:
