@@ -7,6 +7,7 @@ which `only_the_kernel` refuses.
 """
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -39,8 +40,10 @@ from ancfdae import (
     differentiate,
     gradient,
     kernels,
+    multiplier,
     position,
     simulate,
+    velocity,
 )
 from ancfdae.equations.saddle_points import saddle_point
 from ancfdae.errors import RedundantConstraints
@@ -208,6 +211,21 @@ def test_threads_march_side_by_side_as_alone():
     assert all(np.array_equal(x, y) for x, y in zip(alone, together, strict=True))
 
 
+@pytest.mark.parametrize("method", [Direct(), Adjoint()], ids=repr)
+def test_gradients_in_threads_are_those_alone_to_the_last_bit(method):
+    scene, h = crank_slider(), 2.0**-10
+    objective = Integral(position(scene.beams[-1].at_end, 0))
+    systems = [assemble(scene, [f"{x.name}.height" for x in scene.beams[:k]]) for k in (1, 2, 1, 2)]
+
+    def of(system):
+        return gradient(system, objective, 64 * h, HHT(h), method=method).gradient
+
+    alone = [of(system) for system in systems]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(of, systems))
+    assert all(np.array_equal(x, y) for x, y in zip(alone, together, strict=True))
+
+
 # ---------------------------------------------------------------- passes
 
 
@@ -243,13 +261,15 @@ def test_passes_of_every_element_are_the_same_in_the_kernel(kind, damping):
 
 
 def test_passes_of_driven_joints_are_the_same_in_the_kernel():
-    # Phi depends on time, and in the distance on products, which have a curvature.
+    # Phi depends on time and design, and in the distance on products, which have a curvature;
+    # objectives have seeds on q, v and lam.
     rod, arm = KINDS["planar"]
     held = [Pin(rod.at_start), Drive(rod.at_start, Harmonic(0.5, 40.0))]
-    held.append(Distance(rod.at_end, 0.3, arm.at_end))
+    held.append(Distance(rod.at_end, 0.3, arm.at_end, name="bar"))
     scene = Scene([rod, arm], held, (0, -9.81), project_start=True)
-    system = assemble(scene, ["rod.youngs_modulus", "arm.density", "rod.length"])
-    assert_same_passes(system, Integral(position(arm.at_end, 1)), HHT(STEP), COUNT * STEP)
+    system = assemble(scene, ["rod.youngs_modulus", "arm.density", "rod.length", "bar.length"])
+    for of in (position(arm.at_end, 1), velocity(arm.at_end, 1), multiplier("bar", 0)):
+        assert_same_passes(system, Integral(of**2), HHT(STEP), COUNT * STEP)
 
 
 def test_passes_of_every_load_are_the_same_in_the_kernel():

@@ -17,6 +17,7 @@ from validation.crank_slider import report as crank_slider
 from validation.design import report as design
 from validation.extremes import report as extremes
 from validation.literature import report as literature
+from validation.models import report as models
 from validation.peers import report as peers
 from validation.pendulum import report as pendulum
 from validation.performance import report as performance
@@ -174,5 +175,14 @@ CATALOGUE: tuple[Definition, ...] = (
         "many runs, beside what the project asks of them?",
         run=performance.run,
         source="aim",
+    ),
+    Definition(
+        name="models",
+        title="Which model a gradient needs",
+        question="Which of the models that a scene can be simplified to, on which mesh and with "
+        "which step, gives a value and its gradient to a tolerance at the least cost, and where "
+        "are rigid bodies enough for the value and wrong for the gradient?",
+        run=models.run,
+        source="ask",
     ),
 )

@@ -39,7 +39,9 @@ class StressPoints:
         """Return the partials of the stresses, times weights (k, n, n_p) and added up."""
         parts = [self._partials(q[k], v[k], weights[k], n_b) for k in self._parts(len(q))]
         rows = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return StatePartials(np.unique(self._elements.coordinates), *rows)
+        # Columns of other parts may lie between, where these have zeros.
+        at = self._elements.coordinates
+        return StatePartials(np.arange(np.min(at), np.max(at) + 1), *rows)
 
     def _partials(self, q: Array, v: Array, weights: Array, n_b: int) -> tuple[Array, Array, Array]:
         beam, b = self._elements, np.zeros((len(q), n_b))

@@ -13,6 +13,8 @@ from ancfdae.studies.calls import (
 from ancfdae.studies.campbell import Campbell, campbell
 from ancfdae.studies.error_bars import ErrorBars, error_bars
 from ancfdae.studies.fit import Fit
+from ancfdae.studies.ladder import choose_model
+from ancfdae.studies.ladder_result import Choice, ModelLadder, NoModel, Rung, RungRun
 from ancfdae.studies.mass_properties import MassProperties, mass_properties
 from ancfdae.studies.misfit import Misfit, RunFit
 from ancfdae.studies.misfit_at_rest import FrequencyMisfit, StaticMisfit

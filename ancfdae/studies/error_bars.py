@@ -12,6 +12,9 @@ order, and the bar is a multiple of them (`tolerance.bars.unresolved`).
 
 SUNDIALS and SciPy choose their steps themselves. The refined run has a tenth of the tolerance, the
 bar is the whole difference, and no value is extrapolated.
+
+Meshes are treated like steps, at the longest step: with two or three, each of twice the elements,
+the error of the finest follows from their differences, and the order is observed or taken as 2.
 """
 
 from __future__ import annotations
@@ -19,23 +22,27 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import InvalidInput
+from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.errors.text import columns
 from ancfdae.integrators import Integrator
-from ancfdae.model.design import DesignVariable
+from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod
 from ancfdae.sensitivity.objectives import Objective
+<<<<<<< HEAD
+from ancfdae.studies.calls import gradient
+from ancfdae.studies.meshes import with_mesh
+=======
 from ancfdae.studies.calls import differentiable, gradient
 from ancfdae.studies.tolerance.bars import unresolved
+>>>>>>> main
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
@@ -43,6 +50,11 @@ _LOWEST, _ORDER = 0.5, 2.0
 # is 1.996 to 2.03 where steps resolve all waves, 1.9 at most where bars failed
 # (docs/reports/error-bars).
 _RESOLVED = 1.95
+#: Elements are of second order or better (docs/reports/elements).
+MESH_ORDER = 2
+
+_Design: TypeAlias = Sequence[str | DesignVariable] | None
+_Mesh: TypeAlias = tuple[Scene | MechanicalSystem, _Design]
 
 
 @final
@@ -57,16 +69,17 @@ class ErrorBars:
     value : float
     gradient : array, shape (n_b,)
         Of the finest run.
-    value_bar : float
-    gradient_bar : array, shape (n_b,)
-        Estimated bounds of their errors; not proofs: docs/reports/error-bars says how often
-        they hold.
+    parts : dict of str to array, shape (1 + n_b,)
+        Estimated bounds of the errors of value and gradient by ``"step"`` and, where meshes were
+        compared, by ``"mesh"``; not proofs: docs/reports/error-bars says how often they hold.
     extrapolated_value : float
     extrapolated_gradient : array, shape (n_b,)
         Better values by one order, where runs converge; those of the finest run if the
         integrator has no fixed order.
     orders : array, shape (1 + n_b,)
         Observed orders of the value and the gradient; nan where they cannot be observed.
+    mesh_orders : array, shape (1 + n_b,)
+        Those of the mesh.
     runs : tuple of Gradient
         From the coarsest to the finest.
     resolved : bool or None
@@ -79,16 +92,43 @@ class ErrorBars:
     names: tuple[str, ...]
     value: float
     gradient: Array
-    value_bar: float
-    gradient_bar: Array
+    parts: dict[str, Array]
     extrapolated_value: float
     extrapolated_gradient: Array
     orders: Array
+    mesh_orders: Array
     runs: tuple[Gradient, ...]
     resolved: bool | None
 
+    @property
+    def value_bar(self) -> float:
+        """Estimated bound of the error of the value: the sum of its parts."""
+        return float(sum(part[0] for part in self.parts.values()))
+
+    @property
+    def gradient_bar(self) -> Array:
+        """Estimated bounds of the errors of the gradient: sums of their parts, (n_b,)."""
+        bar: Array = np.sum([part[1:] for part in self.parts.values()], axis=0)
+        return bar
+
     def __repr__(self) -> str:
         """Return value and derivatives with their bars, and how the finest run ended."""
+<<<<<<< HEAD
+        small: dict[str, Sequence[float] | Array]
+        small = {"bar": (self.value_bar, *self.gradient_bar), "order": self.orders}
+        if "mesh" in self.parts:
+            small |= {f"bar of {name}": part for name, part in self.parts.items()}
+            small["order of mesh"] = self.mesh_orders
+        values = (self.value, *self.gradient)
+        better = (self.extrapolated_value, *self.extrapolated_gradient)
+        rows = [("", "value", "extrapolated", *small)]
+        for name, x, y, *others in zip(
+            ("objective", *self.names), values, better, *small.values(), strict=True
+        ):
+            cells = ("-" if np.isnan(each) else f"{each:.2g}" for each in others)
+            rows.append((name, f"{x:.9g}", f"{y:.9g}", *cells))
+        known = {True: "yes", False: "no, do not trust the bars", None: "not known"}
+=======
         numbers = zip(
             ("objective", *self.names),
             (self.value, *self.gradient),
@@ -106,6 +146,7 @@ class ErrorBars:
             False: "no, bars are multiples of what runs differ by",
             None: "not known",
         }
+>>>>>>> main
         finest = self.runs[-1].solution.outcome
         end = f"waves resolved: {known[self.resolved]}\nfinest run: {finest}"
         return f"{columns(rows)}\n{end}"
@@ -120,6 +161,7 @@ def error_bars(
     design: Sequence[str | DesignVariable] | None = None,
     method: GradientMethod | None = None,
     levels: int = 2,
+    meshes: int = 1,
     progress: bool = False,
 ) -> ErrorBars:
     """Estimate the discretisation error of an objective and its gradient.
@@ -133,6 +175,9 @@ def error_bars(
     levels : int
         With `HHT`, two levels cost three times the first run, three levels seven times; three also
         show whether the order is reached.
+    meshes : int
+        Of a scene, with 2 or 3: runs with once or twice doubled elements, of the finest of which
+        value, gradient and bars then are.
 
     Raises
     ------
@@ -141,6 +186,27 @@ def error_bars(
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
+<<<<<<< HEAD
+    chosen = Direct() if method is None else method
+
+    def run(at: _Mesh, settings: Integrator) -> Gradient:
+        scene, variables = at
+        return gradient(
+            scene, objective, t_end, settings, design=variables, method=chosen, progress=progress
+        )
+
+    *coarser, finest = _meshes(model, design, meshes)
+    settings, runs = integrator, [run(finest, integrator)]
+    for _ in range(levels - 1):
+        settings = settings.refined(runs[-1].solution)
+        runs.append(run(finest, settings))
+    x = _numbers(runs)
+    widths, orders = bars(np.diff(x, axis=0), integrator.order)
+    parts, mesh_orders = {"step": widths}, np.full(len(widths), np.nan)
+    if coarser:
+        on_meshes = _numbers([*(run(each, integrator) for each in coarser), runs[0]])
+        parts["mesh"], mesh_orders = bars(np.diff(on_meshes, axis=0), MESH_ORDER)
+=======
     method = Direct() if method is None else method
     system = differentiable(model, design)
     run = partial(gradient, system, objective, t_end, method=method)
@@ -155,20 +221,37 @@ def error_bars(
         scale = np.where(system.b == 0, 1.0, np.abs(system.b))
         slopes = unresolved(differences[:, 1:] * scale) / scale
         bars = np.append(unresolved(differences[:, :1]), slopes)
+>>>>>>> main
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
     better = x[-1] + gain * (x[-1] - x[-2])
     return ErrorBars(
         names=runs[-1].names,
         value=runs[-1].value,
         gradient=runs[-1].gradient,
-        value_bar=float(bars[0]),
-        gradient_bar=bars[1:],
+        parts=parts,
         extrapolated_value=float(better[0]),
         extrapolated_gradient=better[1:],
         orders=orders,
+        mesh_orders=mesh_orders,
         runs=tuple(runs),
         resolved=resolved,
     )
+
+
+def _meshes(model: Scene | MechanicalSystem, design: _Design, count: int) -> list[_Mesh]:
+    """Return the model on so many meshes, the coarsest first."""
+    if count not in (1, 2, 3):
+        raise InvalidInput("meshes", "must be 1, 2 or 3", repr(count), "2 is cheaper, 3 is safer.")
+    if count == 1:
+        return [(model, design)]
+    require_kind("model", model, (Scene,), "Only scenes have meshes.")
+    assert isinstance(model, Scene)
+    variables = as_design(() if design is None else design)
+    return [with_mesh(model, variables, level) for level in range(count)]
+
+
+def _numbers(runs: Sequence[Gradient]) -> Array:
+    return np.array([[run.value, *run.gradient] for run in runs])
 
 
 def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
@@ -182,8 +265,8 @@ def _resolved(coarse: Gradient, fine: Gradient) -> bool | None:
     )
 
 
-def _bars(differences: Array, order: int | None) -> tuple[Array, Array]:
-    """Bars of the finest run and the orders seen (module description)."""
+def bars(differences: Array, order: int | None) -> tuple[Array, Array]:
+    """Return bars of the finest run and the orders seen, from differences of successive ones."""
     size = np.abs(differences)
     unknown = np.full(size.shape[1], np.nan)
     if order is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import replace
@@ -20,12 +20,13 @@ from ancfdae.errors import (
     uninterrupted,
 )
 from ancfdae.integrators import IDA, Explicit, Integrator
-from ancfdae.model.design import DesignVariable
+from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.sensitivity import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import differentiable, require_objectives
 from ancfdae.studies.jobs import answers
+from ancfdae.studies.model_kinds import known_design
 from ancfdae.studies.tradeoff_result import Tradeoff, compared
 from ancfdae.studies.tradeoff_run import Measurement, Results, Task, measure
 
@@ -49,6 +50,7 @@ def tradeoff(
     repeats: int = 1,
     time_limit: float | None = None,
     executor: Executor | None = None,
+    models: Mapping[str, Scene] | None = None,
     progress: bool = False,
 ) -> Tradeoff:
     """Measure what accuracy costs: every setting's processor time and errors on one scene.
@@ -73,6 +75,9 @@ def tradeoff(
         Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
         client; by default in this process, one after the other. Model and objective must
         pickle (no lambda in `custom` or `apply`). Threads would count each other's processor time.
+    models : mapping of str to Scene, optional
+        Other models of the same scene by name, measured at all settings too; their rows have errors
+        of objective and gradient only. `choose_model` makes models by itself.
 
     A setting that fails is a row with its message.
 
@@ -95,13 +100,21 @@ def tradeoff(
     tasks += [
         Task(system, objective, t_end, each, method, repeats, time_limit) for each in settings
     ]
+    variables = as_design(() if design is None else design)
+    for name, scene in (models or {}).items():
+        require_kind(f"models, {name}", scene, (Scene,), "Pass a Scene.")
+        other = differentiable(scene, known_design(scene, variables))
+        own = (replace(t, system=other, model=name) for t in tasks[1 : len(settings) + 1])
+        tasks += own
     measured = _measured(tasks, executor, progress)
     exact = _required(measured[0])
-    rows = [compared(system, t.integrator, r, exact) for t, r in zip(tasks, measured, strict=True)]
+    rows = [compared(system, t, r, exact) for t, r in zip(tasks, measured, strict=True)]
     done = Tradeoff(tuple(rows[1:]), replace(rows[0], outcome=rows[0].outcome + why))
     left = sum(each is _LEFT for each in measured)
     if left:
-        raise Interrupted(done, f"{len(settings) - left} of {len(settings)} settings were measured")
+        raise Interrupted(
+            done, f"{len(done.rows) - left} of {len(done.rows)} settings were measured"
+        )
     return done
 
 

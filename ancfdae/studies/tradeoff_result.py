@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, final
 
@@ -22,7 +22,7 @@ from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
 from ancfdae.errors.text import columns
 from ancfdae.integrators import Integrator, StepControl
 from ancfdae.numerics.arrays import Array
-from ancfdae.studies.tradeoff_run import Measurement, Results, common_times
+from ancfdae.studies.tradeoff_run import Measurement, Results, Task, common_times
 
 if TYPE_CHECKING:
     from ancfdae.plotting import Panel, Series
@@ -54,6 +54,9 @@ class Setting:
         reference, relative to the largest kinetic energy; None for systems that are not scenes.
     outcome : str
         How the run ended, or why there is none.
+    model : str
+        Name of the model, if it is another one than that of the reference; it has errors of
+        objective and gradient only.
     """
 
     integrator: Integrator
@@ -65,6 +68,7 @@ class Setting:
     gradient: float | None = None
     drift: float | None = None
     energy: float | None = None
+    model: str = ""
 
     @property
     def finished(self) -> bool:
@@ -73,10 +77,10 @@ class Setting:
 
     @property
     def family(self) -> str:
-        """The integrator without what decides about accuracy, such as ``"HHT fixed"``."""
+        """Model and integrator without what decides about accuracy, such as ``"HHT fixed"``."""
         words = [type(self.integrator).__name__]
         words += [x.kind for x in vars(self.integrator).values() if isinstance(x, StepControl)]
-        return ", ".join([" ".join(words), *_chosen(self.integrator)])
+        return ", ".join(filter(None, [self.model, " ".join(words), *_chosen(self.integrator)]))
 
     @property
     def label(self) -> str:
@@ -226,28 +230,32 @@ class Tradeoff:
         ]
 
 
-def compared(
-    system: MechanicalSystem, integrator: Integrator, run: Measurement, exact: Results
-) -> Setting:
-    """Measure a run against the reference."""
+def compared(system: MechanicalSystem, task: Task, run: Measurement, exact: Results) -> Setting:
+    """Measure a run against the reference, which is one of `system`."""
     given = run.results
+    row = Setting(task.integrator, run.seconds, run.outcome, model=task.model)
     if given is None:
-        return Setting(integrator, run.seconds, run.outcome)
+        return row
+    names = list(system.design_names)
+    slope = np.zeros(system.n_b)
+    slope[[names.index(name) for name in task.system.design_names]] = given.gradient
     b = np.where(system.b == 0, 1.0, system.b)
+    row = replace(
+        row,
+        objective=_ratio(abs(given.value - exact.value), abs(exact.value)),
+        gradient=_largest_ratio(((slope - exact.gradient) * b)[None], (exact.gradient * b)[None]),
+    )
+    if task.model:
+        return row
     root = np.sqrt(system.weights)
     t = common_times(float(exact.t[-1]))
     forces, forces_0 = (
         _forces(system, exact.q, lam, t) / root for lam in (given.lam - exact.lam, exact.lam)
     )
-    away = (given.gradient - exact.gradient) * b
-    return Setting(
-        integrator,
-        run.seconds,
-        run.outcome,
+    return replace(
+        row,
         states=_largest_ratio((given.q - exact.q) * root, exact.q * root),
         multipliers=_largest_ratio(forces, forces_0),
-        objective=_ratio(abs(given.value - exact.value), abs(exact.value)),
-        gradient=_largest_ratio(away[None], (exact.gradient * b)[None]),
         drift=_drift(system, exact.q, t, given),
         energy=_energy_error(given, exact),
     )

@@ -29,7 +29,10 @@ _LONG = 1.0
 @final
 @dataclass(frozen=True)
 class Task:
-    """What is measured; everything in it pickles if system and objective do."""
+    """What is measured; everything in it pickles if system and objective do.
+
+    `model` is the name of another model than the one that all are compared with.
+    """
 
     system: MechanicalSystem
     objective: Objective
@@ -38,6 +41,7 @@ class Task:
     method: GradientMethod | None
     repeats: int
     time_limit: float | None
+    model: str = ""
 
 
 @final

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import final
 
 import numpy as np
@@ -141,6 +142,27 @@ class Beam(BeamBody):
         """Return the same beam, moved to start at another place."""
         end = np.asarray(place, float) + self._span
         return replace(self, start=tuple(place), end=tuple(end.tolist()))
+
+    def with_elements(self, count: int) -> Beam:
+        """Return the same beam with another number of elements, each like those in its place."""
+        require_count(f"beam {self.name!r}, elements", count, "Use at least one element.")
+        ends = [k * self.element_count for k in range(count + 1)]
+        places = [slice(a // count, -(-b // count)) for a, b in pairwise(ends)]
+        sections, materials = self._per_element()
+        if any(len({x.sizes() for x in sections[k]}) > 1 for k in places) or any(
+            len(set(materials[k])) > 1 for k in places
+        ):
+            rule = "an element has one section and one material"
+            repair = f"Use a multiple of {self.element_count} elements."
+            raise InvalidInput(f"beam {self.name!r}, elements", rule, count, repair)
+        if count == self.element_count:
+            return self
+        return replace(
+            self,
+            elements=count,
+            section=tuple(sections[k.start] for k in places),
+            material=tuple(materials[k.start] for k in places),
+        )
 
     @property
     def _origin(self) -> Array:

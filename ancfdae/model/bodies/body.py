@@ -126,6 +126,17 @@ class BeamBody(Placed):
     def with_length(self, length: float) -> BeamBody:
         """Return the same beam, stretched from its start to another total length."""
 
+    def with_elements(self, count: int) -> BeamBody:
+        """Return the same beam with another number of elements.
+
+        Raises
+        ------
+        InvalidInput
+            If an element of the new mesh had two sections or materials, or nodes are given.
+        """
+        rule, repair = "its nodes are given one by one", "Declare it with other nodes."
+        raise InvalidInput(f"beam {self.name!r}, elements", rule, count, repair)
+
     def directions(self) -> Array:
         """Return the axes of the beam as a rigid body: those at its start, as rows."""
         return orthonormal(self.reference().slopes[0])

@@ -1,0 +1,243 @@
+"""Models side by side: what each neglects, what it costs, which is enough.
+
+The error of a run of a rung against the truth of the richest model has four parts, whose sizes are
+added: the *model* (the rung's kind and the richest model, each on its finest mesh), the *mesh* (the
+rung and its kind on the finest mesh), the *step* (the run and the finest one of the rung, with the
+bar of that) and the *reference* (bars of mesh and step of the richest model itself).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final, Literal, final
+
+import numpy as np
+
+from ancfdae.errors import AncfdaeError, InvalidInput, require_positive
+from ancfdae.errors.text import columns
+from ancfdae.integrators import HHT
+from ancfdae.model.design import DesignVariable
+from ancfdae.model.scene import Scene
+from ancfdae.numerics.arrays import Array
+
+ErrorOf = Literal["objective", "gradient"]
+KINDS: Final[tuple[ErrorOf, ...]] = ("objective", "gradient")
+
+
+@final
+@dataclass(frozen=True)
+class RungRun:
+    """One run with a step (s), and the processor time of value and gradient.
+
+    `numbers`, (1 + n_b,), are the value and the derivatives times their variables.
+    """
+
+    step: float
+    seconds: float
+    numbers: Array
+
+    @property
+    def integrator(self) -> HHT:
+        """What ran."""
+        return HHT(self.step)
+
+
+@final
+@dataclass(frozen=True)
+class Rung:
+    """A model on a mesh.
+
+    Attributes
+    ----------
+    name : str
+        What was exchanged, ``"rigid"`` say.
+    level : int
+        Binary logarithm of the number of elements over that declared.
+    outcome : str
+        Why it has no runs, or "done".
+    scene : Scene
+    design : tuple of DesignVariable
+        Those that the model has, with the targets that it has.
+    runs : tuple of RungRun
+        From the longest step to the shortest.
+    bar : array, shape (1 + n_b,)
+        Estimated error of the last run by its step.
+    """
+
+    name: str
+    level: int
+    outcome: str
+    scene: Scene | None = None
+    design: tuple[DesignVariable, ...] = ()
+    runs: tuple[RungRun, ...] = ()
+    bar: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def numbers(self) -> Array:
+        """Value and derivatives times their variables, of the finest run."""
+        return self.runs[-1].numbers
+
+    @property
+    def elements(self) -> int:
+        """Number of elements that deform."""
+        beams = () if self.scene is None else self.scene.beams
+        return sum(beam.element_count for beam in beams if not beam.rigid)
+
+
+@final
+@dataclass(frozen=True)
+class Choice:
+    """A rung with a step, and the parts of its relative error."""
+
+    rung: Rung
+    run: RungRun
+    parts: dict[str, float]
+
+    @property
+    def error(self) -> float:
+        """Sum of the parts."""
+        return sum(self.parts.values())
+
+    def __repr__(self) -> str:
+        """Return the model, its step, its cost and what it errs by."""
+        shares = ", ".join(f"{name} {size:.1g}" for name, size in self.parts.items())
+        return (
+            f"{self.rung.name}, {self.rung.elements} elements, step {self.run.step:.3g} s: "
+            f"{self.run.seconds:.3g} s, error {self.error:.2g} ({shares})"
+        )
+
+
+@final
+class NoModel(AncfdaeError):
+    """No model that was measured is accurate enough; `best` is the most accurate one."""
+
+    def __init__(self, tolerance: float, of: str, best: Choice) -> None:
+        super().__init__(
+            f"no model reaches an error of {tolerance:.3g} in the {of}; the best is {best}. Where "
+            "the mesh is the largest part, raise `doublings`; where the step is, damp the scene or "
+            "ask for an integral instead of an instant."
+        )
+        self.best = best
+
+
+@final
+@dataclass(frozen=True)
+class ModelLadder:
+    """Rungs of a ladder of models, the richest one last.
+
+    Attributes
+    ----------
+    rungs : tuple of Rung
+    names : tuple of str
+        Of the design variables.
+    tolerance : float
+    mesh_bar, mesh_orders : array, shape (1 + n_b,)
+        Estimated error of the richest model by its mesh, and the orders observed in its meshes,
+        nan where there are only two.
+    """
+
+    rungs: tuple[Rung, ...]
+    names: tuple[str, ...]
+    tolerance: float
+    mesh_bar: Array
+    mesh_orders: Array
+
+    def __repr__(self) -> str:
+        """Return the table."""
+        return self.table()
+
+    @property
+    def richest(self) -> Rung:
+        """What all are measured against."""
+        return self.rungs[-1]
+
+    @property
+    def chosen(self) -> Choice:
+        """The cheapest within the tolerance, in the gradient; see `recommend`."""
+        return self.recommend(self.tolerance)
+
+    def recommend(self, tolerance: float, of: ErrorOf = "gradient") -> Choice:
+        """Return the cheapest rung, with its step, whose parts add up to the tolerance at most.
+
+        Raises
+        ------
+        NoModel
+        """
+        require_positive("tolerance", tolerance)
+        choices = self.choices(of)
+        enough = [each for each in choices if each.error <= tolerance]
+        if not enough:
+            raise NoModel(tolerance, of, min(choices, key=lambda each: each.error))
+        return min(enough, key=lambda each: each.run.seconds)
+
+    def choices(self, of: ErrorOf = "gradient") -> list[Choice]:
+        """Return all runs of all rungs with their errors in the value or the gradient."""
+        if str(of) not in KINDS:
+            raise InvalidInput("of", f"must be one of {', '.join(KINDS)}", repr(of), "Choose one.")
+        return [self.choice(rung, run, of) for rung in self.rungs for run in rung.runs]
+
+    def without_influence(self, rung: Rung) -> tuple[str, ...]:
+        """Return the variables that the rung's value does not depend on, but the richest's does."""
+        lost = (rung.numbers[1:] == 0) & (self.richest.numbers[1:] != 0) if rung.runs else []
+        return tuple(name for name, x in zip(self.names, lost, strict=bool(rung.runs)) if x)
+
+    def table(self) -> str:
+        """Return all rungs as a table in plain text: errors at their best steps, and costs.
+
+        A cost is that of the longest step with which the rung is within the tolerance in the
+        gradient; of a rung that never is, that of the step that adds least.
+        """
+        head = ["model", "elements", *(f"{of}: {part}" for of in KINDS for part in _PARTS[:2])]
+        rows = [[*head, "step", "steps err", "seconds", "no influence / outcome"]]
+        rows += [self._cells(rung) for rung in self.rungs]
+        orders = ", ".join(f"{x:.2g}" for x in self.mesh_orders if np.isfinite(x)) or "not seen"
+        exact = self.richest.numbers
+        bars = ", ".join(f"{of} {error(self.mesh_bar, exact, of):.2g}" for of in KINDS)
+        return f"{columns(rows, shorten=False)}\nmesh of the last: {bars}; orders {orders}"
+
+    def choice(self, rung: Rung, run: RungRun, of: ErrorOf) -> Choice:
+        """Return a run of a rung with the parts of its error in the value or the gradient."""
+        exact, own = self.richest.numbers, rung.numbers
+        finest = max((x for x in self.rungs if x.name == rung.name and x.runs), key=_level)
+        sizes = (
+            np.abs(finest.numbers - exact),
+            np.abs(own - finest.numbers),
+            np.abs(run.numbers - own) + rung.bar,
+            self.mesh_bar + self.richest.bar,
+        )
+        errors = (error(x, exact, of) for x in sizes)
+        return Choice(rung, run, dict(zip(_PARTS, errors, strict=True)))
+
+    def _cells(self, rung: Rung) -> list[str]:
+        if not rung.runs:
+            return [rung.name, str(rung.elements), *["-"] * 7, rung.outcome]
+        own = [self.choice(rung, run, "gradient") for run in rung.runs]
+        enough = [each for each in own if each.error <= self.tolerance]
+        shown = enough[0] if enough else min(own, key=lambda each: each.error)
+        value = self.choice(rung, shown.run, "objective").parts
+        errors = [parts[name] for parts in (value, shown.parts) for name in _PARTS[:2]]
+        run = shown.run
+        return [
+            rung.name,
+            str(rung.elements),
+            *(f"{x:.1e}" for x in errors),
+            f"{run.step:.3g}",
+            f"{shown.parts['step']:.1e}",
+            f"{run.seconds:.3g}",
+            ", ".join(self.without_influence(rung)),
+        ]
+
+
+#: Parts of an error, those of the model first.
+_PARTS: Final = ("model", "mesh", "step", "reference")
+
+
+def error(difference: Array, exact: Array, of: ErrorOf) -> float:
+    """Return a difference of value or gradient relative to the size of the exact one."""
+    rows = slice(1) if of == "objective" else slice(1, None)
+    size, whole = (float(np.linalg.norm(x[rows])) for x in (difference, exact))
+    return size / whole if whole else (np.inf if size else 0.0)
+
+
+def _level(rung: Rung) -> int:
+    return rung.level

@@ -1,0 +1,1 @@
+"""Report on ladders of models: which one a value and its gradient need."""
