@@ -36,13 +36,9 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.direct import Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod
 from ancfdae.sensitivity.objectives import Objective
-<<<<<<< HEAD
-from ancfdae.studies.calls import gradient
-from ancfdae.studies.meshes import with_mesh
-=======
 from ancfdae.studies.calls import differentiable, gradient
+from ancfdae.studies.meshes import with_mesh
 from ancfdae.studies.tolerance.bars import unresolved
->>>>>>> main
 
 _GRANTED, _SEEN = 3.0, 1.25
 _LOWEST, _ORDER = 0.5, 2.0
@@ -113,7 +109,6 @@ class ErrorBars:
 
     def __repr__(self) -> str:
         """Return value and derivatives with their bars, and how the finest run ended."""
-<<<<<<< HEAD
         small: dict[str, Sequence[float] | Array]
         small = {"bar": (self.value_bar, *self.gradient_bar), "order": self.orders}
         if "mesh" in self.parts:
@@ -127,26 +122,11 @@ class ErrorBars:
         ):
             cells = ("-" if np.isnan(each) else f"{each:.2g}" for each in others)
             rows.append((name, f"{x:.9g}", f"{y:.9g}", *cells))
-        known = {True: "yes", False: "no, do not trust the bars", None: "not known"}
-=======
-        numbers = zip(
-            ("objective", *self.names),
-            (self.value, *self.gradient),
-            (self.value_bar, *self.gradient_bar),
-            (self.extrapolated_value, *self.extrapolated_gradient),
-            self.orders,
-            strict=True,
-        )
-        rows = [("", "value", "bar", "extrapolated", "order")]
-        for name, x, bar, better, order in numbers:
-            seen = "-" if np.isnan(order) else f"{order:.2g}"
-            rows.append((name, f"{x:.9g}", f"{bar:.2g}", f"{better:.9g}", seen))
         known = {
             True: "yes",
             False: "no, bars are multiples of what runs differ by",
             None: "not known",
         }
->>>>>>> main
         finest = self.runs[-1].solution.outcome
         end = f"waves resolved: {known[self.resolved]}\nfinest run: {finest}"
         return f"{columns(rows)}\n{end}"
@@ -186,7 +166,6 @@ def error_bars(
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
-<<<<<<< HEAD
     chosen = Direct() if method is None else method
 
     def run(at: _Mesh, settings: Integrator) -> Gradient:
@@ -201,27 +180,17 @@ def error_bars(
         settings = settings.refined(runs[-1].solution)
         runs.append(run(finest, settings))
     x = _numbers(runs)
-    widths, orders = bars(np.diff(x, axis=0), integrator.order)
+    differences, resolved = np.diff(x, axis=0), _resolved(*runs[-2:])
+    widths, orders = bars(differences, integrator.order)
+    if resolved is False:
+        b = differentiable(*finest).b
+        scale = np.where(b == 0, 1.0, np.abs(b))
+        slopes = unresolved(differences[:, 1:] * scale) / scale
+        widths = np.append(unresolved(differences[:, :1]), slopes)
     parts, mesh_orders = {"step": widths}, np.full(len(widths), np.nan)
     if coarser:
         on_meshes = _numbers([*(run(each, integrator) for each in coarser), runs[0]])
         parts["mesh"], mesh_orders = bars(np.diff(on_meshes, axis=0), MESH_ORDER)
-=======
-    method = Direct() if method is None else method
-    system = differentiable(model, design)
-    run = partial(gradient, system, objective, t_end, method=method)
-    settings, runs = integrator, [run(integrator, progress=progress)]
-    while len(runs) < levels:
-        settings = settings.refined(runs[-1].solution)
-        runs.append(run(settings, progress=progress))
-    x = np.array([[run.value, *run.gradient] for run in runs])
-    differences, resolved = np.diff(x, axis=0), _resolved(*runs[-2:])
-    bars, orders = _bars(differences, integrator.order)
-    if resolved is False:
-        scale = np.where(system.b == 0, 1.0, np.abs(system.b))
-        slopes = unresolved(differences[:, 1:] * scale) / scale
-        bars = np.append(unresolved(differences[:, :1]), slopes)
->>>>>>> main
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
     better = x[-1] + gain * (x[-1] - x[-2])
     return ErrorBars(
