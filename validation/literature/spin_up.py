@@ -63,11 +63,11 @@ class SpinUp(Law):
 def spin_up(report: Report, quick: bool) -> list[Requirement]:
     """Fill the section and return what was required of it."""
     counts = (2, 4) if quick else (2, 4, 8, 16)
-    step = 0.05 if quick else 0.005
+    step = 0.01 if quick else 0.005
     times = np.linspace(0, _END, 401)
     report.heading("Spin-up of a flexible beam")
     report.text(_TEXT)
-    rod = HubRod(_L, _EA, _GA, _EI, _MASS, _TURNING, degree=1 if quick else 8)
+    rod = HubRod(_L, _EA, _GA, _EI, _MASS, _TURNING, degree=2 if quick else 8)
     exact = rod.tip(_turning, times)
     tips = {n: _tip(n, step, times) for n in counts}
     middle = int(np.searchsorted(times, _MIDDLE))

@@ -182,7 +182,7 @@ def _verdict(report: Report, rows: Sequence[_Row]) -> None:
 _METHOD = """
 `gradient(..., tolerance=)` is called with three tolerances on the rows of report `work-precision`
 and on twelve scenes more. None of them was looked at when the factors of the bars were set
-(`validation/tolerance/scenes.py` has those that were); what a step costs was measured on three.
+(`validation/tolerance/scenes.py` has those that were); what a step costs was measured on two of them, a calibration scene and the slider-crank of SUNDIALS.
 True errors are against a much finer run
 of another kind where there is one, relative as the tolerance is: derivatives times their variables
 in the Euclidean norm, relative to that norm; values to the larger of themselves and that norm.

@@ -4,7 +4,7 @@ d_k = x_k - x_(k-1) are the differences of the runs, in norms of a whole vector 
 steps do not resolve the waves that an objective sees, an error is of the size of the differences
 with no order to it: the phase of a wave is as good as random in every run. Where they do, errors
 fall with an order that can be seen, and be used (docs/theory/13-errors.md). The factors are those
-with which 95 % of the bars hold on the scenes of `validation/tolerance/scenes.py`, calibration.
+with which all resolved and 94 % of the unresolved bars hold on the scenes of `validation/tolerance/scenes.py`, calibration.
 """
 
 from __future__ import annotations
