@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from tqdm import tqdm
 
 from ancfdae.errors import (
     AncfdaeError,
@@ -19,6 +18,7 @@ from ancfdae.errors import (
 from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.progress import progress_bar
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import differentiable, require_objectives
 from ancfdae.studies.error_bars import MESH_ORDER, bars
@@ -84,7 +84,7 @@ def choose_model(
     scale = np.append(1.0, np.where(system.b == 0, 1.0, system.b))
     question = Question(objective, t_end, variables, scale, tolerance, max_steps)
     *simpler, declared = model_kinds(scene, alternatives or {})
-    with tqdm(disable=not progress, unit="rung") as bar:
+    with progress_bar(progress, unit="rung") as bar:
         richest: list[Rung] = []
         for level in range(coarsest(scene), doublings + 1):
             richest.append(_rung(declared, level, question, None))

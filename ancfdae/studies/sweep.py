@@ -23,7 +23,7 @@ from ancfdae.errors import (
     require_sequence,
 )
 from ancfdae.integrators import Integrator
-from ancfdae.model.design import DesignVariable
+from ancfdae.model.design import DesignVariable, as_design
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity import GradientMethod
@@ -69,6 +69,8 @@ class Evaluate:
         kinds = (Objective,) if self.gradient else (Objective, Observable)
         require_kind("Evaluate.of", self.of, kinds, "For example Terminal(position(...)).")
         require_kind("Evaluate.integrator", self.integrator, (Integrator,), "Give HHT(step=0.01).")
+        if self.design is not None:
+            as_design(self.design)
 
     def __call__(self, model: Scene | MechanicalSystem) -> dict[str, Any]:
         """Run the model; return ``value``, and ``gradient`` or the instants ``t`` of an observable.
