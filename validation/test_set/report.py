@@ -46,7 +46,7 @@ _METHODS: Final[dict[str, GradientMethod]] = {
 # Two ways agree where their gradients differ by less than this.
 _EQUAL = 1e-9
 # Processor seconds; a family's tighter settings are left out after a run that took longer.
-_PATIENCE = 20.0
+_PATIENCE = 5.0
 
 
 class _Setting(NamedTuple):
@@ -220,7 +220,7 @@ SciPy's DOP853 at a tolerance of 1e-13 (Robertson's reactions: Radau with the va
 and a complex step through the whole integration. Errors are relative; a component of the gradient
 counts by the size of its design variable. Times are processor seconds of one call, with the
 gradient; every function of a problem is Python, called at complex numbers for its derivatives.
-After a run of more than 20 s the tighter settings of an integrator are not run.
+After a run of more than 5 s the tighter settings of an integrator are not run.
 """
 
 _LIMITS = """
