@@ -215,20 +215,20 @@ class Balance:
     ) -> Balanced | Unsolved:
         """Solve the equations by Newton's method from a guess q, lam; the anchor is q_a."""
         if self._compiled and not np.iscomplexobj(q):
-            found = self._compiled.solve(s, q, lam, mu, anchor, _ITERATIONS)
-            if found.why != Rest.STUCK:
-                return self._counted(s, found)
-            q, lam = found.q, found.lam
+            end = self._compiled.solve(s, q, lam, mu, anchor, _ITERATIONS)
+            if end.why != Rest.STUCK:
+                return self._counted(s, end)
+            q, lam = end.q, end.lam
         return self._solve(s, q, lam, mu, anchor)
 
-    def _counted(self, s: float, found: RestEnd) -> Balanced | Unsolved:
-        self.work.iterations += found.iterations
-        self.work.residuals += found.iterations
-        self.work.factorisations += found.iterations + 1
-        if found.why == Rest.SOLVED:
-            return Balanced(s, *found[1:])
+    def _counted(self, s: float, end: RestEnd) -> Balanced | Unsolved:
+        self.work.iterations += end.iterations
+        self.work.residuals += end.iterations
+        self.work.factorisations += end.iterations + 1
+        if end.why == Rest.SOLVED:
+            return Balanced(s, *end[1:])
         verdicts = {Rest.NOT_FINITE: Verdict.NOT_FINITE, Rest.SINGULAR: Verdict.SINGULAR}
-        return Unsolved(verdicts.get(found.why, Verdict.NO_CONVERGENCE), found.correction)
+        return Unsolved(verdicts.get(end.why, Verdict.NO_CONVERGENCE), end.correction)
 
     def _solve(
         self, s: float, q: Array, lam: Array, mu: float, anchor: Array | None

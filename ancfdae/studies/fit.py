@@ -40,9 +40,17 @@ class Fit(abc.ABC):
         Lower and upper bounds of the design values; infinite where there are none.
     """
 
-    design_names: tuple[str, ...]
-    start: Array
     bounds: tuple[Array, Array]
+
+    @property
+    @abc.abstractmethod
+    def design_names(self) -> tuple[str, ...]:
+        """Names of the design values."""
+
+    @property
+    @abc.abstractmethod
+    def start(self) -> Array:
+        """Design values of the model, shape (n_b,)."""
 
     @abc.abstractmethod
     def residuals(self, b: Array) -> Array:
@@ -121,9 +129,19 @@ class JointFit(Fit):
     """Residuals of two fits, one after the other."""
 
     def __init__(self, one: Fit, other: Fit) -> None:
-        self.design_names, self.start, self._fits = one.design_names, one.start, (one, other)
+        self._fits = one, other
         lower, upper = zip(one.bounds, other.bounds, strict=True)
         self.bounds = np.maximum(*lower), np.minimum(*upper)
+
+    @property
+    def design_names(self) -> tuple[str, ...]:
+        """Names of both."""
+        return self._fits[0].design_names
+
+    @property
+    def start(self) -> Array:
+        """Values of both."""
+        return self._fits[0].start
 
     def residuals(self, b: Array) -> Array:
         """Return those of both."""
@@ -165,12 +183,12 @@ class MeasuredFit(Fit, Generic[R]):
         """
 
     @property
-    def design_names(self) -> tuple[str, ...]:  # type: ignore[override]
+    def design_names(self) -> tuple[str, ...]:
         """Names of the design values."""
         return tuple(self.system.design_names)
 
     @property
-    def start(self) -> Array:  # type: ignore[override]
+    def start(self) -> Array:
         """Design values of the model, shape (n_b,)."""
         return np.asarray(self.system.b, dtype=float)
 

@@ -197,12 +197,12 @@ class ModelLadder:
 
     def choice(self, rung: Rung, run: RungRun, of: ErrorOf) -> Choice:
         """Return a run of a rung with the parts of its error in the value or the gradient."""
-        exact, own = self.richest.numbers, rung.numbers
+        exact, numbers = self.richest.numbers, rung.numbers
         finest = max((x for x in self.rungs if x.name == rung.name and x.runs), key=_level)
         sizes = (
             np.abs(finest.numbers - exact),
-            np.abs(own - finest.numbers),
-            np.abs(run.numbers - own) + rung.bar,
+            np.abs(numbers - finest.numbers),
+            np.abs(run.numbers - numbers) + rung.bar,
             self.mesh_bar + self.richest.bar,
         )
         errors = (error(x, exact, of) for x in sizes)
@@ -211,9 +211,9 @@ class ModelLadder:
     def _cells(self, rung: Rung) -> list[str]:
         if not rung.runs:
             return [rung.name, str(rung.elements), *["-"] * 7, rung.outcome]
-        own = [self.choice(rung, run, "gradient") for run in rung.runs]
-        enough = [each for each in own if each.error <= self.tolerance]
-        shown = enough[0] if enough else min(own, key=lambda each: each.error)
+        choices = [self.choice(rung, run, "gradient") for run in rung.runs]
+        enough = [each for each in choices if each.error <= self.tolerance]
+        shown = enough[0] if enough else min(choices, key=lambda each: each.error)
         value = self.choice(rung, shown.run, "objective").parts
         errors = [parts[name] for parts in (value, shown.parts) for name in _PARTS[:2]]
         run = shown.run

@@ -54,7 +54,7 @@ def known_design(
             return False
 
     rows = [(x, {text: x.factor(text) for text in x.targets if has(text)}) for x in design]
-    return tuple(replace(x, targets=own if x.shares else tuple(own)) for x, own in rows if own)
+    return tuple(replace(x, targets=kept if x.shares else tuple(kept)) for x, kept in rows if kept)
 
 
 def model_kinds(scene: Scene, alternatives: Mapping[str, Scene]) -> Iterator[Kind]:
@@ -104,5 +104,5 @@ def _undamped(beam: BeamBody) -> BeamBody:
 
 
 def _materials(beam: BeamBody) -> Sequence[Material]:
-    own = beam.material
-    return [own] * beam.element_count if isinstance(own, Material) else own
+    given = beam.material
+    return [given] * beam.element_count if isinstance(given, Material) else given

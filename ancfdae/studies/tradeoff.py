@@ -104,8 +104,7 @@ def tradeoff(
     for name, scene in (models or {}).items():
         require_kind(f"models, {name}", scene, (Scene,), "Pass a Scene.")
         other = differentiable(scene, known_design(scene, variables))
-        own = (replace(t, system=other, model=name) for t in tasks[1 : len(settings) + 1])
-        tasks += own
+        tasks += [replace(t, system=other, model=name) for t in tasks[1 : len(settings) + 1]]
     measured = _measured(tasks, executor, progress)
     exact = _required(measured[0])
     rows = [compared(system, t, r, exact) for t, r in zip(tasks, measured, strict=True)]

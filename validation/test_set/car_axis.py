@@ -1,6 +1,6 @@
 """Car axis (Mazzia and Magherini, Test Set for IVP Solvers, release 2.4)."""
 
-from typing import Self, final
+from typing import final
 
 import numpy as np
 
@@ -28,14 +28,8 @@ class CarAxis(TestProblem):
     digits = 1e-13
 
     n_q, n_lam, design_names = 4, 2, ("L0", "M", "r")
+    values = (0.5, 10.0, 0.1)
     traits = Traits(constant_mass=True, velocity_forces=False)
-
-    def __init__(self, b: Array | tuple[float, ...] = (0.5, 10.0, 0.1)) -> None:
-        super().__init__(b)
-
-    def with_values(self, b: Array) -> Self:
-        """Return the problem at other values."""
-        return type(self)(b)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return x_l."""

@@ -4,7 +4,7 @@ Crank angle q, slider x, angle p of the rod; a damped spring joins the middles o
 force F pulls the slider and the middle of the rod.
 """
 
-from typing import Self, final
+from typing import final
 
 import numpy as np
 
@@ -27,14 +27,8 @@ class CrankWithSpring(TestProblem):
     digits = 1e-5
 
     n_q, n_lam, design_names = 3, 2, ("k", "c", "F")
+    values = (1.0, 1.0, 1.0)
     traits = Traits(constant_mass=True, velocity_forces=True)
-
-    def __init__(self, b: Array | tuple[float, ...] = (1.0, 1.0, 1.0)) -> None:
-        super().__init__(b)
-
-    def with_values(self, b: Array) -> Self:
-        """Return the problem at other values."""
-        return type(self)(b)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return the kinetic energy."""

@@ -10,7 +10,7 @@ q = (phi_1, phi_2, x_3, q_1, ..., q_4), the velocities give the rod's points
 so that with C = cos(phi_1 - phi_2), S = sin(phi_1 - phi_2) the mass matrix has the entries below.
 """
 
-from typing import Final, Self, final
+from typing import Final, final
 
 import numpy as np
 
@@ -37,14 +37,8 @@ class FlexibleCrank(TestProblem):
     digits = 1e-6
 
     n_q, n_lam, design_names = 7, 3, ("E", "h", "m_3")
+    values = (0.2e12, 0.008, 0.075552)
     traits = Traits(constant_mass=False, velocity_forces=True)
-
-    def __init__(self, b: Array | tuple[float, ...] = (0.2e12, 0.008, 0.075552)) -> None:
-        super().__init__(b)
-
-    def with_values(self, b: Array) -> Self:
-        """Return the problem at other values."""
-        return type(self)(b)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return q_1, the amplitude of the first bending mode."""

@@ -1,6 +1,6 @@
 """Simple pendulum in Cartesian coordinates (IFToMM library of benchmark problems, A01)."""
 
-from typing import Self, final
+from typing import final
 
 import numpy as np
 
@@ -20,14 +20,8 @@ class SimplePendulum(TestProblem):
     digits = 1e-12
 
     n_q, n_lam, design_names = 2, 1, ("L", "g", "m")
+    values = (1.0, 9.81, 1.0)
     traits = Traits(constant_mass=True, velocity_forces=False)
-
-    def __init__(self, b: Array | tuple[float, ...] = (1.0, 9.81, 1.0)) -> None:
-        super().__init__(b)
-
-    def with_values(self, b: Array) -> Self:
-        """Return the problem at other values."""
-        return type(self)(b)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return the momentum m v_x."""

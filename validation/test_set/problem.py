@@ -12,7 +12,7 @@ respect to design variables.
 """
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,8 @@ class TestProblem(ComplexStepSystem):
         Whether the objective is the integral of what is observed, or its value at the end.
     step : float
         Largest step of HHT that is run; s.
+    values : tuple of float
+        Design values of the source.
     """
 
     title: ClassVar[str]
@@ -54,6 +56,14 @@ class TestProblem(ComplexStepSystem):
     digits: ClassVar[float]
     integral: ClassVar[bool] = False
     step: ClassVar[float]
+    values: ClassVar[tuple[float, ...]]
+
+    def __init__(self, b: Array | tuple[float, ...] | None = None) -> None:
+        super().__init__(self.values if b is None else b)
+
+    def with_values(self, b: Array) -> Self:
+        """Return the problem at other values."""
+        return type(self)(b)
 
     @abstractmethod
     def jacobian(self, t: float, q: Array) -> Array:

@@ -6,7 +6,7 @@ With v = y and M = 1 these are equations of motion, y_2' = -y_1' - y_3', and q i
 The example differentiates the integral of |y|^2/2 with respect to p_1 and p_2.
 """
 
-from typing import Any, Self, final
+from typing import Any, final
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -27,14 +27,8 @@ class Roberts(TestProblem):
     digits = 2e-5
 
     n_q, n_lam, design_names = 3, 0, ("p1", "p2", "p3")
+    values = (0.04, 1e4, 3e7)
     traits = Traits(constant_mass=True, velocity_forces=True)
-
-    def __init__(self, b: Array | tuple[float, ...] = (0.04, 1e4, 3e7)) -> None:
-        super().__init__(b)
-
-    def with_values(self, b: Array) -> Self:
-        """Return the problem at other values."""
-        return type(self)(b)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return |y|^2/2."""

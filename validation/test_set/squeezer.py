@@ -4,7 +4,7 @@ Seven bodies in a plane, driven by a constant torque, one spring; the angles are
 q = (beta, Theta, gamma, Phi, delta, Omega, epsilon).
 """
 
-from typing import Final, Self, final
+from typing import Final, final
 
 import numpy as np
 
@@ -65,14 +65,8 @@ class Squeezer(TestProblem):
     digits = 1e-11
 
     n_q, n_lam, design_names = 7, 6, ("mom", "c0", "m7")
+    values = (0.033, 4530.0, 0.05498)
     traits = Traits(constant_mass=False, velocity_forces=True)
-
-    def __init__(self, b: Array | tuple[float, ...] = (0.033, 4530.0, 0.05498)) -> None:
-        super().__init__(b)
-
-    def with_values(self, b: Array) -> Self:
-        """Return the problem at other values."""
-        return type(self)(b)
 
     def observed(self, q: Array, v: Array, b: Array) -> Array:
         """Return beta, the angle of the crank."""
