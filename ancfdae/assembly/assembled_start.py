@@ -30,8 +30,9 @@ class AssembledStart:
     pattern: Pattern
     b: Array
 
+    @cached_property
     def state(self) -> tuple[Array, Array]:
-        """Return q and v; raise InconsistentStart where joints stay open that nothing projects."""
+        """The start q, v; raises InconsistentStart where joints stay open that nothing projects."""
         if not self.scene.project_start:
             self._assembly.require_closed()
         self.joints.refuse_opposite(self._assembly.q, 0.0)
