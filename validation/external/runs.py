@@ -1,6 +1,5 @@
 """Runs of external problems: the result and its cost, or why there is none."""
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -27,6 +26,7 @@ from ancfdae import (
 )
 from ancfdae.integrators import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.numerics.timing import stopwatch
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
@@ -203,7 +203,7 @@ def differentiated(problem: Problem, integrator: Integrator, method: GradientMet
 
 
 def _timed(call: Callable[[], Attempt]) -> Attempt:
-    clock = time.process_time()
+    clock = stopwatch()
     try:
         attempt = call()
     except MissingPackage:
@@ -213,8 +213,7 @@ def _timed(call: Callable[[], Attempt]) -> Attempt:
         attempt = Attempt(note, 0.0, error.solution)
     except InvalidInput as error:
         attempt = Attempt(f"{_REFUSED}: {error.where} {error.rule}", 0.0)
-    seconds = time.process_time() - clock
-    return Attempt(attempt.note, seconds, attempt.solution, attempt.value)
+    return Attempt(attempt.note, clock(), attempt.solution, attempt.value)
 
 
 def rows_at(solution: Solution, times: Array) -> list[int]:
