@@ -1,6 +1,7 @@
 """Runs of external problems: the result and its cost, or why there is none."""
 
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -17,6 +18,7 @@ from ancfdae import (
     Explicit,
     FiniteDifference,
     InvalidInput,
+    ManySteps,
     MechanicalSystem,
     MissingPackage,
     Solution,
@@ -205,7 +207,11 @@ def differentiated(problem: Problem, integrator: Integrator, method: GradientMet
 def _timed(call: Callable[[], Attempt]) -> Attempt:
     clock = time.process_time()
     try:
-        attempt = call()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ManySteps)
+            attempt = call()
+    except ManySteps as warning:
+        attempt = Attempt(f"given up: {str(warning).split(':')[0]}", 0.0)
     except MissingPackage:
         attempt = Attempt("sundials4py is not installed", 0.0)
     except UnfinishedRun as error:
