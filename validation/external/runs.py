@@ -1,5 +1,6 @@
 """Runs of external problems: the result and its cost, or why there is none."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -16,6 +17,7 @@ from ancfdae import (
     Explicit,
     FiniteDifference,
     InvalidInput,
+    ManySteps,
     MechanicalSystem,
     MissingPackage,
     Solution,
@@ -205,7 +207,11 @@ def differentiated(problem: Problem, integrator: Integrator, method: GradientMet
 def _timed(call: Callable[[], Attempt]) -> Attempt:
     clock = stopwatch()
     try:
-        attempt = call()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ManySteps)
+            attempt = call()
+    except ManySteps as warning:
+        attempt = Attempt(f"given up: {str(warning).split(':')[0]}", 0.0)
     except MissingPackage:
         attempt = Attempt("sundials4py is not installed", 0.0)
     except UnfinishedRun as error:
