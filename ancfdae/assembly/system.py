@@ -15,12 +15,11 @@ from ancfdae.assembly.block import element_block
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
-from ancfdae.assembly.inertia import Inertia
+from ancfdae.assembly.inertia import Inertia, element_masses, other_masses
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
 from ancfdae.assembly.load_input import LoadInput
-from ancfdae.assembly.mass_blocks import element_masses, other_masses
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
