@@ -49,23 +49,12 @@ class ReferenceShape:
     """Reference configuration of a beam of n elements.
 
     It stands with its first node at the origin, before the turn of the beam.
-
-    Attributes
-    ----------
-    lengths : array, shape (n,)
-        Element lengths.
-    slopes : array, shape (n + 1, d, d)
-        Node frames; row k is the slope along the section's k-th axis.
-    chords : array, shape (n, d)
-        (r_2 - r_1) / length of each element.
-    straight : bool
-        Whether dr_o/dx is the same at every point of the beam.
     """
 
-    lengths: Array
-    slopes: Array
-    chords: Array
-    straight: bool
+    lengths: Array  # (n,): element lengths
+    slopes: Array  # (n + 1, d, d): node frames; row k is the slope along the section's k-th axis
+    chords: Array  # (n, d): (r_2 - r_1) / length of each element
+    straight: bool  # whether dr_o/dx is the same at every point of the beam
 
     @property
     def fractions(self) -> Array:
@@ -129,10 +118,8 @@ class BeamBody(Placed):
     def with_elements(self, count: int) -> BeamBody:
         """Return the same beam with another number of elements.
 
-        Raises
-        ------
-        InvalidInput
-            If an element of the new mesh had two sections or materials, or nodes are given.
+        InvalidInput if an element of the new mesh had two sections or materials, or nodes are
+        given.
         """
         rule, repair = "its nodes are given one by one", "Declare it with other nodes."
         raise InvalidInput(f"beam {self.name!r}, elements", rule, count, repair)
@@ -204,18 +191,13 @@ class BeamBody(Placed):
     def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
         """Return the same beam with parameters changed together.
 
+        InvalidInput if a value is not admissible for its parameter, sizes of a section do not fit
+        together or an element does not exist. UnknownName if there is no such parameter.
+
         Parameters
         ----------
         changes : iterable of (parameter, element, value)
             The element is None where the parameter changes everywhere.
-
-        Raises
-        ------
-        InvalidInput
-            If a value is not admissible for its parameter, sizes of a section do not fit together
-            or an element does not exist.
-        UnknownName
-            If there is no such parameter.
         """
         names, placement = self.parameter_names(), self.placement()
         changes = tuple(changes)
@@ -239,12 +221,7 @@ class BeamBody(Placed):
         return replace(beam, section=tuple(changed), material=tuple(materials))  # type: ignore[type-var]
 
     def check_target(self, parameter: str, element: int | None) -> None:
-        """Refuse a design target that this beam does not have.
-
-        Raises
-        ------
-        InvalidInput, UnknownName
-        """
+        """Refuse a design target that this beam does not have."""
         names, placement = self.parameter_names(), self.placement()
         if parameter not in names and parameter not in placement:
             known = (f"{self.name}.{name}" for name in (*names, *placement))

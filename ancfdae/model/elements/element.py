@@ -57,20 +57,11 @@ class ElementParameter(IntEnum):
 @final
 @dataclass(frozen=True)
 class ElementType:
-    """What elements share that differ in numbers only.
+    """What elements share that differ in numbers only."""
 
-    Attributes
-    ----------
-    section : Section
-        One of theirs; its sizes do not count.
-    energy : StrainEnergy or None
-        None for elements with a law of their own.
-    straight : bool
-        Whether dr_o/dx is the same at every point of an element, so that a low-order rule is exact.
-    """
-
-    section: Section
-    energy: StrainEnergy | None
+    section: Section  # one of theirs; its sizes do not count
+    energy: StrainEnergy | None  # None for elements with a law of their own
+    # Whether dr_o/dx is the same at every point of an element, so that a low-order rule is exact.
     straight: bool
 
     def sizes(self, parameters: Array) -> Array:
@@ -82,20 +73,12 @@ class ElementType:
 @final
 @dataclass(frozen=True)
 class Batch:
-    """Some elements of one type.
-
-    Attributes
-    ----------
-    kind : ElementType
-    parameters : array, shape (n, 9)
-        Columns as in `ElementParameter`; real or complex.
-    Y_unit : array, shape (n, n_y, d)
-        Relative node vectors of the reference configuration, the first one, r_2 - r_1, divided by
-        the element length.
-    """
+    """Some elements of one type."""
 
     kind: ElementType
-    parameters: Array
+    parameters: Array  # (n, 9): columns as in `ElementParameter`; real or complex
+    # (n, n_y, d): relative node vectors of the reference configuration, the first one, r_2 - r_1,
+    # divided by the element length.
     Y_unit: Array
 
     def __getitem__(self, rows: slice | Array) -> Batch:
@@ -153,65 +136,35 @@ class Batch:
 @final
 @dataclass(frozen=True)
 class InvariantPartial:
-    """Derivatives of the invariants in one element parameter.
+    """Derivatives of the invariants in one element parameter."""
 
-    Attributes
-    ----------
-    A : array, shape (n, n_g, n_g)
-    g_o : array, shape (n, n_g)
-    p_o : array, shape (n, n_g)
-    c : array, shape (n, n_g)
-        A (dg_o/db) - dp_o/db: minus what the stress gains with g held, beside A_b dg.
-    m : array, shape (n, n_a, n_a)
-    """
-
-    A: Array
-    g_o: Array
-    p_o: Array
+    A: Array  # (n, n_g, n_g)
+    g_o: Array  # (n, n_g)
+    p_o: Array  # (n, n_g)
+    # (n, n_g): A (dg_o/db) - dp_o/db: minus what the stress gains with g held, beside A_b dg.
     c: Array
-    m: Array
+    m: Array  # (n, n_a, n_a)
 
 
 @final
 @dataclass(frozen=True)
 class Invariants:
-    """Invariants of n elements.
+    """Invariants of n elements."""
 
-    Attributes
-    ----------
-    A : array, shape (n, n_g, n_g)
-        Elastic invariant.
-    g_o : array, shape (n, n_g)
-        Packed Gram matrix of the reference configuration.
-    m : array, shape (n, n_a, n_a)
-        Mass invariant.
-    p_o : array, shape (n, n_g), or None
-        Linear term of the energy; None where there is none.
-    partials : dict
-        Derivatives by element parameter, only those asked for; none for the damping time,
-        which no invariant depends on.
-    """
-
-    A: Array
-    g_o: Array
-    m: Array
-    p_o: Array | None
+    A: Array  # (n, n_g, n_g): elastic invariant
+    g_o: Array  # (n, n_g): packed Gram matrix of the reference configuration
+    m: Array  # (n, n_a, n_a): mass invariant
+    p_o: Array | None  # (n, n_g): linear term of the energy
+    # Derivatives by element parameter, only those asked for; none for the damping time, which no
+    # invariant depends on.
     partials: dict[ElementParameter, InvariantPartial]
 
 
 class Integrals(abc.ABC):
-    """Invariants but for the powers of the length l that their entries go with.
+    """Invariants but for the powers of the length l that their entries go with."""
 
-    Attributes
-    ----------
-    values : tuple of array, shape (n, ...)
-        A, m, and p_o where the element has one.
-    powers : tuple of array
-        The power of l of each entry of these.
-    """
-
-    values: tuple[Array, ...]
-    powers: tuple[Array, ...]
+    values: tuple[Array, ...]  # A, m, and p_o where the element has one
+    powers: tuple[Array, ...]  # the power of l of each entry of these
 
     @abc.abstractmethod
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
@@ -221,19 +174,11 @@ class Integrals(abc.ABC):
 @final
 @dataclass(frozen=True)
 class SectionPlace:
-    """Where a section lies in a run of neighbouring elements.
+    """Where a section lies in a run of neighbouring elements."""
 
-    Attributes
-    ----------
-    element : int
-        Its element in the run, which holds those beside it on `smooth` nodes.
-    xi : float
-    smooth : (bool, bool)
-        Whether nothing acts at the first, at the second node of its element.
-    """
-
-    element: int
+    element: int  # its element in the run, which holds those beside it on `smooth` nodes
     xi: float
+    # Whether nothing acts at the first, at the second node of its element.
     smooth: tuple[bool, bool] = (False, False)
 
 
@@ -255,15 +200,9 @@ class SectionLaw(abc.ABC):
 
 
 class StressLaw(abc.ABC):
-    """Von Mises stresses at many points of elements: fibre by fibre, each at all its places.
+    """Von Mises stresses at many points of elements: fibre by fibre, each at all its places."""
 
-    Attributes
-    ----------
-    count : int
-        Number of points, of which each holds a few numbers per instant.
-    """
-
-    count: int
+    count: int  # number of points, of which each holds a few numbers per instant
 
     @abc.abstractmethod
     def von_mises(self, Y: Array, V: Array) -> Array:
@@ -337,12 +276,7 @@ class BeamElement(abc.ABC):
 
     @final
     def check(self, where: str) -> None:
-        """Refuse an element whose declarations do not fit each other.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse an element whose declarations do not fit each other."""
         require_text(f"{where}, name", self.name)
         if self.quantities[:2] != (Quantity.POSITION, Quantity.SLOPE_X):
             rule, repair = "must be a position and the slope along the beam first", "Declare them."
@@ -356,21 +290,11 @@ class BeamElement(abc.ABC):
                 raise InvalidInput(f"{where}, vector_weights", rule, shapes, repair)
 
     def check_section(self, where: str, section: Section) -> None:
-        """Refuse a section that the element cannot stand for.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse a section that the element cannot stand for."""
         return
 
     def require(self, where: str, quantity: Quantity, y: float, z: float) -> None:
-        """Refuse a vector that a point, offset in the section by y and z, does not have.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse a vector that a point, offset in the section by y and z, does not have."""
         if Quantity.SLOPE_Y not in self.quantities and (y != 0 or z != 0):
             raise InvalidInput(
                 where, "the element has no section to be off", f"y = {y}, z = {z}", "Leave it out."

@@ -42,6 +42,8 @@ def prepare(
 ) -> Invariants:
     """Integrate the invariants and the derivatives asked for.
 
+    InvalidInput if the reference configuration folds (det dr_o/dx <= 0 somewhere).
+
     Parameters
     ----------
     element : BeamElement
@@ -51,11 +53,6 @@ def prepare(
         Parameters whose derivatives are prepared.
     owners : array of str, shape (n,), optional
         What each element belongs to, for the error.
-
-    Raises
-    ------
-    InvalidInput
-        If the reference configuration folds (det dr_o/dx <= 0 somewhere).
     """
     wanted, n = tuple(wanted), len(batch.parameters)
     if owners is None:
