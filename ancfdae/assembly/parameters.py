@@ -25,7 +25,7 @@ class ParameterMap:
 
     Attributes
     ----------
-    base : array, shape (n, 9)
+    base : array, shape (n, 10)
         Parameters of the scene as declared.
     elements, parameters, variables : array of int, shape (n_pairs,)
     weights, offsets : array, shape (n_pairs,)
@@ -70,7 +70,7 @@ class ParameterMap:
         return replace(self, declared=declared, slots=self.slots | {owner: slots})
 
     def values(self, b: Array) -> Array:
-        """Return element parameters at design values b, shape (n, 9), in the dtype of b."""
+        """Return element parameters at design values b, shape (n, 10), in the dtype of b."""
         P = self.base.astype(np.result_type(self.base, b))
         P[self.elements, self.parameters] = self.weights * b[self.variables] + self.offsets
         return P
