@@ -171,3 +171,13 @@ def test_no_module_of_the_tests_imports_a_test() -> None:
         names = imported(path.read_text(encoding="utf-8"))
         tests = names & {test.stem for test in (ROOT / "tests").glob("test_*.py")}
         assert not tests, f"{path.name} imports {tests}: move what they share to a helper module"
+
+
+def test_studies_and_reports_read_no_clock_but_that_of_timing():
+    readers = [
+        path
+        for folder in (ROOT / "ancfdae/studies", ROOT / "validation")
+        for path in sorted(folder.rglob("*.py"))
+        if re.search(r"^\s+[^#\"]*\btime\.(process_time|perf_counter)\(", path.read_text(), re.M)
+    ]
+    assert not readers

@@ -13,8 +13,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.joint_factors import JointFactors
-from ancfdae.assembly.joint_partials import JointPartials
+from ancfdae.assembly.joint_factors import JointFactors, JointPartials
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import JointLayout
 from ancfdae.errors import InconsistentStart

@@ -58,13 +58,13 @@ class Reference:
             parts.append(self._of(start.coordinates, body) if isinstance(start, NodeState) else X)
         return np.concatenate(parts)
 
-    def velocities(self, q: Array, motion: Array) -> Array:
-        """Return the declared velocities at coordinates that a rigid motion brought there.
+    def velocities(self, q: Array, motion: Array | None) -> Array:
+        """Return the declared velocities at coordinates that a rigid motion brought there, if any.
 
         Velocities of nodes turn with their body, by `motion` of shape (n_bodies, n_x).
         """
         d, first, parts = self._scene.dimension, 0, []
-        for body, x in zip(self._scene.members, motion, strict=True):
+        for k, body in enumerate(self._scene.members):
             X = self._vectors(body)
             vectors, first = q[first : first + X.size].reshape(X.shape), first + X.size
             start = self._scene.start_of(body.name)
@@ -72,7 +72,8 @@ class Reference:
             if isinstance(start, RigidMotion):
                 V = self._rigid_velocity(body, start, vectors)
             elif isinstance(start, NodeState) and start.velocities is not None:
-                V = self._of(start.velocities, body) @ cayley(x[None, d:], d)[0].T
+                V = self._of(start.velocities, body)
+                V = V if motion is None else V @ cayley(motion[k : k + 1, d:], d)[0].T
             parts.append(V.ravel())
         return np.concatenate(parts)
 

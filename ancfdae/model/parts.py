@@ -2,17 +2,19 @@
 
 import abc
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
-from typing import Any, ClassVar, Self, TypeAlias, final
+from typing import Any, ClassVar, Self, TypeAlias, TypeVar, final
 
 import numpy as np
 
 from ancfdae.errors import InvalidInput, require_axial, require_text, require_vector
-from ancfdae.model.bodies import Point, require_point
+from ancfdae.model.bodies import BeamBody, Point, RigidBody, require_point
 from ancfdae.model.design import Designable
 from ancfdae.model.drawing import Stroke
 from ancfdae.model.elements import BeamElement, Quantity, default_element
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.rotations import rotation
 
 
 @final
@@ -268,3 +270,27 @@ class Part(Designable, abc.ABC):
                 "both" if ends else "neither",
                 "Give one of `other` and `ground`.",
             )
+
+
+#: Returns the beam or rigid body of a name.
+_Member: TypeAlias = Callable[[str], BeamBody | RigidBody]
+_Any = TypeVar("_Any", bound=Part)
+
+#: Targets of the place on the ground.
+TARGETS = ("ground_x", "ground_y", "ground_z")
+
+
+def reference_place(point: Point, member: _Member) -> Array:
+    """Return where a point stands in the reference configuration as declared, shape (d,)."""
+    body = member(point.beam)
+    place, attached = body.place, body.attached
+    start = np.asarray(place) if attached is None else reference_place(attached, member)
+    arm = rotation(np.asarray(body.turn, float), body.dimension) @ body.at_origin(point)
+    result: Array = start + arm
+    return result
+
+
+def on_ground(part: _Any, member: _Member) -> _Any:
+    """Return a part with its ground written where it was left out."""
+    point = part.stands_at
+    return part if point is None else part.on_ground(reference_place(point, member).tolist())

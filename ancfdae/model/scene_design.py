@@ -20,10 +20,9 @@ from ancfdae.errors import (
 from ancfdae.model.bodies import BeamBody, Point, Quantity, RigidBody
 from ancfdae.model.design import Designable, DesignVariable, Target, parse_target
 from ancfdae.model.elements import ElementParameter
-from ancfdae.model.grounds import TARGETS, on_ground, reference_place
 from ancfdae.model.joints import Joint
 from ancfdae.model.loads import Load
-from ancfdae.model.parts import Elements, Normal, Part
+from ancfdae.model.parts import TARGETS, Elements, Normal, Part, on_ground, reference_place
 from ancfdae.model.point_mass import PointMass
 from ancfdae.model.starts import AtRest, NodeState, RigidMotion, Start
 from ancfdae.numerics.arrays import Array

@@ -71,6 +71,9 @@ def derivative(
         Whether f takes arrays of numbers, and returns a row for each.
     """
     of_all = f if together else _one_by_one(f)
+    if not math.prod((radii[0] ** order, *radii[1:])) > 0:
+        # The state is so large, or not finite, that no circle is small enough: a run diverges.
+        return np.full_like(of_all(*np.zeros((len(radii), 1)))[0], np.nan, dtype=float)
     if len(radii) == 1 and order == 1:
         step = STEP * radii[0]
         return np.asarray(np.imag(of_all(np.array([1j * step]))[0]) / step)

@@ -98,7 +98,8 @@ def _settled(balance: Balance, start: Softness | None, max_steps: int) -> Search
     if verdict is not Verdict.EQUILIBRIUM:
         return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
     end = softest(balance, 1.0, q, lam)
-    if end.free.shape[1]:
+    # Where the start is held, a motion without stiffness is that of a critical load.
+    if end.free.shape[1] and start:
         raise free_mechanism(balance.system.naming, q, end.free)
     solved = balance.solve(1.0, q, lam)
     if isinstance(solved, Unsolved):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -16,6 +16,7 @@ from ancfdae.integrators import HHT
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.timing import timed
 from ancfdae.sensitivity import UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import evaluate, gradient, simulate
@@ -92,7 +93,9 @@ def refined_runs(
         try:
             if not runs:  # What a system makes at first use is not to be timed.
                 question.numbers(system, HHT(question.t_end / steps))
-            runs.append(_timed(system, question, question.t_end / steps))
+            step = question.t_end / steps
+            run = partial(question.numbers, system, HHT(step))
+            runs.append(RungRun(step, *timed(run, 3, long=_SHORT)))
         except UnfinishedRun as failed:
             left = failed
         dear = runs and richest is not None and runs[-1].seconds > richest.runs[-1].seconds
@@ -106,15 +109,6 @@ def refined_runs(
             "max_steps", "must be 128 at least", question.max_steps, "Raise it."
         )
     return tuple(runs), _bar(runs)
-
-
-def _timed(system: MechanicalSystem, question: Question, step: float) -> RungRun:
-    seconds = list[float]()
-    while len(seconds) < (1 if seconds and seconds[0] > _SHORT else 3):
-        clock = time.process_time()
-        numbers = question.numbers(system, HHT(step))
-        seconds.append(time.process_time() - clock)
-    return RungRun(step, min(seconds), numbers)
 
 
 def _bar(runs: Sequence[RungRun]) -> Array:

