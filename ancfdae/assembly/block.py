@@ -42,6 +42,7 @@ _WEIGHTLESS = (
     ElementParameter.YOUNGS_MODULUS,
     ElementParameter.POISSON_RATIO,
     ElementParameter.DAMPING_TIME,
+    ElementParameter.INITIAL_STRAIN,
 )
 _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 
@@ -49,7 +50,7 @@ _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 def element_block(
     element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap, parameters: Array
 ) -> ElementBlock:
-    """Prepare the invariants of the elements of beams at their parameters, shape (n, 9).
+    """Prepare the invariants of the elements of beams at their parameters, shape (n, 10).
 
     `element` has all node vectors that those of the beams have: theirs are widened to its size.
     """

@@ -24,7 +24,7 @@ class ParameterMap:
     is `weight` times the variable, plus `offset`.
     """
 
-    base: Array  # (n, 9): parameters of the scene as declared
+    base: Array  # (n, 10): parameters of the scene as declared
     elements: Array  # of int, (n_pairs,)
     parameters: Array  # of int, (n_pairs,)
     variables: Array  # of int, (n_pairs,)
@@ -57,7 +57,7 @@ class ParameterMap:
         return replace(self, declared=declared, slots=self.slots | {owner: slots})
 
     def values(self, b: Array) -> Array:
-        """Return element parameters at design values b, shape (n, 9), in the dtype of b."""
+        """Return element parameters at design values b, shape (n, 10), in the dtype of b."""
         P = self.base.astype(np.result_type(self.base, b))
         P[self.elements, self.parameters] = self.weights * b[self.variables] + self.offsets
         return P

@@ -300,7 +300,7 @@ class SceneDesign(Designable):
         return elements if target.element is None else elements[[target.element]]
 
     def element_parameters(self) -> Array:
-        """Return the parameters of all elements, shape (n, 9), columns as `ElementParameter`."""
+        """Return the parameters of all elements, shape (n, 10), columns as `ElementParameter`."""
         return self._element_parameters.copy()
 
     @cached_property

@@ -81,6 +81,8 @@ class BeamBody(Placed):
         Whether it has the coordinates of a rigid body instead of those of its elements.
     kinks : sequence of float
         Fractions of inner nodes with a slope along the beam on either side, see `Beam`.
+    initial_strain : float
+        Strain along the axis in the reference configuration, see `Beam`.
     """
 
     element: BeamElement
@@ -89,6 +91,7 @@ class BeamBody(Placed):
     material: Material | Sequence[Material]
     rigid: bool
     kinks: Sequence[float]
+    initial_strain: float
 
     @property
     @abc.abstractmethod
@@ -161,13 +164,15 @@ class BeamBody(Placed):
     def parameter_names(self) -> dict[str, ElementParameter]:
         """Return what can be a design target, e.g. ``"rod.height"``, and its column."""
         sizes = (each for each in ElementParameter if each.is_size)
-        return _PARAMETERS | dict(zip(self._section().size_names(), sizes, strict=False))
+        strain = {} if self.rigid else {"initial_strain": ElementParameter.INITIAL_STRAIN}
+        return _PARAMETERS | strain | dict(zip(self._section().size_names(), sizes, strict=False))
 
     def element_parameters(self) -> Array:
-        """Parameters of every element, shape (n, 9), columns as in `ElementParameter`."""
+        """Parameters of every element, shape (n, 10), columns as in `ElementParameter`."""
         sections, materials = self._per_element()
         parameters = np.zeros((self.element_count, len(ElementParameter)))
         parameters[:, ElementParameter.LENGTH] = self.reference().lengths
+        parameters[:, ElementParameter.INITIAL_STRAIN] = self.initial_strain
         for name, which in _PARAMETERS.items():
             if which is not ElementParameter.LENGTH:
                 parameters[:, which] = [getattr(material, name) for material in materials]
@@ -212,6 +217,9 @@ class BeamBody(Placed):
             if names[parameter] is ElementParameter.LENGTH:
                 beam = beam.with_length(value)
                 continue
+            if names[parameter] is ElementParameter.INITIAL_STRAIN:
+                beam = replace(beam, initial_strain=value)  # type: ignore[type-var]
+                continue
             for k in range(self.element_count) if element is None else [element]:
                 if names[parameter].is_size:
                     sizes[k][parameter] = value
@@ -236,7 +244,7 @@ class BeamBody(Placed):
                 element,
                 "Name an element that exists.",
             )
-        if names.get(parameter, ElementParameter.LENGTH) is ElementParameter.LENGTH:
+        if names.get(parameter) in (None, ElementParameter.LENGTH, ElementParameter.INITIAL_STRAIN):
             raise InvalidInput(
                 where,
                 f"{parameter} is a property of the whole beam",
@@ -276,6 +284,17 @@ class BeamBody(Placed):
         self._check_sections()
         self._check_energy()
         self._check_kinks()
+        self._check_initial_strain()
+
+    def _check_initial_strain(self) -> None:
+        where, repair = f"beam {self.name!r}, initial_strain", "Give a force over E A."
+        require_finite(where, self.initial_strain, repair)
+        if abs(self.initial_strain) >= 0.5:
+            rule = "must lie between -1/2 and 1/2: the length free of stress must be positive"
+            raise InvalidInput(where, rule, self.initial_strain, repair)
+        if self.rigid and self.initial_strain != 0:
+            rule = "a rigid beam has no strain"
+            raise InvalidInput(where, rule, self.initial_strain, "Leave it or rigid=True out.")
 
     def _check_kinks(self) -> None:
         where = f"beam {self.name!r}, kinks"

@@ -35,18 +35,19 @@ class Quantity(IntEnum):
 
 
 class ElementParameter(IntEnum):
-    """Column of each design parameter in a block's parameter array, shape (n, 9)."""
+    """Column of each design parameter in a block's parameter array, shape (n, 10)."""
 
     YOUNGS_MODULUS = 0
     POISSON_RATIO = 1
     DENSITY = 2
     LENGTH = 3
     DAMPING_TIME = 4
+    INITIAL_STRAIN = 5
     # Sizes of the section, in its order.
-    SIZE_1 = 5
-    SIZE_2 = 6
-    SIZE_3 = 7
-    SIZE_4 = 8
+    SIZE_1 = 6
+    SIZE_2 = 7
+    SIZE_3 = 8
+    SIZE_4 = 9
 
     @property
     def is_size(self) -> bool:
@@ -65,7 +66,7 @@ class ElementType:
     straight: bool
 
     def sizes(self, parameters: Array) -> Array:
-        """Return the sizes of the section out of parameters of shape (n, 9)."""
+        """Return the sizes of the section out of parameters of shape (n, 10)."""
         first = ElementParameter.SIZE_1
         return parameters[:, first : first + len(self.section.size_names())]
 
@@ -76,7 +77,7 @@ class Batch:
     """Some elements of one type."""
 
     kind: ElementType
-    parameters: Array  # (n, 9): columns as in `ElementParameter`; real or complex
+    parameters: Array  # (n, 10): columns as in `ElementParameter`; real or complex
     # (n, n_y, d): relative node vectors of the reference configuration, the first one, r_2 - r_1,
     # divided by the element length.
     Y_unit: Array
@@ -121,6 +122,24 @@ class Batch:
         """Sizes of the sections, shape (n, n_sizes)."""
         return self.kind.sizes(self.parameters)
 
+    @property
+    def Y_free(self) -> Array:
+        """`Y_unit` of the elements free of stress, shape (n, n_y, d).
+
+        Initial strain has stretched them along the axis, and across it they have contracted as the
+        energy makes them, so that no stress is left there.
+        """
+        strain, d = self.of(ElementParameter.INITIAL_STRAIN), self.d
+        factors = np.ones((len(strain), d + 1), dtype=strain.dtype)
+        factors[:, :2] = np.sqrt(1 - 2 * strain)[:, None]
+        if self.kind.energy is not None:
+            C = np.sum(self.stiffness, axis=0)[:, :d, :d]
+            across = np.linalg.solve(C[:, 1:, 1:], C[:, 1:, :1])[..., 0]
+            factors[:, 2:] = np.sqrt(1 + 2 * strain[:, None] * across)
+        n_s = (self.Y_unit.shape[1] + 1) // 2
+        of_rows = np.column_stack([factors[:, :n_s], factors[:, 1:n_s]])
+        return np.asarray(self.Y_unit * of_rows[..., None])
+
     def step(self, which: ElementParameter) -> Array:
         """Return STEP times the power of two next to each value: it vanishes in any units."""
         step: Array = np.ldexp(STEP, np.frexp(self.of(which).real)[1])
@@ -152,7 +171,9 @@ class Invariants:
     """Invariants of n elements."""
 
     A: Array  # (n, n_g, n_g): elastic invariant
-    g_o: Array  # (n, n_g): packed Gram matrix of the reference configuration
+    # (n, n_g): packed Gram matrix of the elements free of stress: in the reference configuration,
+    # but for initial strain.
+    g_o: Array
     m: Array  # (n, n_a, n_a): mass invariant
     p_o: Array | None  # (n, n_g): linear term of the energy
     # Derivatives by element parameter, only those asked for; none for the damping time, which no
