@@ -24,8 +24,7 @@ def rectangle_torsion(h: Array, w: Array) -> Array:
     # e^{-2x} instead of e^{2x}, which overflows for thin strips.
     decay = np.exp(-n * np.pi * a / b)
     series = 31 / 32 * 1.0369277551433699 - np.sum(2 * decay / (1 + decay) / n**5, axis=0)
-    J: Array = a * b**3 * (1 / 3 - 64 / np.pi**5 * (b / a) * series)
-    return J
+    return a * b**3 * (1 / 3 - 64 / np.pi**5 * (b / a) * series)
 
 
 def rectangle_torsional_shear(h: Array, w: Array, y: Array, z: Array) -> tuple[Array, Array]:
@@ -86,11 +85,9 @@ def stepped_share(extent: Array, inner: Array, outer_b: Array, inner_b: Array, y
     I = 2 / 3 * (outer_b * (top**3 - inner**3) + inner_b * inner**3)
     flange = (top**2 - y**2) / 2
     web = (outer_b / inner_b * (top**2 - inner**2) + inner**2 - y**2) / 2
-    share: Array = A / I * np.where(in_web(y, inner), web, flange)
-    return share
+    return A / I * np.where(in_web(y, inner), web, flange)
 
 
 def in_web(y: Array, inner: Array) -> Array:
     """Whether abs(y) <= inner, by real parts."""
-    inside: Array = np.abs(y.real) <= inner.real
-    return inside
+    return np.abs(y.real) <= inner.real
