@@ -132,7 +132,7 @@ class Run:
         settings = {"sensitivities": sensitivities, "progress": self.progress}
         if self.after is not None:
             run = self.integrator.resume(self.system, self.t_end, self.after, **settings)
-            return advised(self.system, run)
+            return run if run.outcome.success else advised(self.system, run)
         return self._told(
             self.integrator.integrate(self.system, self.t_end, **settings), sensitivities
         )
@@ -155,14 +155,16 @@ class Run:
 
     def _told(self, run: Solution, sensitivities: bool) -> Solution:
         """Return a run with advice; refuse one without the derivatives that were asked for."""
-        if sensitivities and run.sensitivities is None and run.outcome.success:
+        if not run.outcome.success:
+            return advised(self.system, run)
+        if sensitivities and run.sensitivities is None:
             raise InvalidInput(
                 f"integrator {type(self.integrator).__name__}",
                 "must integrate design derivatives when `sensitivities` asks for them",
                 "a run without",
                 "Refuse there, and take method=ComplexStep() or FiniteDifference().",
             )
-        return advised(self.system, run)
+        return run
 
     def values(self, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
         """Return a finished run and the values of objectives, without derivatives."""

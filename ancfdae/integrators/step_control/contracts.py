@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import abc
-import math
-import sys
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, Verdict
+from ancfdae.errors import Verdict
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 
@@ -135,9 +133,3 @@ class StepControl(abc.ABC):
     @abc.abstractmethod
     def refined(self, t: Array) -> StepControl:
         """Return what halves every step of a run with the instants t."""
-
-
-def require_square(where: str, value: float) -> None:
-    """Refuse times whose square, or its inverse, is no number of full precision."""
-    if not sys.float_info.min < value * value < math.inf:
-        raise InvalidInput(where, "must have a square that is a number", value, "Change units.")
