@@ -56,11 +56,8 @@ class LoadInput:
     def plan(self, pattern: Pattern) -> LoadPlan:
         """Return the force as operations, with tangents on a pattern that holds the couplings.
 
-        Raises
-        ------
-        InvalidInput
-            For a force that is made of other functions than jets have, or that is no force on each
-            of its vectors.
+        InvalidInput for a force that is made of other functions than jets have, or that is no force
+        on each of its vectors.
         """
         shape, size, vectors = self.reference.shape, self.reference.size, self.vectors
         operations = Operations(2 * size)

@@ -126,10 +126,8 @@ def checked_start(
 ) -> RigidMotion | NodeState:
     """Return a start, of a beam with kinks at these nodes, with its arrays as such.
 
-    Raises
-    ------
-    InvalidInput
-        If vectors have another size, a rigid body has states of nodes, or elements do not meet.
+    InvalidInput if vectors have another size, a rigid body has states of nodes, or elements do not
+    meet.
     """
     where = f"start of {beam.name!r}"
     if isinstance(start, RigidMotion):

@@ -111,10 +111,7 @@ class Jet(Carried):
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Jet:
         """Apply a function of NumPy.
 
-        Raises
-        ------
-        InvalidInput
-            For a function without derivatives here.
+        InvalidInput for a function without derivatives here.
         """
         plain = method == "__call__" and not kwargs
         if plain and ufunc in _LINEAR:

@@ -95,11 +95,8 @@ class Balance:
     def of(system: MechanicalSystem, t: float, q_0: Array, lam_0: Array) -> Balance:
         """Check the start and return the equations.
 
-        Raises
-        ------
-        InvalidInput
-            If start or forces are not finite; `RedundantConstraints` if constraints depend on
-            each other.
+        InvalidInput if start or forces are not finite; `RedundantConstraints` if constraints depend
+        on each other.
         """
         balance = Balance(system, t, q_0, lam_0)
         with np.errstate(all="ignore"):

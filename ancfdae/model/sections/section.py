@@ -195,11 +195,6 @@ def central_moments(y: Array, z: Array, dA: Array) -> tuple[Array, Array]:
 
 
 def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
-    """Refuse walls that leave no hole.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse walls that leave no hole."""
     if not wall < outer:
         raise InvalidInput(where, rule, f"{wall} against {outer}", "Use a thinner wall.")
