@@ -41,8 +41,7 @@ class LoadInput:
 
     def force(self, U: Array, V: Array) -> Array:
         """Return the forces on the vectors, without the law."""
-        F: Array = self.load.force(U, V, self.p, self.reference)
-        return F
+        return self.load.force(U, V, self.p, self.reference)
 
     @property
     def couplings(self) -> tuple[Array, Array]:

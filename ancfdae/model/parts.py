@@ -283,8 +283,7 @@ def reference_place(point: Point, member: _Member) -> Array:
     place, attached = body.place, body.attached
     start = np.asarray(place) if attached is None else reference_place(attached, member)
     arm = rotation(np.asarray(body.turn, float), body.dimension) @ body.at_origin(point)
-    result: Array = start + arm
-    return result
+    return start + arm
 
 
 def on_ground(part: _Any, member: _Member) -> _Any:

@@ -286,8 +286,7 @@ class SceneDesign(Designable):
         which = beam.parameter_names()[target.parameter]
         if which is ElementParameter.LENGTH:
             return [float(np.sum(beam.reference().lengths))]
-        held: list[float] = self._element_parameters[rows, which].tolist()
-        return held
+        return self._element_parameters[rows, which].tolist()
 
     def target_elements(self, target: Target) -> Array:
         """Return the scene-wide numbers of the elements that a target writes to.

@@ -153,8 +153,7 @@ class Balance:
 
     def reactions(self, Phi_q: Array, lam: Array) -> Array:
         """Return Phi_q^T lam."""
-        forces: Array = self.system.constraint_pattern.dot_transposed(Phi_q, lam)
-        return forces
+        return self.system.constraint_pattern.dot_transposed(Phi_q, lam)
 
     def unbalanced(self, q: Array, lam: Array, Phi_q: Array | None = None) -> Array:
         """Return Q - Phi_q^T lam at rest."""

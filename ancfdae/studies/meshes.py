@@ -139,7 +139,7 @@ def _exchanged(
 
 
 def _rigid(beam: BeamBody) -> BeamBody:
-    return replace(beam, rigid=True)  # type: ignore[type-var]
+    return replace(beam, rigid=True, initial_strain=0.0)  # type: ignore[type-var]
 
 
 def _simplifies(element: BeamElement, beam: BeamBody) -> bool:

@@ -111,8 +111,7 @@ class BeamBody(Placed):
         ends = np.stack([start, start + l * shape.chords[k]])
         X = np.concatenate([ends[:, None], shape.slopes[k : k + 2, : n_s - 1]], axis=1)
         w, p = self.element.vector_weights(Quantity.POSITION, xi, point.y, point.z)
-        place: Array = (w * l**p) @ X.reshape(2 * n_s, self.dimension)
-        return place
+        return (w * l**p) @ X.reshape(2 * n_s, self.dimension)
 
     @abc.abstractmethod
     def with_length(self, length: float) -> BeamBody:

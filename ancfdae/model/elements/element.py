@@ -99,8 +99,7 @@ class Batch:
 
     def of(self, which: ElementParameter) -> Array:
         """Return one parameter, shape (n,)."""
-        values: Array = self.parameters[:, which]
-        return values
+        return self.parameters[:, which]
 
     @property
     def lengths(self) -> Array:
@@ -142,8 +141,7 @@ class Batch:
 
     def step(self, which: ElementParameter) -> Array:
         """Return STEP times the power of two next to each value: it vanishes in any units."""
-        step: Array = np.ldexp(STEP, np.frexp(self.of(which).real)[1])
-        return step
+        return np.ldexp(STEP, np.frexp(self.of(which).real)[1])
 
     def moved(self, which: ElementParameter) -> Batch:
         """Return the elements with one parameter moved by an imaginary `step`."""

@@ -61,8 +61,7 @@ class Equations:
     def at(self, U: Array) -> Array:
         """Return the value of the equations at vectors, shape (n_vectors, d) to (n_rows,)."""
         products = np.einsum("rij,ix,jx->r", self.bilinear, U, U)
-        value: Array = np.einsum("rix,ix->r", self.linear, U) + products / 2 - self.offset
-        return value
+        return np.einsum("rix,ix->r", self.linear, U) + products / 2 - self.offset
 
     def without(self, dropped: Sequence[int]) -> Equations:
         """Return the equations without some of them."""

@@ -129,5 +129,4 @@ def rectangle_torsion(h: Array, w: Array) -> Array:
     # e^{-2x} instead of e^{2x}, which overflows for thin strips.
     decay = np.exp(-n * np.pi * a / b)
     series = 31 / 32 * 1.0369277551433699 - np.sum(2 * decay / (1 + decay) / n**5, axis=0)
-    J: Array = a * b**3 * (1 / 3 - 64 / np.pi**5 * (b / a) * series)
-    return J
+    return a * b**3 * (1 / 3 - 64 / np.pi**5 * (b / a) * series)

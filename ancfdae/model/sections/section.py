@@ -85,8 +85,7 @@ class Section(abc.ABC):
         y, z, dA = (x[0] for x in self.points(np.array([self.sizes()]), False))
         places = np.stack([y, z])
         centred = places - (places @ dA / np.sum(dA))[:, None]
-        moments: Array = (centred * dA) @ centred.T
-        return moments
+        return (centred * dA) @ centred.T
 
     @abc.abstractmethod
     def points(self, sizes: Array, fine: bool) -> SectionPoints:

@@ -70,11 +70,9 @@ def stepped_share(extent: Array, inner: Array, outer_b: Array, inner_b: Array, y
     I = 2 / 3 * (outer_b * (top**3 - inner**3) + inner_b * inner**3)
     flange = (top**2 - y**2) / 2
     web = (outer_b / inner_b * (top**2 - inner**2) + inner**2 - y**2) / 2
-    share: Array = A / I * np.where(in_web(y, inner), web, flange)
-    return share
+    return A / I * np.where(in_web(y, inner), web, flange)
 
 
 def in_web(y: Array, inner: Array) -> Array:
     """Whether abs(y) <= inner, by real parts."""
-    inside: Array = np.abs(y.real) <= inner.real
-    return inside
+    return np.abs(y.real) <= inner.real
