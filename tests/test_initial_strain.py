@@ -44,7 +44,7 @@ from ancfdae import (
 )
 from ancfdae.model.elements import Batch, ElementParameter, SaintVenantKirchhoff, elastic
 from ancfdae.model.elements.invariants import prepare
-from ancfdae.studies.model_kinds import model_kinds
+from ancfdae.studies.meshes import model_kinds
 
 import element_forces
 from element_kinds import ENERGIES, arc, kind_of, straight

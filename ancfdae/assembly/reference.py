@@ -87,7 +87,7 @@ class Reference:
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""
-        return self._naming.layout.body(body.name).of_ends(NodeState.ends(nodes))
+        return self._naming.layout.body(body.name).of_ends(nodes)
 
     def _positions(self, body: BeamBody | RigidBody) -> Array:
         """Return the places of positions among the vectors of a body."""

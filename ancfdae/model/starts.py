@@ -81,11 +81,6 @@ class NodeState:
     coordinates: Array
     velocities: Array | None = None
 
-    @staticmethod
-    def ends(nodes: Array) -> Array:
-        """Return vectors of both ends of every element, (n, 2, n_s, d), from either form."""
-        return nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
-
 
 @final
 @dataclass(frozen=True)

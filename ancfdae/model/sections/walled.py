@@ -5,11 +5,16 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.model.sections.rectangle import Rectangular, around, corners, rectangles_points
+from ancfdae.model.sections.rectangle import (
+    Rectangular,
+    around,
+    corners,
+    rectangle_torsion,
+    rectangles_points,
+)
 from ancfdae.model.sections.section import ROUND_UP, SectionPoints, columns, require_smaller
 from ancfdae.model.sections.spread import (
     in_web,
-    rectangle_torsion,
     rectangle_torsional_shear,
     stepped_share,
 )
