@@ -31,3 +31,11 @@ def test_round_off_of_large_terms_is_none_of_the_function():
     with pytest.raises(InvalidInput, match="analytic"):
         derivative(f, (1.0,), 2)
     assert abs(derivative(f, (1.0,), 2, lambda: np.array([1e3]))[0]) < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("radius", "order"), [(0.0, 1), (0.0, 2), (1e-170, 2), (1e-110, 3), (np.nan, 1), (np.nan, 2)]
+)
+def test_a_state_that_no_circle_is_small_enough_for_has_no_derivative(radius, order):
+    # Its powers are zero: the velocity of a run that diverges, not a function to be refused.
+    assert np.isnan(derivative(lambda z: np.array([np.sin(z), z]), (radius,), order)).all()

@@ -26,7 +26,7 @@ INJECTIONS = [
         "Of the assembler only the assembled system, its names",
     ),
     (
-        "sensitivity/direct.py",
+        "sensitivity/adjoint.py",
         "from ancfdae.model.scene import Scene",
         "Integrators and sensitivity methods know the equations, no scene and no beam",
     ),
@@ -47,7 +47,7 @@ INJECTIONS = [
     ),
     ("integrators/start.py", "from ancfdae.integrators import hht", "Layers of the integrators"),
     (
-        "integrators/step_control/march.py",
+        "integrators/step_control/contracts.py",
         "from ancfdae.integrators.hht.equations import Coefficients",
         "Layers of the integrators",
     ),
@@ -171,3 +171,13 @@ def test_no_module_of_the_tests_imports_a_test() -> None:
         names = imported(path.read_text(encoding="utf-8"))
         tests = names & {test.stem for test in (ROOT / "tests").glob("test_*.py")}
         assert not tests, f"{path.name} imports {tests}: move what they share to a helper module"
+
+
+def test_studies_and_reports_read_no_clock_but_that_of_timing():
+    readers = [
+        path
+        for folder in (ROOT / "ancfdae/studies", ROOT / "validation")
+        for path in sorted(folder.rglob("*.py"))
+        if re.search(r"^\s+[^#\"]*\btime\.(process_time|perf_counter)\(", path.read_text(), re.M)
+    ]
+    assert not readers

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy
 
 from ancfdae import (
     HHT,
@@ -37,6 +38,7 @@ from ancfdae import (
     custom,
     equilibrium,
     load_solution,
+    modes,
     multiplier,
     observe,
     position,
@@ -407,6 +409,25 @@ def test_a_buckled_column_is_told(dimension):
         # Stability is told to one per cent of the load; shear and the mesh change another two.
         expected = None if stable else pytest.approx(1 / 1.5, abs=0.02)
         assert outcome.stable_to == expected
+
+
+def test_a_critical_load_is_no_free_mechanism():
+    # Lateral buckling of a cantilever on its edge, where the square of a frequency is zero to the
+    # last digit: some search finds no equilibrium, and says so; none is told to add a joint.
+    section, steel = Rectangle(0.1, 0.02), Material(7850.0, 2e11, 0.0)
+    beam = Beam("beam", (0, 0, 0), (1, 0, 0), 4, section, steel)
+
+    def square(load):
+        force = PointForce(beam.at_end, (0, -load, 0))
+        scene = Scene([beam], [Clamp(beam.at_start)], loads=[force])
+        at = equilibrium(scene)
+        if not at.outcome.success:
+            return 0.0
+        return -(modes(scene, 1, at=at).exponents[0] ** 2).real
+
+    # 4.01 sqrt(E I G J)/L^2 and a tenth more, for it bends before it buckles.
+    critical = scipy.optimize.brentq(square, 6e4, 9e4, xtol=1e-8)
+    assert critical == pytest.approx(76485, rel=1e-3)
 
 
 SPACE = rod((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))

@@ -1,6 +1,5 @@
 """Timed runs of one scene by several integrators, and their errors against one of them."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from ancfdae import (
 from ancfdae.assembly import AncfSystem
 from ancfdae.integrators import IndexReduction
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.numerics.timing import stopwatch
 from validation.scenes import pendulum_deflection
 
 __all__ = [
@@ -31,11 +31,11 @@ __all__ = [
     "balance",
     "cheapest",
     "common_rows",
+    "differentiated_run",
     "errors",
     "family",
     "label",
     "motion_errors",
-    "timed",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -85,14 +85,14 @@ class Errors:
     sensitivities: Array
 
 
-def timed(system: AncfSystem, t_end: float, integrator: Integrator) -> Run | None:
+def differentiated_run(system: AncfSystem, t_end: float, integrator: Integrator) -> Run | None:
     """Run with sensitivities; None where the integrator's package is not installed."""
-    started = time.process_time()
+    clock = stopwatch()
     try:
         solution = differentiate(system, t_end, integrator)
     except MissingPackage:
         return None
-    return Run(integrator, solution, time.process_time() - started)
+    return Run(integrator, solution, clock())
 
 
 def family(integrator: Integrator) -> str:

@@ -20,11 +20,11 @@ from validation.integrator_runs import (
     balance,
     cheapest,
     common_rows,
+    differentiated_run,
     errors,
     family,
     label,
     step_of,
-    timed,
 )
 from validation.report import Agreement, Report
 from validation.scenes import pendulum, pendulum_deflection
@@ -60,8 +60,8 @@ def run(report: Report, quick: bool) -> None:
     report.heading("Method")
     report.text(_METHOD)
     system = assemble(pendulum(), _DESIGN)
-    runs = [(i, timed(system, extent.t_end, i)) for i in _settings(extent)]
-    reference = timed(
+    runs = [(i, differentiated_run(system, extent.t_end, i)) for i in _settings(extent)]
+    reference = differentiated_run(
         system, extent.t_end, Explicit(extent.reference, _intervals(extent), max_steps=MANY)
     )
     assert reference is not None

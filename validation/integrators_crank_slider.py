@@ -1,8 +1,8 @@
 """Crank-slider's part of the report on the integrators."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ancfdae import (
     position,
 )
 from ancfdae.assembly import AncfSystem
+from ancfdae.numerics.timing import timed
 from ancfdae.plotting import Panel, Series
 from validation.external.runs import Requirement
 from validation.integrator_runs import (
@@ -28,11 +29,11 @@ from validation.integrator_runs import (
     Array,
     balance,
     common_rows,
+    differentiated_run,
     family,
     label,
     motion_errors,
     step_of,
-    timed,
 )
 from validation.report import Report
 from validation.scenes import crank_slider
@@ -127,12 +128,12 @@ def _early(report: Report, system: AncfSystem, extent: _Extent) -> None:
     spacing = extent.t_early / n
     settings: list[Integrator] = [HHT(2.0**-k) for k in extent.early_exponents]
     settings += [kind(rtol, intervals=n, max_steps=MANY) for kind in (IDA, IDAS, Explicit)]
-    reference = timed(system, extent.t_early, Explicit(1e-2 * rtol, n, max_steps=MANY))
+    reference = differentiated_run(system, extent.t_early, Explicit(1e-2 * rtol, n, max_steps=MANY))
     assert reference is not None
     x_0, x_b0 = _slider(reference.solution, system, spacing)
     rows: list[list[object]] = []
     for integrator in settings:
-        done = timed(system, extent.t_early, integrator)
+        done = differentiated_run(system, extent.t_early, integrator)
         names = [family(integrator), label(integrator)]
         if done is None:
             rows.append([*names, "not installed: sundials4py (Python 3.12)", *["-"] * len(_TITLES)])
@@ -218,9 +219,8 @@ def _objective(report: Report, extent: _Objective) -> tuple[list[float], float]:
 
     def value(integrator: Integrator, variables: Sequence[str] = _DESIGN) -> _Value:
         chosen = assemble(crank_slider(), variables)
-        started = time.process_time()
-        result = gradient(chosen, psi, extent.t_end, integrator)
-        seconds = time.process_time() - started
+        run = partial(gradient, chosen, psi, extent.t_end, integrator)
+        seconds, result = timed(run)
         values = np.full(1 + len(_DESIGN), np.nan)
         values[0] = result.value
         values[[1 + _DESIGN.index(v) for v in variables]] = result.gradient * chosen.b

@@ -8,7 +8,6 @@ import platform
 import re
 import subprocess
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,6 +20,7 @@ from tqdm import tqdm
 import ancfdae
 from ancfdae import plotting
 from ancfdae.errors import InvalidInput
+from ancfdae.numerics.timing import stopwatch
 
 __all__ = ["Agreement", "Report", "environment"]
 
@@ -72,7 +72,7 @@ class Report:
         self._command = command
         self._source = source
         self._started = datetime.now(UTC)
-        self._clock = time.perf_counter()
+        self._clock = stopwatch(wall=True)
         self._body: list[str] = []
         self._claims: list[_Claim] = []
         self._figures: dict[str, float] = {}
@@ -178,7 +178,7 @@ class Report:
         no reader meets half a file and a failure leaves an older report as it was.
         """
         self._bar.close()
-        seconds = time.perf_counter() - self._clock
+        seconds = self._clock()
         meta = environment() | {
             "command": self._command,
             "started": self._started.isoformat(timespec="seconds"),

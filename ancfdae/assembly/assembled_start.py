@@ -30,11 +30,31 @@ class AssembledStart:
     pattern: Pattern
     b: Array
 
+    @cached_property
     def state(self) -> tuple[Array, Array]:
-        """Return q and v; raise InconsistentStart where joints stay open that nothing projects."""
+        """The start q, v; raises InconsistentStart where joints stay open that nothing projects."""
+        q, v = self._as_declared() if self._stands else self._closed()
+        self.joints.refuse_opposite(q, 0.0)
+        return q, v
+
+    @cached_property
+    def _moves(self) -> bool:
+        """Whether bodies follow the joints: where asked to, and where the design has moved."""
+        follows = self.scene.assemble or self.scene.project_start
+        return bool(follows or np.any(self.b.real != self.mapping.nominal))
+
+    @property
+    def _stands(self) -> bool:
+        """Whether the start is as declared, to the last digit."""
+        return not (self._moves or np.iscomplexobj(self.reference.Z) or self.joints.is_complex)
+
+    def _as_declared(self) -> tuple[Array, Array]:
+        q = self.reference.Z.ravel()
+        return q, self.reference.velocities(q, None)
+
+    def _closed(self) -> tuple[Array, Array]:
         if not self.scene.project_start:
             self._assembly.require_closed()
-        self.joints.refuse_opposite(self._assembly.q, 0.0)
         return self._assembly.q, self._assembly.v
 
     @cached_property
@@ -59,7 +79,7 @@ class AssembledStart:
 
     @cached_property
     def _assembly(self) -> Assembly:
-        """The start: bodies follow the joints where asked to, and where the design has moved."""
+        """The start where bodies follow the joints."""
         motions, scene = self.numbering.rigid_motions(), self.scene
         free = np.ones(motions.none.shape, dtype=bool)
         names = [member.name for member in scene.members]
@@ -70,13 +90,11 @@ class AssembledStart:
         extent = np.linalg.norm(np.ptp(places, axis=0)) + max(body.size for body in bodies)
         # A power of two, so that a small change of the design leaves it as it is.
         size = 2.0 ** np.round(np.log2(extent))
-        follows = scene.assemble or scene.project_start
-        moves = follows or np.any(self.b.real != self.mapping.nominal)
         declared = self._declared(None)
         strains = scene.project_start
         # Equations of rigid bodies come after those of the joints.
         rows = sum(joint.rows for joint in self.joints.joints[: len(scene.joints)])
-        return Assembly(motions, self.pattern, rows, free, declared, size, bool(moves), strains)
+        return Assembly(motions, self.pattern, rows, free, declared, size, self._moves, strains)
 
     def _declared(self, i: int | None) -> Declared:
         """Return what is declared, moved in design variable i by an imaginary step."""

@@ -1,11 +1,13 @@
-"""Factors of time that coefficients of driven joints have, of all joints at once."""
+"""What time and the design change in the coefficients of all joints."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.joint_structure import Slot
+from ancfdae.assembly.joint_structure import JointStructure, Slot
 from ancfdae.numerics.arrays import STEP, Array
 
 _ORDERS = 4
@@ -73,3 +75,77 @@ class JointFactors:
                     slopes = moved.factors(t, order).imag.T / STEP
                     result[i, order, :, slot.parts] = slopes
         return result
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointPartials:
+    """Partials of entries of L and of coefficients, joint by joint that each variable reaches."""
+
+    structure: JointStructure
+    factors: JointFactors
+    n_b: int
+
+    @cached_property
+    def arrays(self) -> tuple[Array, ...]:
+        """What `constraint_totals` takes: variable, number, first, part, entry, value."""
+        numbers, variable, first, changes = [], [0], [0], [(np.zeros(0, dtype=np.int64),) * 3]
+        for i in range(self.n_b):
+            for number, change in self._reached(i):
+                numbers.append(number)
+                changes.append(change)
+                first.append(first[-1] + len(change[0]))
+            variable.append(len(numbers))
+        part, entry, value = (np.concatenate(x) for x in zip(*changes, strict=True))
+        indices = (np.asarray(x, np.int32) for x in (variable, numbers, first, part, entry))
+        return *indices, value.real.astype(float)
+
+    @cached_property
+    def active(self) -> list[int]:
+        """Design variables that constraints depend on with q held."""
+        return np.flatnonzero(np.diff(self.arrays[0])).tolist()
+
+    def _reached(self, i: int) -> list[tuple[int, tuple[Array, Array, Array]]]:
+        """Return numbers of joints that a variable changes, with parts, entries and values."""
+        structure, reached = self.structure, []
+        vectors = structure.vectors
+        chosen = vectors.variable == i
+        changed, change = vectors.changed[chosen], vectors.change[chosen]
+        entries = len(vectors.value)
+        for number, slot in enumerate(structure.slots):
+            ends = vectors.first[[slot.vectors.start * vectors.d, slot.vectors.stop * vectors.d]]
+            within = slice(*np.searchsorted(changed, ends).tolist())
+            changes = [(np.zeros_like(changed[within]), changed[within], change[within])]
+            driven = False
+            if i in slot.item.active:
+                part, at, value = slot.partials(i)
+                changes.append((part, entries + at, value))
+                driven = slot.parts.start < slot.parts.stop and bool(np.any(slot.item.p_b[:, i]))
+            part, at, value = (np.concatenate(x) for x in zip(*changes, strict=True))
+            if driven or len(at):
+                reached.append((number, (part, at, value)))
+        return reached
+
+    def contract(self, on_l: Array, on_c: Array, t: Array) -> Array:
+        """Return what partials in entries of L, (k, n_l), and coefficients, (k, n, n_c), are in b.
+
+        The n are orders of time derivatives.
+        """
+        orders, structure = on_c.shape[1], self.structure
+        variable, _, first, part, entry, value = self.arrays
+        on_parts = np.einsum("koc,okp->pc", on_c, self.factors.spread(t, orders))
+        of_l = entry < on_l.shape[1]
+        on_entries = np.where(
+            of_l,
+            np.sum(on_l, axis=0)[np.where(of_l, entry, 0)] if on_l.size else 0.0,
+            on_parts[part, np.where(of_l, 0, entry - on_l.shape[1])] if on_parts.size else 0.0,
+        )
+        owner = np.repeat(np.arange(self.n_b), first[variable[1:]] - first[variable[:-1]])
+        result = np.bincount(owner, value * on_entries, self.n_b)
+        factors_b = self.factors.partials(t, orders, self.n_b)
+        if factors_b is None:
+            return result
+        _, at, parts, moving = structure.moving()
+        on_factors = np.zeros((factors_b.shape[-1], len(t), orders))
+        np.add.at(on_factors, parts, np.moveaxis(on_c[..., at] * moving, -1, 0))
+        return np.asarray(result + np.einsum("bokp,pko->b", factors_b, on_factors))

@@ -5,8 +5,7 @@ from typing import final
 
 import numpy as np
 
-from ancfdae.assembly.held_angles import HeldAngles
-from ancfdae.assembly.joint_input import JointInput
+from ancfdae.assembly.joint_input import HeldAngles, JointInput
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.load_input import LoadInput
 from ancfdae.assembly.naming import PointVector, SceneNaming

@@ -41,8 +41,7 @@ class Reference:
         for body in self._scene.members:
             _, numbers_b = self._mapping.numbers(body.name, self._b)
             moving |= np.any(numbers_b[self._skipped(body) :] != 0, axis=0)
-        variables: list[int] = np.flatnonzero(moving).tolist()
-        return variables
+        return np.flatnonzero(moving).tolist()
 
     @cached_property
     def q(self) -> Array:
@@ -58,13 +57,13 @@ class Reference:
             parts.append(self._of(start.coordinates, body) if isinstance(start, NodeState) else X)
         return np.concatenate(parts)
 
-    def velocities(self, q: Array, motion: Array) -> Array:
-        """Return the declared velocities at coordinates that a rigid motion brought there.
+    def velocities(self, q: Array, motion: Array | None) -> Array:
+        """Return the declared velocities at coordinates that a rigid motion brought there, if any.
 
         Velocities of nodes turn with their body, by `motion` of shape (n_bodies, n_x).
         """
         d, first, parts = self._scene.dimension, 0, []
-        for body, x in zip(self._scene.members, motion, strict=True):
+        for k, body in enumerate(self._scene.members):
             X = self._vectors(body)
             vectors, first = q[first : first + X.size].reshape(X.shape), first + X.size
             start = self._scene.start_of(body.name)
@@ -72,7 +71,8 @@ class Reference:
             if isinstance(start, RigidMotion):
                 V = self._rigid_velocity(body, start, vectors)
             elif isinstance(start, NodeState) and start.velocities is not None:
-                V = self._of(start.velocities, body) @ cayley(x[None, d:], d)[0].T
+                V = self._of(start.velocities, body)
+                V = V if motion is None else V @ cayley(motion[k : k + 1, d:], d)[0].T
             parts.append(V.ravel())
         return np.concatenate(parts)
 
@@ -87,7 +87,7 @@ class Reference:
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""
-        return self._naming.layout.body(body.name).of_ends(NodeState.ends(nodes))
+        return self._naming.layout.body(body.name).of_ends(nodes)
 
     def _positions(self, body: BeamBody | RigidBody) -> Array:
         """Return the places of positions among the vectors of a body."""
@@ -121,8 +121,7 @@ class Reference:
         vector = self._naming.vector(point, Quantity.POSITION)
         other = self._vectors(self._scene.member(point.beam))
         first = self._naming.layout.body(point.beam).first_vector
-        place: Array = vector.weights @ other[vector.vectors - first]
-        return place
+        return vector.weights @ other[vector.vectors - first]
 
     @staticmethod
     def _skipped(body: BeamBody | RigidBody) -> int:

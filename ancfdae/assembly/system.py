@@ -15,12 +15,11 @@ from ancfdae.assembly.block import element_block
 from ancfdae.assembly.constraints import JointConstraints
 from ancfdae.assembly.elastic_forces import ElasticForces
 from ancfdae.assembly.energies import Energies
-from ancfdae.assembly.inertia import Inertia
+from ancfdae.assembly.inertia import Inertia, element_masses, other_masses
 from ancfdae.assembly.joint_structure import JointStructure
 from ancfdae.assembly.layout import Layout
 from ancfdae.assembly.load_forces import LoadForces
 from ancfdae.assembly.load_input import LoadInput
-from ancfdae.assembly.mass_blocks import element_masses, other_masses
 from ancfdae.assembly.naming import SceneNaming
 from ancfdae.assembly.numbering import number
 from ancfdae.assembly.parameters import ParameterMap, parameter_map
@@ -28,14 +27,8 @@ from ancfdae.assembly.part_inputs import PartInputs
 from ancfdae.assembly.reference import Reference
 from ancfdae.assembly.turning import TurningForces
 from ancfdae.assembly.works import Works
-from ancfdae.equations.system import (
-    DesignPartials,
-    Direction,
-    Linearisation,
-    PlannedSystem,
-    States,
-    Traits,
-)
+from ancfdae.equations import DesignPartials, Direction, Linearisation, PlannedSystem, Traits
+from ancfdae.equations.system import States
 from ancfdae.errors import InvalidInput, require_kind
 from ancfdae.errors.text import listed
 from ancfdae.kernels import Plan
@@ -48,18 +41,10 @@ from ancfdae.statics import RestingStart
 
 
 def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfSystem:
-    """Turn a scene into a mechanical system with the given design variables.
+    """Turn a scene into a mechanical system.
 
-    Parameters
-    ----------
-    scene : Scene
-    design : sequence of str or DesignVariable
-        Design variables, in the order of the last axis of every sensitivity.
-
-    Raises
-    ------
-    InvalidInput, UnknownName
-        If a design variable does not fit the scene.
+    Design variables are in the order of the last axis of every sensitivity. Raises InvalidInput or
+    UnknownName if one does not fit the scene.
     """
     require_kind("scene", scene, (Scene,), "Call Scene(...).")
     variables = as_design(design)
@@ -70,16 +55,9 @@ def assemble(scene: Scene, design: Sequence[str | DesignVariable] = ()) -> AncfS
 
 @final
 class AncfSystem(PlannedSystem):
-    """A scene at given values of its design variables; made by `assemble`.
+    """A scene at values b of its design variables, real or complex; made by `assemble`.
 
-    Parameters
-    ----------
-    scene : Scene
-    design : tuple of DesignVariable
-    mapping : ParameterMap
-    b : array, shape (n_b,)
-        Values of the design variables, real or complex. Everything that depends on them is
-        computed in their dtype.
+    Everything that depends on b is computed in its dtype.
 
     Attributes
     ----------
@@ -99,14 +77,12 @@ class AncfSystem(PlannedSystem):
         b: Array,
     ) -> None:
         self._scene, self._design, self._mapping, self.b = scene, design, mapping, np.asarray(b)
-        self.n_b = len(design)
-        self.design_names = mapping.names
+        self.n_b, self.design_names = len(design), mapping.names
         parameters = mapping.values(self.b)
-        self._numbering = number(scene)
-        self.n_q = self._numbering.n_q
+        numbering = self._numbering = number(scene)
+        self.n_q = numbering.n_q
         lengths = parameters[:, ElementParameter.LENGTH]
         masses = tuple(mass.name for mass in scene.point_masses)
-        numbering = self._numbering
         layout = Layout(numbering.d, numbering.bodies, numbering.beams, masses, ())
         self.naming = SceneNaming(layout, lengths, mapping.lengths_b(self.n_b))
         self._reference = Reference(scene, mapping, self.b, self.naming)
@@ -115,17 +91,16 @@ class AncfSystem(PlannedSystem):
         self.pattern = self._whole_pattern(joints, loads)
         self._constraints = JointConstraints.on(self.pattern, joints, self.n_b)
         self._loads = LoadForces(loads, self.pattern, self.n_b)
-        soft = mapping.only(self._numbering.elements)
+        soft = mapping.only(numbering.elements)
         beams = [beam for beam in scene.beams if not beam.rigid]
         block = element_block(numbering.widest, beams, soft, soft.values(self.b))
-        self._elastic = ElasticForces(block, self._numbering, soft, self.n_b, self.pattern)
+        self._elastic = ElasticForces(block, numbering, soft, self.n_b, self.pattern)
         others = other_masses(scene, self.naming, mapping, self.b)
-        blocks = (element_masses(self._numbering, soft, block), *others)
+        blocks = (element_masses(numbering, soft, block), *others)
         gravity, frame = self._scene_numbers()
-        self._inertia = Inertia(blocks, self._numbering, self.n_b, self.pattern, gravity)
-        self._turning: TurningForces | None = None
-        if scene.frame is not None:
-            self._turning = TurningForces(scene.frame, frame, self._inertia, self.pattern)
+        inertia = self._inertia = Inertia(blocks, numbering, self.n_b, self.pattern, gravity)
+        turns = scene.frame
+        self._turning = turns and TurningForces(turns, frame, inertia, self.pattern)
         self._describe()
         self.inputs = inputs
         start = mapping, self._reference, self._constraints, self.pattern, self.b
@@ -140,8 +115,8 @@ class AncfSystem(PlannedSystem):
     @cached_property
     def sections(self) -> BeamSections:
         """Forces and stresses of beams."""
-        layout, numbering = self.naming.layout, self._numbering
-        return BeamSections(self._scene, layout, numbering, self._mapping, self.b)
+        where = self.naming.layout, self._numbering
+        return BeamSections(self._scene, *where, self._mapping, self.b)
 
     @cached_property
     def works(self) -> Works:
@@ -150,9 +125,8 @@ class AncfSystem(PlannedSystem):
 
     def __repr__(self) -> str:
         """Return sizes, scene and values of the design variables."""
-        values = listed(
-            f"{name} = {b:.6g}" for name, b in zip(self.design_names, self.b, strict=True)
-        )
+        pairs = zip(self.design_names, self.b, strict=True)
+        values = listed(f"{name} = {b:.6g}" for name, b in pairs)
         sizes = f"{self.n_q} coordinates, {self.n_lam} multipliers"
         return f"AncfSystem: {sizes}\n{self._scene}\ndesign variables: {values}"
 
@@ -164,7 +138,7 @@ class AncfSystem(PlannedSystem):
         return (p[:d], p_b[:d]), (p[d:], p_b[d:])
 
     def _whole_pattern(self, structure: JointStructure, loads: Sequence[LoadInput]) -> Pattern:
-        """Pattern of everything: elements, rigid bodies, curvature of joints, tangents of loads."""
+        """Pattern of elements, rigid bodies, curvature of joints, tangents of loads."""
         moving = [item.couplings for item in loads if not item.load.constant]
         bodies = self._numbering.couplings(self._scene.frame is not None)
         parts = zip(bodies, structure.couplings, *moving, strict=True)
@@ -218,18 +192,11 @@ class AncfSystem(PlannedSystem):
     # -- the protocol --------------------------------------------------------------------------
 
     def with_values(self, b: Array) -> AncfSystem:
-        """Return the same scene at other design values, real or complex.
-
-        Raises
-        ------
-        InvalidInput
-            If there are not n_b values, or one is not admissible.
-        """
+        """Return the same scene at other design values, real or complex; refuse unfit ones."""
         b = np.asarray(b)
         if b.shape != (self.n_b,):
-            raise InvalidInput(
-                "design values", f"must have shape ({self.n_b},)", b.shape, "One per variable."
-            )
+            rule = f"must have shape ({self.n_b},)"
+            raise InvalidInput("design values", rule, b.shape, "One per variable.")
         if np.any(b.real != self.b.real):
             # Refuses values that a part cannot take.
             self._scene.with_values(dict(zip(self._design, b.real.tolist(), strict=True)))
@@ -248,13 +215,9 @@ class AncfSystem(PlannedSystem):
 
     def start(self) -> tuple[Array, Array]:
         """Return the declared start, or the equilibrium."""
-        return self._started
-
-    @cached_property
-    def _started(self) -> tuple[Array, Array]:
         if self._rest is not None:
             return self._rest.q, np.zeros_like(self._rest.q)
-        return self._start.state()
+        return self._start.state
 
     def start_b(self) -> tuple[Array, Array]:
         """Return the partials of the start."""

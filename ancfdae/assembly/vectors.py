@@ -16,7 +16,7 @@ from ancfdae.model.elements import Quantity
 from ancfdae.model.parts import CentreLine, FrameDirection, Normal
 from ancfdae.model.parts import Vectors as Names
 from ancfdae.numerics.arrays import STEP, Array
-from ancfdae.numerics.linear_map import LinearMap
+from ancfdae.numerics.patterns import LinearMap
 
 
 @final

@@ -26,25 +26,18 @@ _TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
 class Designable:
-    """A dataclass with numbers that design variables can drive.
+    """A dataclass with numbers that design variables can drive."""
 
-    Attributes
-    ----------
-    design_fields : tuple of (str, callable)
-        The fields that hold them, each with the rule that its value must obey, called with the
-        place for the error and the value. A field holds a number, which is a design target by the
-        name of the field; a vector, by the first word of the name and the axis (``force_vector``
-        gives ``force_x``, ``force_y``); or another `Designable`, by its targets. It may hold None
-        where that is its default.
-    indexed_fields : mapping of str to str
-        Those of them that hold numbers told apart by an index, each with the word that targets
-        have: ``{"values": "value"}`` gives ``value[0]``, ``value[1]`` ...
-    vector_words : mapping of str to str
-        The words for vectors whose first word would be that of another.
-    """
-
+    # The fields that hold them, each with the rule that its value must obey, called with the place
+    # for the error and the value. A field holds a number, which is a design target by the name of
+    # the field; a vector, by the first word of the name and the axis (``force_vector`` gives
+    # ``force_x``, ``force_y``); or another `Designable`, by its targets. It may hold None where
+    # that is its default.
     design_fields: ClassVar[tuple[tuple[str, Callable[[str, Any], None]], ...]] = ()
+    # Those of them that hold numbers told apart by an index, each with the word that targets have:
+    # ``{"values": "value"}`` gives ``value[0]``, ``value[1]`` ...
     indexed_fields: ClassVar[Mapping[str, str]] = {}
+    # The words for vectors whose first word would be that of another.
     vector_words: ClassVar[Mapping[str, str]] = {}
 
     def parameters(self) -> dict[str, float]:
@@ -57,9 +50,7 @@ class Designable:
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
         """Return the same object with some of its `parameters` changed together.
 
-        Raises
-        ------
-        UnknownName
+        Raises UnknownName.
         """
         unknown = [parameter for parameter in changes if parameter not in self.parameters()]
         if unknown:
@@ -78,17 +69,9 @@ class Designable:
         return replace(self, **new)  # type: ignore[type-var]
 
     def split(self, p: Array) -> list[Any]:
-        """Return the values of the design fields out of those of all `parameters`.
+        """Return the values of the design fields out of those of all `parameters`, real or complex.
 
-        Parameters
-        ----------
-        p : array, shape (n_p,)
-            Real or complex.
-
-        Returns
-        -------
-        list
-            For every field a number, an array, or None where it holds None.
+        For every field a number, an array, or None where it holds None.
         """
         parts: list[Any] = []
         for name, value in self._design_values():
@@ -99,12 +82,7 @@ class Designable:
         return parts
 
     def check_fields(self, where: str) -> None:
-        """Refuse values of design fields that break their rules.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse values of design fields that break their rules."""
         optional = {field.name for field in fields(self) if field.default is None}  # type: ignore[arg-type]
         for name, rule in self.design_fields:
             value = getattr(self, name)
@@ -148,21 +126,12 @@ def numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
 @final
 @dataclass(frozen=True)
 class Target:
-    """One place of a scene that a design variable writes to.
+    """One place of a scene that a design variable writes to."""
 
-    Parameters
-    ----------
-    owner : str
-        Name of the beam, joint or load.
-    parameter : str
-        Name of its parameter, such as ``height``.
-    element : int or None
-        Index of an element of a beam, or of a control value of a law; None for the whole beam, or
-        a parameter without index.
-    """
-
-    owner: str
-    parameter: str
+    owner: str  # name of the beam, joint or load
+    parameter: str  # name of its parameter, such as ``height``
+    # Index of an element of a beam, or of a control value of a law; None for the whole beam, or a
+    # parameter without index.
     element: int | None
 
     @property
@@ -240,10 +209,7 @@ class DesignVariable:
 def parse_target(text: str) -> Target:
     """Read ``"beam.parameter"`` or ``"beam.parameter[element]"``.
 
-    Raises
-    ------
-    InvalidInput
-        If the text has another form.
+    InvalidInput if the text has another form.
     """
     match = _TARGET.fullmatch(str(text))
     if match is None:
@@ -260,10 +226,7 @@ def parse_target(text: str) -> Target:
 def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, ...]:
     """Turn plain target names into design variables and refuse duplicate names.
 
-    Raises
-    ------
-    InvalidInput
-        If two variables share a name or a target.
+    InvalidInput if two variables share a name or a target.
     """
     if isinstance(design, str):
         raise InvalidInput("design", "must be a sequence", repr(design), "Put it in a list.")

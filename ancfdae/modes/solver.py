@@ -238,7 +238,21 @@ def _each_sharpened(small: Linearised, z: Array, X: Array) -> tuple[Array, Array
             step = (along @ x) / (along @ y)
             z[j], change[j] = z[j] - step, np.abs(step)
             X[:, j] = y / np.sqrt(np.real(along @ y))
-    return z, X, change
+    return z if small.D is None else _quotients(small, z, X), X, change
+
+
+def _quotients(small: Linearised, s: Array, X: Array) -> Array:
+    """Return the root of x^H (s^2 M + s D + K) x = 0 next to s: Rayleigh's quotient.
+
+    With K symmetric and D gyroscopic it is imaginary to round-off of the products, whatever x has
+    left, and what does not grow is not taken for what does.
+    """
+    assert small.D is not None
+    m = _squares(small, X)
+    d, k = (np.einsum("ij,ij->j", np.conj(X), small.times(A, X)) for A in (small.D, small.K))
+    root = np.sqrt((d / (2 * m)) ** 2 - k / m)
+    ends = -d / (2 * m) + root, -d / (2 * m) - root
+    return np.asarray(np.where(np.abs(ends[0] - s) <= np.abs(ends[1] - s), *ends))
 
 
 def _finished(small: Linearised, z: Array, X: Array, noise: Array | None = None) -> Eigenpairs:

@@ -1,4 +1,4 @@
-"""Fixed sparsity patterns: a matrix is a vector of values on its pattern.
+"""Fixed sparsity patterns, where a matrix is a vector of values, and constant linear maps.
 
 All matrices of a mechanical system keep their pattern during a run, so they
 are passed around as plain value vectors. That makes sums of matrices sums of
@@ -100,3 +100,31 @@ class Pattern:
     def dot_transposed(self, values: Array, x: Array) -> Array:
         """Product of the transposed (not conjugated) matrix with a vector or columns."""
         return csr_rows_transposed(self._first, self.columns, values, x.T, self.shape[1]).T
+
+
+@final
+class LinearMap:
+    """A constant matrix, shape (n, m), that is only ever multiplied with.
+
+    `csr` are its rows: where they begin, columns and values.
+    """
+
+    def __init__(self, csr: Csr, width: int) -> None:
+        first, columns, values = csr
+        self.csr = first.astype(np.int32, copy=False), columns.astype(np.int32, copy=False), values
+        self._width = width
+
+    @staticmethod
+    def of(rows: Array, columns: Array, values: Array, shape: tuple[int, int]) -> LinearMap:
+        """Return the map with these entries; entries at the same place add."""
+        order = np.argsort(rows, kind="stable")
+        first = np.append(0, np.cumsum(np.bincount(rows, minlength=shape[0])))
+        return LinearMap((first, columns[order], values[order]), shape[1])
+
+    def __call__(self, x: Array) -> Array:
+        """Multiply a vector, shape (m,), or each row of an array, (k, m) to (k, n)."""
+        return csr_rows(*self.csr, x)
+
+    def transposed(self, x: Array) -> Array:
+        """Multiply each row with the transposed (not conjugated) matrix, (k, n) to (k, m)."""
+        return csr_rows_transposed(*self.csr, x, self._width)

@@ -31,10 +31,7 @@ class SearchEnd:
 def search(balance: Balance, max_steps: int) -> SearchEnd:
     """Follow the path of loads; where none begins or it cannot be followed, settle.
 
-    Raises
-    ------
-    FreeMechanism
-        If a motion is held by nothing.
+    FreeMechanism if a motion is held by nothing.
     """
     first, start = balance.begun(), None
     if isinstance(first, Unsolved) or not first.definite:
@@ -98,7 +95,8 @@ def _settled(balance: Balance, start: Softness | None, max_steps: int) -> Search
     if verdict is not Verdict.EQUILIBRIUM:
         return SearchEnd(q, lam, LoadOutcome(verdict, 0.0, steps, residual, downhill=True))
     end = softest(balance, 1.0, q, lam)
-    if end.free.shape[1]:
+    # Where the start is held, a motion without stiffness is that of a critical load.
+    if end.free.shape[1] and start:
         raise free_mechanism(balance.system.naming, q, end.free)
     solved = balance.solve(1.0, q, lam)
     if isinstance(solved, Unsolved):

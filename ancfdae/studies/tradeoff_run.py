@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import final
 
@@ -14,6 +13,7 @@ from ancfdae.equations.solution import Solution
 from ancfdae.errors import AncfdaeError, Verdict
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.timing import stopwatch, timed
 from ancfdae.sensitivity import Gradient, GradientMethod, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import gradient
@@ -22,7 +22,7 @@ from ancfdae.studies.jobs import TimeLimit
 # Times at which trajectories are compared, and instants at which drift and energy are computed.
 _SAMPLES = 201
 _LOOKS = 1000
-# Longer runs are timed once: the clock's resolution and interruptions hardly matter; s.
+# Longer runs are timed once; s.
 _LONG = 1.0
 
 
@@ -85,7 +85,7 @@ def common_times(t_end: float) -> Array:
 
 def measure(task: Task) -> Measurement:
     """Run one setting; a failure is a measurement without results."""
-    clock, limit = time.process_time(), TimeLimit(task.time_limit)
+    clock, limit = stopwatch(), TimeLimit(task.time_limit)
     try:
         with limit:
             return _repeated(task)
@@ -93,30 +93,23 @@ def measure(task: Task) -> Measurement:
         if not limit.expired:
             raise
     outcome = f"the limit of time (time_limit = {limit.seconds:g} s) was reached"
-    return Measurement(time.process_time() - clock, outcome)
+    return Measurement(clock(), outcome)
 
 
 def _repeated(task: Task) -> Measurement:
-    seconds, answer = np.inf, None
-    for _ in range(task.repeats):
-        clock = time.process_time()
-        try:
-            answer = _gradient(task)
-        except UnfinishedRun as error:
-            outcome, spent = error.solution.outcome, time.process_time() - clock
-            return Measurement(spent, str(outcome), verdict=outcome.verdict)
-        except (AncfdaeError, ArithmeticError, ValueError, RuntimeError, MemoryError) as error:
-            return Measurement(time.process_time() - clock, f"{type(error).__name__}: {error}")
-        seconds = min(seconds, time.process_time() - clock)
-        if seconds > _LONG:
-            break
-    assert answer is not None
-    results = _results(task.system, answer)
-    return Measurement(float(seconds), str(answer.solution.outcome), results)
+    def run() -> Gradient:
+        settings = task.objective, task.t_end, task.integrator
+        return gradient(task.system, *settings, method=task.method)
 
-
-def _gradient(task: Task) -> Gradient:
-    return gradient(task.system, task.objective, task.t_end, task.integrator, method=task.method)
+    clock = stopwatch()
+    try:
+        seconds, answer = timed(run, task.repeats, long=_LONG)
+    except UnfinishedRun as error:
+        outcome = error.solution.outcome
+        return Measurement(clock(), str(outcome), verdict=outcome.verdict)
+    except (AncfdaeError, ArithmeticError, ValueError, RuntimeError, MemoryError) as error:
+        return Measurement(clock(), f"{type(error).__name__}: {error}")
+    return Measurement(seconds, str(answer.solution.outcome), _results(task.system, answer))
 
 
 def _results(system: MechanicalSystem, answer: Gradient) -> Results:

@@ -1,7 +1,6 @@
 """Processor time of all methods."""
 
 import itertools
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -17,6 +16,7 @@ from ancfdae import (
     gradient,
     simulate,
 )
+from ancfdae.numerics.timing import timed
 from ancfdae.sensitivity import GradientMethod
 from validation.crank_slider.case import (
     DESIGN,
@@ -50,9 +50,7 @@ def cost(report: Report, extent: Extent) -> None:
     }
     seconds: dict[str, list[float]] = {name: [] for name in tasks}
     for _, (name, task) in itertools.product(range(extent.repeats), tasks.items()):
-        started = time.process_time()
-        task()
-        seconds[name].append(time.process_time() - started)
+        seconds[name].append(timed(task)[0])
     rows: list[list[object]] = []
     for name, values in seconds.items():
         ratio = float(np.median(np.divide(values, seconds["dynamics alone"])))

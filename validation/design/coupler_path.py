@@ -21,9 +21,10 @@ from ancfdae import (
     position,
     simulate,
 )
+from ancfdae.numerics.timing import stopwatch
 from ancfdae.plotting import Panel, Series
 from validation.design.case import Case, Comparison, Response
-from validation.design.optimisation import Array, Once, Optimisation, searched, stopwatch
+from validation.design.optimisation import Array, Once, Optimisation, searched
 
 __all__ = ["coupler_path"]
 

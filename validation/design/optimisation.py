@@ -1,6 +1,5 @@
 """What a page of code works with: a function that remembers its last run, and what was found."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
@@ -10,8 +9,9 @@ import numpy.typing as npt
 from scipy.optimize import OptimizeResult, minimize
 
 from ancfdae import UnfinishedRun
+from ancfdae.numerics.timing import stopwatch
 
-__all__ = ["Array", "Evaluation", "Once", "Optimisation", "constrained", "searched", "stopwatch"]
+__all__ = ["Array", "Evaluation", "Once", "Optimisation", "constrained", "searched"]
 
 Array = npt.NDArray[np.float64]
 Evaluation = Callable[[Array], tuple[Array, Array]]
@@ -93,12 +93,6 @@ class Optimisation:
             bool(result.success),
             None if bounds is None else np.asarray(bounds, dtype=float),
         )
-
-
-def stopwatch() -> Callable[[], float]:
-    """Return a function that tells the processor time since now; s."""
-    begin = time.process_time()
-    return lambda: time.process_time() - begin
 
 
 def constrained(

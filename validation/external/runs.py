@@ -1,6 +1,6 @@
 """Runs of external problems: the result and its cost, or why there is none."""
 
-import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -17,6 +17,7 @@ from ancfdae import (
     Explicit,
     FiniteDifference,
     InvalidInput,
+    ManySteps,
     MechanicalSystem,
     MissingPackage,
     Solution,
@@ -27,6 +28,7 @@ from ancfdae import (
 )
 from ancfdae.integrators import Integrator
 from ancfdae.integrators.stepped import SteppedIntegrator
+from ancfdae.numerics.timing import stopwatch
 from ancfdae.plotting import Panel, Series
 from ancfdae.sensitivity import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
@@ -203,9 +205,13 @@ def differentiated(problem: Problem, integrator: Integrator, method: GradientMet
 
 
 def _timed(call: Callable[[], Attempt]) -> Attempt:
-    clock = time.process_time()
+    clock = stopwatch()
     try:
-        attempt = call()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ManySteps)
+            attempt = call()
+    except ManySteps as warning:
+        attempt = Attempt(f"given up: {str(warning).split(':')[0]}", 0.0)
     except MissingPackage:
         attempt = Attempt("sundials4py is not installed", 0.0)
     except UnfinishedRun as error:
@@ -213,8 +219,7 @@ def _timed(call: Callable[[], Attempt]) -> Attempt:
         attempt = Attempt(note, 0.0, error.solution)
     except InvalidInput as error:
         attempt = Attempt(f"{_REFUSED}: {error.where} {error.rule}", 0.0)
-    seconds = time.process_time() - clock
-    return Attempt(attempt.note, seconds, attempt.solution, attempt.value)
+    return Attempt(attempt.note, clock(), attempt.solution, attempt.value)
 
 
 def rows_at(solution: Solution, times: Array) -> list[int]:

@@ -4,7 +4,6 @@ import importlib
 import importlib.util
 import itertools
 import sys
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, final
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from ancfdae.errors import MissingPackage
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.timing import stopwatch
 from validation.peers.pair import Pair
 
 INSTALL = "Report peers needs Exudyn and JAX: .venv/bin/python -m pip install -e '.[peers]'"
@@ -82,9 +82,9 @@ class Exudyn:
 
         def seconds(way: Way) -> float:
             self.end(step, steps, newton, way)  # The first run takes memory.
-            clock = time.process_time()
+            clock = stopwatch()
             done = np.all(np.isfinite(self.end(step, steps, newton, way)))
-            return time.process_time() - clock if done else np.inf
+            return clock() if done else np.inf
 
         dense = ["EXUdense"] * (self._mbs.systemData.ODE2Size() <= _DENSE)
         ways = itertools.product([*dense, "EigenSparse"], (True, False))

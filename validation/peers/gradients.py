@@ -6,12 +6,12 @@ import numpy as np
 
 from ancfdae import HHT, Adjoint, Direct, Terminal, assemble, gradient, position
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.timing import medians
 from ancfdae.plotting import Panel, Series
 from validation.peers.cables import CablePendulum
 from validation.peers.exudyn import Exudyn, Way
 from validation.peers.pair import Pair
 from validation.peers.rigid import Chain
-from validation.performance.steps import medians
 from validation.report import Agreement, Report
 
 __all__ = ["fill"]

@@ -1,13 +1,13 @@
 """The paper's pendulum here and in JAX."""
 
-import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from ancfdae import HHT, Adjoint, Terminal, assemble, gradient, position, simulate
+from ancfdae.numerics.timing import medians, timed
 from validation.peers.jax_pendulum import compiled
-from validation.performance.steps import medians
 from validation.report import Agreement, Report
 from validation.scenes import pendulum
 
@@ -24,9 +24,9 @@ def fill(report: Report, steps: int, repeats: int) -> None:
     system = assemble(scene, [f"pendulum.{field}" for field in _FIELDS])
     end, b, t_end = scene.beams[0].at_end, system.b.copy(), steps * _STEP
     hht, objective = HHT(step=_STEP), Terminal(position(end, 1))
-    clock = time.perf_counter()
-    height, forward, backward = compiled(_ELEMENTS, _STEP, steps, b)
-    compilation = time.perf_counter() - clock
+    compilation, (height, forward, backward) = timed(
+        partial(compiled, _ELEMENTS, _STEP, steps, b), wall=True
+    )
     here = gradient(system, objective, t_end, hht)
     apart = float(np.max(np.abs(np.asarray(forward(b)) / here.gradient - 1)))
     calls: list[Callable[[], object]] = [

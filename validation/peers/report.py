@@ -7,13 +7,13 @@ import numpy as np
 
 from ancfdae import HHT, assemble, simulate
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.timing import medians
 from ancfdae.plotting import Panel, Series
 from validation.peers import gradients, jax_runs, rest
 from validation.peers.cables import CablePendulum, FlexibleSlider
 from validation.peers.exudyn import Exudyn, require_exudyn
 from validation.peers.pair import Pair
 from validation.peers.rigid import Chain, RigidSlider
-from validation.performance.steps import medians
 from validation.report import Agreement, Report
 
 __all__ = ["run"]

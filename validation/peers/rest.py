@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ancfdae import Clamp, Scene, assemble, equilibrium, modes
+from ancfdae.numerics.timing import medians
 from validation.peers.cables import Elastica
 from validation.peers.exudyn import Exudyn
-from validation.performance.steps import medians
 from validation.report import Agreement, Report
 
 __all__ = ["fill"]

@@ -1,6 +1,5 @@
 """The explicit path: a right-hand side, and a derivative to given accuracies."""
 
-import time
 from functools import partial
 
 import numpy as np
@@ -9,8 +8,9 @@ from ancfdae import Explicit, assemble, differentiate, simulate
 from ancfdae.equations import MechanicalSystem
 from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.problem import Problem
+from ancfdae.numerics.timing import medians
 from validation.performance.row import Row
-from validation.performance.steps import crank_variables, medians, pendulum_variables
+from validation.performance.steps import crank_variables, pendulum_variables
 from validation.scenes import crank_slider, pendulum
 
 __all__ = ["measure"]
@@ -70,14 +70,11 @@ def _pendulum(repeats: int) -> list[Row]:
     size = np.max(np.abs(exact.q_b[-1, :, 0]))
     for accuracy, asked in ((1e-3, "at most 0.3"), (1e-6, "at most 0.5")):
         for rtol in accuracy * np.array([10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01]):
-            explicit, times = Explicit(float(rtol), max_steps=_MOST), []
-            for _ in range(repeats):
-                clock = time.process_time()
-                found = differentiate(system, 1.0, explicit).sensitivities
-                times.append(time.process_time() - clock)
+            run = partial(differentiate, system, 1.0, Explicit(float(rtol), max_steps=_MOST))
+            found = run().sensitivities
             assert found is not None
             if np.max(np.abs(found.q_b[-1] - exact.q_b[-1])[:, 0]) <= accuracy * size:
                 what = f"pendulum, E d/dE at 1 s to {accuracy:g} (rtol {rtol:g})"
-                rows.append(Row(what, float(np.median(times)), "s", asked))
+                rows.append(Row(what, medians([run], repeats)[0], "s", asked))
                 break
     return rows

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ancfdae import HHT, Interrupted, observations, position
+from ancfdae.numerics.timing import stopwatch
 from validation.performance.row import Row, in_a_process, largest_memory
 from validation.scenes import pendulum
 
@@ -48,10 +49,10 @@ def _run(steps: int, interrupted: bool) -> tuple[float, float, int]:
             # A shell's background jobs start deaf to it.
             signal.signal(signal.SIGINT, signal.default_int_handler)
             half_way.start()
-        clock = time.perf_counter()
+        clock = stopwatch(wall=True)
         with suppress(Interrupted):
             observations(scene, tip, steps * _STEP, HHT(_STEP), keep=_EVERY, file=file)
-        taken = time.perf_counter() - clock
+        taken = clock()
         written = int(np.sum(np.isfinite(np.load(file)).all(axis=1)))
     return taken, largest_memory(), written
 

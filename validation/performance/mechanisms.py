@@ -21,8 +21,8 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.equations import MechanicalSystem
+from ancfdae.numerics.timing import medians
 from validation.performance.row import Row
-from validation.performance.steps import medians
 from validation.performance.unit import banded_lu
 
 __all__ = ["chain", "flexible_slider_crank", "measure", "rigid_slider_crank"]

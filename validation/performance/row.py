@@ -2,11 +2,11 @@
 
 import multiprocessing
 import resource
-import statistics
-import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, NamedTuple
+
+from ancfdae.numerics.timing import medians
 
 __all__ = ["Row", "in_a_process", "largest_memory", "seconds"]
 
@@ -22,13 +22,7 @@ class Row(NamedTuple):
 
 def seconds(call: Callable[[], object], repeats: int) -> float:
     """Return the median time of a call by the clock; one more call before is not counted."""
-    call()
-    times = []
-    for _ in range(repeats):
-        clock = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - clock)
-    return statistics.median(times)
+    return medians([call], repeats, wall=True)[0]
 
 
 def in_a_process(function: Callable[..., Any], *arguments: object) -> Any:

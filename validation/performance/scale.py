@@ -1,10 +1,10 @@
 """From ten to ten thousand spatial elements: assembly, steps and memory of a chain."""
 
 import statistics
-import time
+from functools import partial
 
 from ancfdae import HHT, Beam, Clamp, Material, Rectangle, Scene, assemble, simulate
-from ancfdae.equations import MechanicalSystem
+from ancfdae.numerics.timing import timed
 from validation.performance.row import Row, in_a_process, largest_memory, seconds
 
 __all__ = ["cantilever", "measure", "variables"]
@@ -49,12 +49,7 @@ def _measured(n: int, repeats: int) -> tuple[float, float, float]:
     assembly, steps = seconds(lambda: assemble(cantilever(n)), repeats), max(4, 2_000 // n)
     system, times = assemble(cantilever(n)), []
     for _ in range(repeats):
-        clocks = [_seconds_of_run(system, count) for count in (2, 2 + steps)]
-        times.append((clocks[1] - clocks[0]) / steps)
+        runs = (partial(simulate, system, k * _STEP, HHT(_STEP)) for k in (2, 2 + steps))
+        short, long = (timed(run, wall=True)[0] for run in runs)
+        times.append((long - short) / steps)
     return assembly, statistics.median(times), largest_memory()
-
-
-def _seconds_of_run(system: MechanicalSystem, steps: int) -> float:
-    clock = time.perf_counter()
-    simulate(system, steps * _STEP, HHT(_STEP))
-    return time.perf_counter() - clock

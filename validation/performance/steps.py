@@ -1,8 +1,6 @@
 """A step of HHT-I3, alone and with its derivatives, on the paper's two scenes."""
 
-import statistics
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 from ancfdae import (
@@ -17,6 +15,7 @@ from ancfdae import (
     simulate,
 )
 from ancfdae.equations import MechanicalSystem
+from ancfdae.numerics.timing import medians
 from validation.performance.row import Row
 from validation.scenes import crank_slider, pendulum
 
@@ -70,19 +69,6 @@ def _derivatives(scene: Scene, design: list[str], steps: int, repeats: int) -> l
         Row("six variables directly, a step", _us(of_six, steps), "us"),
         Row("adjoint, a step", _us(adjoint, steps), "us"),
     ]
-
-
-def medians(calls: Sequence[Callable[[], object]], repeats: int) -> list[float]:
-    """Return median processor seconds of calls that take turns; the first turn is not counted."""
-    turns = []
-    for _ in range(repeats + 1):
-        turn = []
-        for call in calls:
-            clock = time.process_time()
-            call()
-            turn.append(time.process_time() - clock)
-        turns.append(turn)
-    return [statistics.median(column) for column in zip(*turns[1:], strict=True)]
 
 
 def _run(system: MechanicalSystem, t_end: float, newton: float) -> object:

@@ -2,7 +2,6 @@
 
 import multiprocessing
 import statistics
-import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ancfdae import HHT, Evaluate, Terminal, position, sweep
+from ancfdae.numerics.timing import stopwatch
 from validation.performance.row import Row
 from validation.scenes import crank_slider
 
@@ -44,9 +44,9 @@ def _seconds(runs: int, executor: Executor | None) -> float:
     rod = scene.beams[1]
     what = Evaluate(Terminal(position(rod.at_end, 0)), 2.0**-6, HHT(2.0**-10))
     heights = np.linspace(0.04, 0.06, runs)[:, None]
-    clock = time.perf_counter()
+    clock = stopwatch(wall=True)
     sweep(scene, heights, what, design=[f"{rod.name}.height"], executor=executor, chunk=_CHUNK)
-    return time.perf_counter() - clock
+    return clock()
 
 
 @contextmanager

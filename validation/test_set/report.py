@@ -220,7 +220,8 @@ SciPy's DOP853 at a tolerance of 1e-13 (Robertson's reactions: Radau with the va
 and a complex step through the whole integration. Errors are relative; a component of the gradient
 counts by the size of its design variable. Times are processor seconds of one call, with the
 gradient; every function of a problem is Python, called at complex numbers for its derivatives.
-After a run of more than 5 s the tighter settings of an integrator are not run.
+After a run of more than 5 s the tighter settings of an integrator are not run; a run is given up
+when its integrator warns that 100,000 steps are to come.
 """
 
 _LIMITS = """

@@ -1,13 +1,14 @@
 """Report on gradients to a tolerance: errors, bars and prices on scenes that set nothing."""
 
-import time
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from ancfdae import HHT, AncfdaeError, Explicit, Gradient, Integrator, Radau, gradient
+from ancfdae.numerics.timing import timed
 from ancfdae.plotting import Panel, Series
 from validation.external.scleronomic import Array
 from validation.report import Agreement, Report
@@ -74,7 +75,8 @@ def _measured(case: Case, tolerances: Sequence[float]) -> Iterator[_Row]:
     for tolerance in tolerances:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found, seconds = _timed(case, tolerance=tolerance)
+            asked = partial(gradient, case.system, case.objective, case.t_end, tolerance=tolerance)
+            seconds, found = timed(asked, _TIMES, long=_SHORT)
         accuracy = found.accuracy
         assert accuracy is not None
         held = [abs(found.value - exact.value) <= accuracy.value_bar]
@@ -95,10 +97,11 @@ def _hindsight(case: Case, exact: Gradient) -> Iterator[_Run]:
     kinds += [[Explicit(10.0**-k, max_steps=2500) for k in range(3, 11, 2)]]
     for kind in kinds:
         for setting in kind:
+            call = partial(gradient, case.system, case.objective, T, setting)
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    found, seconds = _timed(case, setting)
+                    seconds, found = timed(call, _TIMES, long=_SHORT)
             except (AncfdaeError, ArithmeticError):
                 if isinstance(setting, Explicit):  # Tighter tolerances take more steps.
                     break
@@ -107,20 +110,6 @@ def _hindsight(case: Case, exact: Gradient) -> Iterator[_Run]:
             yield _Run(repr(setting), seconds, error)
             if seconds > _LONG or error < _EXACT:
                 break
-
-
-def _timed(
-    case: Case, setting: Integrator | None = None, tolerance: float | None = None
-) -> tuple[Gradient, float]:
-    """Return a gradient and its processor time, s."""
-    best = np.inf
-    for _ in range(_TIMES):
-        clock = time.process_time()
-        found = gradient(case.system, case.objective, case.t_end, setting, tolerance=tolerance)
-        best = min(best, time.process_time() - clock)
-        if best > _SHORT:
-            break
-    return found, best
 
 
 def _error(case: Case, found: Gradient, exact: Gradient) -> float:

@@ -45,15 +45,12 @@ class Drive(DrivenJoint):
         Axis of the turning in space, not zero; z by default. Not in the plane.
     other : Point, optional
         Point of another beam, whose section the angle counts from; without it from ground.
-    name : str, optional
-        By default ``drive(beam@fraction)``.
     """
 
     point: Point
     angle: Law
     axis: Sequence[float] | None = None
     other: Point | None = None
-    name: str = ""
 
     kind = "drive"
     sign = Sign("drive", r"$\circlearrowleft$", filled=True, size=17.0)
@@ -151,5 +148,4 @@ def cosine_and_sine(theta: Sequence[Array]) -> Array:
     w, last = theta[1], theta[order]
     by_e = (0 * w, -(w**2), -3 * w * theta[min(order, 2)])[order - 1]
     by_e_n = last - w**3 if order == 3 else last
-    rate: Array = by_e_n * e_n + by_e * e
-    return rate
+    return by_e_n * e_n + by_e * e

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
 from ancfdae.integrators import Integrator
-from ancfdae.sensitivity.accuracy import Trial
+from ancfdae.numerics.timing import stopwatch
+from ancfdae.sensitivity.method import Trial
 from ancfdae.studies.tolerance.bars import Estimate
 from ancfdae.studies.tolerance.runs import Measure, Runs, Sample
 from ancfdae.studies.tolerance.sequences import Second
@@ -43,13 +43,12 @@ class _Spent:
 
     def take(self, runs: Runs, measure: Measure) -> Sample:
         """Take and judge the next run of a kind."""
-        setting, clock = runs.setting, time.process_time()
+        setting, clock = runs.setting, stopwatch()
         self.work += runs.work
         sample = measure(setting)
         runs.take(sample)
-        seconds = time.process_time() - clock
         steps = sample.steps if sample.vectors else 0
-        self.trials.append((runs, Trial(setting, steps, seconds, runs.error)))
+        self.trials.append((runs, Trial(setting, steps, clock(), runs.error)))
         return sample
 
     def price(self, runs: Runs, left: float) -> str:

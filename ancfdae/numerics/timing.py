@@ -1,0 +1,42 @@
+"""How long calls take: the one place that reads a clock."""
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+_Answer = TypeVar("_Answer")
+
+
+def stopwatch(wall: bool = False) -> Callable[[], float]:
+    """Return a function that tells the processor time of this process since now; s.
+
+    Or the time by the clock on the wall.
+    """
+    clock = time.perf_counter if wall else time.process_time
+    begin = clock()
+    return lambda: clock() - begin
+
+
+def timed(
+    call: Callable[[], _Answer], repeats: int = 1, *, long: float = math.inf, wall: bool = False
+) -> tuple[float, _Answer]:
+    """Return the least time of some calls, and the last answer; s.
+
+    One that takes longer than `long` is not repeated: the clock's resolution and interruptions
+    hardly matter there.
+    """
+    seconds = math.inf
+    while True:
+        told = stopwatch(wall)
+        answer = call()
+        seconds, repeats = min(seconds, told()), repeats - 1
+        if repeats < 1 or seconds > long:
+            return seconds, answer
+
+
+def medians(calls: Sequence[Callable[[], object]], repeats: int, wall: bool = False) -> list[float]:
+    """Return median times of calls that take turns; the first turn is not counted; s."""
+    turns = [[timed(call, wall=wall)[0] for call in calls] for _ in range(repeats + 1)]
+    return [statistics.median(column) for column in zip(*turns[1:], strict=True)]
