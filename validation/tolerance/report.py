@@ -184,9 +184,10 @@ def _verdict(report: Report, rows: Sequence[_Row]) -> None:
 
 _METHOD = """
 `gradient(..., tolerance=)` is called with three tolerances on the rows of report `work-precision`
-and on twelve scenes more. None of them was looked at when the factors of the bars were set
-(`validation/tolerance/scenes.py` has those that were); what a step costs was measured on
-two of them, a calibration scene and the slider-crank of SUNDIALS. True errors are against a much
+and on twelve scenes more. The factors of the bars were set on other scenes (calibration in
+`validation/tolerance/scenes.py`); the prices of steps, the first steps and what runs aim at were
+set with these scenes in view, so prices are what the search can, not what it was never shown.
+True errors are against a much
 finer run of another kind where there is one, relative as the tolerance is: derivatives times their
 variables
 in the Euclidean norm, relative to that norm; values to the larger of themselves and that norm.
