@@ -253,14 +253,7 @@ class GradientMethod(abc.ABC):
 
     @abc.abstractmethod
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """Return value and gradient of every objective from as few runs as possible.
-
-        Raises
-        ------
-        UnfinishedRun, NonFiniteObjective
-        InvalidInput
-            If the method does not fit the integrator, the objectives or the design.
-        """
+        """Return value and gradient of every objective from as few runs as possible."""
 
 
 class Method(GradientMethod):

@@ -47,10 +47,9 @@ def simulate(
     integrator : Integrator
         `HHT`, `Radau`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
     after : Solution, optional
-        A run of this model by the same `HHT` that ended before, at its end time, early or at
+        A run of this model by the same integrator that ended before, at its end time, early or at
         Ctrl-C: it goes on there, and the result is the whole run, to round-off that of one in one
-        go. If it has reached `t_end` nothing is integrated. Under error control steps also depend
-        on `t_end`: it is the same run for the same end time, else one within the tolerance.
+        go; under error control, whose steps depend on `t_end`, within the tolerance.
     keep : int or sequence of float, optional
         Of a long run keep the start, every so many steps and the end; or these instants, ascending
         in [0, t_end], interpolated as by `Solution.at`; s. Memory then does not grow with the
@@ -58,13 +57,6 @@ def simulate(
         keeps observables only.
     progress : bool
         Whether to show a progress bar.
-
-    Raises
-    ------
-    InvalidInput
-        If the input makes no sense; before anything is integrated.
-    Interrupted
-        At Ctrl-C; its `result` is the solution up to there.
 
     Warns
     -----
@@ -123,11 +115,6 @@ def differentiate(
     -------
     Solution
         With `sensitivities`.
-
-    Raises
-    ------
-    InvalidInput, Interrupted
-        As `simulate`.
     """
     method = Direct() if method is None else method
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
@@ -157,25 +144,15 @@ def gradient(
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
     tolerance : float, optional
-        In place of an integrator: runs of several kinds choose integrator and setting until the
-        error of this gradient is estimated below it; `Gradient.accuracy` has the bars, the choice
-        and its price. Relative, each derivative times its variable, to the norm of all of these;
-        of the value to the larger of that norm and the value. Units do not matter.
+        In place of an integrator: integrator and setting are chosen so that the error of this
+        gradient is estimated below it; `Gradient.accuracy` has the bars, the choice and its price.
+        Relative, each derivative times its variable, to the norm of all of these; of the value to
+        the larger of that norm and the value.
     method : GradientMethod, optional
-        `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
-        default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
-        without an adjoint (IDA, Explicit).
+        `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by default
+        `cheapest` of the first two, or `Direct` where there is no adjoint (IDA, Explicit).
     memory : str or float, optional
-        Short for ``method=Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
-
-    Raises
-    ------
-    InvalidInput, Interrupted
-        As `simulate`.
-    UnfinishedRun
-        If the run ends early; the error carries what was computed.
-    NonFiniteObjective
-        If the objective is not finite; the message names the time.
+        ``Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
 
     Warns
     -----
@@ -252,12 +229,6 @@ def evaluate(
         A finished run, from a call or a file; `gradient` with ``after=solution`` differentiates.
     model, design
         What ran, as in `gradient`.
-
-    Raises
-    ------
-    InvalidInput, UnknownName
-        If the solution is of another model, or the objective of something it does not have.
-    UnfinishedRun, NonFiniteObjective
     """
     require_kind("solution", solution, (Solution,), "Call simulate, or load_solution.")
     system = as_system(model, design)
