@@ -53,9 +53,7 @@ def tradeoff(
     models: Mapping[str, Scene] | None = None,
     progress: bool = False,
 ) -> Tradeoff:
-    """Measure what accuracy costs: every setting's processor time and errors on one scene.
-
-    A setting that fails is a row with its message.
+    """Measure every setting's processor time and errors; one that fails is a row with its message.
 
     Parameters
     ----------
@@ -74,16 +72,15 @@ def tradeoff(
         Where the runs take place, as in `sweep`, but in no threads, which count each other's time;
         and other models of the scene by name, measured in objective and gradient.
     """
-    require_flag("progress", progress)
-    settings = _checked(settings, reference, method, executor, repeats, time_limit)
+    limits = repeats, time_limit
+    settings = _checked(settings, reference, method, executor, *limits, progress)
     system = differentiable(model, design)
     require_objectives(system, [objective], t_end)
     reference, why = (reference, "") if reference is not None else _suitable(system, t_end)
     # The reference runs once, because its time is not compared.
     tasks = [Task(system, objective, t_end, reference, method, 1, None)]
     for name, other in [("", system), *_others(models or {}, design)]:
-        asked = [(objective, t_end, each, method, repeats, time_limit, name) for each in settings]
-        tasks += [Task(other, *each) for each in asked]
+        tasks += [Task(other, objective, t_end, x, method, *limits, name) for x in settings]
     measured = _measured(tasks, executor, progress)
     exact = _required(measured[0])
     rows = [compared(system, t, r, exact) for t, r in zip(tasks, measured, strict=True)]
@@ -111,8 +108,10 @@ def _checked(
     executor: Executor | None,
     repeats: int,
     time_limit: float | None,
+    progress: bool,
 ) -> Sequence[Integrator]:
     """Return the settings; refuse what no trade-off can be made with."""
+    require_flag("progress", progress)
     repair = "For example [HHT(step=0.01)]."
     settings = require_each("settings", settings, (Integrator,), repair)
     if not settings:
