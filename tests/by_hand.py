@@ -10,7 +10,7 @@ from ancfdae import (
 from oracle import plain_ancf as ancf
 from oracle import plain_cable
 
-ALL_COLUMNS = ("E", "nu", "rho", "l", "tau", "h", "w")
+ALL_COLUMNS = ("E", "nu", "rho", "l", "tau", "strain", "h", "w")
 
 
 def plain_elements(scene):

@@ -26,7 +26,7 @@ def test_energy_is_that_of_strains_in_vectors(element, form, assumed):
     section = PointSection(places=PLACES, areas=AREAS, shear_factors=(K_Y, K_Z), torsion_constant=J)
     kind = kind_of(d, EnhancedContinuum(assumed), section, form == "straight")
     values = np.zeros((1, len(ElementParameter)))
-    values[0, :7] = E, NU, 1000.0, L, 0.0, 1.0, 1.0
+    values[0, :8] = E, NU, 1000.0, L, 0.0, 0.0, 1.0, 1.0
     Y_unit = straight(d) if form == "straight" else arc(d)
     inv = prepare(element, Batch(kind, values, Y_unit))
     Y_o = Y_unit[0].copy()
@@ -59,7 +59,7 @@ def test_partials_of_a_section_off_its_axis_are_complex_steps(element, form):
     section = PointSection(places=PLACES, areas=AREAS)
     kind = kind_of(element.d, EnhancedContinuum(), section, form == "straight")
     values = np.zeros((1, len(ElementParameter)))
-    values[0, :7] = E, NU, 1000.0, L, 0.0, 1.1, 0.9
+    values[0, :8] = E, NU, 1000.0, L, 0.0, 0.0, 1.1, 0.9
     wanted = (ElementParameter.LENGTH, ElementParameter.SIZE_1, ElementParameter.SIZE_2)
     partials = prepare(element, Batch(kind, values, Y), wanted).partials
     for which in wanted:

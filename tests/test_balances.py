@@ -230,7 +230,7 @@ def test_section_forces_do_the_work_of_the_energy(element, form, assumed):
     d, energy = element.d, EnhancedContinuum(assumed)
     kind = kind_of(d, energy, OFF, form == "straight")
     values = np.zeros((1, len(ElementParameter)))
-    values[0, :7] = 3.0, 0.3, 1000.0, 0.5, 0.0, 1.0, 1.0
+    values[0, :8] = 3.0, 0.3, 1000.0, 0.5, 0.0, 0.0, 1.0, 1.0
     batch = Batch(kind, values, straight(d) if form == "straight" else arc(d))
     Y_o = batch.Y_unit[0].copy()
     Y_o[0] *= 0.5

@@ -30,7 +30,8 @@ def falling(d, section, energy):
     """Return a cantilever that falls under gravity, oblique so that it twists too."""
     material = Material(1000.0, 1e7, 0.3, 1e-4)
     end = (0.5, 0.1, 0.05)[:d]
-    beam = Beam("rod", (0.0,) * d, end, 2, SECTIONS[section], material, energy=ENERGIES[energy])
+    law = {"energy": ENERGIES[energy], "initial_strain": 0.002}
+    beam = Beam("rod", (0.0,) * d, end, 2, SECTIONS[section], material, **law)
     gravity = (0.0, -9.81, 5.0)[:d]
     return Scene([beam], [Clamp(beam.at_start)], gravity), beam
 

@@ -36,8 +36,8 @@ CLOSE = 1e-13
 # terms of the product rule on top of CLOSE: a factor of ten.
 DERIVATIVE = 1e-12
 STEP = 1e-40
-#: E, nu, rho, l, tau, height, width.
-VALUES = np.array([2.1e6, 0.3, 2770.0, 0.7, 0.02, 0.06, 0.04, 0.0, 0.0])
+#: E, nu, rho, l, tau, initial strain, height, width.
+VALUES = np.array([2.1e6, 0.3, 2770.0, 0.7, 0.02, 0.0, 0.06, 0.04, 0.0, 0.0])
 HEIGHT, WIDTH = ElementParameter.SIZE_1, ElementParameter.SIZE_2
 GEOMETRIC = (HEIGHT, WIDTH, ElementParameter.LENGTH)
 ELEMENTS = {element.name: element for element in ALL_ELEMENTS}
@@ -129,11 +129,11 @@ class Case:
         return ancf.random_state(self.dim, np.random.default_rng(seed), LENGTH, self.X_o)
 
     def elastic_arguments(self):
-        E, nu, _, l, _, h, w = VALUES[:7]
+        E, nu, _, l, _, _, h, w = VALUES[:8]
         return (E, nu, h, w, l, self.X_o)
 
     def inertial_arguments(self):
-        _, _, rho, l, _, h, w = VALUES[:7]
+        _, _, rho, l, _, _, h, w = VALUES[:8]
         return (rho, h, w, l, self.X_o)
 
     def compare_partial(self, value, expected, which):
@@ -294,7 +294,7 @@ def test_damping_time_changes_no_invariant(case):
 @pytest.mark.parametrize("which", ELASTIC)
 def test_force_partial_is_the_complex_step_of_the_oracle(case, which):
     X, (values, size) = case.state(11), perturbed(which)
-    E, nu, _, l, _, h, w = values[:7]
+    E, nu, _, l, _, _, h, w = values[:8]
     X_o = case.moved_reference(values)
     by_step = case.oracle.force(X.astype(complex), E, nu, h, w, l, X_o, **case.rule).imag / size
     partial, Y = case.inv.partials[which], case.relative(X)
@@ -325,7 +325,7 @@ def test_force_partial_in_the_damping_time_is_the_stress_of_the_strain_rate(case
 def test_mass_partials_are_the_complex_step_of_the_oracle(case):
     for which in (ElementParameter.DENSITY, *GEOMETRIC):
         values, size = perturbed(which)
-        _, _, rho, l, _, h, w = values[:7]
+        _, _, rho, l, _, _, h, w = values[:8]
         X_o = case.moved_reference(values)
         by_step = case.oracle.mass(case.dim, rho, h, w, l, X_o, **case.rule).imag / size
         value = np.kron(case.inv.partials[which].m[0], np.eye(case.dim))

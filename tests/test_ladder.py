@@ -29,8 +29,7 @@ from ancfdae import (
 )
 from ancfdae.model.design import as_design
 from ancfdae.studies.ladder_result import error
-from ancfdae.studies.meshes import coarsest, with_mesh
-from ancfdae.studies.model_kinds import known_design, model_kinds
+from ancfdae.studies.meshes import coarsest, known_design, model_kinds, with_mesh
 from validation.design.coupler_path import hoeken
 
 DESIGN = ["arm.height", "arm.youngs_modulus"]

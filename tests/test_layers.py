@@ -26,7 +26,7 @@ INJECTIONS = [
         "Of the assembler only the assembled system, its names",
     ),
     (
-        "sensitivity/direct.py",
+        "sensitivity/adjoint.py",
         "from ancfdae.model.scene import Scene",
         "Integrators and sensitivity methods know the equations, no scene and no beam",
     ),
@@ -47,7 +47,7 @@ INJECTIONS = [
     ),
     ("integrators/start.py", "from ancfdae.integrators import hht", "Layers of the integrators"),
     (
-        "integrators/step_control/march.py",
+        "integrators/step_control/contracts.py",
         "from ancfdae.integrators.hht.equations import Coefficients",
         "Layers of the integrators",
     ),

@@ -370,7 +370,7 @@ CASES = [
 def bent(d, section, energy, curved):
     """A damped beam of two elements, in a random state around its reference."""
     damped = dataclasses.replace(STEEL, damping_time=1e-3)
-    arguments = {"section": section, "material": damped}
+    arguments = {"section": section, "material": damped, "initial_strain": 0.01}
     arguments |= {"element": CABLE_2D} if energy == "cable" else {"energy": energy}
     if not curved:
         z = (0.0,) * (d - 2)

@@ -9,8 +9,7 @@ from ancfdae.errors import Verdict
 from ancfdae.integrators.problem import Scales
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import consistent_start
-from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod
-from ancfdae.integrators.step_control.march import march
+from ancfdae.integrators.step_control.contracts import Failure, OneStepMethod, march
 
 from mechanisms import CartesianPendulum
 from members import constraint_force, constraint_force_q

@@ -422,8 +422,8 @@ def test_partials_are_complex_steps_and_differences(form, section, name, d):
     Y = (straight if form == "straight" else arc)(element.d)
     kind = kind_of(element.d, energy, own, form == "straight")
     values = np.zeros(len(ElementParameter))
-    values[:5] = E, NU, 1000.0, 0.3, 0.0
-    values[5 : 5 + len(own.sizes())] = own.sizes()
+    values[:6] = E, NU, 1000.0, 0.3, 0.0, 0.02
+    values[6 : 6 + len(own.sizes())] = own.sizes()
     wanted = [w for w in ElementParameter if values[w] != 0]
     inv = prepare(element, Batch(kind, values[None], Y), wanted)
     for which in wanted:
@@ -452,7 +452,7 @@ def test_partials_of_tiny_sections_keep_their_digits():
     which, own = ElementParameter.SIZE_2, SECTIONS["moments"]
     for unit in (1.0, 1e-9):
         sizes = own.sizes() * unit ** np.array([2, 4, 4, 4])
-        values[0] = (E, NU, 1000.0, 0.3 * unit, 0.0, *sizes)
+        values[0] = (E, NU, 1000.0, 0.3 * unit, 0.0, 0.0, *sizes)
         batch = Batch(kind_of(2, EnhancedContinuum(), own), values, straight(2))
         inv = prepare(BEAM_2D, batch, [which])
         # The entry of r_y.r_y, which is integrated over the volume.
@@ -464,7 +464,7 @@ def test_curved_and_straight_rules_agree():
     # The two terms of the assumed strains that a curved reference changes are left out.
     for d, element in ((2, BEAM_2D), (3, BEAM_3D)):
         values = np.zeros((1, len(ElementParameter)))
-        values[0, :7] = E, NU, 1000.0, 0.3, 0.0, 0.06, 0.04
+        values[0, :8] = E, NU, 1000.0, 0.3, 0.0, 0.0, 0.06, 0.04
         for energy in ENERGIES.values():
             if d in energy.dimensions and not energy.assumed_strains:
                 one, other = (

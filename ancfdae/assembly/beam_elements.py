@@ -36,7 +36,7 @@ class StatePartials:
 class BeamElements:
     """Some elements of one beam, counted from its start: their numbers, parameters, coordinates.
 
-    The parameters given, (n_all, 9), are those of all elements of the scene, real or complex.
+    The parameters given, (n_all, 10), are those of all elements of the scene, real or complex.
     """
 
     def __init__(

@@ -64,12 +64,7 @@ class BeamSections:
         return self._layout.beam(point.beam).locate(point.fraction, point.before)
 
     def require_material(self, where: str, point: Point) -> None:
-        """Refuse a point of a beam that lies outside its section, or in a hole of it.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse a point of a beam that lies outside its section, or in a hole of it."""
         element, _ = self._element(point)
         section, sizes = element.batch.kind.section, element.batch.sizes[0].real.tolist()
         section = section.with_sizes(dict(zip(section.size_names(), sizes, strict=True)))

@@ -17,36 +17,23 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class ElementBlock:
-    """Invariants of some elements, and their design derivatives pair by pair.
+    """Invariants of some elements, and their design derivatives pair by pair."""
 
-    Attributes
-    ----------
-    A, g_o : array, shape (n, ...) or (1, ...) when all elements are alike
-    p_o : array, shape as g_o, or None
-        Linear term of the energy, if the element has one.
-    m : array, shape (n, n_a, n_a)
-    tau : array, shape (n,), or None
-        Damping times; None when no element is damped and no design variable could change that.
-    stiffness_pairs, damping_pairs, mass_pairs : array of int
-        Pairs of the `ParameterMap` of these elements whose parameter enters A, tau and m.
-    A_b, c_b : array, shape (n_stiffness_pairs, ...)
-    rest_b : array, shape (n_stiffness_pairs, 2, n_g)
-        Of g_o and of p_o, zero where there is none.
-    m_b : array, shape (n_mass_pairs, n_a, n_a)
-        Derivatives in the design variable of the pair (weight included).
-    """
-
-    A: Array
-    g_o: Array
-    p_o: Array | None
-    m: Array
+    A: Array  # (n, ...) or (1, ...) when all elements are alike
+    g_o: Array  # (n, ...) or (1, ...) when all elements are alike
+    p_o: Array | None  # as g_o: linear term of the energy
+    m: Array  # (n, n_a, n_a)
+    # (n,), or None: damping times; None when no element is damped and no design variable could
+    # change that.
     tau: Array | None
+    # of int: pairs of the `ParameterMap` of these elements whose parameter enters A, tau and m.
     stiffness_pairs: Array
-    damping_pairs: Array
-    mass_pairs: Array
-    A_b: Array
-    rest_b: Array
-    c_b: Array
+    damping_pairs: Array  # of int
+    mass_pairs: Array  # of int
+    A_b: Array  # (n_stiffness_pairs, ...)
+    rest_b: Array  # (n_stiffness_pairs, 2, n_g): of g_o and of p_o, zero where there is none
+    c_b: Array  # (n_stiffness_pairs, ...)
+    # (n_mass_pairs, n_a, n_a): derivatives in the design variable of the pair (weight included).
     m_b: Array
 
 
@@ -55,6 +42,7 @@ _WEIGHTLESS = (
     ElementParameter.YOUNGS_MODULUS,
     ElementParameter.POISSON_RATIO,
     ElementParameter.DAMPING_TIME,
+    ElementParameter.INITIAL_STRAIN,
 )
 _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 
@@ -62,7 +50,7 @@ _LIMP = (ElementParameter.DENSITY, ElementParameter.DAMPING_TIME)
 def element_block(
     element: BeamElement, beams: Sequence[BeamBody], mapping: ParameterMap, parameters: Array
 ) -> ElementBlock:
-    """Prepare the invariants of the elements of beams at their parameters, shape (n, 9).
+    """Prepare the invariants of the elements of beams at their parameters, shape (n, 10).
 
     `element` has all node vectors that those of the beams have: theirs are widened to its size.
     """

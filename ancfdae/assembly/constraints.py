@@ -35,20 +35,12 @@ class JointConstraints:
     """Phi and all that follows from it.
 
     Arrays of states have instants as leading axis, (k, n_q); methods that take one instant say so.
-
-    Attributes
-    ----------
-    structure : JointStructure
-    curved : array of int
-        Places of the structure's couplings among values of the system's pattern.
-    n_curved : int
-        Number of these values.
-    n_b : int
     """
 
     structure: JointStructure
+    # of int: places of the structure's couplings among values of the system's pattern.
     curved: Array
-    n_curved: int
+    n_curved: int  # number of these values
     n_b: int
 
     @staticmethod

@@ -34,8 +34,7 @@ class Energies:
 
     def strain(self, q: Array, owner: str | None = None) -> Array:
         """Return the strain energy, shape (k,)."""
-        energies: Array = self._elastic.energies(q) @ self._chosen(owner)
-        return energies
+        return self._elastic.energies(q) @ self._chosen(owner)
 
     def strain_q(self, q: Array, owner: str | None = None) -> Array:
         """Return the gradient of `strain`, shape (k, n_q)."""
@@ -47,8 +46,7 @@ class Energies:
 
     def kinetic(self, v: Array, owner: str | None = None) -> Array:
         """Return the kinetic energy (eq. 9), shape (k,)."""
-        energies: Array = 0.5 * np.sum(v * self.momenta(v, owner), axis=1)
-        return energies
+        return 0.5 * np.sum(v * self.momenta(v, owner), axis=1)
 
     def momenta(self, v: Array, owner: str | None = None) -> Array:
         """Return M v, the gradient of `kinetic`, shape (k, n_q)."""

@@ -33,25 +33,16 @@ from ancfdae.numerics.patterns import LinearMap, Pattern
 @final
 @dataclass(frozen=True)
 class MassBlocks:
-    """Masses of n things of k vectors each, and their design derivatives pair by pair.
+    """Masses of n things of k vectors each, and their design derivatives pair by pair."""
 
-    Attributes
-    ----------
-    vectors : array of int, shape (n, k)
-    m : array, shape (n, k, k)
-    owners : array of int, shape (n,)
-        What each belongs to: place among the bodies of the scene, then its point masses.
-    pair_block, pair_variable : array of int, shape (n_pairs,)
-    m_b : array, shape (n_pairs, k, k)
-        Derivative of the block of each pair in its design variable.
-    """
-
-    vectors: Array
-    m: Array
+    vectors: Array  # of int, (n, k)
+    m: Array  # (n, k, k)
+    # of int, (n,): what each belongs to: place among the bodies of the scene, then its point
+    # masses.
     owners: Array
-    pair_block: Array
-    pair_variable: Array
-    m_b: Array
+    pair_block: Array  # of int, (n_pairs,)
+    pair_variable: Array  # of int, (n_pairs,)
+    m_b: Array  # (n_pairs, k, k): derivative of the block of each pair in its design variable
 
     def chosen(self, owner: int | None) -> Array:
         """One for the blocks of an owner, or for all, shape (n,)."""

@@ -61,8 +61,9 @@ class BodyLayout:
         ends[kinks - 1, self.stride + Quantity.SLOPE_X] = self.vectors[nodes.size :]
         return ends
 
-    def of_ends(self, X: Array) -> Array:
-        """Return its vectors from those of both ends of every element, (n, 2, stride, d)."""
+    def of_ends(self, nodes: Array) -> Array:
+        """Return its vectors from those of nodes, or of both ends of elements: see `NodeState`."""
+        X = nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
         vectors = np.zeros((self.count, X.shape[-1]), dtype=X.dtype)
         vectors[self.ends - self.first_vector] = X.reshape(*self.ends.shape, -1)
         return vectors

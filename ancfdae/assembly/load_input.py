@@ -41,8 +41,7 @@ class LoadInput:
 
     def force(self, U: Array, V: Array) -> Array:
         """Return the forces on the vectors, without the law."""
-        F: Array = self.load.force(U, V, self.p, self.reference)
-        return F
+        return self.load.force(U, V, self.p, self.reference)
 
     @property
     def couplings(self) -> tuple[Array, Array]:
@@ -56,11 +55,8 @@ class LoadInput:
     def plan(self, pattern: Pattern) -> LoadPlan:
         """Return the force as operations, with tangents on a pattern that holds the couplings.
 
-        Raises
-        ------
-        InvalidInput
-            For a force that is made of other functions than jets have, or that is no force on each
-            of its vectors.
+        InvalidInput for a force that is made of other functions than jets have, or that is no force
+        on each of its vectors.
         """
         shape, size, vectors = self.reference.shape, self.reference.size, self.vectors
         operations = Operations(2 * size)

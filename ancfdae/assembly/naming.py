@@ -34,8 +34,7 @@ class PointVector:
     def of(self, states: Array, d: int) -> Array:
         """Return the vector in states of shape (..., n_q), shape (..., d)."""
         X = states.reshape(*states.shape[:-1], -1, d)[..., self.vectors, :]
-        result: Array = np.einsum("a,...ad->...d", self.weights, X)
-        return result
+        return np.einsum("a,...ad->...d", self.weights, X)
 
 
 @final

@@ -20,36 +20,20 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Numbering:
-    """Coordinates of every body and every element that deforms.
+    """Coordinates of every body and every element that deforms."""
 
-    Attributes
-    ----------
-    d : int
-        Dimension of space.
-    bodies : tuple of BodyLayout
-        Of all beams and rigid bodies in the order of their vectors.
-    beams : tuple of BeamLayout
-    rigid : array of bool, shape (n_bodies,)
-    elements : array of int, shape (n,)
-        Scene-wide numbers of the elements that deform.
-    widest : BeamElement
-        Of those that deform one whose nodes have all vectors that the nodes of others have.
-    vectors : array of int, shape (n, n_a)
-        Scene-wide numbers of their node vectors; vector k has the coordinates d k to d k + d - 1.
-        Of elements that have fewer vectors than others a place that they leave out is filled by
-        their first one.
-    n_q : int
-        Number of coordinates.
-    """
-
-    d: int
-    bodies: tuple[BodyLayout, ...]
+    d: int  # dimension of space
+    bodies: tuple[BodyLayout, ...]  # of all beams and rigid bodies in the order of their vectors
     beams: tuple[BeamLayout, ...]
-    rigid: Array
-    elements: Array
+    rigid: Array  # of bool, (n_bodies,)
+    elements: Array  # of int, (n,): scene-wide numbers of the elements that deform
+    # of those that deform one whose nodes have all vectors that the nodes of others have.
     widest: BeamElement
+    # of int, (n, n_a): scene-wide numbers of their node vectors; vector k has the coordinates d k
+    # to d k + d - 1. Of elements that have fewer vectors than others a place that they leave out is
+    # filled by their first one.
     vectors: Array
-    n_q: int
+    n_q: int  # number of coordinates
 
     def rigid_motions(self) -> RigidMotions:
         """Return the rigid motions of all bodies."""

@@ -22,35 +22,22 @@ class ParameterMap:
 
     One entry per pair (element, parameter) that a variable drives; the element's parameter
     is `weight` times the variable, plus `offset`.
-
-    Attributes
-    ----------
-    base : array, shape (n, 9)
-        Parameters of the scene as declared.
-    elements, parameters, variables : array of int, shape (n_pairs,)
-    weights, offsets : array, shape (n_pairs,)
-        Factor of the target, and what it holds beside the variable's share; for a length times the
-        share of the element in the length of its beam.
-    declared : dict
-        The `Scene.numbers` of everything that is not an element, by the name of its owner.
-    nominal : array, shape (n_b,)
-        Values of the design variables as declared.
-    names : tuple of str
-        Of the design variables.
-    slots : dict
-        By owner, the tuples (place among its numbers, design variable, weight, offset).
     """
 
-    base: Array
-    elements: Array
-    parameters: Array
-    variables: Array
+    base: Array  # (n, 10): parameters of the scene as declared
+    elements: Array  # of int, (n_pairs,)
+    parameters: Array  # of int, (n_pairs,)
+    variables: Array  # of int, (n_pairs,)
+    # (n_pairs,): factor of the target, and what it holds beside the variable's share; for a length
+    # times the share of the element in the length of its beam.
     weights: Array
-    offsets: Array
+    offsets: Array  # (n_pairs,)
+    # The `Scene.numbers` of everything that is not an element, by the name of its owner.
     declared: dict[str, tuple[float, ...]]
+    # By owner, the tuples (place among its numbers, design variable, weight, offset).
     slots: dict[str, list[tuple[int, int, float, float]]]
-    nominal: Array
-    names: tuple[str, ...]
+    nominal: Array  # (n_b,): values of the design variables as declared
+    names: tuple[str, ...]  # of the design variables
 
     def numbers(self, owner: str, b: Array) -> tuple[Array, Array]:
         """Return the numbers p of an owner at design values b, and p_b."""
@@ -70,7 +57,7 @@ class ParameterMap:
         return replace(self, declared=declared, slots=self.slots | {owner: slots})
 
     def values(self, b: Array) -> Array:
-        """Return element parameters at design values b, shape (n, 9), in the dtype of b."""
+        """Return element parameters at design values b, shape (n, 10), in the dtype of b."""
         P = self.base.astype(np.result_type(self.base, b))
         P[self.elements, self.parameters] = self.weights * b[self.variables] + self.offsets
         return P

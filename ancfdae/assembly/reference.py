@@ -41,8 +41,7 @@ class Reference:
         for body in self._scene.members:
             _, numbers_b = self._mapping.numbers(body.name, self._b)
             moving |= np.any(numbers_b[self._skipped(body) :] != 0, axis=0)
-        variables: list[int] = np.flatnonzero(moving).tolist()
-        return variables
+        return np.flatnonzero(moving).tolist()
 
     @cached_property
     def q(self) -> Array:
@@ -88,7 +87,7 @@ class Reference:
 
     def _of(self, nodes: Array, body: BeamBody | RigidBody) -> Array:
         """Return the vectors of a body, (count, d), from those of nodes or of ends of elements."""
-        return self._naming.layout.body(body.name).of_ends(NodeState.ends(nodes))
+        return self._naming.layout.body(body.name).of_ends(nodes)
 
     def _positions(self, body: BeamBody | RigidBody) -> Array:
         """Return the places of positions among the vectors of a body."""
@@ -122,8 +121,7 @@ class Reference:
         vector = self._naming.vector(point, Quantity.POSITION)
         other = self._vectors(self._scene.member(point.beam))
         first = self._naming.layout.body(point.beam).first_vector
-        place: Array = vector.weights @ other[vector.vectors - first]
-        return place
+        return vector.weights @ other[vector.vectors - first]
 
     @staticmethod
     def _skipped(body: BeamBody | RigidBody) -> int:

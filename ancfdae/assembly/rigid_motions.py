@@ -39,13 +39,11 @@ class RigidMotions:
         """Return vectors Z, shape (n_vectors, d), moved by x."""
         arms, centres = self._split(Z)
         turned = np.einsum("vij,vj->vi", cayley(x[:, self._d :], self._d)[self._owner], arms)
-        moved: Array = turned + self._on_positions(centres + x[:, : self._d])
-        return moved
+        return turned + self._on_positions(centres + x[:, : self._d])
 
     def turn(self, V: Array, x: Array) -> Array:
         """Return velocities V, shape (n_vectors, d), turned by x."""
-        turned: Array = np.einsum("vij,vj->vi", cayley(x[:, self._d :], self._d)[self._owner], V)
-        return turned
+        return np.einsum("vij,vj->vi", cayley(x[:, self._d :], self._d)[self._owner], V)
 
     def tangent(self, Z: Array, x: Array) -> Array:
         """Return the partials of `place` in the motion of each vector's body, (n_vectors, d, n_x).
@@ -110,5 +108,4 @@ class RigidMotions:
         return Z - self._on_positions(centres), centres
 
     def _on_positions(self, of_bodies: Array) -> Array:
-        spread: Array = self._is_position[:, None] * of_bodies[self._owner]
-        return spread
+        return self._is_position[:, None] * of_bodies[self._owner]

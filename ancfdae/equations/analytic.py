@@ -74,8 +74,7 @@ class Reach:
     @property
     def coordinates(self) -> Array:
         """Reach in every coordinate, shape (n_q,)."""
-        reach: Array = self.q / np.sqrt(self.weights)
-        return reach
+        return self.q / np.sqrt(self.weights)
 
     def time(self, m: Motion) -> float:
         """Time for which the motion stays within reach."""

@@ -170,8 +170,7 @@ class Differentiator:
         with np.errstate(all="ignore"):
             changes = [np.abs(kernel(self.base, x, *zeros) - value) for x in beside]
         weighted = [x * max(1.0, size) for x, size in zip(changes, sizes, strict=True)]
-        terms: Array = np.abs(value) + np.nansum(weighted, axis=0)
-        return terms
+        return np.abs(value) + np.nansum(weighted, axis=0)
 
 
 class ComplexStepSystem(MechanicalSystem):

@@ -30,11 +30,7 @@ def saving(where: str, path: Path) -> Iterator[None]:
 def replacing(where: str, path: Path) -> Iterator[IO[bytes]]:
     """Yield a temporary file that is moved to `path` when it is complete, and removed if not.
 
-    Raises
-    ------
-    InvalidInput
-        If there is no such folder.
-    NotSaved
+    InvalidInput if there is no such folder.
     """
     # Not a file of `tempfile`: those are readable by their owner only, and would stay so.
     require_folder(where, path)

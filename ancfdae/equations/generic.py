@@ -64,14 +64,12 @@ class Generic(MechanicalSystem):
 
     def mass_along(self, q: Array, dq: Array) -> Array:
         """M s_q dq."""
-        along: Array = self.mass(q) * (self._q @ dq)
-        return along
+        return self.mass(q) * (self._q @ dq)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
         """F e^s."""
         along_v = self._v @ (v - self._m.v) if self.traits.velocity_forces else 0.0
-        force: Array = self._sizes.force * self._grown_at(q, t) * np.exp(along_v)
-        return force
+        return self._sizes.force * self._grown_at(q, t) * np.exp(along_v)
 
     def force_along(self, t: float, q: Array, v: Array, direction: Direction) -> Array:
         """Q ds."""
@@ -90,8 +88,7 @@ class Generic(MechanicalSystem):
         v, a, j = (self._q @ x for x in (*rates, *3 * [0.0 * q])[:3])
         v = v + self._t
         growth = [1.0, v, v**2 + a, v**3 + 3 * v * a + j][len(rates)]
-        constraint: Array = self._sizes.constraint * self._grown_at(q, t) * growth
-        return constraint
+        return self._sizes.constraint * self._grown_at(q, t) * growth
 
     def constraint_q(self, t: float, *motion: Array) -> Array:
         """Phi_q = Phi s_q, and so of the rates."""

@@ -24,8 +24,7 @@ class AncfdaeError(Exception):
 
 
 def _restored(kind: type[AncfdaeError], args: tuple[Any, ...]) -> AncfdaeError:
-    error: AncfdaeError = kind.__new__(kind, *args)
-    return error
+    return kind.__new__(kind, *args)
 
 
 def _sendable(value: object) -> object:

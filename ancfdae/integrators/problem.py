@@ -9,6 +9,7 @@ from the forces at the start through the rows of Phi_q.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self, final
 
 import numpy as np
@@ -99,7 +100,6 @@ class Problem:
     matrices: SaddlePoint
     initial: InitialState
     scales: Scales
-    accelerations: Accelerations
     derivative: InitialSensitivity | None = None
 
     @classmethod
@@ -109,7 +109,12 @@ class Problem:
         matrices = saddle_point(system, 0.0)
         initial = consistent_start(system, matrices, 0.0)
         scales = Scales.of(system, initial, t_end)
-        return cls(system, matrices, initial, scales, Accelerations(system, matrices))
+        return cls(system, matrices, initial, scales)
+
+    @cached_property
+    def accelerations(self) -> Accelerations:
+        """Accelerations and multipliers of states."""
+        return Accelerations(self.system, self.matrices)
 
     def differentiated(self) -> Self:
         """Add the design derivatives of the start."""

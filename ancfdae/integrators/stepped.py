@@ -27,9 +27,8 @@ from ancfdae.integrators.step_control import (
     GivenSteps,
     StepControl,
 )
-from ancfdae.integrators.step_control.contracts import OneStepMethod
+from ancfdae.integrators.step_control.contracts import OneStepMethod, Reached, march
 from ancfdae.integrators.step_control.derivative_sizes import with_own_sizes
-from ancfdae.integrators.step_control.march import Reached, march
 from ancfdae.numerics.arrays import Array
 
 # Newton's method stops well below the error of a step.

@@ -57,9 +57,7 @@ class Designable:
     def with_parameters(self, changes: Mapping[str, float]) -> Self:
         """Return the same object with some of its `parameters` changed together.
 
-        Raises
-        ------
-        UnknownName
+        Raises UnknownName.
         """
         unknown = [parameter for parameter in changes if parameter not in self.parameters()]
         if unknown:
@@ -99,12 +97,7 @@ class Designable:
         return parts
 
     def check_fields(self, where: str) -> None:
-        """Refuse values of design fields that break their rules.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse values of design fields that break their rules."""
         optional = {field.name for field in fields(self) if field.default is None}  # type: ignore[arg-type]
         for name, rule in self.design_fields:
             value = getattr(self, name)
@@ -148,21 +141,12 @@ def numbers(*names: str) -> tuple[tuple[str, Callable[[str, Any], None]], ...]:
 @final
 @dataclass(frozen=True)
 class Target:
-    """One place of a scene that a design variable writes to.
+    """One place of a scene that a design variable writes to."""
 
-    Parameters
-    ----------
-    owner : str
-        Name of the beam, joint or load.
-    parameter : str
-        Name of its parameter, such as ``height``.
-    element : int or None
-        Index of an element of a beam, or of a control value of a law; None for the whole beam, or
-        a parameter without index.
-    """
-
-    owner: str
-    parameter: str
+    owner: str  # name of the beam, joint or load
+    parameter: str  # name of its parameter, such as ``height``
+    # Index of an element of a beam, or of a control value of a law; None for the whole beam, or a
+    # parameter without index.
     element: int | None
 
     @property
@@ -240,10 +224,7 @@ class DesignVariable:
 def parse_target(text: str) -> Target:
     """Read ``"beam.parameter"`` or ``"beam.parameter[element]"``.
 
-    Raises
-    ------
-    InvalidInput
-        If the text has another form.
+    InvalidInput if the text has another form.
     """
     match = _TARGET.fullmatch(str(text))
     if match is None:
@@ -260,10 +241,7 @@ def parse_target(text: str) -> Target:
 def as_design(design: Sequence[str | DesignVariable]) -> tuple[DesignVariable, ...]:
     """Turn plain target names into design variables and refuse duplicate names.
 
-    Raises
-    ------
-    InvalidInput
-        If two variables share a name or a target.
+    InvalidInput if two variables share a name or a target.
     """
     if isinstance(design, str):
         raise InvalidInput("design", "must be a sequence", repr(design), "Put it in a list.")

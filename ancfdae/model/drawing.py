@@ -8,23 +8,12 @@ from typing import final
 @final
 @dataclass(frozen=True)
 class Sign:
-    """The sign of a joint, at its first point.
+    """The sign of a joint, at its first point."""
 
-    Parameters
-    ----------
-    word : str
-        What the legend calls it.
-    marker : str
-        A marker of matplotlib, or a symbol of its mathematics between dollar signs.
-    filled : bool
-    size : float
-        Points of print.
-    """
-
-    word: str
-    marker: str
+    word: str  # what the legend calls it
+    marker: str  # a marker of matplotlib, or a symbol of its mathematics between dollar signs
     filled: bool = False
-    size: float = 7.0
+    size: float = 7.0  # points of print
 
 
 @final

@@ -196,12 +196,9 @@ class Part(Designable, abc.ABC):
     def check_space(self, elements: Elements) -> None:
         """Refuse a part that does not fit the space of the scene.
 
-        Raises
-        ------
-        InvalidInput
-            If it is spatial and the scene planar, an element lacks a vector that it needs, a
-            vector of its own has another number of components, or an axis that may be left out is
-            given in the plane.
+        InvalidInput if it is spatial and the scene planar, an element lacks a vector that it needs,
+        a vector of its own has another number of components, or an axis that may be left out is
+        given in the plane.
         """
         where, d = f"{self.role} {self.name!r}", elements.d
         if self.spatial and d != 3:
@@ -286,8 +283,7 @@ def reference_place(point: Point, member: _Member) -> Array:
     place, attached = body.place, body.attached
     start = np.asarray(place) if attached is None else reference_place(attached, member)
     arm = rotation(np.asarray(body.turn, float), body.dimension) @ body.at_origin(point)
-    result: Array = start + arm
-    return result
+    return start + arm
 
 
 def on_ground(part: _Any, member: _Member) -> _Any:

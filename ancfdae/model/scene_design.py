@@ -116,9 +116,7 @@ class SceneDesign(Designable):
         same, of joints, loads and point masses their parameters and the places of their points,
         then the ground where it was left out; of the owner ``"scene"`` gravity.
 
-        Raises
-        ------
-        UnknownName
+        Raises UnknownName.
         """
         require_text("owner", owner)
         if owner == SCENE:
@@ -135,12 +133,7 @@ class SceneDesign(Designable):
         return numbers | self.member(owner).placement() | motion
 
     def resolve(self, text: str) -> Target:
-        """Read a target and refuse one that the scene does not have.
-
-        Raises
-        ------
-        InvalidInput, UnknownName
-        """
+        """Read a target and refuse one that the scene does not have."""
         target = parse_target(text)
         if self.is_of_elements(target):
             self.beam(target.owner).check_target(target.parameter, target.element)
@@ -189,6 +182,9 @@ class SceneDesign(Designable):
     def with_values(self, values: Mapping[str | DesignVariable, float]) -> Self:
         """Return the same scene with other parameter values.
 
+        InvalidInput, UnknownName naming the variable or target whose value a part cannot take, such
+        as a negative height.
+
         Parameters
         ----------
         values : mapping
@@ -200,11 +196,6 @@ class SceneDesign(Designable):
         -------
         Scene
             With `assemble`, so that bodies follow.
-
-        Raises
-        ------
-        InvalidInput, UnknownName
-            Naming the variable or target whose value a part cannot take, such as a negative height.
         """
         require_kind("with_values", values, (Mapping,), "For example {'rod.height': 0.06}.")
         changes = [change for key, value in values.items() for change in self._changes(key, value)]
@@ -256,10 +247,7 @@ class SceneDesign(Designable):
     def value(self, variable: DesignVariable) -> float:
         """Return the current value of a design variable.
 
-        Raises
-        ------
-        InvalidInput
-            If its targets hold different values, so that it has no single one.
+        InvalidInput if its targets hold different values, so that it has no single one.
         """
         require_kind("value, variable", variable, (DesignVariable,), "Give a DesignVariable.")
         if variable.shares:
@@ -298,15 +286,12 @@ class SceneDesign(Designable):
         which = beam.parameter_names()[target.parameter]
         if which is ElementParameter.LENGTH:
             return [float(np.sum(beam.reference().lengths))]
-        held: list[float] = self._element_parameters[rows, which].tolist()
-        return held
+        return self._element_parameters[rows, which].tolist()
 
     def target_elements(self, target: Target) -> Array:
         """Return the scene-wide numbers of the elements that a target writes to.
 
-        Raises
-        ------
-        InvalidInput, UnknownName
+        Raises InvalidInput, UnknownName.
         """
         beam = self.beam(target.owner)
         beam.check_target(target.parameter, target.element)
@@ -314,7 +299,7 @@ class SceneDesign(Designable):
         return elements if target.element is None else elements[[target.element]]
 
     def element_parameters(self) -> Array:
-        """Return the parameters of all elements, shape (n, 9), columns as `ElementParameter`."""
+        """Return the parameters of all elements, shape (n, 10), columns as `ElementParameter`."""
         return self._element_parameters.copy()
 
     @cached_property

@@ -81,11 +81,6 @@ class NodeState:
     coordinates: Array
     velocities: Array | None = None
 
-    @staticmethod
-    def ends(nodes: Array) -> Array:
-        """Return vectors of both ends of every element, (n, 2, n_s, d), from either form."""
-        return nodes if nodes.ndim == 4 else np.stack([nodes[:-1], nodes[1:]], axis=1)
-
 
 @final
 @dataclass(frozen=True)
@@ -131,10 +126,8 @@ def checked_start(
 ) -> RigidMotion | NodeState:
     """Return a start, of a beam with kinks at these nodes, with its arrays as such.
 
-    Raises
-    ------
-    InvalidInput
-        If vectors have another size, a rigid body has states of nodes, or elements do not meet.
+    InvalidInput if vectors have another size, a rigid body has states of nodes, or elements do not
+    meet.
     """
     where = f"start of {beam.name!r}"
     if isinstance(start, RigidMotion):

@@ -21,5 +21,4 @@ STEP = 2.0**-133
 
 def only(batch: Array) -> Array:
     """Return the one entry of a batch of one instant."""
-    entry: Array = batch[0]
-    return entry
+    return batch[0]

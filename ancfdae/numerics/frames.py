@@ -8,5 +8,4 @@ from ancfdae.numerics.arrays import Array
 def orthonormal(rows: Array) -> Array:
     """Return independent rows made orthonormal in their order; the first keeps its direction."""
     Q, R = np.linalg.qr(rows.T)
-    directions: Array = (Q * np.sign(np.diag(R))).T
-    return directions
+    return (Q * np.sign(np.diag(R))).T

@@ -111,10 +111,7 @@ class Jet(Carried):
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Jet:
         """Apply a function of NumPy.
 
-        Raises
-        ------
-        InvalidInput
-            For a function without derivatives here.
+        InvalidInput for a function without derivatives here.
         """
         plain = method == "__call__" and not kwargs
         if plain and ufunc in _LINEAR:
@@ -141,12 +138,12 @@ class Jet(Carried):
 
     def _power(self, x: Any, n: Any) -> Jet:
         if isinstance(n, Jet):
-            return np.exp(n * np.log(x))  # type: ignore[no-any-return]
+            return np.exp(n * np.log(x))
         a = x.derivatives[0]
         factors = (n, n * (n - 1), n * (n - 1) * (n - 2))
         # A factor of zero leaves nothing of a power that may be infinite.
         terms = (c * a ** (n - k) if np.any(c) else 0 * a for k, c in enumerate(factors, start=1))
-        return x._chain(a**n, tuple(terms))  # type: ignore[no-any-return]
+        return x._chain(a**n, tuple(terms))
 
     def _chain(self, y: Array, f: tuple[Array, ...]) -> Jet:
         """Return the jet of a function with value y and derivatives f at this one."""
@@ -164,7 +161,7 @@ class Jet(Carried):
 def _product(product: np.ufunc, x: Any, y: Any) -> Jet:
     """Return a product by Leibniz' rule; one factor may be constant."""
     if not isinstance(x, Jet):
-        return y.map(lambda b: product(x, b))  # type: ignore[no-any-return]
+        return y.map(lambda b: product(x, b))
     if not isinstance(y, Jet):
         return x.map(lambda a: product(a, y))
     a, b = x.derivatives, y.derivatives

@@ -65,8 +65,7 @@ class LeastNorm:
         """
         x = np.zeros(self._matrix.shape[1])
         x[:count] = np.cos(1.0 + np.arange(count) ** 2)
-        left: Array = np.abs(x - self.solve(self._matrix @ x))[:count]
-        return left
+        return np.abs(x - self.solve(self._matrix @ x))[:count]
 
 
 def _augmented(matrix: scipy.sparse.csr_array) -> scipy.sparse.linalg.SuperLU:

@@ -37,8 +37,7 @@ def rotation(turn: Array, d: int) -> Array:
     else:
         x = np.sqrt(squared)
         first, second = np.sin(x) / x, (1.0 - np.cos(x)) / squared
-    R: Array = np.eye(d) + first * W + second * (W @ W)
-    return R
+    return np.eye(d) + first * W + second * (W @ W)
 
 
 def _series(squared: Array, order: int) -> Array:
@@ -57,8 +56,7 @@ def cayley(g: Array, d: int) -> Array:
     """
     G = np.tensordot(g, generators(d), 1)
     size = 1.0 + np.sum(g * g, axis=-1)[:, None, None] / 4
-    R: Array = np.eye(d) + (G + 0.5 * G @ G) / size
-    return R
+    return np.eye(d) + (G + 0.5 * G @ G) / size
 
 
 def cayley_partials(g: Array, d: int) -> Array:
@@ -67,5 +65,4 @@ def cayley_partials(g: Array, d: int) -> Array:
     G = np.tensordot(g, generators(d), 1)
     size = 1.0 + np.sum(g * g, axis=-1)[:, None, None] / 4
     shrink = 0.5 * g.T[..., None, None] * (G + 0.5 * G @ G) / size
-    partials: Array = (E + 0.5 * (E @ G + G @ E) - shrink) / size
-    return partials
+    return (E + 0.5 * (E @ G + G @ E) - shrink) / size

@@ -27,17 +27,11 @@ LOBATTO_DEGREE = 8
 @final
 @dataclass(frozen=True)
 class TimeGrid:
-    """Increasing instants in panels.
+    """Increasing instants in panels."""
 
-    Attributes
-    ----------
-    t : array, shape (n_t,)
-    degree : int
-        Degree p of the polynomial of a panel; a run that ended early may leave a last panel of
-        fewer instants, whose polynomial has a lower degree.
-    """
-
-    t: Array
+    t: Array  # (n_t,)
+    # Degree p of the polynomial of a panel; a run that ended early may leave a last panel of fewer
+    # instants, whose polynomial has a lower degree.
     degree: int
 
     @staticmethod

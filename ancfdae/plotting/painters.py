@@ -132,8 +132,7 @@ class Painter(abc.ABC):
 
     @final
     def _coloured(self, values: Array) -> Array:
-        rgba: Array = self.colours.to_rgba(np.ma.masked_invalid(values))
-        return rgba
+        return self.colours.to_rgba(np.ma.masked_invalid(values))
 
     @final
     def _thin(self, mesh: Mesh) -> bool:
@@ -209,8 +208,7 @@ class PlanePainter(Painter):
 
     def _quiver(self, x: Array, F: Array) -> Artist:
         settings = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.006}
-        arrows: Artist = self.axes.quiver(*x.T, *F.T, color=LOAD, zorder=7, **settings)
-        return arrows
+        return self.axes.quiver(*x.T, *F.T, color=LOAD, zorder=7, **settings)
 
 
 @final
@@ -296,8 +294,7 @@ class SpacePainter(Painter):
         return list(self.axes.plot(*x[:, None], **self._marker(sign)))
 
     def _quiver(self, x: Array, F: Array) -> Artist:
-        arrows: Artist = self.axes.quiver(*x.T, *F.T, color=LOAD, arrow_length_ratio=0.25, lw=1.6)
-        return arrows
+        return self.axes.quiver(*x.T, *F.T, color=LOAD, arrow_length_ratio=0.25, lw=1.6)
 
 
 def colour_map(mechanism: Mechanism) -> Colormap:

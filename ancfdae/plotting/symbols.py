@@ -194,5 +194,4 @@ def _cross(r: Array, F: Array) -> Array:
     """Return r x F, with one component in the plane."""
     if r.shape[-1] == 3:
         return np.cross(r, F)
-    M: Array = r[..., :1] * F[..., 1:] - r[..., 1:] * F[..., :1]
-    return M
+    return r[..., :1] * F[..., 1:] - r[..., 1:] * F[..., :1]

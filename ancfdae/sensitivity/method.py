@@ -28,11 +28,81 @@ from ancfdae.errors.text import columns, page
 from ancfdae.integrators import Integrator, QuadratureIntegrator
 from ancfdae.modes import advised
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.accuracy import Accuracy
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.objectives.objective import NO_TOTALS, Totals
 from ancfdae.sensitivity.objectives.totals import totals_of
 from ancfdae.sensitivity.observables import states_of
+
+
+@final
+@dataclass(frozen=True)
+class Trial:
+    """One run of a search: its steps (zero if it did not end) and processor time, s.
+
+    `error` is the largest relative bar that this run and the coarser ones of its kind give.
+    """
+
+    integrator: Integrator
+    steps: int
+    seconds: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Searched(abc.ABC):
+    """What every call to a tolerance tells.
+
+    Attributes
+    ----------
+    tolerance : float
+    reached : bool
+        Whether all bars are within it.
+    integrator : Integrator
+        Of the finest run of the chosen kind.
+    why : str
+        Why this one, or why the tolerance is out of reach and what it would cost.
+    trials : tuple of Trial
+        All runs in their order.
+    """
+
+    tolerance: float
+    reached: bool
+    integrator: Integrator
+    why: str
+    trials: tuple[Trial, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Processor time of all runs, s."""
+        return sum(each.seconds for each in self.trials)
+
+    def __repr__(self) -> str:
+        verdict = "reached" if self.reached else "NOT reached"
+        rows = [("run", "steps", "seconds", "error")]
+        for each in self.trials:
+            numbers = str(each.steps or "not ended"), f"{each.seconds:.2g}", f"{each.error:.1g}"
+            rows.append((type(each.integrator).__name__, *numbers))
+        head = f"tolerance {self.tolerance:g} {verdict}, {self.seconds:.2g} s. {self.why}"
+        return f"{head}\n{columns(rows, shorten=False)}"
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Accuracy(Searched):
+    """How well value and gradient are known; also `Searched`.
+
+    The tolerance is relative to the norm of the gradient scaled by the design values,
+    (b_j dpsi/db_j); for a value to the larger of that and its own size.
+
+    Attributes
+    ----------
+    value_bar : float
+    gradient_bar : array, shape (n_b,)
+        Estimated bounds of the errors; no proofs: docs/reports/tolerance says how often they hold.
+    """
+
+    value_bar: float
+    gradient_bar: Array
 
 
 @final
@@ -132,7 +202,7 @@ class Run:
         settings = {"sensitivities": sensitivities, "progress": self.progress}
         if self.after is not None:
             run = self.integrator.resume(self.system, self.t_end, self.after, **settings)
-            return advised(self.system, run)
+            return run if run.outcome.success else advised(self.system, run)
         return self._told(
             self.integrator.integrate(self.system, self.t_end, **settings), sensitivities
         )
@@ -155,14 +225,16 @@ class Run:
 
     def _told(self, run: Solution, sensitivities: bool) -> Solution:
         """Return a run with advice; refuse one without the derivatives that were asked for."""
-        if sensitivities and run.sensitivities is None and run.outcome.success:
+        if not run.outcome.success:
+            return advised(self.system, run)
+        if sensitivities and run.sensitivities is None:
             raise InvalidInput(
                 f"integrator {type(self.integrator).__name__}",
                 "must integrate design derivatives when `sensitivities` asks for them",
                 "a run without",
                 "Refuse there, and take method=ComplexStep() or FiniteDifference().",
             )
-        return advised(self.system, run)
+        return run
 
     def values(self, objectives: Sequence[Objective]) -> tuple[Solution, Array]:
         """Return a finished run and the values of objectives, without derivatives."""

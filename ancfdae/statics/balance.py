@@ -95,11 +95,8 @@ class Balance:
     def of(system: MechanicalSystem, t: float, q_0: Array, lam_0: Array) -> Balance:
         """Check the start and return the equations.
 
-        Raises
-        ------
-        InvalidInput
-            If start or forces are not finite; `RedundantConstraints` if constraints depend on
-            each other.
+        InvalidInput if start or forces are not finite; `RedundantConstraints` if constraints depend
+        on each other.
         """
         balance = Balance(system, t, q_0, lam_0)
         with np.errstate(all="ignore"):
@@ -156,8 +153,7 @@ class Balance:
 
     def reactions(self, Phi_q: Array, lam: Array) -> Array:
         """Return Phi_q^T lam."""
-        forces: Array = self.system.constraint_pattern.dot_transposed(Phi_q, lam)
-        return forces
+        return self.system.constraint_pattern.dot_transposed(Phi_q, lam)
 
     def unbalanced(self, q: Array, lam: Array, Phi_q: Array | None = None) -> Array:
         """Return Q - Phi_q^T lam at rest."""

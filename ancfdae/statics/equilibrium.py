@@ -96,12 +96,8 @@ def find_equilibrium(
     From `start`, or the start of the system, in at most `max_steps` attempted steps of the load;
     what was found is differentiated if asked for.
 
-    Raises
-    ------
-    FreeMechanism
-        If a motion is held by nothing.
-    InvalidInput
-        If the start is not finite, constraints depend on each other, or a joint drives a motion.
+    FreeMechanism if a motion is held by nothing. InvalidInput if the start is not finite,
+    constraints depend on each other, or a joint drives a motion.
     """
     began = time.perf_counter()
     q, lam = (system.start()[0], np.zeros(system.n_lam)) if start is None else (start.q, start.lam)

@@ -27,10 +27,8 @@ class RestingStart:
     def equilibrium(self) -> Equilibrium:
         """The equilibrium.
 
-        Raises
-        ------
-        NoEquilibrium
-            If there is none under the full load; `FreeMechanism` if nothing holds a motion.
+        NoEquilibrium if there is none under the full load; `FreeMechanism` if nothing holds a
+        motion.
         """
         at_rest = uninterrupted(find_equilibrium(self._system))
         if not at_rest.outcome.success:

@@ -31,10 +31,7 @@ class SearchEnd:
 def search(balance: Balance, max_steps: int) -> SearchEnd:
     """Follow the path of loads; where none begins or it cannot be followed, settle.
 
-    Raises
-    ------
-    FreeMechanism
-        If a motion is held by nothing.
+    FreeMechanism if a motion is held by nothing.
     """
     first, start = balance.begun(), None
     if isinstance(first, Unsolved) or not first.definite:

@@ -77,8 +77,7 @@ def softest(balance: Balance, s: float, q: Array, lam: Array, mu: float = 0.0) -
 def _orthonormal(X: Array) -> Array:
     """Return an orthonormal basis of columns; without the checks that cost a small one more."""
     reflectors, tau, *_ = scipy.linalg.lapack.dgeqrf(X)
-    Q: Array = scipy.linalg.lapack.dorgqr(reflectors, tau)[0]
-    return Q
+    return scipy.linalg.lapack.dorgqr(reflectors, tau)[0]
 
 
 def stiffness_of_coordinates(balance: Balance, K: Array) -> Array:

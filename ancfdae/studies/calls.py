@@ -22,8 +22,7 @@ from ancfdae.integrators.problem import Problem
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.adjoint import Adjoint
-from ancfdae.sensitivity.direct import Direct
+from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables import Observable, states_of

@@ -13,7 +13,7 @@ import scipy
 from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput, require_array, require_kind, require_positive
 from ancfdae.numerics.arrays import Array
-from ancfdae.studies.evaluations import Evaluations
+from ancfdae.studies.responses import Evaluations
 
 R = TypeVar("R")
 

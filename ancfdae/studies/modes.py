@@ -1,17 +1,30 @@
-"""Calls for natural frequencies and shapes, and for a step that follows them."""
+"""Natural frequencies and shapes, where `modes` linearises, and a step that follows them."""
 
+import abc
 from collections.abc import Sequence
+from functools import cached_property
+from typing import TypeAlias, final
+
+import numpy as np
 
 from ancfdae.equations import MechanicalSystem
-from ancfdae.errors import require_count, require_flag, require_kind, require_positive
+from ancfdae.equations.held import force_total, held_pull_back, held_q, held_total
+from ancfdae.equations.saddle_points import saddle_point, solve, solve_transposed
+from ancfdae.errors import InvalidInput, require_count, require_flag, require_kind, require_positive
+from ancfdae.integrators.start import (
+    Covectors,
+    consistent_start,
+    pull_back_start,
+    start_sensitivity,
+)
 from ancfdae.model.design import DesignVariable
 from ancfdae.model.scene import Scene
 from ancfdae.modes import Configuration, Modes, StepSuggestion, modes_about, suggestion
-from ancfdae.sensitivity.adjoint import Adjoint
-from ancfdae.sensitivity.direct import Direct
-from ancfdae.statics import Equilibrium
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.linear_solvers import Factorization
+from ancfdae.sensitivity.adjoint import Adjoint, Direct
+from ancfdae.statics import Equilibrium, Tangent
 from ancfdae.studies.calls import as_system
-from ancfdae.studies.mode_places import place
 
 
 def modes(
@@ -98,3 +111,125 @@ def suggest_step(
         require_count("follow", follow, "Follow one motion or more, or None for all.")
     system = as_system(model)
     return suggestion(system, place(system, at).configuration(False), per_period, follow)
+
+
+At: TypeAlias = Configuration | Equilibrium | None
+
+
+class DesignedConfiguration(abc.ABC):
+    """A configuration that depends on the design."""
+
+    @abc.abstractmethod
+    def configuration(self, differentiated: bool) -> Configuration:
+        """Return q and lam, with their design derivatives if asked for."""
+
+    @abc.abstractmethod
+    def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
+        """Return q_b^T on_q + lam_b^T on_lam + on_b, shape (n_b,)."""
+
+
+def place(system: MechanicalSystem, at: At) -> DesignedConfiguration:
+    """Return the place that a user means; InvalidInput if it is none."""
+    if at is None:
+        return _Start(system)
+    require_kind("at", at, (Configuration, Equilibrium), "Pass what `equilibrium` returned.")
+    return _Given(at) if isinstance(at, Configuration) else _Balanced(system, at)
+
+
+@final
+class _Given(DesignedConfiguration):
+    """A configuration as it is, with the derivatives it brings."""
+
+    def __init__(self, at: Configuration) -> None:
+        self._at = at
+
+    def configuration(self, differentiated: bool) -> Configuration:
+        return self._at
+
+    def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
+        total = on_b
+        if self._at.q_b is not None:
+            total = total + on_q @ self._at.q_b
+        return total if self._at.lam_b is None else total + on_lam @ self._at.lam_b
+
+
+@final
+class _Balanced(DesignedConfiguration):
+    """An equilibrium; its derivatives are those of this system, whatever it was found with."""
+
+    def __init__(self, system: MechanicalSystem, at: Equilibrium) -> None:
+        self._system, self._at = system, at
+        Configuration(at.q, at.lam, t=self._t).check(system)
+
+    @cached_property
+    def _tangent(self) -> Tangent:
+        if not self._at.outcome.success:
+            raise InvalidInput(
+                "at",
+                "must be an equilibrium under the full load to be differentiated",
+                str(self._at.outcome),
+                "Leave out the design variables.",
+            )
+        return Tangent(self._system, self._t, self._at.q, self._at.lam)
+
+    @property
+    def _t(self) -> float:
+        return float(self._at.solution.t[0])
+
+    def configuration(self, differentiated: bool) -> Configuration:
+        at = self._at
+        if not differentiated:
+            return Configuration(at.q, at.lam, t=self._t)
+        return Configuration(at.q, at.lam, *self._tangent.sensitivities(), self._t)
+
+    def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
+        total: Array = on_b + self._tangent.pull_back(on_q, on_lam)
+        return total
+
+
+@final
+class _Start(DesignedConfiguration):
+    """The start with the multipliers of a motion that sets out from rest, joints held.
+
+    M a + Phi_q^T lam = Q, Phi_q a = 0: of all multipliers these leave the least unbalanced force
+    M a in the norm of M^-1, and none in an equilibrium.
+    """
+
+    def __init__(self, system: MechanicalSystem) -> None:
+        self._system = system
+        self._matrices = saddle_point(system, 0.0)
+        self._state = consistent_start(system, self._matrices, 0.0)
+        self._q, self._rest = self._state.q, np.zeros(system.n_q)
+        force = system.force(0.0, self._q, self._rest)
+        self._a, self._lam = solve(self._factors, force, np.zeros(system.n_lam))
+
+    @cached_property
+    def _factors(self) -> Factorization:
+        system = self._system
+        return self._matrices.factor(system.mass(self._q), system.constraint_q(0.0, self._q))
+
+    def configuration(self, differentiated: bool) -> Configuration:
+        if not differentiated:
+            return Configuration(self._q, self._lam)
+        system, q, a = self._system, self._q, self._a
+        q_b = start_sensitivity(system, self._matrices, self._state).q_b
+        held = np.zeros_like(q_b)
+        force = force_total(system, 0.0, q, self._rest, q_b, held)
+        force = force - held_total(system, 0.0, q, a, self._lam, q_b)
+        # Phi_q a = Phi'(q, a) - Phi'(q, 0)
+        side = system.constraint_total(0.0, (q, self._rest), (q_b, held))
+        side = side - system.constraint_total(0.0, (q, a), (q_b, held))
+        return Configuration(q, self._lam, q_b, solve(self._factors, force, side)[1])
+
+    def pull_back(self, on_q: Array, on_lam: Array, on_b: Array) -> Array:
+        """With [m, z] the transposed solution: what is left of on_lam moves q and b."""
+        system, q, a, lam, rest = self._system, self._q, self._a, self._lam, self._rest
+        m, z = solve_transposed(self._factors, rest, on_lam)
+        at, none = np.zeros(1), np.zeros_like(lam)
+        states = (q[None], rest[None], a[None], lam[None])
+        on_q = on_q - system.pattern.dot_transposed(system.linearise(at, *states).f_q[0], m)
+        on_q = on_q - system.pattern.dot(held_q(system, 0.0, q, rest, z), a)
+        on_b = on_b - system.pull_back(at, states, (m[None], none[None]))
+        on_b = on_b - held_pull_back(system, 0.0, q, rest, z, a)
+        on = Covectors(on_q, rest, rest, none, on_b)
+        return pull_back_start(system, self._matrices, self._state, on)

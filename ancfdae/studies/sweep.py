@@ -32,8 +32,7 @@ from ancfdae.sensitivity.objectives import Objective
 from ancfdae.sensitivity.observables import Observable, observe, states_of
 from ancfdae.studies.calls import as_system, gradient
 from ancfdae.studies.jobs import answers
-from ancfdae.studies.sweep_file import SweepFile
-from ancfdae.studies.sweep_result import Sweep, SweepRow
+from ancfdae.studies.sweep_file import Sweep, SweepFile, SweepRow
 
 Design = Mapping[str | DesignVariable, float]
 

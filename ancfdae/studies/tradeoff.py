@@ -26,7 +26,7 @@ from ancfdae.sensitivity import GradientMethod
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.calls import differentiable, require_objectives
 from ancfdae.studies.jobs import answers
-from ancfdae.studies.model_kinds import known_design
+from ancfdae.studies.meshes import known_design
 from ancfdae.studies.tradeoff_result import Tradeoff, compared
 from ancfdae.studies.tradeoff_run import Measurement, Results, Task, measure
 

@@ -216,7 +216,7 @@ _NOTES = """
 IDA has one setting more, for a margin: at 3e-12 round-off decides on which side of 1e-8 its error
 at t = 10 s falls (3e-9 in one build, 2e-8 in another), since what Newton's iteration leaves behind
 is in proportion to the tolerance and adds up over the steps. IDAS is given a tighter test of that
-iteration (`_NEWTON` in `ancfdae/integrators/sundials/idas_equations.py`), IDA does not offer one.
+iteration (`_NEWTON` in `ancfdae/integrators/sundials/bindings.py`), IDA does not offer one.
 From about 3e-13 on (IDA) and 1.2e-12 (IDAS) round-off ends the iteration at some tolerances.
 """
 

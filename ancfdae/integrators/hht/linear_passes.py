@@ -29,9 +29,9 @@ import numpy as np
 from ancfdae.equations import Linearisation, MechanicalSystem
 from ancfdae.errors import SingularMatrix, Verdict
 from ancfdae.integrators.hht.compiled import CompiledPasses, Packet
-from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import (
     Coefficients,
+    Defects,
     Node,
     NodeSensitivity,
     Steps,

@@ -13,9 +13,9 @@ from ancfdae.errors import (
     Verdict,
 )
 from ancfdae.integrators.hht import linear_passes
-from ancfdae.integrators.hht.defects import Defects
 from ancfdae.integrators.hht.equations import (
     Coefficients,
+    Defects,
     Node,
     Steps,
     constraint_error,

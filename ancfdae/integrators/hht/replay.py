@@ -25,7 +25,7 @@ from ancfdae.integrators.integrator import RunInParts, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.recorder import Recorder
 from ancfdae.integrators.start import Covectors, pull_back_start
-from ancfdae.integrators.step_control.march import Reached, march
+from ancfdae.integrators.step_control.contracts import Reached, march
 from ancfdae.integrators.step_control.planned import StepPlan
 from ancfdae.numerics.arrays import Array
 

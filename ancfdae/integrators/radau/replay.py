@@ -14,7 +14,7 @@ from ancfdae.integrators.radau import linear_passes
 from ancfdae.integrators.radau.step import RadauStepper, State
 from ancfdae.integrators.radau.tableau import PLACES
 from ancfdae.integrators.recorder import Recorder
-from ancfdae.integrators.step_control.march import Reached, march
+from ancfdae.integrators.step_control.contracts import Reached, march
 from ancfdae.integrators.step_control.planned import StepPlan
 from ancfdae.numerics.arrays import Array
 

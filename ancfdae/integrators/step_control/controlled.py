@@ -26,9 +26,8 @@ from ancfdae.integrators.step_control.contracts import (
     Controller,
     OneStepMethod,
     StepControl,
-    require_square,
 )
-from ancfdae.integrators.step_control.planned import GivenSteps
+from ancfdae.integrators.step_control.planned import GivenSteps, require_square
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
 

@@ -2,6 +2,7 @@
 
 import abc
 import math
+import sys
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -12,7 +13,6 @@ from ancfdae.integrators.step_control.contracts import (
     Controller,
     OneStepMethod,
     StepControl,
-    require_square,
 )
 from ancfdae.integrators.step_control.tolerance import Tolerance
 from ancfdae.numerics.arrays import Array
@@ -189,3 +189,9 @@ class StepPlan(Controller):
     def state(self) -> tuple[float, ...]:
         """Return nothing: the instants say it all."""
         return ()
+
+
+def require_square(where: str, value: float) -> None:
+    """Refuse times whose square, or its inverse, is no number of full precision."""
+    if not sys.float_info.min < value * value < math.inf:
+        raise InvalidInput(where, "must have a square that is a number", value, "Change units.")

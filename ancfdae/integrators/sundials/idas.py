@@ -18,9 +18,8 @@ from ancfdae.integrators.index_1 import stacked
 from ancfdae.integrators.integrator import AdjointIntegrator, Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.quadrature import Quadrature
-from ancfdae.integrators.sundials.bindings import Bindings, verdict
+from ancfdae.integrators.sundials.bindings import Bindings, IdasEquations, verdict
 from ancfdae.integrators.sundials.idas_adjoint import BackwardRun
-from ancfdae.integrators.sundials.idas_equations import IdasEquations
 from ancfdae.integrators.sundials.index_reduced import IndexReduction
 from ancfdae.integrators.sundials.step_points import StepPoints
 from ancfdae.kernels import finite

@@ -24,8 +24,7 @@ from ancfdae.integrators.high_order import HighOrder, NotFinite, Progress
 from ancfdae.integrators.integrator import Seeds
 from ancfdae.integrators.problem import Problem
 from ancfdae.integrators.start import AccelerationsAdjoint, InitialState
-from ancfdae.integrators.sundials.bindings import Bindings, verdict
-from ancfdae.integrators.sundials.idas_equations import IdasEquations
+from ancfdae.integrators.sundials.bindings import Bindings, IdasEquations, verdict
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.kernels import finite
 from ancfdae.numerics.arrays import Array

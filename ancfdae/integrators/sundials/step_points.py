@@ -15,8 +15,7 @@ from typing import final
 import numpy as np
 
 from ancfdae.integrators.integrand import Points
-from ancfdae.integrators.multipliers import Trajectory
-from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature
+from ancfdae.integrators.quadrature import KRONROD, SHARES, Quadrature, Trajectory
 from ancfdae.integrators.sundials.index_reduced import IndexReduced
 from ancfdae.numerics.arrays import Array
 

@@ -62,6 +62,10 @@ class Beam(BeamBody):
         to the next, or to have the same coordinates with and without such a load. Forces between
         nodes are smeared over elements, and the deflection under them is of first order. Not of a
         cable, whose slopes carry bending.
+    initial_strain : float, optional
+        Strain along the axis that the beam has in the reference configuration already, as if it had
+        been stretched to its length there: positive in tension, N = E A initial_strain. A change of
+        temperature that would stretch it by alpha dT is an initial strain of -alpha dT.
 
     Raises
     ------
@@ -82,6 +86,7 @@ class Beam(BeamBody):
     turn: float | Sequence[float] = 0.0
     rigid: bool = False
     kinks: Sequence[float] = ()
+    initial_strain: float = 0.0
 
     def __post_init__(self) -> None:
         """Validate."""

@@ -49,23 +49,12 @@ class ReferenceShape:
     """Reference configuration of a beam of n elements.
 
     It stands with its first node at the origin, before the turn of the beam.
-
-    Attributes
-    ----------
-    lengths : array, shape (n,)
-        Element lengths.
-    slopes : array, shape (n + 1, d, d)
-        Node frames; row k is the slope along the section's k-th axis.
-    chords : array, shape (n, d)
-        (r_2 - r_1) / length of each element.
-    straight : bool
-        Whether dr_o/dx is the same at every point of the beam.
     """
 
-    lengths: Array
-    slopes: Array
-    chords: Array
-    straight: bool
+    lengths: Array  # (n,): element lengths
+    slopes: Array  # (n + 1, d, d): node frames; row k is the slope along the section's k-th axis
+    chords: Array  # (n, d): (r_2 - r_1) / length of each element
+    straight: bool  # whether dr_o/dx is the same at every point of the beam
 
     @property
     def fractions(self) -> Array:
@@ -92,6 +81,8 @@ class BeamBody(Placed):
         Whether it has the coordinates of a rigid body instead of those of its elements.
     kinks : sequence of float
         Fractions of inner nodes with a slope along the beam on either side, see `Beam`.
+    initial_strain : float
+        Strain along the axis in the reference configuration, see `Beam`.
     """
 
     element: BeamElement
@@ -100,6 +91,7 @@ class BeamBody(Placed):
     material: Material | Sequence[Material]
     rigid: bool
     kinks: Sequence[float]
+    initial_strain: float
 
     @property
     @abc.abstractmethod
@@ -119,8 +111,7 @@ class BeamBody(Placed):
         ends = np.stack([start, start + l * shape.chords[k]])
         X = np.concatenate([ends[:, None], shape.slopes[k : k + 2, : n_s - 1]], axis=1)
         w, p = self.element.vector_weights(Quantity.POSITION, xi, point.y, point.z)
-        place: Array = (w * l**p) @ X.reshape(2 * n_s, self.dimension)
-        return place
+        return (w * l**p) @ X.reshape(2 * n_s, self.dimension)
 
     @abc.abstractmethod
     def with_length(self, length: float) -> BeamBody:
@@ -129,10 +120,8 @@ class BeamBody(Placed):
     def with_elements(self, count: int) -> BeamBody:
         """Return the same beam with another number of elements.
 
-        Raises
-        ------
-        InvalidInput
-            If an element of the new mesh had two sections or materials, or nodes are given.
+        InvalidInput if an element of the new mesh had two sections or materials, or nodes are
+        given.
         """
         rule, repair = "its nodes are given one by one", "Declare it with other nodes."
         raise InvalidInput(f"beam {self.name!r}, elements", rule, count, repair)
@@ -174,13 +163,15 @@ class BeamBody(Placed):
     def parameter_names(self) -> dict[str, ElementParameter]:
         """Return what can be a design target, e.g. ``"rod.height"``, and its column."""
         sizes = (each for each in ElementParameter if each.is_size)
-        return _PARAMETERS | dict(zip(self._section().size_names(), sizes, strict=False))
+        strain = {} if self.rigid else {"initial_strain": ElementParameter.INITIAL_STRAIN}
+        return _PARAMETERS | strain | dict(zip(self._section().size_names(), sizes, strict=False))
 
     def element_parameters(self) -> Array:
-        """Parameters of every element, shape (n, 9), columns as in `ElementParameter`."""
+        """Parameters of every element, shape (n, 10), columns as in `ElementParameter`."""
         sections, materials = self._per_element()
         parameters = np.zeros((self.element_count, len(ElementParameter)))
         parameters[:, ElementParameter.LENGTH] = self.reference().lengths
+        parameters[:, ElementParameter.INITIAL_STRAIN] = self.initial_strain
         for name, which in _PARAMETERS.items():
             if which is not ElementParameter.LENGTH:
                 parameters[:, which] = [getattr(material, name) for material in materials]
@@ -204,18 +195,13 @@ class BeamBody(Placed):
     def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
         """Return the same beam with parameters changed together.
 
+        InvalidInput if a value is not admissible for its parameter, sizes of a section do not fit
+        together or an element does not exist. UnknownName if there is no such parameter.
+
         Parameters
         ----------
         changes : iterable of (parameter, element, value)
             The element is None where the parameter changes everywhere.
-
-        Raises
-        ------
-        InvalidInput
-            If a value is not admissible for its parameter, sizes of a section do not fit together
-            or an element does not exist.
-        UnknownName
-            If there is no such parameter.
         """
         names, placement = self.parameter_names(), self.placement()
         changes = tuple(changes)
@@ -230,6 +216,9 @@ class BeamBody(Placed):
             if names[parameter] is ElementParameter.LENGTH:
                 beam = beam.with_length(value)
                 continue
+            if names[parameter] is ElementParameter.INITIAL_STRAIN:
+                beam = replace(beam, initial_strain=value)  # type: ignore[type-var]
+                continue
             for k in range(self.element_count) if element is None else [element]:
                 if names[parameter].is_size:
                     sizes[k][parameter] = value
@@ -239,12 +228,7 @@ class BeamBody(Placed):
         return replace(beam, section=tuple(changed), material=tuple(materials))  # type: ignore[type-var]
 
     def check_target(self, parameter: str, element: int | None) -> None:
-        """Refuse a design target that this beam does not have.
-
-        Raises
-        ------
-        InvalidInput, UnknownName
-        """
+        """Refuse a design target that this beam does not have."""
         names, placement = self.parameter_names(), self.placement()
         if parameter not in names and parameter not in placement:
             known = (f"{self.name}.{name}" for name in (*names, *placement))
@@ -259,7 +243,7 @@ class BeamBody(Placed):
                 element,
                 "Name an element that exists.",
             )
-        if names.get(parameter, ElementParameter.LENGTH) is ElementParameter.LENGTH:
+        if names.get(parameter) in (None, ElementParameter.LENGTH, ElementParameter.INITIAL_STRAIN):
             raise InvalidInput(
                 where,
                 f"{parameter} is a property of the whole beam",
@@ -299,6 +283,17 @@ class BeamBody(Placed):
         self._check_sections()
         self._check_energy()
         self._check_kinks()
+        self._check_initial_strain()
+
+    def _check_initial_strain(self) -> None:
+        where, repair = f"beam {self.name!r}, initial_strain", "Give a force over E A."
+        require_finite(where, self.initial_strain, repair)
+        if abs(self.initial_strain) >= 0.5:
+            rule = "must lie between -1/2 and 1/2: the length free of stress must be positive"
+            raise InvalidInput(where, rule, self.initial_strain, repair)
+        if self.rigid and self.initial_strain != 0:
+            rule = "a rigid beam has no strain"
+            raise InvalidInput(where, rule, self.initial_strain, "Leave it or rigid=True out.")
 
     def _check_kinks(self) -> None:
         where = f"beam {self.name!r}, kinks"

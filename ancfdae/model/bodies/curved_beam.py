@@ -38,7 +38,7 @@ class CurvedBeam(BeamBody):
     frames : array, shape (n + 1, d, d)
         Slope vectors of the nodes, row k along the section's k-th axis (tangent first);
         right-handed.
-    section, material, element, energy, rigid, kinks
+    section, material, element, energy, rigid, kinks, initial_strain
         As in `Beam`.
     turn : float or sequence of float, optional
         Rotation of the whole beam about its first node, as in `Beam`.
@@ -59,6 +59,7 @@ class CurvedBeam(BeamBody):
     turn: float | Sequence[float] = 0.0
     rigid: bool = False
     kinks: Sequence[float] = ()
+    initial_strain: float = 0.0
 
     def __post_init__(self) -> None:
         where = f"beam {self.name!r}"

@@ -79,12 +79,7 @@ class Point:
 
 
 def require_point(where: str, point: object, dimension: int = 3) -> None:
-    """Refuse what is no point, and a point off the plane of a planar scene.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse what is no point, and a point off the plane of a planar scene."""
     require_kind(where, point, (Point,), "Write beam.at_end, beam.at(fraction) or body.at(x, y).")
     assert isinstance(point, Point)
     if dimension == 2 and point.z != 0.0:

@@ -143,8 +143,7 @@ class RigidBody(Placed, Designable):
 
     def at_origin(self, point: Point) -> Array:
         """Return the place of a point along the axes."""
-        place: Array = np.array([point.x, point.y, point.z])[: self.dimension] @ self.directions()
-        return place
+        return np.array([point.x, point.y, point.z])[: self.dimension] @ self.directions()
 
     def moments(self, p: Array) -> Array:
         """Return the integral of [1, x] [1, x]^T dm, x in the axes of the body: (d + 1, d + 1).
@@ -216,5 +215,4 @@ def _spread(inertia: Array, d: int) -> Array:
     if len(inertia) == 6:
         upper = np.triu_indices(3, 1)
         tensor[upper] = tensor.T[upper] = inertia[3:]
-    spread: Array = np.trace(tensor) / 2 * np.eye(3) - tensor
-    return spread
+    return np.trace(tensor) / 2 * np.eye(3) - tensor

@@ -1,11 +1,11 @@
 """Section forces and stresses of cables.
 
 The variation of U in r leaves the force E A eps r_x - E I r_xxx and the moment E I k with
-k = r_x x r_xx; eps with tau eps', linear as `_smoothing` has it. Stresses are those of the strain
-eps of the axis and of the curvature: E (eps - y k_z) at a height y over the centroid of a planar
-cable. Sections of a cable in space have no axes, they may lie turned by any angle about the
-tangent: its shear force and bending moment are their sizes, and the stress is the largest that a
-point at a distance rho from the centroid can have, E (|eps| + rho |k|).
+k = r_x x r_xx; eps, the initial strain included, with tau eps', linear as `_smoothing` has it.
+Stresses are those of the strain eps of the axis and of the curvature: E (eps - y k_z) at a height y
+over the centroid of a planar cable. Sections of a cable in space have no axes, they may lie turned
+by any angle about the tangent: its shear force and bending moment are their sizes, and the stress
+is the largest that a point at a distance rho from the centroid can have, E (|eps| + rho |k|).
 """
 
 from __future__ import annotations
@@ -39,17 +39,19 @@ class _Line:
     xi: Array
     l: Array
     tau: Array
+    initial: Array
 
     @classmethod
     def of(cls, batch: Batch, xi: Array) -> _Line:
         """Return that of some elements."""
-        return cls(xi, batch.lengths, batch.of(ElementParameter.DAMPING_TIME))
+        tau, initial = ElementParameter.DAMPING_TIME, ElementParameter.INITIAL_STRAIN
+        return cls(xi, batch.lengths, batch.of(tau), batch.of(initial))
 
     def strains(self, Y: Array, V: Array) -> Array:
-        """Eps + tau eps', shape (..., n, n_xi)."""
+        """Return the initial strain + eps + tau eps', shape (..., n, n_xi)."""
         places, weights = _smoothing(self.xi)
         along, along_v = (tangent_weights(places) @ x for x in (Y, V))
-        strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0)
+        strains = 0.5 * (np.sum(along * along, axis=-1) - 1.0) + self.initial[:, None]
         strains = strains + self.tau[:, None] * np.sum(along * along_v, axis=-1)
         return np.asarray(strains @ weights.T)
 

@@ -43,5 +43,4 @@ def energy(A: Array, g_o: Array, Y: Array, p_o: Array | None = None) -> Array:
     """Return the strain energy of each element, shape (..., n)."""
     dg = strain(g_o, Y, None, None)
     p = 0.5 * apply_invariant(A, dg)
-    U: Array = np.sum(dg * (p if p_o is None else p + p_o), axis=-1)
-    return U
+    return np.sum(dg * (p if p_o is None else p + p_o), axis=-1)

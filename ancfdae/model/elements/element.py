@@ -35,18 +35,19 @@ class Quantity(IntEnum):
 
 
 class ElementParameter(IntEnum):
-    """Column of each design parameter in a block's parameter array, shape (n, 9)."""
+    """Column of each design parameter in a block's parameter array, shape (n, 10)."""
 
     YOUNGS_MODULUS = 0
     POISSON_RATIO = 1
     DENSITY = 2
     LENGTH = 3
     DAMPING_TIME = 4
+    INITIAL_STRAIN = 5
     # Sizes of the section, in its order.
-    SIZE_1 = 5
-    SIZE_2 = 6
-    SIZE_3 = 7
-    SIZE_4 = 8
+    SIZE_1 = 6
+    SIZE_2 = 7
+    SIZE_3 = 8
+    SIZE_4 = 9
 
     @property
     def is_size(self) -> bool:
@@ -57,24 +58,15 @@ class ElementParameter(IntEnum):
 @final
 @dataclass(frozen=True)
 class ElementType:
-    """What elements share that differ in numbers only.
+    """What elements share that differ in numbers only."""
 
-    Attributes
-    ----------
-    section : Section
-        One of theirs; its sizes do not count.
-    energy : StrainEnergy or None
-        None for elements with a law of their own.
-    straight : bool
-        Whether dr_o/dx is the same at every point of an element, so that a low-order rule is exact.
-    """
-
-    section: Section
-    energy: StrainEnergy | None
+    section: Section  # one of theirs; its sizes do not count
+    energy: StrainEnergy | None  # None for elements with a law of their own
+    # Whether dr_o/dx is the same at every point of an element, so that a low-order rule is exact.
     straight: bool
 
     def sizes(self, parameters: Array) -> Array:
-        """Return the sizes of the section out of parameters of shape (n, 9)."""
+        """Return the sizes of the section out of parameters of shape (n, 10)."""
         first = ElementParameter.SIZE_1
         return parameters[:, first : first + len(self.section.size_names())]
 
@@ -82,20 +74,12 @@ class ElementType:
 @final
 @dataclass(frozen=True)
 class Batch:
-    """Some elements of one type.
-
-    Attributes
-    ----------
-    kind : ElementType
-    parameters : array, shape (n, 9)
-        Columns as in `ElementParameter`; real or complex.
-    Y_unit : array, shape (n, n_y, d)
-        Relative node vectors of the reference configuration, the first one, r_2 - r_1, divided by
-        the element length.
-    """
+    """Some elements of one type."""
 
     kind: ElementType
-    parameters: Array
+    parameters: Array  # (n, 10): columns as in `ElementParameter`; real or complex
+    # (n, n_y, d): relative node vectors of the reference configuration, the first one, r_2 - r_1,
+    # divided by the element length.
     Y_unit: Array
 
     def __getitem__(self, rows: slice | Array) -> Batch:
@@ -115,8 +99,7 @@ class Batch:
 
     def of(self, which: ElementParameter) -> Array:
         """Return one parameter, shape (n,)."""
-        values: Array = self.parameters[:, which]
-        return values
+        return self.parameters[:, which]
 
     @property
     def lengths(self) -> Array:
@@ -138,10 +121,27 @@ class Batch:
         """Sizes of the sections, shape (n, n_sizes)."""
         return self.kind.sizes(self.parameters)
 
+    @property
+    def Y_free(self) -> Array:
+        """`Y_unit` of the elements free of stress, shape (n, n_y, d).
+
+        Initial strain has stretched them along the axis, and across it they have contracted as the
+        energy makes them, so that no stress is left there.
+        """
+        strain, d = self.of(ElementParameter.INITIAL_STRAIN), self.d
+        factors = np.ones((len(strain), d + 1), dtype=strain.dtype)
+        factors[:, :2] = np.sqrt(1 - 2 * strain)[:, None]
+        if self.kind.energy is not None:
+            C = np.sum(self.stiffness, axis=0)[:, :d, :d]
+            across = np.linalg.solve(C[:, 1:, 1:], C[:, 1:, :1])[..., 0]
+            factors[:, 2:] = np.sqrt(1 + 2 * strain[:, None] * across)
+        n_s = (self.Y_unit.shape[1] + 1) // 2
+        of_rows = np.column_stack([factors[:, :n_s], factors[:, 1:n_s]])
+        return np.asarray(self.Y_unit * of_rows[..., None])
+
     def step(self, which: ElementParameter) -> Array:
         """Return STEP times the power of two next to each value: it vanishes in any units."""
-        step: Array = np.ldexp(STEP, np.frexp(self.of(which).real)[1])
-        return step
+        return np.ldexp(STEP, np.frexp(self.of(which).real)[1])
 
     def moved(self, which: ElementParameter) -> Batch:
         """Return the elements with one parameter moved by an imaginary `step`."""
@@ -153,65 +153,37 @@ class Batch:
 @final
 @dataclass(frozen=True)
 class InvariantPartial:
-    """Derivatives of the invariants in one element parameter.
+    """Derivatives of the invariants in one element parameter."""
 
-    Attributes
-    ----------
-    A : array, shape (n, n_g, n_g)
-    g_o : array, shape (n, n_g)
-    p_o : array, shape (n, n_g)
-    c : array, shape (n, n_g)
-        A (dg_o/db) - dp_o/db: minus what the stress gains with g held, beside A_b dg.
-    m : array, shape (n, n_a, n_a)
-    """
-
-    A: Array
-    g_o: Array
-    p_o: Array
+    A: Array  # (n, n_g, n_g)
+    g_o: Array  # (n, n_g)
+    p_o: Array  # (n, n_g)
+    # (n, n_g): A (dg_o/db) - dp_o/db: minus what the stress gains with g held, beside A_b dg.
     c: Array
-    m: Array
+    m: Array  # (n, n_a, n_a)
 
 
 @final
 @dataclass(frozen=True)
 class Invariants:
-    """Invariants of n elements.
+    """Invariants of n elements."""
 
-    Attributes
-    ----------
-    A : array, shape (n, n_g, n_g)
-        Elastic invariant.
-    g_o : array, shape (n, n_g)
-        Packed Gram matrix of the reference configuration.
-    m : array, shape (n, n_a, n_a)
-        Mass invariant.
-    p_o : array, shape (n, n_g), or None
-        Linear term of the energy; None where there is none.
-    partials : dict
-        Derivatives by element parameter, only those asked for; none for the damping time,
-        which no invariant depends on.
-    """
-
-    A: Array
+    A: Array  # (n, n_g, n_g): elastic invariant
+    # (n, n_g): packed Gram matrix of the elements free of stress: in the reference configuration,
+    # but for initial strain.
     g_o: Array
-    m: Array
-    p_o: Array | None
+    m: Array  # (n, n_a, n_a): mass invariant
+    p_o: Array | None  # (n, n_g): linear term of the energy
+    # Derivatives by element parameter, only those asked for; none for the damping time, which no
+    # invariant depends on.
     partials: dict[ElementParameter, InvariantPartial]
 
 
 class Integrals(abc.ABC):
-    """Invariants but for the powers of the length l that their entries go with.
+    """Invariants but for the powers of the length l that their entries go with."""
 
-    Attributes
-    ----------
-    values : tuple of array, shape (n, ...)
-        A, m, and p_o where the element has one.
-    powers : tuple of array
-        The power of l of each entry of these.
-    """
-
-    values: tuple[Array, ...]
-    powers: tuple[Array, ...]
+    values: tuple[Array, ...]  # A, m, and p_o where the element has one
+    powers: tuple[Array, ...]  # the power of l of each entry of these
 
     @abc.abstractmethod
     def partial(self, which: ElementParameter) -> tuple[Array, ...]:
@@ -221,19 +193,11 @@ class Integrals(abc.ABC):
 @final
 @dataclass(frozen=True)
 class SectionPlace:
-    """Where a section lies in a run of neighbouring elements.
+    """Where a section lies in a run of neighbouring elements."""
 
-    Attributes
-    ----------
-    element : int
-        Its element in the run, which holds those beside it on `smooth` nodes.
-    xi : float
-    smooth : (bool, bool)
-        Whether nothing acts at the first, at the second node of its element.
-    """
-
-    element: int
+    element: int  # its element in the run, which holds those beside it on `smooth` nodes
     xi: float
+    # Whether nothing acts at the first, at the second node of its element.
     smooth: tuple[bool, bool] = (False, False)
 
 
@@ -255,15 +219,9 @@ class SectionLaw(abc.ABC):
 
 
 class StressLaw(abc.ABC):
-    """Von Mises stresses at many points of elements: fibre by fibre, each at all its places.
+    """Von Mises stresses at many points of elements: fibre by fibre, each at all its places."""
 
-    Attributes
-    ----------
-    count : int
-        Number of points, of which each holds a few numbers per instant.
-    """
-
-    count: int
+    count: int  # number of points, of which each holds a few numbers per instant
 
     @abc.abstractmethod
     def von_mises(self, Y: Array, V: Array) -> Array:
@@ -337,12 +295,7 @@ class BeamElement(abc.ABC):
 
     @final
     def check(self, where: str) -> None:
-        """Refuse an element whose declarations do not fit each other.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse an element whose declarations do not fit each other."""
         require_text(f"{where}, name", self.name)
         if self.quantities[:2] != (Quantity.POSITION, Quantity.SLOPE_X):
             rule, repair = "must be a position and the slope along the beam first", "Declare them."
@@ -356,21 +309,11 @@ class BeamElement(abc.ABC):
                 raise InvalidInput(f"{where}, vector_weights", rule, shapes, repair)
 
     def check_section(self, where: str, section: Section) -> None:
-        """Refuse a section that the element cannot stand for.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse a section that the element cannot stand for."""
         return
 
     def require(self, where: str, quantity: Quantity, y: float, z: float) -> None:
-        """Refuse a vector that a point, offset in the section by y and z, does not have.
-
-        Raises
-        ------
-        InvalidInput
-        """
+        """Refuse a vector that a point, offset in the section by y and z, does not have."""
         if Quantity.SLOPE_Y not in self.quantities and (y != 0 or z != 0):
             raise InvalidInput(
                 where, "the element has no section to be off", f"y = {y}, z = {z}", "Leave it out."

@@ -36,37 +36,22 @@ from ancfdae.numerics.arrays import Array
 @final
 @dataclass(frozen=True)
 class Fibres:
-    """Fibres of n elements, or their derivative with respect to a parameter.
+    """Fibres of n elements, or their derivative with respect to a parameter."""
 
-    Attributes
-    ----------
-    offsets : array, shape (n, n_s, 2)
-        y and z over l.
-    volume : array, shape (n, n_s)
-        Area that a fibre stands for, times l.
-    factors : array, shape (n, 5)
-        Strains are multiplied by them: square roots of the shear factors along y and z, of what the
-        torsion constant is to the polar moment about the centroid, and of what counts of the waves
-        of curvature.
-    radii : array, shape (n, 3)
-        Radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
-    stretch : array, shape (n, 2)
-        Axial strain that squares of curvatures take off.
-    fade : array, shape (n, 2)
-        What counts, about z and y, of terms that kinks of the axis would make stiff: one in slender
-        elements, nothing in those that are shorter than the radii.
-    centroid, shear_centre : array, shape (n, 1, 2)
-        y and z of them over l.
-    """
-
-    offsets: Array
-    volume: Array
+    offsets: Array  # (n, n_s, 2): y and z over l
+    volume: Array  # (n, n_s): area that a fibre stands for, times l
+    # (n, 5): strains are multiplied by them: square roots of the shear factors along y and z, of
+    # what the torsion constant is to the polar moment about the centroid, and of what counts of the
+    # waves of curvature.
     factors: Array
+    # (n, 3): radii of gyration about the centroid along y and z, and sqrt(J/A), over l.
     radii: Array
-    stretch: Array
+    stretch: Array  # (n, 2): axial strain that squares of curvatures take off
+    # (n, 2): what counts, about z and y, of terms that kinks of the axis would make stiff: one in
+    # slender elements, nothing in those that are shorter than the radii.
     fade: Array
-    centroid: Array
-    shear_centre: Array
+    centroid: Array  # (n, 1, 2): y and z of them over l
+    shear_centre: Array  # (n, 1, 2)
 
     def any(self) -> bool:
         """Whether anything differs from zero; radii and centroid follow from the rest."""
@@ -84,26 +69,13 @@ class Fibres:
 @final
 @dataclass(frozen=True)
 class Frames:
-    """Reference sections at places of n elements, or one for all where they are straight.
-
-    Attributes
-    ----------
-    is_straight : bool
-    normal : array, shape (n, n_xi, d)
-        Normal components of r_ox and b_oj.
-    across : array, shape (n, n_xi, d, d - 1)
-        Components of these in the section.
-    inverse : array, shape (n, n_xi, d - 1, d - 1)
-        J_s^-1.
-    det : array, shape (n, n_xi)
-        Determinant of J_s.
-    """
+    """Reference sections at places of n elements, or one for all where they are straight."""
 
     is_straight: bool
-    normal: Array
-    across: Array
-    inverse: Array
-    det: Array
+    normal: Array  # (n, n_xi, d): normal components of r_ox and b_oj
+    across: Array  # (n, n_xi, d, d - 1): components of these in the section
+    inverse: Array  # (n, n_xi, d - 1, d - 1): J_s^-1
+    det: Array  # (n, n_xi): determinant of J_s
 
     @classmethod
     def straight(cls, d: int) -> Frames:

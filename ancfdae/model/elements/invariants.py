@@ -1,7 +1,7 @@
 """Invariant matrices of a block of elements and their exact design derivatives.
 
-With Y the relative node vectors, g the packed Y Y^T and g_o its value in the
-reference configuration, every element states
+With Y the relative node vectors, g the packed Y Y^T and g_o its value where the element is free of
+stress, which is the reference configuration but for initial strain, every element states
 
     U = 1/2 (g - g_o)^T A (g - g_o) + p_o^T (g - g_o),
     m_ab = int rho s_a s_b dV_o            (eq. 10; M_e = m (x) I_d).
@@ -27,6 +27,7 @@ from ancfdae.model.elements.element import (
     Invariants,
 )
 from ancfdae.model.elements.packing import packed_gram, upper_triangle
+from ancfdae.model.elements.volume import change
 from ancfdae.numerics.arrays import Array
 
 # Elements handled at once, so that the preparation of 10,000 of them stays within memory; curved
@@ -42,6 +43,8 @@ def prepare(
 ) -> Invariants:
     """Integrate the invariants and the derivatives asked for.
 
+    InvalidInput if the reference configuration folds (det dr_o/dx <= 0 somewhere).
+
     Parameters
     ----------
     element : BeamElement
@@ -51,11 +54,6 @@ def prepare(
         Parameters whose derivatives are prepared.
     owners : array of str, shape (n,), optional
         What each element belongs to, for the error.
-
-    Raises
-    ------
-    InvalidInput
-        If the reference configuration folds (det dr_o/dx <= 0 somewhere).
     """
     wanted, n = tuple(wanted), len(batch.parameters)
     if owners is None:
@@ -76,22 +74,25 @@ def _invariants(
     sizes = [l**power for l, power in zip(lengths, integrals.powers, strict=True)]
     whole = [x * size for x, size in zip(integrals.values, sizes, strict=True)]
     A, m, *linear = whole
-    Y_o, Y_l = batch.Y_unit.astype(A.dtype), np.zeros_like(batch.Y_unit)
-    Y_o[:, 0], Y_l[:, 0] = batch.lengths[:, None] * batch.Y_unit[:, 0], batch.Y_unit[:, 0]
-    partials = {}
+    Y_o, partials = _free(batch), {}
     for which in wanted:
         changes = [x * size for x, size in zip(integrals.partial(which), sizes, strict=True)]
-        Y_b = np.zeros_like(Y_l)
+        Y_b = change(_free(batch.moved(which)), Y_o, batch.step(which))
         if which is ElementParameter.LENGTH:
             by_l = zip(whole, integrals.powers, lengths, strict=True)
             changes = [x_b + x * k / l for x_b, (x, k, l) in zip(changes, by_l, strict=True)]
-            Y_b = Y_l
         A_b, m_b, *linear_b = changes
         g_ob = gram(Y_o, Y_b)
         p_ob = linear_b[0] if linear_b else np.zeros_like(g_ob)
         c = np.einsum("nij,nj->ni", A, g_ob) - p_ob
         partials[which] = InvariantPartial(A_b, g_ob, p_ob, c, m_b)
     return Invariants(A, packed_gram(Y_o), m, linear[0] if linear else None, partials)
+
+
+def _free(batch: Batch) -> Array:
+    """Relative node vectors of the elements free of stress, shape (n, n_y, d)."""
+    Y = batch.Y_free
+    return np.concatenate([batch.lengths[:, None, None] * Y[:, :1], Y[:, 1:]], axis=1)
 
 
 def joined(pieces: Sequence[Invariants], order: Array | None = None) -> Invariants:

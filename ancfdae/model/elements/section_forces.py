@@ -38,7 +38,7 @@ class ContinuumSectionLaw(SectionLaw):
 
     def __init__(self, run: Batch, A: Array, place: SectionPlace) -> None:
         self._l, self._tau = run.lengths, run.of(ElementParameter.DAMPING_TIME)
-        self._g_o, self._A, self._d, self._place = packed_gram(run.Y_unit), A, run.d, place
+        self._g_o, self._A, self._d, self._place = packed_gram(run.Y_free), A, run.d, place
         self._arms = _arms(1.0) - _arms(place.xi) - np.outer([0, 1 / 12], [0, 0, 1])
         self._slope = _slope(self._l, place)
 

@@ -222,8 +222,7 @@ class _Assumed:
         return self._linear(self._ends.thickness(i, j))
 
     def _linear(self, ends: Array) -> Array:
-        linear: Array = ends[0] * (1 - self._xi) + ends[1] * self._xi
-        return linear
+        return ends[0] * (1 - self._xi) + ends[1] * self._xi
 
 
 def _squares(d: int) -> Array:
@@ -245,5 +244,4 @@ def _gram(u: Array, v: Array) -> Array:
     """Coefficients of (sum u_i Y_i) . (sum v_j Y_j) in g."""
     rows, columns = upper_triangle(u.shape[-1])
     product = u[..., rows] * v[..., columns] + u[..., columns] * v[..., rows]
-    twice: Array = product * np.where(rows == columns, 0.5, 1.0)
-    return twice
+    return product * np.where(rows == columns, 0.5, 1.0)

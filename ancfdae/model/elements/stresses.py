@@ -36,7 +36,7 @@ class ContinuumStressLaw(StressLaw):
         self._D, self._shape = D.reshape(n, n_f * n_xi * n_v, n_g), (n_f * n_xi, n_v)
         E, nu = batch.moduli
         self._Q = _von_mises_form(batch.d, batch.energy.stress_across(batch.d, nu))
-        self._small, self._g_o = SMALL_STRAIN * E, packed_gram(batch.Y_unit)
+        self._small, self._g_o = SMALL_STRAIN * E, packed_gram(batch.Y_free)
         self._l, self._tau = batch.lengths, batch.of(ElementParameter.DAMPING_TIME)
         self.count = D[..., 0].size
 

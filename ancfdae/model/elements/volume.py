@@ -92,6 +92,8 @@ def change(moved: Array, at: Array, step: Array) -> Array:
 class Region:
     """Strains of sections, and what they cost, at the places where an energy is integrated.
 
+    InvalidInput if the reference configuration folds (det dr_o/dx <= 0 somewhere).
+
     Parameters
     ----------
     own : Batch
@@ -108,11 +110,6 @@ class Region:
     R : array, shape (n, n_xi or 1, n_f, n_v, n_s)
         Strains at the fibres in these; one for all places of straight elements.
     volume : array, shape (n, n_xi or 1, n_f)
-
-    Raises
-    ------
-    InvalidInput
-        If the reference configuration folds (det dr_o/dx <= 0 somewhere).
     """
 
     def __init__(

@@ -151,5 +151,4 @@ def cosine_and_sine(theta: Sequence[Array]) -> Array:
     w, last = theta[1], theta[order]
     by_e = (0 * w, -(w**2), -3 * w * theta[min(order, 2)])[order - 1]
     by_e_n = last - w**3 if order == 3 else last
-    rate: Array = by_e_n * e_n + by_e * e
-    return rate
+    return by_e_n * e_n + by_e * e

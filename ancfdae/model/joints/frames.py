@@ -26,8 +26,7 @@ def unit(vector: Array) -> Array:
     """Return the vector over its length; complex perturbations go through."""
     # Scaled first, so that no square under- or overflows.
     scaled: Array = vector / np.max(np.abs(vector.real))
-    result: Array = scaled / np.sqrt(np.sum(scaled * scaled))
-    return result
+    return scaled / np.sqrt(np.sum(scaled * scaled))
 
 
 def across(direction: Array) -> Array:

@@ -49,29 +49,19 @@ class RightAngle:
 @final
 @dataclass(frozen=True)
 class Equations:
-    """Coefficients of a joint's equations, or one of their time derivatives.
+    """Coefficients of a joint's equations, or one of their time derivatives."""
 
-    Attributes
-    ----------
-    linear : array, shape (n_rows, n_vectors, d)
-    bilinear : array, shape (n_rows, n_vectors, n_vectors)
-        Symmetric in the vectors.
-    offset : array, shape (n_rows,)
-    shapes : tuple of RightAngle
-        What the last rows hold, one each: the shape of sections only. The assembler leaves out
-        those that are held without them.
-    """
-
-    linear: Array
-    bilinear: Array
-    offset: Array
+    linear: Array  # (n_rows, n_vectors, d)
+    bilinear: Array  # (n_rows, n_vectors, n_vectors): symmetric in the vectors
+    offset: Array  # (n_rows,)
+    # What the last rows hold, one each: the shape of sections only. The assembler leaves out those
+    # that are held without them.
     shapes: tuple[RightAngle, ...] = ()
 
     def at(self, U: Array) -> Array:
         """Return the value of the equations at vectors, shape (n_vectors, d) to (n_rows,)."""
         products = np.einsum("rij,ix,jx->r", self.bilinear, U, U)
-        value: Array = np.einsum("rix,ix->r", self.linear, U) + products / 2 - self.offset
-        return value
+        return np.einsum("rix,ix->r", self.linear, U) + products / 2 - self.offset
 
     def without(self, dropped: Sequence[int]) -> Equations:
         """Return the equations without some of them."""

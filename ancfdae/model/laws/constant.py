@@ -21,5 +21,4 @@ class Constant(Law):
 
     def derivative(self, p: Array, t: Any, order: int) -> Array:
         """Value, then zero."""
-        x: Array = p[0] * np.full_like(t, order == 0, dtype=float)
-        return x
+        return p[0] * np.full_like(t, order == 0, dtype=float)

@@ -74,8 +74,7 @@ class Spline(Law):
         N = self._basis(inside, nu=order)
         if order and self.period is None:
             N = N * ((s > 0.0) & (s < last))[..., None]
-        x: Array = N @ p / self._unit**order
-        return x
+        return N @ p / self._unit**order
 
     @property
     def _unit(self) -> float:

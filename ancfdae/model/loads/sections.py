@@ -55,8 +55,7 @@ class CarriedAxes:
         return _on_slopes(self.U, np.swapaxes(self._weights(rows), -1, -2) @ G)
 
     def _weights(self, rows: Array) -> Array:
-        weights: Array = rows @ np.linalg.inv(_basis(self.U_o))
-        return weights
+        return rows @ np.linalg.inv(_basis(self.U_o))
 
 
 def _basis(U: Any) -> Any:
@@ -126,5 +125,4 @@ def unit_axes(axis: Array | None) -> Array:
     """Return the one axis of a joint as a unit vector, (1, 3); z where it is not given."""
     if axis is None:
         return np.array([[0.0, 0.0, 1.0]])
-    axes: Array = direction(axis[None])[1]
-    return axes
+    return direction(axis[None])[1]

@@ -62,8 +62,7 @@ class _Round(Section):
 
     def torsion(self, sizes: Array) -> Array:
         """Polar moment of area: circles do not warp."""
-        J: Array = np.pi / 2 * (sizes[:, 0] ** 4 - self.inner(sizes) ** 4)
-        return J
+        return np.pi / 2 * (sizes[:, 0] ** 4 - self.inner(sizes) ** 4)
 
     def torsional_shear(self, sizes: Array, y: Array, z: Array) -> tuple[Array, Array]:
         """Linear from the centre."""

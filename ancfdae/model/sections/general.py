@@ -158,5 +158,4 @@ class PointSection(Section):
     def torsion(self, sizes: Array) -> Array:
         """Polar moment."""
         _, moments = central_moments(*self.points(sizes, False))
-        J: Array = moments.sum(axis=1)
-        return J
+        return moments.sum(axis=1)

@@ -85,8 +85,7 @@ class Section(abc.ABC):
         y, z, dA = (x[0] for x in self.points(np.array([self.sizes()]), False))
         places = np.stack([y, z])
         centred = places - (places @ dA / np.sum(dA))[:, None]
-        moments: Array = (centred * dA) @ centred.T
-        return moments
+        return (centred * dA) @ centred.T
 
     @abc.abstractmethod
     def points(self, sizes: Array, fine: bool) -> SectionPoints:
@@ -195,11 +194,6 @@ def central_moments(y: Array, z: Array, dA: Array) -> tuple[Array, Array]:
 
 
 def require_smaller(where: str, wall: float, outer: float, rule: str) -> None:
-    """Refuse walls that leave no hole.
-
-    Raises
-    ------
-    InvalidInput
-    """
+    """Refuse walls that leave no hole."""
     if not wall < outer:
         raise InvalidInput(where, rule, f"{wall} against {outer}", "Use a thinner wall.")

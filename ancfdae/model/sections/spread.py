@@ -1,4 +1,4 @@
-"""Torsion of rectangles, and how shear and radial stress spread over the depth of a section."""
+"""How shear and radial stress spread over a section."""
 
 import numpy as np
 import scipy
@@ -10,22 +10,6 @@ _ODD = np.arange(1, 24, 2)
 _SIGN = np.array([1.0, -1.0] * 6)
 # Just inside the unit circle: the slope of the series is logarithmic at corners.
 _INSIDE = 1 - 1e-15
-
-
-def rectangle_torsion(h: Array, w: Array) -> Array:
-    """Torsion constant of rectangles.
-
-    J = a b^3 (1/3 - (64/pi^5) (b/a) sum_{n odd} tanh(n pi a / 2b) / n^5), b the shorter side
-    (Timoshenko & Goodier, Theory of Elasticity, sec. 109). With tanh x = 1 - 2/(e^{2x} + 1) and
-    sum 1/n^5 = 31/32 zeta(5) what is summed falls like e^{-n pi}: below round-off after n = 11.
-    """
-    a, b = np.where(h.real >= w.real, (h, w), (w, h))
-    n = np.arange(1, 13, 2)[:, None]
-    # e^{-2x} instead of e^{2x}, which overflows for thin strips.
-    decay = np.exp(-n * np.pi * a / b)
-    series = 31 / 32 * 1.0369277551433699 - np.sum(2 * decay / (1 + decay) / n**5, axis=0)
-    J: Array = a * b**3 * (1 / 3 - 64 / np.pi**5 * (b / a) * series)
-    return J
 
 
 def rectangle_torsional_shear(h: Array, w: Array, y: Array, z: Array) -> tuple[Array, Array]:
@@ -86,11 +70,9 @@ def stepped_share(extent: Array, inner: Array, outer_b: Array, inner_b: Array, y
     I = 2 / 3 * (outer_b * (top**3 - inner**3) + inner_b * inner**3)
     flange = (top**2 - y**2) / 2
     web = (outer_b / inner_b * (top**2 - inner**2) + inner**2 - y**2) / 2
-    share: Array = A / I * np.where(in_web(y, inner), web, flange)
-    return share
+    return A / I * np.where(in_web(y, inner), web, flange)
 
 
 def in_web(y: Array, inner: Array) -> Array:
     """Whether abs(y) <= inner, by real parts."""
-    inside: Array = np.abs(y.real) <= inner.real
-    return inside
+    return np.abs(y.real) <= inner.real

@@ -5,11 +5,16 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ancfdae.model.sections.rectangle import Rectangular, around, corners, rectangles_points
+from ancfdae.model.sections.rectangle import (
+    Rectangular,
+    around,
+    corners,
+    rectangle_torsion,
+    rectangles_points,
+)
 from ancfdae.model.sections.section import ROUND_UP, SectionPoints, columns, require_smaller
 from ancfdae.model.sections.spread import (
     in_web,
-    rectangle_torsion,
     rectangle_torsional_shear,
     stepped_share,
 )
@@ -72,8 +77,7 @@ class Box(_Walled):
         """Bredt's formula 4 A^2 / int ds/t on the middle line, A the area that it encloses."""
         h, w, t_w, t_f = sizes.T
         a, b = h - t_f, w - t_w
-        J: Array = 2 * (a * b) ** 2 / (a / t_w + b / t_f)
-        return J
+        return 2 * (a * b) ** 2 / (a / t_w + b / t_f)
 
     def outline(self, sizes: Array) -> tuple[Array, Array]:
         """Corners, as of the flanges, and where webs end, outside."""
@@ -181,12 +185,10 @@ def _box_shear(h: Array, w: Array, t_w: Array, t_f: Array, nu: Array) -> Array:
     a, b = h - t_f, w - t_w
     m, n = b * t_f / (a * t_w), b / a
     bottom = _cowper(m, nu) + 10 * n**2 * ((3 + nu) * m + 3 * m**2)
-    factor: Array = 10 * (1 + nu) * (1 + 3 * m) ** 2 / bottom
-    return factor
+    return 10 * (1 + nu) * (1 + 3 * m) ** 2 / bottom
 
 
 def _cowper(m: Array, nu: Array) -> Array:
     """Return what shear factors of boxes and I sections have in common in the denominator."""
     plain = 12 + 72 * m + 150 * m**2 + 90 * m**3
-    bottom: Array = plain + nu * (11 + 66 * m + 135 * m**2 + 90 * m**3)
-    return bottom
+    return plain + nu * (11 + 66 * m + 135 * m**2 + 90 * m**3)

@@ -12,10 +12,8 @@ from ancfdae.equations import MechanicalSystem
 from ancfdae.errors import InvalidInput, ToleranceMissed, require_positive
 from ancfdae.integrators import AdjointIntegrator, Integrator
 from ancfdae.numerics.arrays import Array
-from ancfdae.sensitivity.accuracy import Accuracy
-from ancfdae.sensitivity.adjoint import Adjoint
-from ancfdae.sensitivity.direct import Direct
-from ancfdae.sensitivity.method import Gradient, GradientMethod, Run, UnfinishedRun
+from ancfdae.sensitivity.adjoint import Adjoint, Direct
+from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
 from ancfdae.studies.tolerance.search import Found, search
 from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Sample, Second

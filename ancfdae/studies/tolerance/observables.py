@@ -24,8 +24,7 @@ from ancfdae.errors.text import columns
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.time_grid import LOBATTO_DEGREE, TimeGrid
-from ancfdae.sensitivity.accuracy import Searched
-from ancfdae.sensitivity.method import UnfinishedRun
+from ancfdae.sensitivity.method import Searched, UnfinishedRun
 from ancfdae.sensitivity.observables import Observable, states_of
 from ancfdae.studies.parts import instants
 from ancfdae.studies.tolerance.gradients import require_tolerance

@@ -12,7 +12,7 @@ import numpy as np
 from ancfdae.integrators import Integrator
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.timing import stopwatch
-from ancfdae.sensitivity.accuracy import Trial
+from ancfdae.sensitivity.method import Trial
 from ancfdae.studies.tolerance.bars import Estimate
 from ancfdae.studies.tolerance.sequences import Measure, Sample, Sequence
 
