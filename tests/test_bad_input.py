@@ -300,7 +300,7 @@ def test_joint_on_the_surface_is_accepted_and_beyond_the_width_refused():
         (lambda: Clamp("rod"), "", "'rod'"),
         (lambda: Pin("rod", name="p"), "joint 'p'", "'rod'"),
         (lambda: Pin(ROD.at_start, "rod"), "joint 'pin(rod@0)'", "'rod'"),
-        (lambda: Clamp(ROD.at_start, ROD.at_end), "joint 'clamp', name", "use Weld"),
+        (lambda: Clamp(ROD.at_start, ROD.at_end), "joint 'clamp(rod@0)', ground", "use Weld"),
         (lambda: Distance(ROD.at_start, 1.0), "joint 'link(rod@0)'", "neither"),
         (lambda: Drive(ROD.at_start, Uniform(1.0), (0, 0, 1)), "'drive(rod@0)', axis", "spatial"),
         (lambda: Drive(ROD.at_start, 2.0), "joint 'drive(rod@0)', angle", "Law"),

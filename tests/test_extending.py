@@ -39,7 +39,7 @@ MODULES = (joint, load, law, section, element, integrator)
 
 #: The magnets on two bodies that nothing else pulls, one of them heavy.
 BAR = RigidBody("reed", (0.3, 0.0), mass=0.5, inertia=1e-3)
-BAR_COIL = load.Magnet(BAR.at(0.0, 0.0), load.yoke.at(0.0, 0.01), 1e-3, 0.05, "coil")
+BAR_COIL = load.Magnet(BAR.at(0.0, 0.0), load.yoke.at(0.0, 0.01), 1e-3, 0.05, name="coil")
 SOFTLY = PointForce(section.mast.at_end, (1e-5, 1e-5, 0.0))
 
 

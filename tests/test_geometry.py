@@ -151,7 +151,7 @@ def robot():
         Torque(base.at(0.0, 0.0), 2.0, law=Harmonic(1.0, 5.0, 0.3), name="torque"),
         TorsionSpring(upper.at(0.2), 3.0, 0.1, 0.05, name="coil"),
     ]
-    bodies = [base, PointMass(hand.at(0.8, y=0.01), 0.3, "payload")]
+    bodies = [base, PointMass(hand.at(0.8, y=0.01), 0.3, name="payload")]
     start = [RigidMotion("base", 0.4, (0.1, 0.0))]
     return Scene(
         [upper, lower, hand], joints, (0.2, -9.81), start, loads, bodies=bodies, assemble=True

@@ -378,7 +378,9 @@ def test_no_copy_of_a_multiple_eigenvalue_is_missed(monkeypatch, free, damping_t
     # Three square cantilevers: pairs of bending six times; free, eighteen rigid motions.
     ends = [((0, y, 0), (1, y, 0)) for y in range(3)]
     beams = [replace(rod(4, *x, 0.05, damping_time=damping_time), name=f"r{x[0][1]}") for x in ends]
-    scene = Scene(beams, [] if free else [Clamp(beam.at_start, beam.name + "c") for beam in beams])
+    scene = Scene(
+        beams, [] if free else [Clamp(beam.at_start, name=beam.name + "c") for beam in beams]
+    )
     dense = modes(scene, 8)
     monkeypatch.setattr(solver, "_DENSE", 0)
     monkeypatch.setattr(solver, "_DENSE_DAMPED", 0)

@@ -288,7 +288,9 @@ def test_point_mass_is_a_ball_without_size():
 def test_point_mass_on_a_beam_weighs_its_position(element):
     rod = Beam("rod", (0.1, 0.2), (1.2, 0.7), 3, FLAT, STEEL, element=element)
     at = rod.at(0.45, y=0.0 if element else 0.02)
-    system = assemble(Scene([rod], gravity=(1.0, -G), bodies=[PointMass(at, 0.7, "m")]), ["m.mass"])
+    system = assemble(
+        Scene([rod], gravity=(1.0, -G), bodies=[PointMass(at, 0.7, name="m")]), ["m.mass"]
+    )
     bare = assemble(Scene([rod], gravity=(1.0, -G)))
     v = np.random.default_rng(0).uniform(-1, 1, system.n_q)
     moved = system.naming.vector(at, Quantity.POSITION).of(v, 2)
@@ -557,7 +559,10 @@ def planar_machine():
     rod = Beam("rod", (0.0, 0.0), (1.0, 0.0), 2, BAR, METAL)
     link = Beam("link", (1.0, 0.0), (1.4, 0.3), 2, BAR, METAL, rigid=True)
     disc = RigidBody("disc", (1.4, 0.3), shape=RigidCylinder(0.1, 0.05), density=2000.0)
-    bead, knot = PointMass(rod.at(0.3), 0.2, "bead"), PointMass(link.at(0.4, 0.005), 0.1, "knot")
+    bead, knot = (
+        PointMass(rod.at(0.3), 0.2, name="bead"),
+        PointMass(link.at(0.4, 0.005), 0.1, name="knot"),
+    )
     hooks = [
         Pin(rod.at_start, ground=(0.0, 0.0), name="base"),
         Pin(rod.at_end, link.at_start),
@@ -579,7 +584,7 @@ def spatial_machine():
     bow = replace(arc("bow", (1.0, 0.6, 0.0), 0.6, (0.0, 0.5, 1.0), 3, section=BAR), rigid=True)
     end, frame = bow.positions[-1], bow.frames[1].tolist()
     body = RigidBody("body", tuple(end), 2.0, SIX, centre=(0.1, 0.02, 0.03), frame=frame)
-    bodies = [body, PointMass(rod.at(0.3, 0.005, 0.002), 0.2, "bead")]
+    bodies = [body, PointMass(rod.at(0.3, 0.005, 0.002), 0.2, name="bead")]
     joints_ = [
         joints.Revolute(rod.at_start, (0, 0, 1)),
         Spherical(rod.at_end, bow.at_start),
@@ -614,7 +619,7 @@ def bodies_alone():
     arm = RigidBody("arm", (0.1, 0.2), 2.0, 0.05, centre=(0.4, 0.1), turn=0.3)
     at = np.array([0.1, 0.2]) + 0.9 * np.array([np.cos(0.3), np.sin(0.3)])
     box = RigidBody("box", tuple(at), shape=RigidBox(0.3, 0.1, 0.05), density=2000.0)
-    bodies = [arm, box, PointMass(box.at(0.3, 0.02), 0.7, "load")]
+    bodies = [arm, box, PointMass(box.at(0.3, 0.02), 0.7, name="load")]
     hooks = [Pin(arm.origin), Pin(arm.at(0.9), box.origin, name="elbow")]
     loads_ = [loads.SpringDamper(box.at(0.3), 20.0, 0.3, 0.2, ground=(1.0, 0.5))]
     design = [

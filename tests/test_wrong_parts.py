@@ -1,6 +1,6 @@
 """A part of a reader's own that is declared wrongly is refused in the package's words."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ class Hold(Joint):
     """Holds the height of a point."""
 
     point: Point
-    name: str = "hold"
+    name: str = field(default="hold", kw_only=True)
 
     kind = "hold"
 
@@ -48,8 +48,7 @@ class Drag(Load):
 
     point: Point
     drag: float = 1.0
-    name: str = "drag"
-    law: None = None
+    name: str = field(default="drag", kw_only=True)
 
     kind = "drag"
     design_fields = (*numbers("drag"), LAW)
@@ -122,14 +121,13 @@ def test_what_is_declared_wrongly_is_refused_by_name(scene, members, words):
         scene(**members)
 
 
-def test_a_load_without_a_law_is_told_to_have_one():
+def test_a_load_whose_design_has_no_law_is_told_to_have_one():
     @dataclass(frozen=True)
     class Lawless(Load):
         point: Point
-        name: str = ""
 
         kind = "lawless"
         vectors, force = Drag.vectors, Drag.force
 
-    with pytest.raises(InvalidInput, match=r"Lawless.*no field 'law'"):
+    with pytest.raises(InvalidInput, match=r"Lawless, design_fields.*LAW"):
         Lawless(BODY.at(0, 0))

@@ -73,25 +73,13 @@ class Declared:
 class Assembly:
     """The assembled start of a scene.
 
-    Parameters
-    ----------
-    motions : RigidMotions
-    pattern : Pattern
-        Of the system's tangents, which `constraints` place their curvature on.
-    rows : int
-        How many equations rigid motions change; the others, last, say that bodies are rigid.
-    free : array of bool, shape (n_bodies, n_x)
-        Which numbers of the motions may change; the turns of a body that leads may not.
-    declared : Declared
-        At the real values of the design variables, or at complex ones.
-    size : float
-        Size of the mechanism, for the units: a power of two, so that it does not move with the
-        design.
-    moves : bool
-        Whether bodies are to follow; otherwise the start is as declared, and a violated joint is
-        for others to refuse.
-    strains : bool
-        Whether joints may stay open, because the consistent start strains the bodies.
+    The pattern is that of the system's tangents, which constraints place their curvature on. The
+    first `rows` equations change with rigid motions, the others say that bodies are rigid. `free`,
+    (n_bodies, n_x), tells which numbers of the motions may change: not the turns of a body that
+    leads. `size` is that of the mechanism, for the units: a power of two, so that it does not move
+    with the design. Bodies follow where it `moves`; otherwise the start is as declared, and a
+    violated joint is for others to refuse. Joints may stay open where the consistent start
+    `strains` the bodies.
     """
 
     def __init__(

@@ -28,17 +28,8 @@ from ancfdae.numerics.patterns import Pattern
 class ElasticForces:
     """Generalised elastic forces Q_s and their partials.
 
-    States are given as rows of an array (k, n_q), one per instant.
-
-    Parameters
-    ----------
-    block : ElementBlock
-    numbering : Numbering
-    mapping : ParameterMap
-    n_b : int
-        Number of design variables.
-    pattern : Pattern
-        Pattern of the system's matrices; must hold the entries of every element.
+    States are given as rows of an array (k, n_q), one per instant. The pattern is that of the
+    system's matrices and must hold the entries of every element.
     """
 
     def __init__(

@@ -151,27 +151,11 @@ _LEAST = 1e-12
 
 @final
 class Inertia:
-    """M, M_b and the force of gravity.
+    """M, M_b and the force of gravity, an acceleration (d,) with its design derivatives (d, n_b).
 
-    Parameters
-    ----------
-    blocks : sequence of MassBlocks
-    numbering : Numbering
-    n_b : int
-        Number of design variables.
-    pattern : Pattern
-        Pattern of the system's matrices; must hold the entries of every block.
-    gravity : (array, shape (d,), array, shape (d, n_b))
-        Acceleration of gravity, and its design derivatives.
-
-    Attributes
-    ----------
-    values : array
-        M on the pattern.
-    weights : array, shape (n_q,)
-        Real diagonal of M, of rigid bodies a least part of their largest moment.
-    places : array, shape (n_q / d,)
-        One for vectors that are positions, zero for slopes.
+    The pattern is that of the system's matrices and must hold the entries of every block. `values`
+    are M on it, `weights`, (n_q,), its real diagonal, of rigid bodies a least part of their largest
+    moment; `places`, (n_q / d,), are one for vectors that are positions, zero for slopes.
     """
 
     def __init__(

@@ -60,6 +60,6 @@ class _UnitRate(Law):
 
 def at_unit_rate(joint: DrivenJoint) -> DrivenJoint:
     """Return the joint with its law at a rate of one."""
-    values = {each.name: getattr(joint, each.name) for each in fields(joint)}  # type: ignore[arg-type]
+    values = {each.name: getattr(joint, each.name) for each in fields(joint)}
     laws = {name: _UnitRate(law) for name, law in values.items() if isinstance(law, Law)}
-    return replace(joint, **laws)  # type: ignore[type-var]
+    return replace(joint, **laws)  # type: ignore[arg-type]

@@ -20,7 +20,6 @@ class Rigidity(Joint):
     """
 
     beam: str
-    name: str = ""
 
     kind = "rigid"
 

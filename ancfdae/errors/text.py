@@ -15,14 +15,9 @@ def listed(words: Iterable[object]) -> str:
 
 
 def columns(rows: Sequence[Sequence[str]], shorten: bool = True) -> str:
-    """Return rows of cells as lines, cells of a column below each other.
+    """Return rows of cells, all of one length, as lines, cells of a column below each other.
 
-    Parameters
-    ----------
-    rows : sequence of sequences of str
-        All of one length.
-    shorten : bool
-        Whether only the first twelve are shown, with the number of those left out.
+    Shortened, the first twelve are shown, with the number of those left out.
     """
     shown = rows[:_SHOWN] if shorten else rows
     widths = [max(len(cell) for cell in column) for column in zip(*shown, strict=True)]

@@ -26,25 +26,18 @@ _TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
 class Designable:
-    """A dataclass with numbers that design variables can drive.
+    """A dataclass with numbers that design variables can drive."""
 
-    Attributes
-    ----------
-    design_fields : tuple of (str, callable)
-        The fields that hold them, each with the rule that its value must obey, called with the
-        place for the error and the value. A field holds a number, which is a design target by the
-        name of the field; a vector, by the first word of the name and the axis (``force_vector``
-        gives ``force_x``, ``force_y``); or another `Designable`, by its targets. It may hold None
-        where that is its default.
-    indexed_fields : mapping of str to str
-        Those of them that hold numbers told apart by an index, each with the word that targets
-        have: ``{"values": "value"}`` gives ``value[0]``, ``value[1]`` ...
-    vector_words : mapping of str to str
-        The words for vectors whose first word would be that of another.
-    """
-
+    # The fields that hold them, each with the rule that its value must obey, called with the place
+    # for the error and the value. A field holds a number, which is a design target by the name of
+    # the field; a vector, by the first word of the name and the axis (``force_vector`` gives
+    # ``force_x``, ``force_y``); or another `Designable`, by its targets. It may hold None where
+    # that is its default.
     design_fields: ClassVar[tuple[tuple[str, Callable[[str, Any], None]], ...]] = ()
+    # Those of them that hold numbers told apart by an index, each with the word that targets have:
+    # ``{"values": "value"}`` gives ``value[0]``, ``value[1]`` ...
     indexed_fields: ClassVar[Mapping[str, str]] = {}
+    # The words for vectors whose first word would be that of another.
     vector_words: ClassVar[Mapping[str, str]] = {}
 
     def parameters(self) -> dict[str, float]:
@@ -76,17 +69,9 @@ class Designable:
         return replace(self, **new)  # type: ignore[type-var]
 
     def split(self, p: Array) -> list[Any]:
-        """Return the values of the design fields out of those of all `parameters`.
+        """Return the values of the design fields out of those of all `parameters`, real or complex.
 
-        Parameters
-        ----------
-        p : array, shape (n_p,)
-            Real or complex.
-
-        Returns
-        -------
-        list
-            For every field a number, an array, or None where it holds None.
+        For every field a number, an array, or None where it holds None.
         """
         parts: list[Any] = []
         for name, value in self._design_values():

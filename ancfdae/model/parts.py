@@ -3,12 +3,18 @@
 import abc
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, ClassVar, Self, TypeAlias, TypeVar, final
 
 import numpy as np
 
-from ancfdae.errors import InvalidInput, require_axial, require_text, require_vector
+from ancfdae.errors import (
+    InvalidInput,
+    require_axial,
+    require_kind,
+    require_text,
+    require_vector,
+)
 from ancfdae.model.bodies import BeamBody, Point, RigidBody, require_point
 from ancfdae.model.design import Designable
 from ancfdae.model.drawing import Stroke
@@ -73,57 +79,41 @@ def _is_vector(name: object) -> bool:
     return isinstance(name, Normal | CentreLine | FrameDirection)
 
 
+@dataclass(frozen=True)
 class Part(Designable, abc.ABC):
     """A named joint or load.
 
     A part is a frozen dataclass. Its fields of these names mean the same in every part: `point`,
     the point that it acts on, or `beam`, the name of a beam that it acts on as a whole; `other`,
-    a point, or `ground`, a place, that it joins `point` to; and `name`.
+    a point, or `ground`, a place, that it joins `point` to.
 
-    Attributes
+    Parameters
     ----------
-    name : str
+    name : str, optional
         Unique in a scene; by default ``kind(beam@fraction)``.
-    role, kind : str
-        "joint" or "load", and the word for this one.
-    needs_other_end : bool
-        Whether one of `other` and `ground` must be given.
-    spatial : bool
-        Whether it exists in space only.
-    stroke : Stroke or None
-        The line that pictures draw from its first point to its second, or to its `ground`.
     """
 
+    #: "joint" or "load", and the word for this one.
     role: ClassVar[str]
     kind: ClassVar[str]
+    #: Whether one of `other` and `ground` must be given, and whether it exists in space only.
     needs_other_end: ClassVar[bool] = False
     spatial: ClassVar[bool] = False
+    #: The line that pictures draw from its first point to its second, or to its `ground`.
     stroke: ClassVar[Stroke | None] = None
-    #: Fields that it has beside those of its design.
-    needed_fields: ClassVar[tuple[str, ...]] = ("name",)
-    #: What it says to a second point in the place of its name.
-    no_second_point: ClassVar[str] = "It joins no second point here."
+    #: What it says to a second point in the place of its ground.
+    no_second_point: ClassVar[str] = "Give a point as `other`, if there is one."
 
-    name: str
+    name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         """Name and validate."""
         self._check_declared()
-        name: object = self.name
-        if not isinstance(name, str):
-            raise InvalidInput(
-                f"{self.role} {self.kind!r}, name",
-                "must be a string",
-                repr(name),
-                self.no_second_point if isinstance(name, Point) else "Give a name.",
-            )
+        name, where = self.name, f"{self.role} {self.kind!r}, name"
+        require_kind(where, name, (str,), "Give a name.")
         if _NO_NAME.search(name):
-            raise InvalidInput(
-                f"{self.role} {self.kind!r}, name",
-                "must hold no '[' and no dot, except in a number: design targets have them",
-                repr(name),
-                "Write '_' or '-' instead.",
-            )
+            rule = "must hold no '[' and no dot, except in a number: design targets have them"
+            raise InvalidInput(where, rule, repr(name), "Write '_' or '-' instead.")
         given = self._given()
         where = f"{self.role} {name!r}" if name else self.kind
         at = given.get("beam")
@@ -154,9 +144,9 @@ class Part(Designable, abc.ABC):
         placing = {name: number for name, number in changes.items() if name in self.point_numbers()}
         points = self.point_fields()
         for name, number in placing.items():
-            field, _, coordinate = name.rpartition("_")
-            points[field] = replace(points[field], **{coordinate: number})  # type: ignore[arg-type]
-        part = replace(self, **points)  # type: ignore[type-var]
+            owner, _, coordinate = name.rpartition("_")
+            points[owner] = replace(points[owner], **{coordinate: number})  # type: ignore[arg-type]
+        part = replace(self, **points)  # type: ignore[arg-type]
         rest = {name: number for name, number in changes.items() if name not in placing}
         return super(Part, part).with_parameters(rest)
 
@@ -182,7 +172,7 @@ class Part(Designable, abc.ABC):
 
     def on_ground(self, place: Sequence[float]) -> Self:
         """Return the same part with its ground written."""
-        return replace(self, ground=tuple(place))  # type: ignore[type-var]
+        return replace(self, ground=tuple(place))  # type: ignore[call-arg]
 
     @property
     def whole_beam(self) -> str | None:
@@ -225,16 +215,12 @@ class Part(Designable, abc.ABC):
                 require_vector(f"{where}, {name}", value, (d,))
 
     def _check_declared(self) -> None:
-        """Refuse a class that lacks fields which it needs."""
-        given = self._given()
-        for name in (*self.needed_fields, *(name for name, _ in self.design_fields)):
+        """Refuse a class that lacks fields of its design."""
+        given, where = self._given(), f"{self.role} of class {type(self).__name__}"
+        for name, _ in self.design_fields:
             if name not in given:
-                raise InvalidInput(
-                    f"{self.role} of class {type(self).__name__}",
-                    f"must have the fields {', '.join(self.needed_fields)} and its `design_fields`",
-                    f"no field {name!r}",
-                    "Write it among the fields of the dataclass.",
-                )
+                rule, repair = "must have its `design_fields`", "Write it among those of the class."
+                raise InvalidInput(where, rule, f"no field {name!r}", repair)
 
     def _known_vectors(self, elements: Elements) -> Vectors:
         """Return the vectors that it names; refuse what are none."""
@@ -249,16 +235,19 @@ class Part(Designable, abc.ABC):
         return vectors
 
     def _given(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def _needs(self, name: str) -> bool:
-        declared = (field for field in fields(self) if field.name == name)  # type: ignore[arg-type]
-        return any(field.default is MISSING for field in declared)
+        declared = (each for each in fields(self) if each.name == name)
+        return any(each.default is MISSING for each in declared)
 
     def _check_ends(self, where: str, given: dict[str, Any]) -> None:
         other, ground = given.get("other"), given.get("ground")
         if other is not None or self._needs("other"):
             require_point(f"{where}, other", other)
+        if isinstance(ground, Point):
+            where, rule = f"{where}, ground", "must be a place"
+            raise InvalidInput(where, rule, f"the point {ground}", self.no_second_point)
         ends = (other is not None) + (ground is not None)
         if ends == 2 or (ends == 0 and self.needs_other_end):
             raise InvalidInput(

@@ -22,13 +22,10 @@ class PointMass(Part):
     point : Point
     mass : float
         kg.
-    name : str, optional
-        By default ``mass(beam@fraction)``.
     """
 
     point: Point
     mass: float
-    name: str = ""
 
     role = "body"
     kind = "mass"

@@ -55,20 +55,12 @@ def derivative(
 ) -> Array:
     """Return the derivative at zero of order `order` in the first argument, 1 in the others.
 
-    Parameters
-    ----------
-    f : callable
-        Takes as many complex numbers as there are radii; refused if it is not analytic.
-    radii : tuple of float
-        For every argument how far f may be followed; about a quarter of the length over which f
-        varies serves best.
-    order : int
-    scale : callable
-        Returns values of the size of the terms of f. Where these cancel on the whole circle, as
-        those of a constraint do along its own motion, only round-off is left, and these values show
-        it. Asked for where the values on the circle do not explain the residual.
-    together : bool
-        Whether f takes arrays of numbers, and returns a row for each.
+    f takes as many complex numbers as there are radii, which say how far each may be followed:
+    about a quarter of the length over which f varies serves best. `scale` returns values of the
+    size of the terms of f. Where these cancel on the whole circle, as those of a constraint do
+    along its own motion, only round-off is left, and these values show it; asked for where the
+    values on the circle do not explain the residual. `together` says that f takes arrays of
+    numbers, and returns a row for each. InvalidInput if f is not analytic.
     """
     of_all = f if together else _one_by_one(f)
     if not math.prod((radii[0] ** order, *radii[1:])) > 0:

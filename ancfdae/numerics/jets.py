@@ -67,13 +67,7 @@ def without_derivatives(ufunc: np.ufunc) -> InvalidInput:
 
 @final
 class Jet(Carried):
-    """A value and its first time derivatives, up to three.
-
-    Parameters
-    ----------
-    derivatives : arrays
-        x, x', ...; jets that meet have equally many.
-    """
+    """A value and its first time derivatives, up to three; jets that meet have equally many."""
 
     def __init__(self, *derivatives: Array) -> None:
         self.derivatives = derivatives

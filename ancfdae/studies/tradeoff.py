@@ -77,8 +77,7 @@ def tradeoff(
     system = differentiable(model, design)
     require_objectives(system, [objective], t_end)
     reference, why = (reference, "") if reference is not None else _suitable(system, t_end)
-    # The reference runs once, because its time is not compared.
-    tasks = [Task(system, objective, t_end, reference, method, 1, None)]
+    tasks = [Task(system, objective, t_end, reference, method, 1, None)]  # timed by nobody
     for name, other in [("", system), *_others(models or {}, design)]:
         tasks += [Task(other, objective, t_end, x, method, *limits, name) for x in settings]
     measured = _measured(tasks, executor, progress)

@@ -16,7 +16,6 @@ class Pantograph(Joint):
     point: Point
     other: Point
     ratio: float = 1.0
-    name: str = ""
 
     kind = "pantograph"
     design_fields = numbers("ratio")

@@ -7,7 +7,6 @@ from ancfdae import (
     HHT,
     Beam,
     Clamp,
-    Law,
     Load,
     Material,
     Point,
@@ -30,8 +29,6 @@ class Magnet(Load):
     other: Point
     strength: float
     gap: float
-    name: str = ""
-    law: Law | None = None
 
     kind = "magnet"
     elastic = True
@@ -49,7 +46,7 @@ class Magnet(Load):
 
 reed = Beam("reed", (0, 0), (0.3, 0), 2, Rectangle(0.004, 0.01), Material(7800, 2e10, 0.3))
 yoke = RigidBody("yoke", (0.3, -0.05), mass=0.2, inertia=1e-4)
-coil = Magnet(reed.at_end, yoke.at(0.0, 0.01), 1e-3, 0.05, "coil")
+coil = Magnet(reed.at_end, yoke.at(0.0, 0.01), 1e-3, 0.05, name="coil")
 SCENE = Scene([reed], [Clamp(reed.at_start)], loads=[coil], bodies=[yoke])
 DESIGN = ["coil.strength", "coil.gap", "yoke.mass", "reed.height"]
 OBSERVABLE, END, INTEGRATOR = position(reed.at_end, 1), 2.0**-6, HHT(2.0**-10)

@@ -63,7 +63,7 @@ def _scene(n: int, load: float = _LOAD) -> Scene:
     positions = _R * np.array([s, 1 - c, zero]).T
     frames = np.moveaxis(np.array([[c, s, zero], [-s, c, zero], [zero, zero, zero + 1]]), -1, 0)
     beam = CurvedBeam("bend", positions, frames, _SECTION, Material(1.0, _E, 0.0))
-    force = PointForce(beam.at_end, (0, 0, load), "load")
+    force = PointForce(beam.at_end, (0, 0, load), name="load")
     return Scene([beam], [Clamp(beam.at_start)], loads=[force])
 
 

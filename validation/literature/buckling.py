@@ -113,7 +113,7 @@ def _first_zero(f: Callable[[float], float], tolerance: float) -> float:
 def _scene(n: int, load: float) -> Scene:
     section, material = Rectangle(_H, _W), Material(7850.0, _E, _NU)
     beam = Beam("beam", (0, 0, 0), (_L, 0, 0), n, section, material)
-    force = PointForce(beam.at_end, (0, -load, 0), "load")
+    force = PointForce(beam.at_end, (0, -load, 0), name="load")
     return Scene([beam], [Clamp(beam.at_start)], loads=[force])
 
 

@@ -125,7 +125,7 @@ def _scene(n: int, load: float) -> Scene:
     left = Beam("left", (0, 0), (x, y), n, section, material, element=CABLE_2D)
     right = Beam("right", (x, y), (_SPAN, 0), n, section, material, element=CABLE_2D)
     joints = [Pin(left.at_start), Pin(left.at_end, right.at_start), Pin(right.at_end)]
-    loads = [PointForce(left.at_end, (0, -load), "load")]
+    loads = [PointForce(left.at_end, (0, -load), name="load")]
     return Scene([left, right], joints, (0, -_G), loads=loads)
 
 

@@ -77,7 +77,7 @@ def _scene(n: int, nu: float, locked: bool = False) -> Scene:
     section, material = Rectangle(_H, _H), Material(7800.0, _E, nu)
     energy = SaintVenantKirchhoff() if locked else None
     beam = Beam("beam", (0, 0), (_L, 0), n, section, material, energy=energy)
-    load = PointForce(beam.at_end, (0, -_LOAD), "load")
+    load = PointForce(beam.at_end, (0, -_LOAD), name="load")
     return Scene([beam], [Clamp(beam.at_start)], loads=[load])
 
 

@@ -135,7 +135,9 @@ def _scene(n: int, alpha: float) -> Scene:
     section, material = Rectangle(h, h), Material(1.0, _E, 0.0)
     beam = Beam("beam", (0, 0), (_L, 0), n, section, material)
     P = alpha * _E * h**4 / 12 / _L**2
-    return Scene([beam], [Clamp(beam.at_start)], loads=[PointForce(beam.at_end, (0, -P), "load")])
+    return Scene(
+        [beam], [Clamp(beam.at_start)], loads=[PointForce(beam.at_end, (0, -P), name="load")]
+    )
 
 
 def _tip(n: int, alpha: float) -> Array:

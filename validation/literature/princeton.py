@@ -138,7 +138,7 @@ def _scene(n: int, load: float, angle: float, torsion_constant: float | None = N
     section = Rectangle(_H, _W, torsion_constant=torsion_constant)
     beam = Beam("beam", (0, 0, 0), (_L, 0, 0), n, section, Material(2810.0, _E, _NU))
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-    force = PointForce(beam.at_end, (0, load * c, load * s), "load")
+    force = PointForce(beam.at_end, (0, load * c, load * s), name="load")
     return Scene([beam], [Clamp(beam.at_start)], loads=[force])
 
 

@@ -129,8 +129,7 @@ def free_arm() -> Case:
     scene = arm(4)
     laws = [Spline((0.0, 0.125, 0.25, 0.375, 0.5), [0.0, *row.tolist(), 0.0]) for row in values]
     loads: list[Load] = [
-        replace(load, law=law)  # type: ignore[type-var]
-        for load, law in zip(scene.loads, laws, strict=True)
+        replace(load, law=law) for load, law in zip(scene.loads, laws, strict=True)
     ]
     design = ("upper.height", "lower.height", "lower.youngs_modulus")
     return Case(
@@ -191,7 +190,7 @@ def spinning_blade() -> Case:
     beam = Beam("blade", (0, 0, 0), (1, 0, 0), 4, flat.section, flat.material, element=BEAM_3D)
     axis = (0.0, 0.0, 1.0)
     joints = [Revolute(beam.at_start, axis), Drive(beam.at_start, UserLaw(spin_up), name="hub")]
-    named = replace(planar, joints=[planar.joints[0], replace(planar.joints[1], name="hub")])  # type: ignore[type-var]
+    named = replace(planar, joints=[planar.joints[0], replace(planar.joints[1], name="hub")])
     return Case(
         "blade",
         "Spinning blade",

@@ -65,33 +65,17 @@ class ReferenceShape:
 
 
 class BeamBody(Placed):
-    """What the rest of the package needs to know about a beam; name and turn as in `Placed`.
+    """What the rest of the package needs to know about a beam; name and turn as in `Placed`."""
 
-    Attributes
-    ----------
-    section : Section or sequence of Section
-        One for the beam or one per element, which may differ in their sizes.
-    material : Material or sequence of Material
-        One for the beam or one per element.
-    element : BeamElement
-        The element that models it.
-    energy : StrainEnergy or None
-        How it resists strain; None for elements with a law of their own.
-    rigid : bool
-        Whether it has the coordinates of a rigid body instead of those of its elements.
-    kinks : sequence of float
-        Fractions of inner nodes with a slope along the beam on either side, see `Beam`.
-    initial_strain : float
-        Strain along the axis in the reference configuration, see `Beam`.
-    """
-
-    element: BeamElement
-    energy: StrainEnergy | None
+    element: BeamElement  # the element that models it
+    energy: StrainEnergy | None  # how it resists strain; None for elements with a law of their own
+    # One for the beam or one per element, which may differ in their sizes.
     section: Section | Sequence[Section]
-    material: Material | Sequence[Material]
-    rigid: bool
+    material: Material | Sequence[Material]  # one for the beam or one per element
+    rigid: bool  # whether it has the coordinates of a rigid body instead of those of its elements
+    # Fractions of inner nodes with a slope along the beam on either side, see `Beam`.
     kinks: Sequence[float]
-    initial_strain: float
+    initial_strain: float  # strain along the axis in the reference configuration, see `Beam`
 
     @property
     @abc.abstractmethod
@@ -193,15 +177,11 @@ class BeamBody(Placed):
         return float(y), float(z)
 
     def with_values(self, changes: Iterable[tuple[str, int | None, float]]) -> BeamBody:
-        """Return the same beam with parameters changed together.
+        """Return the same beam with (parameter, element, value) changed together.
 
-        InvalidInput if a value is not admissible for its parameter, sizes of a section do not fit
-        together or an element does not exist. UnknownName if there is no such parameter.
-
-        Parameters
-        ----------
-        changes : iterable of (parameter, element, value)
-            The element is None where the parameter changes everywhere.
+        The element is None where the parameter changes everywhere. InvalidInput if a value is not
+        admissible for its parameter, sizes of a section do not fit together or an element does not
+        exist; UnknownName if there is no such parameter.
         """
         names, placement = self.parameter_names(), self.placement()
         changes = tuple(changes)

@@ -13,20 +13,12 @@ from ancfdae.numerics.arrays import Array
 
 
 class Placed(abc.ABC):
-    """A dataclass that stands somewhere.
-
-    Attributes
-    ----------
-    name : str
-    turn : float or sequence of float
-        Turn of the whole body about its place: in space a vector along the axis; rad.
-    place_word : str
-        What targets of the place begin with.
-    """
+    """A dataclass that stands somewhere."""
 
     name: str
+    # Turn of the whole body about its place: in space a vector along the axis; rad.
     turn: float | Sequence[float]
-    place_word: ClassVar[str] = "start"
+    place_word: ClassVar[str] = "start"  # what targets of the place begin with
 
     @property
     @abc.abstractmethod

@@ -209,12 +209,8 @@ class SectionLaw(abc.ABC):
         """Return N, V_y, V_z, T, M_y and M_z, shape (..., 6).
 
         What the part beyond the section does to the part before it, in the axes of the section;
-        real or complex. In the plane V_z, T and M_y are zero.
-
-        Parameters
-        ----------
-        Y, V : array, shape (..., n, n_y, d)
-            Relative node vectors of the run of elements and their velocities.
+        real or complex. In the plane V_z, T and M_y are zero. Y and V, (..., n, n_y, d), are the
+        relative node vectors of the run of elements and their velocities.
         """
 
 
@@ -241,17 +237,10 @@ class BeamElement(abc.ABC):
     Implementations are stateless; arrays are batched over elements (leading
     axis n) and over points (axis n_p) and keep the dtype of their input, so
     that complex perturbations of coordinates and parameters pass through.
-
-    Attributes
-    ----------
-    d : int
-        Dimension of space.
-    name : str
-        What saved solutions call it.
     """
 
-    name: str
-    d: int
+    name: str  # what saved solutions call it
+    d: int  # dimension of space
 
     @property
     @abc.abstractmethod
@@ -332,17 +321,9 @@ class BeamElement(abc.ABC):
     ) -> tuple[Array, Array]:
         """Return how a vector of a point is made of the node vectors: sum_a w_a l^p_a X_a.
 
-        Parameters
-        ----------
-        quantity : Quantity
-            A position (the weights are the shape functions of eq. 8) or a slope.
-        xi, y, z : float
-            Place in the element; y and z in m.
-
-        Returns
-        -------
-        w, p : array, shape (n_a,)
-            Weights at unit length, and the power of the length l that each goes with.
+        Of a position the weights are the shape functions of eq. 8; y and z are in m. Returned are
+        the weights w at unit length, and the power p of the length l that each goes with, (n_a,)
+        each.
         """
 
     @property
@@ -362,10 +343,5 @@ class BeamElement(abc.ABC):
     def stress_law(self, batch: Batch, xi: Array, places: tuple[Array, Array]) -> StressLaw:
         """Return what gives stresses at fibres of sections of some elements.
 
-        Parameters
-        ----------
-        batch : Batch
-        xi : array, shape (n_xi,)
-        places : (array, array), shape (n, n_f) each
-            y and z in the section; m.
+        The sections lie at xi, (n_xi,), and the fibres at y and z in them, (n, n_f) each; m.
         """

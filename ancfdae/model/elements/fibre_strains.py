@@ -104,16 +104,10 @@ class Frames:
     ) -> Array:
         """Return strains and turns in s, shape (n, n_xi, n_f, n_v + turns, n_s).
 
-        Parameters
-        ----------
-        at : Fibres
-        turns : int
-            How many of them the energy has.
-        shear_power : int
-            Of the factors in shears and waves: 1 in those of the energy, 2 of the material.
-        twist : array, shape (n, n_f, 2), optional
-            Shears of torsion over the rate of twist and l, where they are known; by default they
-            are those of sections that stay flat, with the factor.
+        `turns` says how many of them the energy has; `shear_power` is that of the factors in shears
+        and waves: 1 in those of the energy, 2 of the material. `twist`, (n, n_f, 2), has shears of
+        torsion over the rate of twist and l, where they are known; by default they are those of
+        sections that stay flat, with the factor.
         """
         d = self.normal.shape[-1]
         places, pairs, m = strain_places(d), components(d), d - 1

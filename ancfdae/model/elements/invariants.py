@@ -41,19 +41,10 @@ def prepare(
     wanted: Iterable[ElementParameter] = (),
     owners: Array | None = None,
 ) -> Invariants:
-    """Integrate the invariants and the derivatives asked for.
+    """Integrate the invariants of a batch, and the derivatives in the parameters wanted.
 
-    InvalidInput if the reference configuration folds (det dr_o/dx <= 0 somewhere).
-
-    Parameters
-    ----------
-    element : BeamElement
-    batch : Batch
-        The elements.
-    wanted : iterable of ElementParameter
-        Parameters whose derivatives are prepared.
-    owners : array of str, shape (n,), optional
-        What each element belongs to, for the error.
+    InvalidInput, with what each element belongs to, if the reference configuration folds (det
+    dr_o/dx <= 0 somewhere).
     """
     wanted, n = tuple(wanted), len(batch.parameters)
     if owners is None:

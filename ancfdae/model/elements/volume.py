@@ -92,24 +92,11 @@ def change(moved: Array, at: Array, step: Array) -> Array:
 class Region:
     """Strains of sections, and what they cost, at the places where an energy is integrated.
 
-    InvalidInput if the reference configuration folds (det dr_o/dx <= 0 somewhere).
-
-    Parameters
-    ----------
-    own : Batch
-    fibres : Fibres
-    along : (array, array), shape (n_xi,) each
-        Places xi along the axis and their weights, such as those of `gauss_rule`.
-    owners : array of str, shape (n,)
-        What each element belongs to, for the error.
-
-    Attributes
-    ----------
-    beta : array, shape (n_xi, n_s, n_g)
-        Strains of the section in the Gram matrix of the scaled node vectors.
-    R : array, shape (n, n_xi or 1, n_f, n_v, n_s)
-        Strains at the fibres in these; one for all places of straight elements.
-    volume : array, shape (n, n_xi or 1, n_f)
+    These are places xi along the axis with their weights, (n_xi,) each. `beta`, (n_xi, n_s, n_g),
+    are strains of the section in the Gram matrix of the scaled node vectors; `R`, (n, n_xi or 1,
+    n_f, n_v, n_s), those at the fibres in these, one for all places of straight elements; `volume`
+    is (n, n_xi or 1, n_f). InvalidInput names the owner of an element, (n,), whose reference
+    configuration folds (det dr_o/dx <= 0 somewhere).
     """
 
     def __init__(

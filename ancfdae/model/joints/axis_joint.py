@@ -47,15 +47,12 @@ class AxisJoint(Joint):
     ground : sequence of float, optional
         Position on the ground, not with `other`; by default where the point is in the reference
         configuration, see `Pin`.
-    name : str, optional
-        By default ``kind(beam@fraction)``.
     """
 
     point: Point
     axis: Sequence[float]
     other: Point | None = None
     ground: Sequence[float] | None = None
-    name: str = ""
 
     takes_part = SECTION
     design_fields = (("axis", require_direction), ("ground", require_vector))

@@ -36,15 +36,12 @@ class Clamp(Joint):
     Parameters
     ----------
     point : Point
-    name : str, optional
-        By default ``clamp(beam@fraction)``.
     ground : sequence of float, optional
         Position on the ground, with design targets ``ground_x`` ...; by default where the point is
         in the reference configuration.
     """
 
     point: Point
-    name: str = ""
     ground: Sequence[float] | None = None
 
     kind = "clamp"

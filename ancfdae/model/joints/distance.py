@@ -29,15 +29,12 @@ class Distance(Joint):
     other : Point, optional
     ground : sequence of float, optional
         Position on the ground; just one of `other` and `ground` must be given.
-    name : str, optional
-        By default ``link(beam@fraction)``.
     """
 
     point: Point
     length: float
     other: Point | None = None
     ground: Sequence[float] | None = None
-    name: str = ""
 
     kind = "link"
     sign = Sign("link", ".", filled=True)

@@ -45,15 +45,12 @@ class Drive(DrivenJoint):
         Axis of the turning in space, not zero; z by default. Not in the plane.
     other : Point, optional
         Point of another beam, whose section the angle counts from; without it from ground.
-    name : str, optional
-        By default ``drive(beam@fraction)``.
     """
 
     point: Point
     angle: Law
     axis: Sequence[float] | None = None
     other: Point | None = None
-    name: str = ""
 
     kind = "drive"
     sign = Sign("drive", r"$\circlearrowleft$", filled=True, size=17.0)

@@ -77,14 +77,9 @@ class SectionFrame(Carrier):
     """The section of a point, by its d slopes among the vectors of a joint.
 
     A direction w of the reference is carried along as F w, the combination of the slopes that
-    equals w in the reference. One across the normal is a matter of the section alone; of the
-    others the centre line has a part, which shears against the section.
-
-    Attributes
-    ----------
-    point : Point
-    normal : array, shape (d,)
-        Of the section in the reference.
+    equals w in the reference. One across the normal is a matter of the section alone; of the others
+    the centre line has a part, which shears against the section. `normal` is that of the section in
+    the reference, shape (d,).
     """
 
     def __init__(self, point: Point, reference: Array, first: int) -> None:

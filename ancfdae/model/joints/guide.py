@@ -30,12 +30,9 @@ class Guide(Travelling):
     travel : Law
     other : Point, optional
         Point of another beam, whose section carries the direction; without it it is fixed.
-    name : str, optional
-        By default ``guide(beam@fraction)``.
     """
 
     other: Point | None = None
-    name: str = ""
 
     kind = "guide"
     sign = Sign("guide", r"$\leftrightarrow$", filled=True, size=15.0)

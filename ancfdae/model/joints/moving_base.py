@@ -26,11 +26,7 @@ class MovingBase(Travelling):
     direction : sequence of float
         Not zero.
     travel : Law
-    name : str, optional
-        By default ``base(beam@fraction)``.
     """
-
-    name: str = ""
 
     kind = "base"
     sign = Sign("moving base", "p", filled=True)

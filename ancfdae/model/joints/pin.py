@@ -27,14 +27,11 @@ class Pin(Joint):
     ground : sequence of float, optional
         Position on the ground; by default where the point is in the reference configuration, also
         where other design variables move it, until a target such as ``ground_x`` writes it.
-    name : str, optional
-        By default ``pin(beam@fraction)``.
     """
 
     point: Point
     other: Point | None = None
     ground: Sequence[float] | None = None
-    name: str = ""
 
     kind = "pin"
     sign = Sign("pin", "o")

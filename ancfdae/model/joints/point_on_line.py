@@ -30,14 +30,11 @@ class PointOnLine(Joint):
         Not zero.
     through : sequence of float, optional
         A point of the line; by default where `point` is in the reference configuration.
-    name : str, optional
-        By default ``line(beam@fraction)``.
     """
 
     point: Point
     direction: Sequence[float]
     through: Sequence[float] | None = None
-    name: str = ""
 
     kind = "line"
     sign = Sign("point on a line", "d")

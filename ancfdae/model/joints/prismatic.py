@@ -40,14 +40,11 @@ class Prismatic(Joint):
     other : Point, optional
         Point of another beam, whose section carries the axis along; without it the axis is fixed
         to ground.
-    name : str, optional
-        By default ``prismatic(beam@fraction)``.
     """
 
     point: Point
     axis: Sequence[float]
     other: Point | None = None
-    name: str = ""
 
     kind = "prismatic"
     sign = Sign("prismatic joint", "d")

@@ -43,8 +43,6 @@ class Universal(Joint):
     ground : sequence of float, optional
         Position on the ground, not with `other`, with design targets ``ground_x`` ...; by default
         where the point is in the reference configuration.
-    name : str, optional
-        By default ``universal(beam@fraction)``.
     """
 
     point: Point
@@ -52,7 +50,6 @@ class Universal(Joint):
     cross: Sequence[float]
     other: Point | None = None
     ground: Sequence[float] | None = None
-    name: str = ""
 
     kind = "universal"
     sign = Sign("universal joint", "P")

@@ -32,13 +32,10 @@ class Weld(Joint):
     ----------
     point, other : Point
         At the same place in the reference configuration.
-    name : str, optional
-        By default ``weld(beam@fraction)``.
     """
 
     point: Point
     other: Point
-    name: str = ""
 
     kind = "weld"
     sign = Sign("weld", "X", filled=True)

@@ -8,7 +8,6 @@ import numpy as np
 
 from ancfdae.errors import require_axial, require_vector
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of, turn
 from ancfdae.model.parts import Elements, Vectors
@@ -39,10 +38,6 @@ class Bushing(Load):
         A number in the plane, three in space; N m/rad and N m s/rad.
     other : Point, optional
         Body to which the bearing is fixed; the ground by default.
-    name : str, optional
-        By default ``bushing(beam@fraction)``.
-    law : Law, optional
-        Factor of all of it over time; its parameters are design targets, too.
     """
 
     point: Point
@@ -51,8 +46,6 @@ class Bushing(Load):
     turn_stiffness: float | Sequence[float] | None = None
     turn_damping: float | Sequence[float] | None = None
     other: Point | None = None
-    name: str = ""
-    law: Law | None = None
 
     kind = "bushing"
     elastic = True

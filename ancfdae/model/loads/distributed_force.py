@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import final
 
 from ancfdae.errors import require_vector
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, ConstantLoad
 from ancfdae.model.parts import CentreLine, Elements, Vectors
 
@@ -23,16 +22,10 @@ class DistributedForce(ConstantLoad):
         Name of the beam.
     force_per_length : sequence of float
         N/m.
-    name : str, optional
-        By default ``line-load(beam)``.
-    law : Law, optional
-        Factor of the force over time; its parameters are design targets, too.
     """
 
     beam: str
     force_per_length: Sequence[float]
-    name: str = ""
-    law: Law | None = None
 
     kind = "line-load"
     design_fields = (("force_per_length", require_vector), LAW)

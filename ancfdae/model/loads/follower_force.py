@@ -6,7 +6,6 @@ from typing import Any, final
 
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -26,16 +25,10 @@ class FollowerForce(Load):
     point : Point
     force_components : sequence of float
         Components along tangent, height axis(, width axis); N.
-    name : str, optional
-        By default ``follower(beam@fraction)``.
-    law : Law, optional
-        Factor of the force over time; its parameters are design targets, too.
     """
 
     point: Point
     force_components: Sequence[float]
-    name: str = ""
-    law: Law | None = None
 
     kind = "follower"
     design_fields = (("force_components", require_vector), LAW)

@@ -6,7 +6,6 @@ from typing import Any, final
 
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.friction import DAMPING, LEVELS, friction, require_stribeck
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import rate_of, section_of, turn, unit_axes
@@ -40,10 +39,6 @@ class JointFriction(Load):
         In space, in the reference configuration; it turns with the other section. z by default.
     other : Point, optional
         The other part of the joint; the ground by default.
-    name : str, optional
-        By default ``friction(beam@fraction)``.
-    law : Law, optional
-        Factor of the torque over time; its parameters are design targets, too.
     """
 
     point: Point
@@ -54,8 +49,6 @@ class JointFriction(Load):
     stribeck_speed: float | None = None
     axis: Sequence[float] | None = None
     other: Point | None = None
-    name: str = ""
-    law: Law | None = None
 
     kind = "friction"
     elastic = True

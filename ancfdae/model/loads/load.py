@@ -9,10 +9,12 @@ design derivatives.
 
 import abc
 from collections.abc import Collection
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, final
 
 import numpy as np
 
+from ancfdae.errors import InvalidInput
 from ancfdae.model.laws import Law
 from ancfdae.model.laws.law import require_law
 from ancfdae.model.parts import Part
@@ -23,32 +25,35 @@ from ancfdae.numerics.jets import Jet
 LAW = ("law", require_law)
 
 
+@dataclass(frozen=True)
 class Load(Part):
     """A load on points of beams; fields and names as in `Part`.
 
-    Attributes
+    Parameters
     ----------
-    law : Law or None
-        Factor of the force over time; its parameters are targets of the load.
-    constant : bool
-        Whether the force depends neither on positions nor on velocities.
-    elastic : bool
-        Whether it is a stiffness rather than a load: a search for an equilibrium, which brings up
-        the loads, leaves it as it is.
-    damping_fields : tuple of str
-        Design fields without which the force does not depend on velocities.
-    refers : bool
-        Whether the force depends on the reference configuration.
+    law : Law, optional
+        Factor of the force over time; its parameters are design targets, too.
     """
 
     role = "load"
-    needed_fields = ("name", "law")
+    #: Whether the force depends neither on positions nor on velocities.
     constant: ClassVar[bool] = False
+    #: Whether it is a stiffness rather than a load: a search for an equilibrium, which brings up
+    #: the loads, leaves it as it is.
     elastic: ClassVar[bool] = False
+    #: Design fields without which the force does not depend on velocities.
     damping_fields: ClassVar[tuple[str, ...]] = ()
+    #: Whether the force depends on the reference configuration.
     refers: ClassVar[bool] = False
 
-    law: Law | None
+    law: Law | None = field(default=None, kw_only=True)
+
+    def _check_declared(self) -> None:
+        super()._check_declared()
+        if self.design_fields[-1:] != (LAW,):
+            where, rule = f"load of class {type(self).__name__}", "must have LAW at the end"
+            names = [name for name, _ in self.design_fields]
+            raise InvalidInput(f"{where}, design_fields", rule, names, "Write (..., LAW).")
 
     def uses_velocity(self, driven: Collection[str]) -> bool:
         """Whether the force depends on velocities, given the parameters that are design targets."""

@@ -6,7 +6,6 @@ from typing import Any, final
 
 from ancfdae.errors import require_axial, require_flag
 from ancfdae.model.bodies import Point
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import QUARTER_TURN, section_of
 from ancfdae.model.parts import Elements, Vectors
@@ -35,17 +34,11 @@ class Moment(Load):
     follower : bool, optional
         Whether the components are along n and the height and width slopes, and turn with them,
         instead of being fixed in space. In the plane there is no difference.
-    name : str, optional
-        By default ``moment(beam@fraction)``.
-    law : Law, optional
-        Factor of the moment over time; its parameters are design targets, too.
     """
 
     point: Point
     moment: float | Sequence[float]
     follower: bool = False
-    name: str = ""
-    law: Law | None = None
 
     kind = "moment"
     design_fields = (("moment", require_axial), LAW)

@@ -6,7 +6,6 @@ from typing import final
 
 from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, ConstantLoad
 from ancfdae.model.parts import Elements, Vectors
 
@@ -23,16 +22,10 @@ class PointForce(ConstantLoad):
     point : Point
     force_vector : sequence of float
         N.
-    name : str, optional
-        By default ``force(beam@fraction)``.
-    law : Law, optional
-        Factor of the force over time; its parameters are design targets, too.
     """
 
     point: Point
     force_vector: Sequence[float]
-    name: str = ""
-    law: Law | None = None
 
     kind = "force"
     design_fields = (("force_vector", require_vector), LAW)

@@ -6,7 +6,6 @@ from typing import Any, final
 
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point, Quantity
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.friction import DAMPING, LEVELS, friction, require_stribeck
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import CarriedAxes, rate_of, section_of
@@ -39,10 +38,6 @@ class SlideFriction(Load):
         b, in N, and w_s, positive, in m/s.
     other : Point, optional
         A point of the line, on a beam; the line is on the ground by default.
-    name : str, optional
-        By default ``slide-friction(beam@fraction)``.
-    law : Law, optional
-        Factor of the force over time; its parameters are design targets, too.
     """
 
     point: Point
@@ -53,8 +48,6 @@ class SlideFriction(Load):
     breakaway: float | None = None
     stribeck_speed: float | None = None
     other: Point | None = None
-    name: str = ""
-    law: Law | None = None
 
     kind = "slide-friction"
     elastic = True

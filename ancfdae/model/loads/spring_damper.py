@@ -8,7 +8,6 @@ from ancfdae.errors import require_vector
 from ancfdae.model.bodies import Point, Quantity
 from ancfdae.model.design import numbers
 from ancfdae.model.drawing import Stroke
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.parts import Elements, Vectors
 from ancfdae.numerics.arrays import Array
@@ -36,10 +35,6 @@ class SpringDamper(Load):
     other : Point, optional
     ground : sequence of float, optional
         Just one of `other` and `ground` must be given.
-    name : str, optional
-        By default ``spring(beam@fraction)``.
-    law : Law, optional
-        Factor of the force over time; its parameters are design targets, too.
     """
 
     point: Point
@@ -48,8 +43,6 @@ class SpringDamper(Load):
     free_length: float = 0.0
     other: Point | None = None
     ground: Sequence[float] | None = None
-    name: str = ""
-    law: Law | None = None
 
     kind = "spring"
     stroke = Stroke.SPRING

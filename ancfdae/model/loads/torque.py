@@ -7,7 +7,6 @@ from typing import Any, final
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
 from ancfdae.model.design import numbers
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import section_of, turn, unit_axes
 from ancfdae.model.parts import Elements, Vectors
@@ -32,18 +31,12 @@ class Torque(Load):
         In space, in the reference configuration; it turns with the other section. z by default.
     other : Point, optional
         Body that carries the motor; the ground by default.
-    name : str, optional
-        By default ``torque(beam@fraction)``.
-    law : Law, optional
-        Factor of the torque over time; its parameters are design targets, too.
     """
 
     point: Point
     torque: float
     axis: Sequence[float] | None = None
     other: Point | None = None
-    name: str = ""
-    law: Law | None = None
 
     kind = "torque"
     design_fields = (*numbers("torque"), ("axis", require_direction), LAW)

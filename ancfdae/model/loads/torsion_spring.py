@@ -7,7 +7,6 @@ from typing import Any, final
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
 from ancfdae.model.design import numbers
-from ancfdae.model.laws import Law
 from ancfdae.model.loads.load import LAW, Load
 from ancfdae.model.loads.sections import rate_of, section_of, turn, unit_axes
 from ancfdae.model.parts import Elements, Vectors
@@ -37,10 +36,6 @@ class TorsionSpring(Load):
         In space, in the reference configuration; it turns with the other section. z by default.
     other : Point, optional
         What the spring is fixed to; the ground by default.
-    name : str, optional
-        By default ``torsion-spring(beam@fraction)``.
-    law : Law, optional
-        Factor of the torque over time; its parameters are design targets, too.
     """
 
     point: Point
@@ -49,8 +44,6 @@ class TorsionSpring(Load):
     free_angle: float = 0.0
     axis: Sequence[float] | None = None
     other: Point | None = None
-    name: str = ""
-    law: Law | None = None
 
     kind = "torsion-spring"
     elastic = True
