@@ -103,11 +103,11 @@ def _results(reached: Found, scale: Array, tolerance: float) -> list[Gradient]:
         accuracy = Accuracy(
             tolerance,
             reached.reached,
-            float(value.bar[0]),
-            slope.bar / scale,
             reached.integrator,
             reached.why,
             reached.trials,
+            float(value.bar[0]),
+            slope.bar / scale,
         )
         numbers = {"value": float(value.x[0]), "gradient": slope.x / scale}
         done.append(replace(each, **numbers, accuracy=accuracy))
