@@ -128,6 +128,7 @@ from ancfdae.sensitivity import (
     Direct,
     FiniteDifference,
     Gradient,
+    Searched,
     UnfinishedRun,
 )
 from ancfdae.sensitivity.objectives import (
@@ -186,6 +187,7 @@ from ancfdae.studies import (
     ModelLadder,
     NoModel,
     Observations,
+    Observed,
     Response,
     Responses,
     RunFit,
@@ -308,6 +310,7 @@ __all__ = [
     "Objective",
     "Observable",
     "Observations",
+    "Observed",
     "Outcome",
     "Pattern",
     "Pin",
@@ -337,6 +340,7 @@ __all__ = [
     "RungRun",
     "SaintVenantKirchhoff",
     "Scene",
+    "Searched",
     "Section",
     "Sensitivities",
     "Setting",

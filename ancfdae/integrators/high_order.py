@@ -147,11 +147,6 @@ class HighOrder(QuadratureIntegrator):
     max_steps : int
         Steps of the whole run before it ends with an outcome. The default, a million, is no
         budget: it ends runs that nobody waits for. Runs that lead nowhere end by themselves.
-
-    Raises
-    ------
-    InvalidInput
-        If a setting is out of range.
     """
 
     # The solvers are real wherever the start is, and would drop imaginary parts of the forces.

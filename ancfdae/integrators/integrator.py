@@ -67,11 +67,6 @@ class Integrator(abc.ABC):
         -------
         Solution
             A failure on the way is reported by its outcome, and what was computed is kept.
-
-        Raises
-        ------
-        InvalidInput
-            If settings, end time or start make no sense; before anything is integrated.
         """
 
     def resume(

@@ -8,6 +8,7 @@ from ancfdae.sensitivity.method import (
     GradientMethod,
     Method,
     Run,
+    Searched,
     Trial,
     UnfinishedRun,
 )

@@ -48,21 +48,15 @@ class Trial:
     error: float
 
 
-@final
 @dataclass(frozen=True)
-class Accuracy:
-    """How well numbers are known that were asked for to a tolerance.
+class Searched(abc.ABC):
+    """What every call to a tolerance tells.
 
     Attributes
     ----------
     tolerance : float
-        Relative to the norm of the gradient scaled by the design values, (b_j dpsi/db_j); for a
-        value to the larger of that and its own size.
     reached : bool
         Whether all bars are within it.
-    value_bar : float
-    gradient_bar : array, shape (n_b,)
-        Estimated bounds of the errors; no proofs: docs/reports/tolerance says how often they hold.
     integrator : Integrator
         Of the finest run of the chosen kind.
     why : str
@@ -73,8 +67,6 @@ class Accuracy:
 
     tolerance: float
     reached: bool
-    value_bar: float
-    gradient_bar: Array
     integrator: Integrator
     why: str
     trials: tuple[Trial, ...]
@@ -92,6 +84,25 @@ class Accuracy:
             rows.append((type(each.integrator).__name__, *numbers))
         head = f"tolerance {self.tolerance:g} {verdict}, {self.seconds:.2g} s. {self.why}"
         return f"{head}\n{columns(rows, shorten=False)}"
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Accuracy(Searched):
+    """How well value and gradient are known; also `Searched`.
+
+    The tolerance is relative to the norm of the gradient scaled by the design values,
+    (b_j dpsi/db_j); for a value to the larger of that and its own size.
+
+    Attributes
+    ----------
+    value_bar : float
+    gradient_bar : array, shape (n_b,)
+        Estimated bounds of the errors; no proofs: docs/reports/tolerance says how often they hold.
+    """
+
+    value_bar: float
+    gradient_bar: Array
 
 
 @final
@@ -253,14 +264,7 @@ class GradientMethod(abc.ABC):
 
     @abc.abstractmethod
     def gradients(self, run: Run, objectives: Sequence[Objective]) -> list[Gradient]:
-        """Return value and gradient of every objective from as few runs as possible.
-
-        Raises
-        ------
-        UnfinishedRun, NonFiniteObjective
-        InvalidInput
-            If the method does not fit the integrator, the objectives or the design.
-        """
+        """Return value and gradient of every objective from as few runs as possible."""
 
 
 class Method(GradientMethod):

@@ -23,5 +23,6 @@ from ancfdae.studies.statics import equilibrium, static_gradient
 from ancfdae.studies.sweep import Evaluate, sweep
 from ancfdae.studies.sweep_file import Sweep, SweepRow
 from ancfdae.studies.taylor import TaylorTest, taylor_test
+from ancfdae.studies.tolerance.observables import Observed
 from ancfdae.studies.tradeoff import tradeoff
 from ancfdae.studies.tradeoff_result import Setting, TargetNotReached, Tradeoff

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from typing import overload
 
 import numpy as np
 
@@ -24,11 +25,13 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.method import Gradient, GradientMethod, Method, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
-from ancfdae.sensitivity.observables import states_of
+from ancfdae.sensitivity.observables import Observable, states_of
 from ancfdae.studies.parts import Keep, RunOfParts
 from ancfdae.studies.tolerance.gradients import gradients_within
+from ancfdae.studies.tolerance.observables import Observed, observed_within
 
 
+@overload
 def simulate(
     model: Scene | MechanicalSystem,
     t_end: float,
@@ -37,7 +40,33 @@ def simulate(
     after: Solution | None = None,
     keep: Keep | None = None,
     progress: bool = False,
-) -> Solution:
+) -> Solution: ...
+
+
+@overload
+def simulate(
+    model: Scene | MechanicalSystem,
+    t_end: float,
+    *,
+    tolerance: float,
+    observables: Sequence[Observable],
+    at: Sequence[float] | Array | None = None,
+    progress: bool = False,
+) -> Observed: ...
+
+
+def simulate(
+    model: Scene | MechanicalSystem,
+    t_end: float,
+    integrator: Integrator | None = None,
+    *,
+    tolerance: float | None = None,
+    observables: Sequence[Observable] | None = None,
+    at: Sequence[float] | Array | None = None,
+    after: Solution | None = None,
+    keep: Keep | None = None,
+    progress: bool = False,
+) -> Solution | Observed:
     """Integrate a scene, or any mechanical system, from t = 0 to `t_end`.
 
     Parameters
@@ -46,11 +75,18 @@ def simulate(
         End time; s.
     integrator : Integrator
         `HHT`, `Radau`, `IDA`, `IDAS` or `Explicit`, for example ``HHT(step=2**-7)``.
+    tolerance : float, optional
+        In place of an integrator, with `observables`: runs of several kinds choose integrator and
+        setting until the errors of the observables are estimated below it. The error of each, its
+        norm over the instants, is relative to the norm of its values there. Units do not matter.
+    observables : sequence of Observable, optional
+        What the tolerance is for: ``[position(rod.at_end, 1)]``.
+    at : sequence of float, optional
+        Instants of the observables, ascending in [0, t_end]; by default 65, equally far apart; s.
     after : Solution, optional
-        A run of this model by the same `HHT` that ended before, at its end time, early or at
+        A run of this model by the same integrator that ended before, at its end time, early or at
         Ctrl-C: it goes on there, and the result is the whole run, to round-off that of one in one
-        go. If it has reached `t_end` nothing is integrated. Under error control steps also depend
-        on `t_end`: it is the same run for the same end time, else one within the tolerance.
+        go; under error control, whose steps depend on `t_end`, within the tolerance.
     keep : int or sequence of float, optional
         Of a long run keep the start, every so many steps and the end; or these instants, ascending
         in [0, t_end], interpolated as by `Solution.at`; s. Memory then does not grow with the
@@ -59,12 +95,9 @@ def simulate(
     progress : bool
         Whether to show a progress bar.
 
-    Raises
-    ------
-    InvalidInput
-        If the input makes no sense; before anything is integrated.
-    Interrupted
-        At Ctrl-C; its `result` is the solution up to there.
+    Returns
+    -------
+    Solution, or Observed to a tolerance
 
     Warns
     -----
@@ -72,13 +105,23 @@ def simulate(
         If the run estimates that its errors are larger than the motion (`EstimatedErrors`).
     ManySteps
         If `IDA`, `IDAS` or `Explicit` will take more than 100,000 steps.
+    ToleranceMissed
+        If the tolerance is out of reach; what comes nearest is returned.
     """
-    run = Run(as_system(model), t_end, integrator, progress, after)
+    system = as_system(model)
+    if tolerance is not None:
+        _require_alone(integrator=integrator, after=after, keep=keep)
+        return observed_within(system, observables, at, t_end, tolerance, progress)
+    if observables is not None or at is not None:
+        rule, repair = "are for a tolerance", "Call observe(observable, solution), or observations."
+        raise InvalidInput("observables, at", rule, "an integrator", repair)
+    run = Run(system, t_end, _required(integrator), progress, after)
     if keep is not None:
         if after is not None:
             rule, repair = "cannot be thinned while it goes on", "Give one of after and keep."
             raise InvalidInput("keep", rule, "both", repair)
-        return uninterrupted(RunOfParts(run.system, t_end, integrator, keep, progress).solution())
+        parts = RunOfParts(system, t_end, run.integrator, keep, progress)
+        return uninterrupted(parts.solution())
     solution = uninterrupted(run.solution())
     _warn_of_long_steps(solution)
     return solution
@@ -123,11 +166,6 @@ def differentiate(
     -------
     Solution
         With `sensitivities`.
-
-    Raises
-    ------
-    InvalidInput, Interrupted
-        As `simulate`.
     """
     method = Direct() if method is None else method
     require_kind("method", method, (Method,), "For example Direct() or ComplexStep().")
@@ -157,25 +195,15 @@ def gradient(
     objective : Objective
         For example ``Integral((position(rod.at_end, 0) - 1.8) ** 2)``.
     tolerance : float, optional
-        In place of an integrator: runs of several kinds choose integrator and setting until the
-        error of this gradient is estimated below it; `Gradient.accuracy` has the bars, the choice
-        and its price. Relative, each derivative times its variable, to the norm of all of these;
-        of the value to the larger of that norm and the value. Units do not matter.
+        In place of an integrator: integrator and setting are chosen so that the error of this
+        gradient is estimated below it; `Gradient.accuracy` has the bars, the choice and its price.
+        Relative, each derivative times its variable, to the norm of all of these; of the value to
+        the larger of that norm and the value.
     method : GradientMethod, optional
-        `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by
-        default whichever of the first two costs less, see `cheapest`, or `Direct` for integrators
-        without an adjoint (IDA, Explicit).
+        `Direct`, `Adjoint`, `ContinuousAdjoint`, `FiniteDifference` or `ComplexStep`; by default
+        `cheapest` of the first two, or `Direct` where there is no adjoint (IDA, Explicit).
     memory : str or float, optional
-        Short for ``method=Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
-
-    Raises
-    ------
-    InvalidInput, Interrupted
-        As `simulate`.
-    UnfinishedRun
-        If the run ends early; the error carries what was computed.
-    NonFiniteObjective
-        If the objective is not finite; the message names the time.
+        ``Adjoint(memory)``: a limit such as ``"200 MB"`` for the states of a run.
 
     Warns
     -----
@@ -214,13 +242,9 @@ def gradients(
     system = differentiable(model, design)
     require_objectives(system, objectives, t_end)
     if tolerance is not None:
-        if (integrator, memory, after) != (None, None, None):
-            rule, repair = "chooses its own runs", "Leave out integrator, memory and after."
-            raise InvalidInput("tolerance", rule, "one of these too", repair)
+        _require_alone(integrator=integrator, memory=memory, after=after)
         return gradients_within(system, objectives, t_end, tolerance, method, progress)
-    if integrator is None:
-        rule, repair = "is needed", "For example HHT(step=0.01), or tolerance=1e-4 in its place."
-        raise InvalidInput("integrator", rule, "none", repair)
+    integrator = _required(integrator)
     if memory is not None:
         if method is not None:
             rule, repair = "is a limit of the adjoint", "Give one of both, or Adjoint(memory=...)."
@@ -231,6 +255,22 @@ def gradients(
         method = cheapest(system.n_b, len(objectives)) if adjoint else Direct()
     require_kind("method", method, (GradientMethod,), "For example Adjoint() or Direct().")
     return method.gradients(Run(system, t_end, integrator, progress, after), objectives)
+
+
+def _require_alone(**others: object) -> None:
+    """Refuse what a call to a tolerance chooses itself."""
+    for name, given in others.items():
+        if given is not None:
+            repair = f"Leave out {name}."
+            raise InvalidInput("tolerance", "chooses its own runs", f"{name} too", repair)
+
+
+def _required(integrator: Integrator | None) -> Integrator:
+    """Return the integrator; refuse none."""
+    if integrator is None:
+        rule, repair = "is needed", "For example HHT(step=0.01), or tolerance=1e-4 in its place."
+        raise InvalidInput("integrator", rule, "none", repair)
+    return integrator
 
 
 def evaluate(
@@ -252,12 +292,6 @@ def evaluate(
         A finished run, from a call or a file; `gradient` with ``after=solution`` differentiates.
     model, design
         What ran, as in `gradient`.
-
-    Raises
-    ------
-    InvalidInput, UnknownName
-        If the solution is of another model, or the objective of something it does not have.
-    UnfinishedRun, NonFiniteObjective
     """
     require_kind("solution", solution, (Solution,), "Call simulate, or load_solution.")
     system = as_system(model, design)

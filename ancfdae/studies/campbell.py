@@ -101,13 +101,6 @@ def campbell(
         How many, the lowest at the first rate.
     design : sequence of str or DesignVariable
         What to differentiate in beside the rate.
-
-    Raises
-    ------
-    InvalidInput
-        If the input makes no sense.
-    NoEquilibrium
-        If a rate has none.
     """
     frame = _frame_of(scene)
     require_count("count", count, "Ask for one or more modes.")

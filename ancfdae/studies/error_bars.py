@@ -161,25 +161,18 @@ def error_bars(
     method : GradientMethod
         As in `gradient`, but `Direct` by default.
     levels : int
-        With `HHT`, two levels cost three times the first run, three levels seven times; three also
-        show whether the order is reached.
+        2, or 3 to see whether the order is reached: with `HHT` 3 or 7 times the first run.
     meshes : int
         Of a scene, with 2 or 3: runs with once or twice doubled elements, of the finest of which
         value, gradient and bars then are.
-
-    Raises
-    ------
-    InvalidInput, UnfinishedRun, NonFiniteObjective
-        As `gradient`.
     """
     if not any(levels is count for count in (2, 3)):
         raise InvalidInput("levels", "must be 2 or 3", repr(levels), "2 is cheaper, 3 is safer.")
     chosen = Direct() if method is None else method
 
     def run(at: _Mesh, settings: Integrator) -> Gradient:
-        scene, variables = at
         return gradient(
-            scene, objective, t_end, settings, design=variables, method=chosen, progress=progress
+            at[0], objective, t_end, settings, design=at[1], method=chosen, progress=progress
         )
 
     *coarser, finest = _meshes(model, design, meshes)
@@ -187,32 +180,30 @@ def error_bars(
     for _ in range(levels - 1):
         settings = settings.refined(runs[-1].solution)
         runs.append(run(finest, settings))
-    x = _numbers(runs)
-    differences, resolved = np.diff(x, axis=0), _resolved(*runs[-2:])
-    widths, orders = bars(differences, integrator.order)
-    if resolved is False:
-        b = differentiable(*finest).b
-        scale = np.where(b == 0, 1.0, np.abs(b))
-        slopes = unresolved(differences[:, 1:] * scale) / scale
-        widths = np.append(unresolved(differences[:, :1]), slopes)
+    widths, orders, resolved = _of_steps(runs, finest, integrator.order)
     parts, mesh_orders = {"step": widths}, np.full(len(widths), np.nan)
     if coarser:
         on_meshes = _numbers([*(run(each, integrator) for each in coarser), runs[0]])
         parts["mesh"], mesh_orders = bars(np.diff(on_meshes, axis=0), MESH_ORDER)
+    x, last = _numbers(runs[-2:]), runs[-1]
     gain = 0.0 if integrator.order is None else 1 / (2.0**integrator.order - 1)
-    better = x[-1] + gain * (x[-1] - x[-2])
-    return ErrorBars(
-        names=runs[-1].names,
-        value=runs[-1].value,
-        gradient=runs[-1].gradient,
-        parts=parts,
-        extrapolated_value=float(better[0]),
-        extrapolated_gradient=better[1:],
-        orders=orders,
-        mesh_orders=mesh_orders,
-        runs=tuple(runs),
-        resolved=resolved,
-    )
+    better = x[1] + gain * (x[1] - x[0])
+    known = last.names, last.value, last.gradient, parts, float(better[0]), better[1:]
+    return ErrorBars(*known, orders, mesh_orders, tuple(runs), resolved)
+
+
+def _of_steps(
+    runs: Sequence[Gradient], mesh: _Mesh, order: int | None
+) -> tuple[Array, Array, bool | None]:
+    """Return bars by the step, orders, and whether the steps resolve the waves."""
+    differences, resolved = np.diff(_numbers(runs), axis=0), _resolved(*runs[-2:])
+    widths, orders = bars(differences, order)
+    if resolved is False:
+        b = differentiable(*mesh).b
+        scale = np.where(b == 0, 1.0, np.abs(b))
+        slopes = unresolved(differences[:, 1:] * scale) / scale
+        widths = np.append(unresolved(differences[:, :1]), slopes)
+    return widths, orders, resolved
 
 
 def _meshes(model: Scene | MechanicalSystem, design: _Design, count: int) -> list[_Mesh]:
@@ -305,11 +296,6 @@ def adjoint_error(
         One that knows the defects of its steps, such as `HHT`; four steps or more.
     design : sequence of str or DesignVariable, optional
         Needed only where the objective contains `design_value`.
-
-    Raises
-    ------
-    InvalidInput, UnfinishedRun, NonFiniteObjective
-        As `gradient`.
     """
     if not isinstance(integrator, DefectIntegrator):
         rule = "needs an integrator that knows the defects of its steps, such as HHT"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import final
@@ -143,32 +143,23 @@ def choose_model(
     """Measure which model, mesh and step a value and its gradient need.
 
     Models are made from the scene: rigid beams, all or all but one; elements with fewer
-    coordinates; no damping; each with some numbers of elements, from a quarter of those declared
-    on. Every one is run with halved steps until the step errs little beside the tolerance, and
-    compared with the scene as declared on its finest mesh.
+    coordinates; no damping; each with some numbers of elements. Every one is run with halved steps
+    until the step errs little, and compared with the scene as declared on its finest mesh.
 
     Parameters
     ----------
     scene : Scene
         As rich as makes sense, with elements as one would choose them.
-    objective, t_end, design
+    objective, t_end, design, progress
         As in `gradient`. Errors are relative to the value, which must not vanish.
     tolerance : float
         Relative error of value and gradient that is asked for; the result tells of looser ones too.
     alternatives : mapping of str to Scene, optional
-        Models of your own, in which what the objective names has the same name: a planar scene
-        for a spatial one, say.
+        Models of your own, in which what the objective names has the same name.
     doublings : int
         How often the elements may be doubled to see their error.
     max_steps : int
         Steps of the longest run; what errs more by its step says so in that part.
-    progress : bool
-        Whether to show a progress bar.
-
-    Raises
-    ------
-    InvalidInput
-        If the input makes no sense, or the scene as declared gives no gradient.
     """
     require_kind("scene", scene, (Scene,), "Pass a Scene.")
     require_positive("tolerance", tolerance)
@@ -182,25 +173,41 @@ def choose_model(
     question = Question(objective, t_end, variables, scale, tolerance, max_steps)
     *simpler, declared = model_kinds(scene, alternatives or {})
     with progress_bar(progress, unit="rung") as bar:
-        richest: list[Rung] = []
-        for level in range(coarsest(scene), doublings + 1):
-            richest.append(_rung(declared, level, question, None))
-            bar.update()
-            if level >= 0 and not richest[-1].runs:
-                raise InvalidInput("scene", "must run", richest[-1].outcome, "Repair it.")
-            if level > 0 and _is_fine(richest, tolerance):
-                break
-        rungs = list[Rung]()
-        for kind in simpler:
-            known = len(rungs)
-            for like in richest:
-                rungs.append(_rung(kind, like.level, question, richest[-1]))
-                bar.update()
-                if question.settled_mesh(rungs[known:], richest[-1]):
-                    break
+        richest = _richest(declared, range(coarsest(scene), doublings + 1), question, bar.update)
+        rungs = _simpler(simpler, richest, question, bar.update)
     told = tuple(x for x in (*rungs, *richest) if x.runs or x.level == 0)
     names = tuple(variable.name for variable in variables)
     return ModelLadder(told, names, tolerance, *_mesh_bar(richest))
+
+
+def _richest(
+    declared: Kind, levels: Sequence[int], question: Question, done: Callable[[], object]
+) -> list[Rung]:
+    """Measure the scene as declared on ever finer meshes, until the mesh errs little."""
+    richest = list[Rung]()
+    for level in levels:
+        richest.append(_rung(declared, level, question, None))
+        done()
+        if level >= 0 and not richest[-1].runs:
+            raise InvalidInput("scene", "must run", richest[-1].outcome, "Repair it.")
+        if level > 0 and _is_fine(richest, question.tolerance):
+            break
+    return richest
+
+
+def _simpler(
+    kinds: Sequence[Kind], richest: Sequence[Rung], question: Question, done: Callable[[], object]
+) -> list[Rung]:
+    """Measure simpler models, each on the meshes of the richest until it settles."""
+    rungs = list[Rung]()
+    for kind in kinds:
+        known = len(rungs)
+        for like in richest:
+            rungs.append(_rung(kind, like.level, question, richest[-1]))
+            done()
+            if question.settled_mesh(rungs[known:], richest[-1]):
+                break
+    return rungs
 
 
 def _rung(kind: Kind, level: int, question: Question, richest: Rung | None) -> Rung:

@@ -157,12 +157,7 @@ class ModelLadder:
         return self.recommend(self.tolerance)
 
     def recommend(self, tolerance: float, of: ErrorOf = "gradient") -> Choice:
-        """Return the cheapest rung, with its step, whose parts add up to the tolerance at most.
-
-        Raises
-        ------
-        NoModel
-        """
+        """Return the cheapest rung, with its step, whose parts add up to the tolerance at most."""
         require_positive("tolerance", tolerance)
         choices = self.choices(of)
         enough = [each for each in choices if each.error <= tolerance]

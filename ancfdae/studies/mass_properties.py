@@ -55,11 +55,6 @@ def mass_properties(
         Name of a beam, a body or a point mass; by default the whole scene.
     design : sequence of str or DesignVariable, optional
         What to differentiate in, for a scene.
-
-    Raises
-    ------
-    InvalidInput, UnknownName
-        If the beam or a design target does not exist.
     """
     require_kind("model", model, (Scene, AncfSystem), "Pass one of them.")
     system = as_system(model, design)

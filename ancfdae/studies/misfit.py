@@ -50,11 +50,6 @@ class Misfit:
     weights : float or array, optional
         What residuals are multiplied by, of a shape that spreads to (n, m): one over the standard
         deviation of the noise. One by default.
-
-    Raises
-    ------
-    InvalidInput
-        If shapes disagree, numbers are missing, or nothing was measured.
     """
 
     observables: Sequence[Observable]
@@ -115,11 +110,6 @@ class Misfit:
         integrator : Integrator
         design : sequence of str or DesignVariable
             What is to be found, as in `differentiate`; bounds of variables are those of the fit.
-
-        Raises
-        ------
-        InvalidInput, UnknownName
-            If the model does not have what was measured, or the run ends before.
         """
         require_positive("t_end", t_end)
         if max(self.times) > t_end * (1 + 1e-12):
@@ -211,10 +201,6 @@ class StaticMisfit:
         Measured values; NaN where there is none.
     weights : float or array, shape (n,), optional
         What residuals are multiplied by; one over the standard deviation of the noise.
-
-    Raises
-    ------
-    InvalidInput
     """
 
     observables: Sequence[Observable]
@@ -262,10 +248,6 @@ class FrequencyMisfit:
     under_load : bool, optional
         Whether the vibrations are those about the equilibrium under all loads; otherwise about the
         start of the model.
-
-    Raises
-    ------
-    InvalidInput
     """
 
     data: Numbers
@@ -286,12 +268,7 @@ class FrequencyMisfit:
         *,
         design: Sequence[str | DesignVariable] | None = None,
     ) -> FrequencyFit:
-        """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`.
-
-        Raises
-        ------
-        InvalidInput, UnknownName
-        """
+        """Return residuals and Jacobian as functions of the design values; as `Misfit.fit`."""
         system = differentiable(model, design)
         return FrequencyFit(system, design_bounds(system, design), self)
 

@@ -39,7 +39,8 @@ def modes(
 ) -> Modes:
     """Return natural frequencies and shapes of small motions about a configuration at rest.
 
-    Joints are kept exactly; those that are driven are held.
+    Joints are kept exactly; those that are driven are held. Lowest first: growing motions (of an
+    unstable equilibrium), rigid ones (s = 0), then vibrations by frequency.
 
     Parameters
     ----------
@@ -59,14 +60,6 @@ def modes(
     method : Direct or Adjoint, optional
         How frequencies are differentiated: `Direct` (default) with the shapes, `Adjoint` by one
         transposed solve for each mode, independent of the number of design variables.
-
-    Lowest first: growing motions (of an unstable equilibrium), rigid ones (s = 0), then vibrations
-    by frequency.
-
-    Raises
-    ------
-    InvalidInput
-        If the input makes no sense, or `at` is an instant of a motion, such as a steady rotation.
     """
     require_count("count", count, "Ask for one or more modes.")
     require_flag("highest", highest)
@@ -100,11 +93,6 @@ def suggest_step(
         of stiff beams are thousands of times faster than what one wants to see.
     at : Configuration, optional
         As in `modes`.
-
-    Raises
-    ------
-    InvalidInput
-        If the input makes no sense or nothing vibrates.
     """
     require_positive("per_period", per_period)
     if follow is not None:

@@ -74,11 +74,6 @@ def observations(
     file : path, optional
         Where rows of the instant and the values go as they arrive: an array of NumPy, (n, 1 + k),
         that ``np.load(file, mmap_mode="r")`` reads; NaN where the run did not get to.
-
-    Raises
-    ------
-    InvalidInput, Interrupted
-        As `simulate`.
     """
     system = as_system(model)
     repair = "For example position(rod.at_end, 0)."

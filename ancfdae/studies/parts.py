@@ -47,7 +47,7 @@ class RunOfParts:
             kept = np.arange(0, len(t), keep * self._run.degree)
             self.times = t[kept if kept[-1] == len(t) - 1 else np.append(kept, len(t) - 1)]
         else:
-            self.times = _instants(keep, float(t[-1]))
+            self.times = instants("keep", keep, float(t[-1]))
         steps = _NUMBERS // (self._run.degree * (3 * system.n_q + system.n_lam + 1))
         self._length = max(1, steps) * self._run.degree
 
@@ -87,14 +87,14 @@ class RunOfParts:
         return replace(ends[-1], **arrays, statistics=told, degree=1, control=())
 
 
-def _instants(keep: Sequence[float] | Array, end: float) -> Array:
-    """Return instants to keep; refuse what does not ascend from 0 to the end."""
-    times = require_array("keep", keep)
+def instants(where: str, given: Sequence[float] | Array, end: float) -> Array:
+    """Return instants of a run; refuse what does not ascend from 0 to the end."""
+    times = require_array(where, given)
     if times.ndim != 1 or not len(times) or np.any(np.diff(times) <= 0):
-        raise InvalidInput("keep", "must be instants that ascend", repr(keep), "Sort them.")
+        raise InvalidInput(where, "must be instants that ascend", repr(given), "Sort them.")
     if times[0] < 0 or times[-1] > end:
         rule = f"must lie in [0, {end:.6g}]"
-        raise InvalidInput("keep", rule, f"{times[0]:.6g} to {times[-1]:.6g}", "Let the run go on.")
+        raise InvalidInput(where, rule, f"{times[0]:.6g} to {times[-1]:.6g}", "Let the run go on.")
     return times
 
 

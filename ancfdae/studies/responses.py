@@ -174,11 +174,6 @@ class Responses:
         constraints turn to what they forbid, `values` are infinite. Ask for `solution` at the
         optimum, which raises the error if there is none.
 
-    Raises
-    ------
-    InvalidInput, UnknownName
-        If the input is invalid.
-
     Attributes
     ----------
     names : tuple of str

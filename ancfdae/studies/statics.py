@@ -104,8 +104,6 @@ def static_gradient(
         If nothing holds a motion.
     UnfinishedRun
         If there is no equilibrium under the full load; the error states why and keeps the rest.
-    InvalidInput
-        If the input is invalid.
     """
     require_count("max_steps", max_steps, _STEPS)
     system = differentiable(model, design)

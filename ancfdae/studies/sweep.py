@@ -72,12 +72,7 @@ class Evaluate:
             as_design(self.design)
 
     def __call__(self, model: Scene | MechanicalSystem) -> dict[str, Any]:
-        """Run the model; return ``value``, and ``gradient`` or the instants ``t`` of an observable.
-
-        Raises
-        ------
-        InvalidInput, UnfinishedRun, NonFiniteObjective
-        """
+        """Run the model; return ``value``, and ``gradient`` or instants ``t`` of an observable."""
         if self.gradient:
             assert isinstance(self.of, Objective)
             settings = {"design": self.design, "method": self.method}
@@ -104,7 +99,7 @@ def sweep(
     file: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Sweep:
-    """Compute something at many designs.
+    """Compute something at many designs; one that fails is a row with its error.
 
     Parameters
     ----------
@@ -116,9 +111,8 @@ def sweep(
     design : sequence of str or DesignVariable, optional
         What the columns of rows of values are; of a system all its design variables by default.
     executor : concurrent.futures.Executor, optional
-        Where the calls take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask client,
-        ``client.get_executor()``; by default in this process, one after the other. Model and
-        `what` must pickle.
+        Where the calls take place, ``ProcessPoolExecutor(2)`` or ``client.get_executor()`` of Dask,
+        say; by default in this process, one after the other. Model and `what` must pickle.
     chunk : int
         Designs that go to a worker together, more than one where calls are short: sending costs
         0.2 ms by processes, 4 ms by Dask. A chunk arrives, or is lost, as a whole.
@@ -127,15 +121,6 @@ def sweep(
         there are not computed again. Results are then numbers, texts, arrays, lists and mappings.
     progress : bool
         Whether to show a progress bar.
-
-    Rows are in the order of the designs. One that fails is a row with its error.
-
-    Raises
-    ------
-    InvalidInput
-        If the input makes no sense, cannot be sent to a worker, or the file is of another sweep.
-    Interrupted
-        At Ctrl-C; its `result` is the sweep with the rows that are done.
     """
     _check(model, what, executor, chunk, progress)
     given = _mappings(model, designs, design)

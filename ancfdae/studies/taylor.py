@@ -86,11 +86,6 @@ def taylor_test(
     sizes : sequence of float
         Perturbation sizes, falling. Too large ones meet terms of third order, too small ones
         round-off; both change the observed order.
-
-    Raises
-    ------
-    InvalidInput, UnfinishedRun, NonFiniteObjective
-        As `gradient`.
     """
     system, s = differentiable(model, design), require_array("sizes", sizes)
     if s.ndim != 1 or len(s) < 2 or np.any(np.diff(s) >= 0) or s[-1] <= 0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import replace
@@ -53,7 +53,7 @@ def tradeoff(
     models: Mapping[str, Scene] | None = None,
     progress: bool = False,
 ) -> Tradeoff:
-    """Measure what accuracy costs: every setting's processor time and errors on one scene.
+    """Measure every setting's processor time and errors; one that fails is a row with its message.
 
     Parameters
     ----------
@@ -63,58 +63,41 @@ def tradeoff(
         For example ``[HHT(step=h) for h in (0.01, 0.005)] + [HHT(rtol=1e-3), IDA(1e-6)]``.
     reference : Integrator, optional
         What errors are measured against. By default ``Explicit(1e-10)``, or ``IDA(1e-9)`` where
-        the first 64th of the motion shows that the former would take more than 50,000 steps, or
-        short ones only to be stable; the outcome of the reference then says so.
+        the former would take more than 50,000 steps, or short ones only to be stable.
     repeats : int
-        Runs of each setting, of which the least processor time counts; runs of more than a
-        second are not repeated.
+        Runs of each setting, of which the fastest counts; those above a second are not repeated.
     time_limit : float, optional
-        Longest time for the runs of one setting, by the clock; s. What takes longer is a row that
-        says so. The reference is limited by its `max_steps` only.
-    executor : concurrent.futures.Executor, optional
-        Where the runs take place, for example ``ProcessPoolExecutor(2)`` or that of a Dask
-        client; by default in this process, one after the other. Model and objective must
-        pickle (no lambda in `custom` or `apply`). Threads would count each other's processor time.
-    models : mapping of str to Scene, optional
-        Other models of the same scene by name, measured at all settings too; their rows have errors
-        of objective and gradient only. `choose_model` makes models by itself.
-
-    A setting that fails is a row with its message.
-
-    Raises
-    ------
-    InvalidInput
-        If the input makes no sense, or the reference does not finish.
-    Interrupted
-        At Ctrl-C; its `result` is the table, with rows that say that they were not measured.
-    KeyboardInterrupt
-        If Ctrl-C comes before the reference is there.
+        Longest time for the runs of one setting, but the reference, by the clock; s.
+    executor, models : optional
+        Where the runs take place, as in `sweep`, but in no threads, which count each other's time;
+        and other models of the scene by name, measured in objective and gradient.
     """
-    settings = _checked(settings, reference, method, executor, repeats, time_limit)
-    require_flag("progress", progress)
+    limits = repeats, time_limit
+    settings = _checked(settings, reference, method, executor, *limits, progress)
     system = differentiable(model, design)
     require_objectives(system, [objective], t_end)
     reference, why = (reference, "") if reference is not None else _suitable(system, t_end)
-    # The reference runs once, because its time is not compared.
-    tasks = [Task(system, objective, t_end, reference, method, 1, None)]
-    tasks += [
-        Task(system, objective, t_end, each, method, repeats, time_limit) for each in settings
-    ]
-    variables = as_design(() if design is None else design)
-    for name, scene in (models or {}).items():
-        require_kind(f"models, {name}", scene, (Scene,), "Pass a Scene.")
-        other = differentiable(scene, known_design(scene, variables))
-        tasks += [replace(t, system=other, model=name) for t in tasks[1 : len(settings) + 1]]
+    tasks = [Task(system, objective, t_end, reference, method, 1, None)]  # timed by nobody
+    for name, other in [("", system), *_others(models or {}, design)]:
+        tasks += [Task(other, objective, t_end, x, method, *limits, name) for x in settings]
     measured = _measured(tasks, executor, progress)
     exact = _required(measured[0])
     rows = [compared(system, t, r, exact) for t, r in zip(tasks, measured, strict=True)]
     done = Tradeoff(tuple(rows[1:]), replace(rows[0], outcome=rows[0].outcome + why))
-    left = sum(each is _LEFT for each in measured)
+    count, left = len(done.rows), sum(each is _LEFT for each in measured)
     if left:
-        raise Interrupted(
-            done, f"{len(done.rows) - left} of {len(done.rows)} settings were measured"
-        )
+        raise Interrupted(done, f"{count - left} of {count} settings were measured")
     return done
+
+
+def _others(
+    models: Mapping[str, Scene], design: Sequence[str | DesignVariable] | None
+) -> Iterator[tuple[str, MechanicalSystem]]:
+    """Yield other models, in the design variables that they have."""
+    variables = as_design(() if design is None else design)
+    for name, scene in models.items():
+        require_kind(f"models, {name}", scene, (Scene,), "Pass a Scene.")
+        yield name, differentiable(scene, known_design(scene, variables))
 
 
 def _checked(
@@ -124,8 +107,10 @@ def _checked(
     executor: Executor | None,
     repeats: int,
     time_limit: float | None,
+    progress: bool,
 ) -> Sequence[Integrator]:
     """Return the settings; refuse what no trade-off can be made with."""
+    require_flag("progress", progress)
     repair = "For example [HHT(step=0.01)]."
     settings = require_each("settings", settings, (Integrator,), repair)
     if not settings:

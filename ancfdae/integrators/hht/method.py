@@ -58,11 +58,6 @@ class HHT(SteppedIntegrator, DefectIntegrator, PartwiseIntegrator):
         Short for ``steps=FixedSteps(step)``; s.
     rtol : float, optional
         Short for ``steps=ControlledSteps(rtol)``.
-
-    Raises
-    ------
-    InvalidInput
-        If a setting is out of range.
     """
 
     order: ClassVar[int | None] = 2

@@ -77,11 +77,6 @@ class ControlledSteps(StepControl):
         to its largest size in the run. They are then always integrated with the
         motion, after a run that determines their sizes. Without it gradients of undamped waves can
         be wrong by any factor of the tolerance (docs/reports/work-precision).
-
-    Raises
-    ------
-    InvalidInput
-        If a setting is out of range.
     """
 
     kind: ClassVar[str] = "controlled"

@@ -203,13 +203,6 @@ def observe(
     """Return the values of an observable along a solution, shape (n_t,).
 
     Energies, design variables and `custom` functions need the system that was integrated.
-
-    Raises
-    ------
-    InvalidInput, UnknownName
-        If an argument is of another kind, something that the observable names does not exist, the
-        system is missing, or the solution is complex and the system is not: it would hold the
-        design variables fixed.
     """
     repair = "Of objectives observe what they are made of, before Integral or Terminal."
     require_kind("observe, observable", observable, (Observable,), repair)

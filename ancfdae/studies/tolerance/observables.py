@@ -1,0 +1,140 @@
+"""Observables of a run to a tolerance."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import scipy
+
+from ancfdae.equations import MechanicalSystem, Solution
+from ancfdae.errors import (
+    InvalidInput,
+    StabilityWarning,
+    ToleranceMissed,
+    require_each,
+    require_flag,
+    require_positive,
+    uninterrupted,
+)
+from ancfdae.errors.text import columns
+from ancfdae.integrators import Integrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.time_grid import LOBATTO_DEGREE, TimeGrid
+from ancfdae.sensitivity.method import Searched, UnfinishedRun
+from ancfdae.sensitivity.observables import Observable, states_of
+from ancfdae.studies.parts import instants
+from ancfdae.studies.tolerance.gradients import require_tolerance
+from ancfdae.studies.tolerance.search import search
+from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Sample, Second
+
+# Instants of a run where none are asked for: powers of two of steps meet them.
+_INSTANTS = 65
+# Share of the tolerance at which Explicit begins. At looser ones it takes steps at the limit of
+# stability, which damp waves that velocities and multipliers see, and runs agree without them.
+_FOLLOWED = 0.1
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Observed(Searched):
+    """Observables at some instants, with bars; also `Searched`.
+
+    The tolerance is relative: of each observable the norm of its error over the instants, to the
+    norm of its values there.
+
+    Attributes
+    ----------
+    t : array, shape (n,)
+    values, bars : array, shape (n, n_observables)
+        The bars are estimated bounds of the errors, no proofs. Values may be extrapolated from
+        several runs; they are then better than those of the solution.
+    solution : Solution
+        The finest run of the chosen kind.
+    """
+
+    t: Array
+    values: Array
+    bars: Array
+    solution: Solution
+
+    def __repr__(self) -> str:
+        rows = [["observable", "last value"]]
+        last = zip(self.values[-1], self.bars[-1], strict=True)
+        rows += [[str(k), f"{x:.9g} +- {bar:.1g}"] for k, (x, bar) in enumerate(last)]
+        head = f"Observed: {len(self.t)} instants to t = {self.t[-1]:.6g}"
+        return f"{head}\n{columns(rows)}\n{super().__repr__()}"
+
+
+def observed_within(
+    system: MechanicalSystem,
+    observables: Sequence[Observable] | None,
+    at: Sequence[float] | Array | None,
+    t_end: float,
+    tolerance: float,
+    progress: bool,
+) -> Observed:
+    """Return observables with bars below the tolerance, or a warning and the best."""
+    require_positive("t_end", t_end)
+    require_tolerance(tolerance)
+    require_flag("progress", progress)
+    wanted = _checked(observables, system)
+    times = np.linspace(0.0, t_end, _INSTANTS) if at is None else instants("at", at, t_end)
+
+    def measure(integrator: Integrator) -> Sample:
+        run = uninterrupted(integrator.integrate(system, t_end, progress=progress))
+        steps = run.statistics.steps
+        if not run.outcome.success:
+            return Sample([], None, steps, UnfinishedRun(run), float(run.t[-1]) / t_end)
+        vectors = [_interpolated(x.value(system, states_of(run)), run, times) for x in wanted]
+        return Sample(vectors, run.estimated_errors, steps, run)
+
+    second = Second(system, t_end)
+    sequences = [second, Fifth(system, t_end, second), Eighth(system, t_end, _FOLLOWED * tolerance)]
+    with warnings.catch_warnings():
+        # Coarse runs are there to be compared.
+        warnings.simplefilter("ignore", StabilityWarning)
+        reached = search(sequences, measure, _sizes, tolerance)
+    if not reached.reached:
+        warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceMissed, stacklevel=3)
+    assert isinstance(reached.result, Solution)
+    values, bars = (
+        np.stack(x, axis=1) for x in zip(*((e.x, e.bar) for e in reached.estimates), strict=True)
+    )
+    told = tolerance, reached.reached, reached.integrator, reached.why, reached.trials
+    return Observed(*told, times, values, bars, reached.result)
+
+
+def _checked(
+    observables: Sequence[Observable] | None, system: MechanicalSystem
+) -> Sequence[Observable]:
+    """Refuse what is no observable of the system, and none."""
+    repair = "For example observables=[position(rod.at_end, 0)]."
+    wanted = require_each("observables", observables or (), (Observable,), repair)
+    if not wanted:
+        raise InvalidInput("observables", "must be named for a tolerance", "none", repair)
+    for each in wanted:
+        each.check(system)
+    return wanted
+
+
+def _interpolated(values: Array, run: Solution, times: Array) -> Array:
+    """Return values of all instants of a run at other times, with an error of higher order.
+
+    Splines go through the ends of steps: cubic ones for order 2, quintic ones for order 5.
+    Instants of high order have the polynomials of their panels.
+    """
+    if run.degree == LOBATTO_DEGREE:
+        grid = TimeGrid(run.t, run.degree)
+        shares = (grid.interpolation(float(time)) for time in times)
+        return np.array([share @ values[rows] for rows, share in shares])
+    ends = slice(None, None, run.degree)
+    spline = scipy.interpolate.make_interp_spline(run.t[ends], values[ends], k=run.degree + 2)
+    return np.asarray(spline(times))
+
+
+def _sizes(vectors: Sequence[Array]) -> list[float]:
+    return [float(np.linalg.norm(each)) for each in vectors]
