@@ -14,6 +14,7 @@ from ancfdae.model import joints, loads
 from ancfdae.model.joints import Joint
 from ancfdae.model.joints.joint import DrivenJoint
 from ancfdae.model.loads import Load
+from ancfdae.numerics.jets import Jet
 
 from examples import all_examples, scene_of
 
@@ -95,9 +96,10 @@ def called(item, x, q, v):
 
 
 def along(item, x, q, v, dq, dv):
-    """The derivative by jets."""
+    """The derivative by jets; zero of a force that is constant."""
     U, V, dU, dV = (item.vectors.of(state) for state in (q, v, dq, dv))
-    dF = item.load.force_along(U, V, (dU, dV), item.p, item.reference)
+    F = item.load.force(Jet(U, dU), Jet(V, dV), item.p, item.reference)
+    dF = F.derivatives[1] if isinstance(F, Jet) else np.zeros_like(U)
     return item.vectors.lift(x[:, None, None] * dF)
 
 

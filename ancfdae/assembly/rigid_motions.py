@@ -41,10 +41,6 @@ class RigidMotions:
         turned = np.einsum("vij,vj->vi", cayley(x[:, self._d :], self._d)[self._owner], arms)
         return turned + self._on_positions(centres + x[:, : self._d])
 
-    def turn(self, V: Array, x: Array) -> Array:
-        """Return velocities V, shape (n_vectors, d), turned by x."""
-        return np.einsum("vij,vj->vi", cayley(x[:, self._d :], self._d)[self._owner], V)
-
     def tangent(self, Z: Array, x: Array) -> Array:
         """Return the partials of `place` in the motion of each vector's body, (n_vectors, d, n_x).
 

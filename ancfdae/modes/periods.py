@@ -56,6 +56,20 @@ def suggestion(
     )
 
 
+def fastest(system: MechanicalSystem, at: Configuration) -> float:
+    """Return the largest |s| of small motions x e^{st}, or one near it with damping; 1/s.
+
+    Of the fastest undamped motion x, s^2 + (x^T D x) s + omega^2 = 0.
+    """
+    small = Linearised.of(system, at, None)
+    pairs = solve(replace(small, D=None), 1, True)
+    x, speed = pairs.X[:, -1], float(np.sqrt(np.abs(pairs.z[-1])))
+    if small.D is None:
+        return speed
+    half = abs(float(x @ system.pattern.dot(small.D, x[:, None])[:, 0])) / 2
+    return half + float(np.sqrt(half**2 - speed**2)) if half > speed else speed
+
+
 # Coordinates up to which all modes take a fraction of a second by dense methods.
 _QUICK = 120
 _CURED_BY_STEP = (Verdict.NO_CONVERGENCE, Verdict.NOT_FINITE, Verdict.STEP_LIMIT)

@@ -22,7 +22,9 @@ from __future__ import annotations
 
 import abc
 import warnings
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -91,16 +93,23 @@ _SUPERLU: dict[str, Any] = {
 Terms: TypeAlias = tuple[tuple[float, Array], ...]
 
 
-class Factorization(abc.ABC):
-    """A factorised matrix; right-hand sides are vectors or columns of an array."""
+@final
+@dataclass(frozen=True, eq=False)
+class Factorization:
+    """A factorised matrix; right-hand sides are vectors or columns of an array.
 
-    @abc.abstractmethod
+    `solver` takes one of them, and whether the matrix is to be transposed.
+    """
+
+    solver: Callable[[Array, bool], Array]
+
     def solve(self, right: Array) -> Array:
         """Solve with the matrix."""
+        return self.solver(right, False)
 
-    @abc.abstractmethod
     def solve_transposed(self, right: Array) -> Array:
         """Solve with the transposed (not conjugated) matrix."""
+        return self.solver(right, True)
 
 
 class _Storage(abc.ABC):
@@ -232,19 +241,8 @@ class _Envelope:
     def factor(self, terms: Terms, B: Array) -> Factorization | None:
         """Factorise; None where a pivot has not its sign."""
         factors, failed = ldl_factor(terms, B, self._chosen, self._places, self._first, self._signs)
-        return None if failed else _SymmetricFactorization(factors, self._first, self._order)
-
-
-@final
-class _SymmetricFactorization(Factorization):
-    def __init__(self, factors: Array, first: Array, order: Array) -> None:
-        self._factors = factors, first, order
-
-    def solve(self, right: Array) -> Array:
-        return ldl_solve(*self._factors, right.T).T
-
-    def solve_transposed(self, right: Array) -> Array:
-        return self.solve(right)
+        known = factors, self._first, self._order
+        return None if failed else Factorization(lambda right, _: ldl_solve(*known, right.T).T)
 
 
 @final
@@ -271,22 +269,9 @@ class _BandStorage(_Storage):
             raise SingularMatrix(f"zero pivot {info} of {size}")
         if info < 0:
             raise SingularMatrix("the saddle-point matrix is not finite")
-        return _BandFactorization(lu, pivots, half_width, self._order, self._scale)
-
-
-@final
-class _BandFactorization(Factorization):
-    def __init__(
-        self, lu: Array, pivots: Array, half_width: int, order: Array, scale: Array
-    ) -> None:
-        self._factors = lu, pivots, half_width, order, scale
-
-    def solve(self, right: Array) -> Array:
+        known = lu, pivots, half_width, self._order, self._scale
         # Right-hand sides as rows of an array, one after the other in memory.
-        return band_solve(*self._factors, right.T, False).T
-
-    def solve_transposed(self, right: Array) -> Array:
-        return band_solve(*self._factors, right.T, True).T
+        return Factorization(lambda right, turned: band_solve(*known, right.T, turned).T)
 
 
 @final
@@ -312,26 +297,15 @@ class _SparseStorage(_Storage):
                 lu = scipy.sparse.linalg.splu(matrix, **_SUPERLU)
             except (RuntimeError, Warning) as error:
                 raise SingularMatrix(str(error)) from error
-        return _SparseFactorization(lu, values.dtype, self._order, self._scale)
+        return Factorization(partial(self._solved, lu, values.dtype))
 
-
-@final
-class _SparseFactorization(Factorization):
-    def __init__(self, lu: Any, dtype: np.dtype, order: Array, scale: Array) -> None:
-        self._lu, self._dtype, self._order, self._scale = lu, dtype, order, scale
-
-    def solve(self, right: Array) -> Array:
-        return self._solved(right, "N")
-
-    def solve_transposed(self, right: Array) -> Array:
-        return self._solved(right, "T")
-
-    def _solved(self, right: Array, transposed: str) -> Array:
-        if right.dtype.kind == "c" and self._dtype.kind != "c":
-            return self._solved(right.real, transposed) + 1j * self._solved(right.imag, transposed)
+    def _solved(self, lu: Any, dtype: np.dtype, right: Array, transposed: bool) -> Array:
+        if right.dtype.kind == "c" and dtype.kind != "c":
+            parts = (self._solved(lu, dtype, x, transposed) for x in (right.real, right.imag))
+            return next(parts) + 1j * next(parts)
         # Undoes the symmetric scaling.
         scale = self._scale if right.ndim == 1 else self._scale[:, None]
-        scaled = np.ascontiguousarray(scale * right[self._order], dtype=self._dtype)
+        scaled = np.ascontiguousarray(scale * right[self._order], dtype=dtype)
         solution = np.empty_like(scaled)
-        solution[self._order] = scale * self._lu.solve(scaled, transposed)
+        solution[self._order] = scale * lu.solve(scaled, "T" if transposed else "N")
         return solution

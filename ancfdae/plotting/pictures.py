@@ -45,29 +45,24 @@ def snapshots(
     """Draw a mechanism as declared, or at several instants of a motion in one picture.
 
     Bodies stand with their sections, joints and loads with signs that the legend names, and forces
-    with arrows as long as they are large. Earlier instants are fainter; signs are those of the
-    last.
+    with arrows as long as they are large. Earlier instants are fainter. The figure is for `save`.
 
     Parameters
     ----------
     scene : Scene
         At the design values of the solution: see `Scene.with_values`.
     solution : Solution, optional
-        Of this scene, `equilibrium(...).solution` too; without it the scene as declared, before
-        any assembly, so that joints that do not meet are seen.
+        Without it the scene as declared, before any assembly: joints that do not meet are seen.
     times : sequence of float, optional
         Instants, increasing; s. By default five equally spaced ones, or the one of a state of rest.
     colour : Field, optional
         `StrainEnergyDensity()`, `VonMisesStress()`, `AxialForce()`, `BendingMoment()`, `Speed()` or
         `Sensitivity(variable)`. Bodies without the quantity are grey.
     limits : (float, float), optional
-        Values of the first and the last colour, so that pictures can be compared; by default the
-        least and the largest in the picture.
+        Values of the first and the last colour; by default the least and the largest.
     camera : (float, float), optional
-        From where space is seen: elevation above the plane x y and azimuth, in degrees; by default
-        (22, -60). (0, -90) shows x to the right and z upwards, (90, -90) x and y.
-
-    The figure is for `save`, or ``figure.savefig``.
+        Elevation above the plane x y and azimuth from where space is seen; degrees. (0, -90) shows
+        x to the right and z upwards, (90, -90) x and y.
 
     Raises
     ------
@@ -81,8 +76,7 @@ def snapshots(
     shown = mechanism(scene, solution, times, colour, limits)
     with settings():
         figure, brush = canvas(shown, title, True, seen)
-        count = len(shown.motion.t)
-        for k in range(count):
+        for k in range(count := len(shown.motion.t)):
             brush.bodies(k, _FAINT + (1 - _FAINT) * ((k + 1) / count) ** 2)
         brush.symbols(count - 1)
         if count > 1:
@@ -114,21 +108,15 @@ def animate(
         Ends with ``.gif``; with ``.mp4``, for which the program ffmpeg must be installed; or with
         ``.html``: a page that needs nothing else and no network, with play, pause, a slider, and in
         space a view that turns.
-    frames : int
-        Number of pictures, equally spaced over the motion.
-    seconds : float
-        How long the film takes; s.
-    dpi : int
-        Dots per inch of the 7.5 inches of GIF and MP4.
-    progress : bool
-        Show a bar while frames of GIF and MP4 are drawn.
+    frames, seconds : int, float
+        Number of pictures, equally spaced over the motion, and how long the film takes; s.
+    dpi, progress : int, bool
+        Of GIF and MP4: dots per inch of their 7.5 inches, and whether a bar shows how far they are.
 
     Raises
     ------
-    InvalidInput
-        As in `snapshots`, and for another suffix.
-    MissingPackage
-        If a film is to be MP4 and there is no ffmpeg.
+    InvalidInput, MissingPackage
+        As in `snapshots`, and for another suffix; for MP4 without ffmpeg.
     """
     file = checked_path("animate", path, (".gif", ".mp4", ".html"))
     require_count("animate, frames", frames, "For example 80.")

@@ -51,10 +51,8 @@ def write_vtk(
 
     Raises
     ------
-    InvalidInput
-        As in `snapshots`.
-    MissingPackage
-        Without pyevtk, which ``pip install "ancfdae[vtk]"`` brings.
+    InvalidInput, MissingPackage
+        As in `snapshots`; without pyevtk, which ``pip install "ancfdae[vtk]"`` brings.
     """
     file = checked_path("write_vtk", path, (".pvd",))
     evtk = require_package("write_vtk", "pyevtk.hl", "vtk")

@@ -26,6 +26,7 @@ from ancfdae.model.elements.hermite import curvature_weights, end_weight_xi, tan
 from ancfdae.model.elements.stresses import SMALL_STRAIN, scaled
 from ancfdae.model.sections.section import central_moments
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.frames import in_space
 from ancfdae.numerics.quadrature import box_rule
 
 _THIRD = np.array([-12.0, 6.0, 6.0])
@@ -59,7 +60,7 @@ class _Line:
         """r_x and r_xx, shape (..., n, n_xi, 3): with zeros along z in the plane."""
         H = np.stack(curvature_weights(self.xi), axis=-1)
         r_x, r_xx = tangent_weights(self.xi) @ Y, H @ Y / self.l[:, None, None]
-        return _in_space(r_x), _in_space(r_xx)
+        return in_space(r_x), in_space(r_xx)
 
     def pulled_back(
         self, Y: Array, V: Array, on_strain: Array, on_curvature: Array
@@ -93,7 +94,7 @@ class CableSectionLaw(SectionLaw):
         l, E_I, d = self._l[:, None], self._E_I[:, None], Y.shape[-1]
         Y, V = (scaled(x[..., self._element, :, :], self._l) for x in (Y, V))
         r_x, r_xx = (x[..., 0, :] for x in self._line.tangents(Y))
-        r_xxx = _in_space(_THIRD @ Y / l**2)
+        r_xxx = in_space(_THIRD @ Y / l**2)
         n = (self._E_A * self._line.strains(Y, V)[..., 0])[..., None] * r_x - E_I * r_xxx
         tangent = r_x / np.sqrt(np.sum(r_x * r_x, axis=-1, keepdims=True))
         shear, moment = np.cross(tangent, n), E_I * np.cross(r_x, r_xx)
@@ -169,8 +170,3 @@ def _smoothing(xi: Array) -> tuple[Array, Array]:
     places = corner[:, 0]
     weights = rule * (end_weight_xi(places) + 6 * (xi[:, None] - 0.5) * (2 * places - 1))
     return places, weights
-
-
-def _in_space(vectors: Array) -> Array:
-    missing = np.zeros((*vectors.shape[:-1], 3 - vectors.shape[-1]), dtype=vectors.dtype)
-    return np.concatenate([vectors, missing], axis=-1)

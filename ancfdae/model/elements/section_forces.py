@@ -29,6 +29,7 @@ from ancfdae.model.elements.hermite import tangent_weights
 from ancfdae.model.elements.strain_fields import packed_gram
 from ancfdae.model.elements.stresses import scaled
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.frames import in_space
 from ancfdae.numerics.quadrature import box_rule
 
 
@@ -48,7 +49,7 @@ class ContinuumSectionLaw(SectionLaw):
         d, k, xi = self._d, self._place.element, self._place.xi
         x = strain(self._g_o, Y, V, self._tau)
         Q = stressed(np.einsum("nij,...nj->...ni", self._A, x), Y)
-        Y, Q = (_in_space(each) for each in (Y, Q))
+        Y, Q = (in_space(each) for each in (Y, Q))
         means = Q[..., 0, :] / self._l[:, None]
         mean, slope = means[..., k, :], np.einsum("n,...nd->...d", self._slope, means)
         Y, Q = Y[..., k, :, :], Q[..., k, :, :]
@@ -86,12 +87,6 @@ def _arms(xi: float) -> Array:
     places, rule = xi * corner[:, 0], xi * rule
     weights = tangent_weights(places)
     return np.stack([rule @ weights, (rule * (places - 0.5)) @ weights])
-
-
-def _in_space(vectors: Array) -> Array:
-    """Give vectors of the plane a third component, zero."""
-    missing = np.zeros((*vectors.shape[:-1], 3 - vectors.shape[-1]), dtype=vectors.dtype)
-    return np.concatenate([vectors, missing], axis=-1)
 
 
 def _axes(slopes: Array) -> Array:

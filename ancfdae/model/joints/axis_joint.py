@@ -57,11 +57,7 @@ class AxisJoint(Joint):
     takes_part = SECTION
     design_fields = (("axis", require_direction), ("ground", require_vector))
     spatial = True
-
-    @property
-    def way(self) -> Sequence[float]:
-        """The axis."""
-        return self.axis
+    way_field = "axis"
 
     def around(self, p: Array, reference: Array) -> Around:
         """Return the axis and what carries it."""

@@ -10,6 +10,7 @@ from ancfdae.model.bodies import Point
 from ancfdae.model.elements import Quantity
 from ancfdae.model.joints.joint import Equations, RightAngle
 from ancfdae.numerics.arrays import Array
+from ancfdae.numerics.frames import in_space
 
 # A direction this much out of a section, as the sine of the angle, is not in it, where another
 # section carries it: right angles that this one keeps then are equations more. It is no tolerance:
@@ -116,7 +117,7 @@ class SectionFrame(Carrier):
         Their mean turn, that of the skew part of F, holds half of the shear strain E n of the
         centre line against the section: e . phi = e . omega - 1/2 F n . F (e x n).
         """
-        e_n = np.cross(e, _in_space(self.normal))[: len(self.normal)]
+        e_n = np.cross(e, in_space(self.normal))[: len(self.normal)]
         self.meet(c, row, self.carried(self.normal), e_n, -factor / 2)
 
     def flat(self) -> tuple[RightAngle, ...]:
@@ -260,13 +261,9 @@ def spanned(slopes: Array) -> tuple[Array, Array, Array]:
 
     The slopes are those that span it; directions have three components, in the plane too.
     """
-    first = unit(_in_space(slopes[0]))
+    first = unit(in_space(slopes[0]))
     if slopes.shape[1] == 2:
         return np.cross(first, [0.0, 0.0, 1.0]), first[None], np.ones((1, 1))
     normal = normal_of(slopes)
     axes = np.stack([first, np.cross(normal, first)])
     return normal, axes, np.linalg.inv(slopes @ axes.T)
-
-
-def _in_space(vector: Array) -> Array:
-    return np.append(vector, np.zeros(3 - len(vector)))

@@ -83,11 +83,13 @@ class Joint(Part):
     #: Sign in pictures, and whether ground is drawn below it where it has no other point.
     sign: ClassVar[Sign] = Sign("joint", "*")
     shows_ground: ClassVar[bool] = True
+    #: The field that holds the axis, or the direction in which the joint moves.
+    way_field: ClassVar[str | None] = None
 
     @property
     def way(self) -> Sequence[float] | None:
-        """Axis, or direction in which the joint moves, that pictures show; none by default."""
-        return None
+        """Axis, or direction in which the joint moves, that pictures show."""
+        return None if self.way_field is None else getattr(self, self.way_field)
 
     def vectors(self, elements: Elements) -> Vectors:
         """Return the vectors that take part: positions first, then slopes point by point.
@@ -166,11 +168,7 @@ class Travelling(DrivenJoint):
     travel: Law
 
     design_fields = (("direction", require_direction), ("travel", require_law))
-
-    @property
-    def way(self) -> Sequence[float]:
-        """The direction of travel."""
-        return self.direction
+    way_field = "direction"
 
     def faces(self, p: Array, reference: Array, U: Array, t: float) -> bool:
         """Return true: travel has no other side."""

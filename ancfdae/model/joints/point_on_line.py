@@ -38,12 +38,8 @@ class PointOnLine(Joint):
 
     kind = "line"
     sign = Sign("point on a line", "d")
+    way_field = "direction"
     design_fields = (("direction", require_direction), ("through", require_vector))
-
-    @property
-    def way(self) -> Sequence[float]:
-        """The line."""
-        return self.direction
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """n_j . (r - through)."""

@@ -49,12 +49,8 @@ class Prismatic(Joint):
     kind = "prismatic"
     sign = Sign("prismatic joint", "d")
     takes_part = SECTION
+    way_field = "axis"
     design_fields = (("axis", require_direction),)
-
-    @property
-    def way(self) -> Sequence[float]:
-        """The axis."""
-        return self.axis
 
     def coefficients(self, p: Array, reference: Array) -> Equations:
         """Equations across the axis, and one for every turn."""

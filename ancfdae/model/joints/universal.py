@@ -60,12 +60,8 @@ class Universal(Joint):
         ("ground", require_vector),
     )
     spatial = True
+    way_field = "axis"
     holds_position = True
-
-    @property
-    def way(self) -> Sequence[float]:
-        """The axis."""
-        return self.axis
 
     def __post_init__(self) -> None:
         """Refuse axes that are parallel: they would hold their angle to first order alone."""

@@ -7,15 +7,14 @@ from typing import Any, final
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
 from ancfdae.model.loads.friction import DAMPING, LEVELS, friction, require_stribeck
-from ancfdae.model.loads.load import LAW, Load
-from ancfdae.model.loads.sections import rate_of, section_of, turn, unit_axes
-from ancfdae.model.parts import Elements, Vectors
+from ancfdae.model.loads.load import LAW, SectionLoad
+from ancfdae.model.loads.sections import rate_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
 
 
 @final
 @dataclass(frozen=True)
-class JointFriction(Load):
+class JointFriction(SectionLoad):
     """Dry and viscous friction about an axis between two sections, or a section and the ground.
 
     With w = theta' the relative angular velocity the torque on the section is
@@ -56,10 +55,9 @@ class JointFriction(Load):
     damping_fields = DAMPING
     refers = True
 
-    def vectors(self, elements: Elements) -> Vectors:
-        """Slopes of the sections."""
+    def __post_init__(self) -> None:
+        super().__post_init__()
         require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
-        return section_of(self.points, elements)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-R(theta') theta_U."""

@@ -17,9 +17,9 @@ import numpy as np
 from ancfdae.errors import InvalidInput
 from ancfdae.model.laws import Law
 from ancfdae.model.laws.law import require_law
-from ancfdae.model.parts import Part
+from ancfdae.model.loads.sections import section_of
+from ancfdae.model.parts import Elements, Part, Vectors
 from ancfdae.numerics.arrays import Array
-from ancfdae.numerics.jets import Jet
 
 #: The last design field of every load.
 LAW = ("law", require_law)
@@ -71,14 +71,6 @@ class Load(Part):
         """
 
     @final
-    def force_along(
-        self, U: Array, V: Array, rates: tuple[Array, Array], p: Array, U_o: Array
-    ) -> Array:
-        """Return the derivative of `force` along rates of U and V; shape as `force`."""
-        F = self.force(Jet(U, rates[0]), Jet(V, rates[1]), p, U_o)
-        return F.derivatives[1] if isinstance(F, Jet) else np.zeros_like(U)
-
-    @final
     def factor(self, p: Array, t: Array, order: int) -> Array:
         """Return the law, or its time derivative, at instants; shape as t."""
         if self.law is None:
@@ -94,3 +86,11 @@ class ConstantLoad(Load):
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """F = p."""
         return self.split(p)[0] + np.zeros(np.shape(U))
+
+
+class SectionLoad(Load):
+    """A load on the sections of its points, on the slopes that span them."""
+
+    def vectors(self, elements: Elements) -> Vectors:
+        """Slopes of the sections."""
+        return section_of(self.points, elements)

@@ -6,16 +6,15 @@ from typing import Any, final
 
 from ancfdae.errors import require_axial, require_flag
 from ancfdae.model.bodies import Point
-from ancfdae.model.loads.load import LAW, Load
-from ancfdae.model.loads.sections import QUARTER_TURN, section_of
-from ancfdae.model.parts import Elements, Vectors
+from ancfdae.model.loads.load import LAW, SectionLoad
+from ancfdae.model.loads.sections import QUARTER_TURN
 from ancfdae.numerics.arrays import Array
 from ancfdae.numerics.jets import concatenate, cross, direction, dot
 
 
 @final
 @dataclass(frozen=True)
-class Moment(Load):
+class Moment(SectionLoad):
     """A moment on a section of a beam.
 
     It does the work M . dphi on a turn dphi of the section. The section turns as its plane does,
@@ -46,10 +45,6 @@ class Moment(Load):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_flag("moment, follower", self.follower)
-
-    def vectors(self, elements: Elements) -> Vectors:
-        """Slopes of the section."""
-        return section_of(self.points, elements)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """(M - (M . n) n / 2) x r^k."""

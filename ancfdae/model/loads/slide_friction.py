@@ -55,9 +55,12 @@ class SlideFriction(Load):
     damping_fields = DAMPING
     refers = True
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
+
     def vectors(self, elements: Elements) -> Vectors:
         """Positions of the points and slopes of the section that has the line."""
-        require_stribeck(f"load {self.name!r}", self.breakaway, self.stribeck_speed)
         places = tuple((point, Quantity.POSITION) for point in self.points)
         return (*places, *section_of(self.points[1:], elements))
 

@@ -7,15 +7,14 @@ from typing import Any, final
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
 from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW, Load
-from ancfdae.model.loads.sections import section_of, turn, unit_axes
-from ancfdae.model.parts import Elements, Vectors
+from ancfdae.model.loads.load import LAW, SectionLoad
+from ancfdae.model.loads.sections import turn, unit_axes
 from ancfdae.numerics.arrays import Array
 
 
 @final
 @dataclass(frozen=True)
-class Torque(Load):
+class Torque(SectionLoad):
     """A motor: a torque on a section about an axis, and the opposite on another section or ground.
 
     It does the work T dtheta on the angle between them (docs/theory/03-joints-and-loads.md).
@@ -41,10 +40,6 @@ class Torque(Load):
     kind = "torque"
     design_fields = (*numbers("torque"), ("axis", require_direction), LAW)
     refers = True
-
-    def vectors(self, elements: Elements) -> Vectors:
-        """Slopes of the sections."""
-        return section_of(self.points, elements)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """T theta_U."""

@@ -7,15 +7,14 @@ from typing import Any, final
 from ancfdae.errors import require_direction
 from ancfdae.model.bodies import Point
 from ancfdae.model.design import numbers
-from ancfdae.model.loads.load import LAW, Load
-from ancfdae.model.loads.sections import rate_of, section_of, turn, unit_axes
-from ancfdae.model.parts import Elements, Vectors
+from ancfdae.model.loads.load import LAW, SectionLoad
+from ancfdae.model.loads.sections import rate_of, turn, unit_axes
 from ancfdae.numerics.arrays import Array
 
 
 @final
 @dataclass(frozen=True)
-class TorsionSpring(Load):
+class TorsionSpring(SectionLoad):
     """Linear spring and damper about an axis between two sections, or a section and the ground.
 
     The torque on the section is -(k (theta - theta_0) + c theta'), with theta the angle from the
@@ -54,10 +53,6 @@ class TorsionSpring(Load):
     )
     damping_fields = ("damping",)
     refers = True
-
-    def vectors(self, elements: Elements) -> Vectors:
-        """Slopes of the sections."""
-        return section_of(self.points, elements)
 
     def force(self, U: Any, V: Any, p: Array, U_o: Array) -> Any:
         """-(k (theta - theta_0) + c theta') theta_U."""

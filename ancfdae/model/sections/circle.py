@@ -90,11 +90,6 @@ class Circle(_Round):
     ----------
     radius : float
         m.
-
-    Raises
-    ------
-    InvalidInput
-        If the radius is not finite and positive.
     """
 
     def inner(self, sizes: Array) -> Array:

@@ -33,11 +33,6 @@ class MomentSection(Section):
         J in the torque G J kappa; m^4. Without meaning in the plane.
     shear_factors : (float, float), optional
         1 by default.
-
-    Raises
-    ------
-    InvalidInput
-        If a moment is not finite and positive.
     """
 
     area: float
@@ -63,10 +58,6 @@ class MomentSection(Section):
         area, I_y, I_z, _ = sizes.T
         h, w = (np.sqrt(12 * I / area) for I in (I_y, I_z))
         return corners(h, w)
-
-    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """None known: 1."""
-        return np.ones_like(nu), np.ones_like(nu)
 
     def torsion(self, sizes: Array) -> Array:
         """As declared."""
@@ -144,10 +135,6 @@ class PointSection(Section):
         """All points: the rule knows no contour."""
         y, z, _ = self.points(sizes, False)
         return y, z
-
-    def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """None known: 1."""
-        return np.ones_like(nu), np.ones_like(nu)
 
     def twist_centre(self, sizes: Array, centroid: Array) -> Array:
         """As declared, stretched."""

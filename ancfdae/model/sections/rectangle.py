@@ -46,11 +46,6 @@ class Rectangle(Rectangular):
         Extent along y (in the plane of a planar scene); m.
     width : float
         Extent along z (the thickness of a planar scene); m.
-
-    Raises
-    ------
-    InvalidInput
-        If an extent is not finite and positive.
     """
 
     def points(self, sizes: Array, fine: bool) -> SectionPoints:

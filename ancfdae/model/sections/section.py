@@ -120,9 +120,9 @@ class Section(abc.ABC):
         back = (left + right)[:, None] - across[:, ::-1]
         return np.concatenate([up, up[:, ::-1]], axis=1), np.concatenate([across, back], axis=1)
 
-    @abc.abstractmethod
     def shear(self, sizes: Array, nu: Array) -> tuple[Array, Array]:
-        """Shear factors along y and z for Poisson's ratio nu, shape (n,) each."""
+        """Shear factors along y and z for Poisson's ratio nu, (n,) each; 1 where none is known."""
+        return np.ones_like(nu), np.ones_like(nu)
 
     @abc.abstractmethod
     def torsion(self, sizes: Array) -> Array:

@@ -1,11 +1,10 @@
 """Error bars from runs of one method that get finer and finer.
 
-d_k = x_k - x_(k-1) are the differences of the runs, in norms of a whole vector (a gradient). Where
-steps do not resolve the waves that an objective sees, an error is of the size of the differences
-with no order to it: the phase of a wave is as good as random in every run. Where they do, errors
-fall with an order that can be seen, and be used (docs/theory/13-errors.md). The factors are those
-with which all resolved and 94 % of the unresolved bars hold on the scenes of calibration
-(`validation/tolerance/scenes.py`).
+d_k = x_k - x_(k-1) are the differences of the runs, in norms of a whole vector (a gradient), and
+r_k the ratios of their steps. Where steps do not resolve the waves that an objective sees, an error
+is of the size of the differences with no order to it: the phase of a wave is as good as random in
+every run. Where they do, it is d/(r^p - 1) (docs/theory/13-errors.md). The factors were set on the
+scenes of calibration (`validation/tolerance/scenes.py`).
 """
 
 from __future__ import annotations
@@ -18,47 +17,47 @@ import numpy as np
 
 from ancfdae.numerics.arrays import Array
 
-# Error over the last difference, or over half the one before if that is more: where waves are not
-# resolved, and where they are, when nothing is known yet of the order but the last fall.
-_UNRESOLVED, _FALLEN = 3.0, 2.0
-# The same where there is one difference only.
-_ALONE = 4.5
+# Error over the last difference, or over half the one before if that is more, where waves are not
+# resolved; and where there is one difference only.
+_UNRESOLVED, _ALONE = 3.0, 4.5
+# Error over d/(r^p - 1) of a number extrapolated by it; where differences fall with the order, d is
+# also what extrapolating changes from run to run.
+_EXTRAPOLATED = 1.5
+# The same of a method of high order, not extrapolated, which falls with less than its order at
+# first, and of one seen to fall with it.
+HIGH_GRANTED, _HIGH_SEEN = 7.75, 2.5
 # How far the order seen may be from that of the method, for the differences to be its error.
 _NEAR = 0.6
-# Least fall of the differences of extrapolated numbers, whose order is one higher at least.
-_FALL = 3.0
-# Error over the last difference, of extrapolated numbers, of a method of high order, and of one
-# whose tolerance is tightened: runs of a few steps hardly differ.
-_EXTRAPOLATED, _HIGH, _TIGHTENED = 0.5, 0.25, 1.5
+# Error over the difference of runs whose tolerance is tightened.
+_TIGHTENED = 1.5
 # Of a vector's bar, the least share that each component has.
 _SHARE = 0.5
 
 
 class Estimate(NamedTuple):
-    """A vector, bars of its components, and whether the runs converge in order."""
+    """A vector and bars of its components."""
 
     x: Array
     bar: Array
-    converges: bool
 
 
-def halved(runs: Sequence[Array], order: int, resolved: bool) -> Estimate:
-    """Judge runs whose steps were halved, two at least; `resolved` says that waves are."""
-    d = np.diff(runs, axis=0)
-    sizes = np.linalg.norm(d, axis=1)
-    last = _spread(d[-1])
-    before = _spread(d[-2]) if len(d) > 1 else last
-    if not (resolved and _falls(sizes[-2:], order)):
-        return Estimate(runs[-1], unresolved(d), False)
+def refined(runs: Sequence[Array], steps: Sequence[int], order: int, resolved: bool) -> Estimate:
+    """Judge runs of ever more steps, two at least; `resolved` says that waves are."""
+    d, N = np.diff(runs, axis=0), np.array(steps, dtype=float)
+    if not resolved:
+        return Estimate(runs[-1], unresolved(d))
+    powers = (N[1:] / N[:-1]) ** order
+    errors = d / (powers - 1)[:, None]
+    size = spread(errors[-1])
+    seen = len(d) > 1 and _falls(np.linalg.norm(d[-2:], axis=1), N[-3:], order)
+    if len(d) > 1:
+        size = np.maximum(size, spread(errors[-2]) / powers[-1])
     if order > 2:
-        return Estimate(runs[-1], _HIGH * np.maximum(last, before / 2**order), True)
-    if _falls(sizes[-3:], order, 3):
-        better = np.array(runs[1:]) + d / (2**order - 1)
-        d = np.diff(better, axis=0)
-        if _FALL * np.linalg.norm(d[-1]) <= np.linalg.norm(d[-2]):
-            bar = _EXTRAPOLATED * np.maximum(_spread(d[-1]), _spread(d[-2]) / 2 ** (order + 2))
-            return Estimate(better[-1], bar, True)
-    return Estimate(runs[-1], _FALLEN * np.maximum(last, before / 2**order), True)
+        return Estimate(runs[-1], (_HIGH_SEEN if seen else HIGH_GRANTED) * size)
+    better = np.array(runs[1:]) + errors
+    if seen:
+        size = np.minimum(size, spread(better[-1] - better[-2]) / (powers[-1] - 1))
+    return Estimate(better[-1], _EXTRAPOLATED * size)
 
 
 def unresolved(differences: Array) -> Array:
@@ -66,29 +65,30 @@ def unresolved(differences: Array) -> Array:
 
     The last difference may be small by chance, so the one before counts too.
     """
-    last = _spread(differences[-1])
+    last = spread(differences[-1])
     if len(differences) == 1:
         return _ALONE * last
-    return _UNRESOLVED * np.maximum(last, _spread(differences[-2]) / 2)
+    return _UNRESOLVED * np.maximum(last, spread(differences[-2]) / 2)
 
 
-def tightened(runs: Sequence[Array]) -> Estimate:
-    """Judge runs at tolerances ever tighter of a method that resolves all waves, two at least.
+def tightened(before: Array, after: Array) -> Array:
+    """Return bars of a run of a method that resolves all waves, from one at a looser tolerance.
 
-    The difference is about the error of the last run but one.
+    The difference is about the error of the latter.
     """
-    return Estimate(runs[-1], _TIGHTENED * _spread(runs[-1] - runs[-2]), True)
+    return _TIGHTENED * spread(after - before)
 
 
-def _falls(sizes: Array, order: int, count: int = 2) -> bool:
-    """Whether differences fall with the order of the method."""
-    if len(sizes) < count or not np.all(sizes > 0):
+def _falls(sizes: Array, steps: Array, order: int) -> bool:
+    """Whether two differences of runs at three numbers of steps fall with the order."""
+    if not np.all(sizes > 0):
         return False
-    orders = np.log2(sizes[:-1] / sizes[1:])
-    return bool(np.all(np.abs(orders - order) <= _NEAR))
+    powers = steps[:, None] ** -(order + np.array([-_NEAR, _NEAR]))
+    least, most = (powers[0] - powers[1]) / (powers[1] - powers[2])
+    return bool(least <= sizes[0] / sizes[1] <= most)
 
 
-def _spread(d: Array) -> Array:
+def spread(d: Array) -> Array:
     """Return sizes of components, none of which is small by chance."""
     share = _SHARE * float(np.linalg.norm(d)) / math.sqrt(d.size)
     return np.maximum(np.abs(d), share)

@@ -15,12 +15,17 @@ from ancfdae.numerics.arrays import Array
 from ancfdae.sensitivity.adjoint import Adjoint, Direct
 from ancfdae.sensitivity.method import Accuracy, Gradient, GradientMethod, Run, UnfinishedRun
 from ancfdae.sensitivity.objectives import Objective
+from ancfdae.sensitivity.objectives.reductions import AtInstants
+from ancfdae.sensitivity.objectives.totals import totals_of
+from ancfdae.sensitivity.observables.expression import leaves
+from ancfdae.studies.tolerance.runs import Runs, Sample
 from ancfdae.studies.tolerance.search import Found, search
-from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Sample, Second
-from ancfdae.studies.tolerance.sequences import Sequence as Runs
+from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
 
 # Up to so many variables HHT differentiates directly, which also tells whether waves are resolved.
 _DIRECT = 6
+# Intervals of instants of high order where objectives read the end only, and else.
+_FEW, _MANY = 4, 64
 
 
 def gradients_within(
@@ -40,18 +45,17 @@ def gradients_within(
         try:
             results = way.gradients(Run(system, t_end, integrator, progress), objectives)
         except UnfinishedRun as error:
-            run = error.solution
-            steps = run.statistics.steps
-            return Sample([], None, steps, error, float(run.t[-1]) / t_end)
+            return Sample([], None, error.solution.statistics.steps, error)
         vectors = [x for each in results for x in (np.array([each.value]), each.gradient * scale)]
         run = results[0].solution
         return Sample(vectors, run.estimated_errors, run.statistics.steps, results)
 
-    second = Second(system, t_end)
-    sequences: list[Runs] = [second, Fifth(system, t_end, second)]
+    given = system, t_end, tolerance, _sizes
+    second = Second(*given)
+    others: list[Runs] = [Fifth(second, *given)]
     if method is None or isinstance(method, Direct):
-        sequences.append(Eighth(system, t_end, tolerance))
-    reached = search(sequences, measure, _sizes, tolerance)
+        others.append(Eighth(second, _intervals(system, objectives, t_end), system.n_b, *given))
+    reached = search(second, others, measure, tolerance)
     if not reached.reached:
         warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceMissed, stacklevel=4)
     return _results(reached, scale, tolerance)
@@ -69,7 +73,20 @@ def _method(integrator: Integrator, variables: int) -> GradientMethod:
     return Adjoint() if adjoint else Direct()
 
 
-def _sizes(vectors: list[Array]) -> list[float]:
+def _intervals(system: MechanicalSystem, objectives: Sequence[Objective], t_end: float) -> int:
+    """Return the fewest intervals of instants: those that objectives read between the ends."""
+    integrated = totals_of(system, objectives, False)
+    read = (x for each in objectives for x in leaves(each) if x not in integrated)
+    ends = all(
+        isinstance(x, AtInstants)
+        and {*x.instants(t_end)} <= {t_end}
+        and not x.observable.remembers_any
+        for x in read
+    )
+    return _FEW if ends else _MANY
+
+
+def _sizes(vectors: Sequence[Array]) -> list[float]:
     """Return the sizes for pairs of a value and a scaled gradient."""
     norms = [float(np.linalg.norm(each)) for each in vectors]
     pairs = zip(norms[::2], norms[1::2], strict=True)

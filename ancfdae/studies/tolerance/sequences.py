@@ -4,118 +4,92 @@ from __future__ import annotations
 
 import abc
 import math
-import warnings
-from collections.abc import Callable
-from typing import NamedTuple, final
+from functools import cached_property
+from typing import Any, ClassVar, final
 
-from ancfdae.equations import EstimatedErrors, MechanicalSystem, PlannedSystem
-from ancfdae.errors import ManySteps
+import numpy as np
+
+from ancfdae.equations import EstimatedErrors
+from ancfdae.errors import AncfdaeError
 from ancfdae.integrators import HHT, Explicit, Integrator, Radau
-from ancfdae.numerics.arrays import Array
-from ancfdae.studies.tolerance.bars import Estimate, halved, tightened
+from ancfdae.integrators.problem import Problem
+from ancfdae.modes.configuration import Configuration
+from ancfdae.modes.periods import fastest
+from ancfdae.studies.tolerance.bars import HIGH_GRANTED, Estimate, refined, tightened
+from ancfdae.studies.tolerance.runs import OF_A_RUN, Runs, Sample
 
-# Orders at which the estimated errors of derivatives fall where steps resolve their waves; it is
-# 1.9 at least (docs/reports/error-bars).
-_RESOLVED = 1.9
+# Order at which the estimated errors of derivatives fall where steps resolve their waves; where
+# there are three runs, a little less will do.
+_RESOLVED, _NEARLY = 1.95, 1.9
 # States and their derivatives of a run at fixed steps, bytes.
 _MEMORY = 5e8
+# A run aims at a share of the tolerance, with at least so many times the steps of the one before.
+_AIM, _LEAST = 0.7, 1.4
+# Order that is hoped for where waves are not resolved.
+_UNSEEN = 1.2
+# Where HHT errs by a hundredth, methods of high order do so with a share of its steps; Radau takes
+# a share of those at which HHT saw that waves are resolved.
+_PERCENT, _FEWER, _SHARE = 1e-2, 8.0, 0.25
+# Errors of Explicit over rtol, with what round-off needs; the tolerance from one run to the next.
+_PER_RTOL, _JUST, _TIGHTER = 4.0, 0.99, 30.0
+# Errors of components over the root mean square of a long vector's.
+_UNEVEN = 2.4
+# Length of its steps times the fastest motion, and the tolerance below which they are shorter.
+_STABLE, _FOLLOWED = 5.7, 1e-3
 
 
-class Sample(NamedTuple):
-    """What a run gives: vectors that are wanted, what it estimates, its steps, its result.
+class _Steps(Runs):
+    """Runs at fixed steps."""
 
-    `reached` is the part of the time that it got through; without vectors less than all.
-    """
+    order: ClassVar[int]
+    _taken = 0
 
-    vectors: list[Array]
-    estimated: EstimatedErrors | None
-    steps: int
-    result: object
-    reached: float = 1.0
+    @property
+    def counts(self) -> list[int]:
+        """Steps of the runs."""
+        return [x.steps for x in self.samples]
 
-
-# Integrates; a run that does not end has no vectors.
-Measure = Callable[[Integrator], Sample]
-
-
-class Sequence(abc.ABC):
-    """Runs of one integrator. Work is in equal, small pieces: some tenths of a microsecond.
-
-    `gain` is by how much a run improves on the one before at best, `needed` how many runs the
-    first estimate takes.
-    """
-
-    name: str
-    gain: float
-    needed: int
-
-    def __init__(self, system: MechanicalSystem, t_end: float) -> None:
-        self.t_end, self.runs = t_end, list[Sample]()
-        self._compiled = isinstance(system, PlannedSystem) and system.plan is not None
-        self._system, self._n = system, system.n_q
-        self._row = 8.0 * (3 * system.n_q + system.n_lam) * (1 + system.n_b)
+    @property
+    def count(self) -> int:
+        """Steps of the next run."""
+        return max(self._planned, self._taken + 1)
 
     @property
     @abc.abstractmethod
-    def setting(self) -> Integrator:
-        """The integrator of the next run."""
-
-    @abc.abstractmethod
-    def work(self, ahead: int = 0) -> float:
-        """Return what the next run takes, or one further ahead."""
+    def _planned(self) -> int:
+        """Steps that the next run should have."""
 
     @property
-    @abc.abstractmethod
-    def words(self) -> str:
-        """Why its result is trusted, as far as it is."""
-
-    @abc.abstractmethod
-    def expected(self, tolerance: float) -> int:
-        """Return how many runs lead to a tolerance where all goes well."""
-
-    @abc.abstractmethod
-    def estimates(self) -> list[Estimate]:
-        """Return the wanted vectors with bars; `needed` runs are there."""
-
-    def advance(self, measure: Measure) -> Sample:
-        """Take the next run."""
-        sample = measure(self.setting)
-        # Runs before one that failed are no part of a sequence.
-        self.runs = [*self.runs, sample] if sample.vectors else []
-        return sample
-
-
-class _Halved(Sequence):
-    """Runs at fixed steps, each with twice as many as the one before."""
-
-    order: int
-    first: int
-
-    def __init__(self, system: MechanicalSystem, t_end: float) -> None:
-        super().__init__(system, t_end)
-        self.steps = self.first
+    @final
+    def work(self) -> float:
+        """What the next run takes; infinite where its states would not fit into memory."""
+        row = 8.0 * (3 * self._n + self._system.n_lam) * (1 + self._system.n_b)
+        return self._work(self.count) if self.count * row < _MEMORY else math.inf
 
     @final
-    def work(self, ahead: int = 0) -> float:
-        """Return that of the steps; infinite where they would not fit into memory."""
-        steps = self.steps * 2.0**ahead
-        return steps * self.of_a_step() if steps * self._row < _MEMORY else math.inf
+    def take(self, sample: Sample) -> None:
+        """Add a run."""
+        self._taken = self.count
+        super().take(sample)
+
+    def _growth(self, order: float, most: float) -> float:
+        """How many times the steps lead to the tolerance from the last error, and at most."""
+        wanted = math.pow(self.error / (_AIM * self._tolerance), 1 / order)
+        return min(max(wanted, _LEAST), most)
 
     @final
-    def expected(self, tolerance: float) -> int:
-        """Return the runs from an error of one."""
-        return self.needed - 1 + math.ceil(-math.log(tolerance) / math.log(self.gain))
+    def _work(self, steps: float) -> float:
+        return OF_A_RUN + steps * self.of_a_step
 
+    @property
     @abc.abstractmethod
     def of_a_step(self) -> float:
-        """Return the work of a step, as measured (docs/measurements.md)."""
+        """The work of a step, as measured (docs/measurements.md)."""
 
-    @final
-    def advance(self, measure: Measure) -> Sample:
-        """Take the next run."""
-        sample = super().advance(measure)
-        self.steps *= 2
-        return sample
+    @property
+    @abc.abstractmethod
+    def resolved(self) -> bool:
+        """Whether steps resolve the waves of the motion and of its derivatives."""
 
     @property
     def words(self) -> str:
@@ -124,41 +98,81 @@ class _Halved(Sequence):
             return f"{self.name} does not resolve all waves; bars are those of its differences"
         return f"{self.name} resolves all waves of the derivatives; errors fall with its order"
 
-    @property
-    @abc.abstractmethod
-    def resolved(self) -> bool:
-        """Whether steps resolve the waves of the motion and of its derivatives."""
-
-    @final
-    def estimates(self) -> list[Estimate]:
+    def judged(self) -> list[Estimate]:
         """Compare the runs."""
-        rows = zip(*(run.vectors for run in self.runs), strict=True)
-        return [halved(row, self.order, self.resolved) for row in rows]
+        if len(self.samples) < 2:
+            return []
+        rows = zip(*(x.vectors for x in self.samples[-3:]), strict=True)
+        return [refined(x, self.counts[-3:], self.order, self.resolved) for x in rows]
 
 
 @final
-class Second(_Halved):
+class Second(_Steps):
     """HHT-I3, hardly damped, so that waves that it does not resolve show in differences."""
 
-    name, order, first, gain, needed = "HHT", 2, 16, 8.0, 4
+    name, order = "HHT", 2
 
     @property
     def setting(self) -> Integrator:
         """A fixed step."""
-        return HHT(self.t_end / self.steps, hht_alpha=-0.05)
+        return HHT(self._t_end / self.count, hht_alpha=-0.05)
 
+    @property
+    def _planned(self) -> int:
+        """Steps: first such that they cost what a run costs without; nested where waves hide."""
+        if len(self.samples) < 2:
+            return 2 * self._taken or (64 if self._compiled else 16)
+        growth = self._growth(3, 4.0) if self.resolved else 2.0
+        return math.ceil(growth * self._taken)
+
+    @property
+    def left(self) -> float:
+        """That of the next run, or of all whose last one is fine enough."""
+        if len(self.samples) < 2:
+            return self.work
+        growth = self._growth(3 if self.resolved else _UNSEEN, math.inf)
+        last = max(growth * self._taken, self.count)
+        most = 4.0 if self.resolved else 2.0
+        runs = math.ceil(math.log(last / self._taken) / math.log(most))
+        return self._work(last) * (1 - most**-runs) / (1 - 1 / most)
+
+    @property
     def of_a_step(self) -> float:
-        """Return the work of a compiled step, or of one in Python."""
-        return 30.0 + self._n if self._compiled else 1700.0
+        """That of a compiled step, or of one in Python."""
+        return 4.0 + 0.7 * self._n if self._compiled else 1300.0
 
     @property
     def resolved(self) -> bool:
-        """Whether the errors that the runs estimate themselves fall with the order."""
-        errors = [run.estimated for run in self.runs[-2:]]
-        if len(errors) < 2:
-            return False
-        before, after = (_largest(x) for x in errors)
-        return 0 < after < math.inf and math.log2(before / after) >= _RESOLVED
+        """Whether the errors that two runs estimate themselves fell with the order.
+
+        Finer steps resolve what coarser ones did.
+        """
+        orders = list(map(_estimated_order, self.samples, self.samples[1:]))
+        return max(orders, default=0.0) >= _RESOLVED or max(orders[1:], default=0.0) >= _NEARLY
+
+    @property
+    def asked(self) -> bool:
+        """Whether there are runs to compare, or the first one failed."""
+        return self._taken > 0 and len(self.samples) != 1
+
+    @property
+    def percent(self) -> float:
+        """Steps at which an error is a hundredth, by the last difference; a guess without."""
+        if len(self.samples) < 2:
+            return float(max(self._planned, 2 * self._taken))
+        vectors = [x.vectors for x in self.samples[-2:]]
+        ratio = self.counts[-1] / self.counts[-2]
+        gaps = [y - x for x, y in zip(*vectors, strict=True)]
+        error = self.relative(gaps, vectors[-1]) / (ratio**2 - 1)
+        return self.counts[-1] * math.sqrt(error / _PERCENT)
+
+
+def _estimated_order(coarse: Sample, fine: Sample) -> float:
+    """Return the order at which estimated errors fall from a run to a finer one."""
+    before, after = _largest(coarse.estimated), _largest(fine.estimated)
+    if not 0 < after < math.inf:
+        return 0.0
+    return math.log(before / after) / math.log(fine.steps / coarse.steps)
 
 
 def _largest(errors: EstimatedErrors | None) -> float:
@@ -170,82 +184,141 @@ def _largest(errors: EstimatedErrors | None) -> float:
 
 
 @final
-class Fifth(_Halved):
+class Fifth(_Steps):
     """Radau IIA, where another sequence sees that waves are resolved.
 
     Its runs damp those that they do not resolve, and agree without them.
     """
 
-    name, order, first, gain, needed = "Radau", 5, 16, 32.0, 3
+    name, order = "Radau", 5
 
-    def __init__(self, system: MechanicalSystem, t_end: float, seer: Second) -> None:
-        super().__init__(system, t_end)
+    def __init__(self, seer: Second, *of: Any) -> None:
+        super().__init__(*of)
         self._seer = seer
 
     @property
     def setting(self) -> Integrator:
         """A fixed step."""
-        return Radau(self.t_end / self.steps)
+        return Radau(self._t_end / self.count)
 
-    def of_a_step(self) -> float:
-        """Return the work of a step; infinite until the other sequence resolves all waves."""
+    @property
+    def _last(self) -> float:
+        """Steps that lead to the tolerance, by what the other sequence tells of the waves."""
+        share = HIGH_GRANTED * _PERCENT / (_AIM * self._tolerance)
+        of_error = self._seer.percent / _FEWER * math.pow(share, 1 / self.order)
+        return max(of_error, self._seer.counts[-1] * _SHARE)
+
+    @property
+    def _planned(self) -> int:
+        if not self.samples:
+            return max(math.ceil(self._last / 2), 5, 2 * self._taken)
+        return math.ceil(self._taken * self._growth(self.order, 4.0))
+
+    @property
+    def left(self) -> float:
+        """Infinite until the other sequence resolves all waves."""
         if not self.resolved:
             return math.inf
-        return 1000.0 + 50.0 * self._n if self._compiled else 13000.0
+        if self.samples:
+            return self._work(self._growth(self.order, math.inf) * self._taken)
+        return self._work(self.count) + self._work(2 * self.count)
+
+    @property
+    def of_a_step(self) -> float:
+        """That of a compiled step, or of one in Python."""
+        return 100.0 + 25.0 * self._n if self._compiled else 6500.0
 
     @property
     def resolved(self) -> bool:
         """Whether there are no waves that are damped without a word."""
         return self._seer.resolved
 
+    def _growth(self, order: float, most: float) -> float:
+        """By what the runs tell; the first one by how far it is from the other kind."""
+        if self.estimates:
+            return super()._growth(order, most)
+        far = HIGH_GRANTED * self.apart(self._seer) / (_AIM * self._tolerance)
+        return min(max(math.pow(far, 1 / order), 2.0), most)
+
+    def judged(self) -> list[Estimate]:
+        """Compare the runs; those that contradict the other kind tell nothing."""
+        return super().judged() if self.agrees(self._seer) else []
+
 
 @final
-class Eighth(Sequence):
-    """DOP853 under error control, which resolves all waves; a run ends early if it costs too much.
+class Eighth(Runs):
+    """DOP853 under error control, which resolves all waves."""
 
-    The work of a run is that of the last attempt, which went so far with so many steps.
-    """
+    name = "Explicit"
+    words = "Explicit follows every wave; errors are those of its tolerance"
+    # Times as many steps as foreseen.
+    _more = 1.0
 
-    name, gain, needed = "Explicit", 30.0, 2
-    words = "Explicit follows every wave; errors fall with its tolerance"
-    # The error falls with the power 8 of the step.
-    _dearer: float = gain ** (1 / 8)
-
-    def __init__(self, system: MechanicalSystem, t_end: float, tolerance: float) -> None:
-        super().__init__(system, t_end)
-        self._rtol = min(1e-2, tolerance)
-        self._steps = 20.0
+    def __init__(self, seer: Second, intervals: int, longest: int, *of: Any) -> None:
+        super().__init__(*of)
+        self._seer, self._intervals = seer, intervals
+        # The bars of the longest vector then make the tolerance.
+        self._rtol = _JUST * self._tolerance / (_PER_RTOL * min(math.sqrt(longest), _UNEVEN))
 
     @property
     def setting(self) -> Integrator:
-        """A tolerance, and twice as many steps as are foreseen."""
-        return Explicit(max(self._rtol, 3e-14), max_steps=int(2 * self._steps))
+        """A tolerance."""
+        most = math.ceil(3 * self._foreseen) + 20
+        return Explicit(max(self._rtol, 3e-14), self._intervals, most)
 
-    def work(self, ahead: int = 0) -> float:
-        """Return that of the steps as foreseen."""
-        of_a_step = 1000.0 + 4.0 * self._n if self._compiled else 110000.0
+    def take(self, sample: Sample) -> None:
+        """Add a run; the next is tighter, or may take more steps."""
+        super().take(sample)
+        if sample.vectors:
+            self._rtol /= _TIGHTER
+        else:
+            self._more *= 3
+
+    @cached_property
+    def _fastest(self) -> float:
+        """Steps that stability takes."""
+        try:
+            initial = Problem.of(self._system, self._t_end).initial
+            speed = fastest(self._system, Configuration(initial.q, initial.lam, t=initial.t))
+        except AncfdaeError:  # Nothing vibrates.
+            return 0.0
+        return speed * self._t_end / _STABLE
+
+    @property
+    def _foreseen(self) -> float:
+        """Steps at the tolerance, of accuracy or of stability."""
+        if self.samples:
+            return self.samples[-1].steps * math.pow(_TIGHTER, 1 / 8)
+        smooth = self._seer.percent / _FEWER * math.pow(max(_PERCENT / self._rtol, 1.0), 1 / 8)
+        waves = self._fastest * math.pow(max(_FOLLOWED / self._rtol, 1.0), 1 / 8)
+        return self._more * max(smooth, waves)
+
+    @property
+    def work(self) -> float:
+        """That of the steps as foreseen."""
+        instants = 8 * self._intervals
+        evaluations = 12 * self._foreseen + instants
+        of_one = 8.0 + 0.25 * self._n if self._compiled else 1100.0
         traits = self._system.traits
         if not (traits.constant_mass and traits.constant_constraints):
-            of_a_step = max(of_a_step, 12000.0 + 100.0 * self._n)
-        return self._steps * self._dearer**ahead * of_a_step
+            of_one = max(of_one, 100.0 + 7.0 * self._n)
+        return OF_A_RUN + evaluations * of_one
 
-    def expected(self, tolerance: float) -> int:
-        """Return the two runs that the tolerance is set for."""
-        return self.needed
+    @property
+    def left(self) -> float:
+        """That of the next run; others go first."""
+        return self.work if self._seer.asked else math.inf
 
-    def advance(self, measure: Measure) -> Sample:
-        """Take the next run; one that does not end tells how many steps it needs."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ManySteps)
-            sample = measure(self.setting)
-        self._steps = max(sample.steps, 1) / max(sample.reached, 1e-12)
-        if sample.vectors:
-            self.runs.append(sample)
-            self._rtol /= self.gain
-            self._steps *= self._dearer
-        return sample
-
-    def estimates(self) -> list[Estimate]:
-        """Compare the last two runs."""
-        rows = zip(*(run.vectors for run in self.runs), strict=True)
-        return [tightened(row) for row in rows]
+    def judged(self) -> list[Estimate]:
+        """Return bars by the tolerance of the last run, and by what the last two differ by."""
+        vectors, *before = (x.vectors for x in self.samples[::-1])
+        if not (before or self.agrees(self._seer)):
+            return []
+        bars = [
+            np.full(x.shape, _PER_RTOL * self._rtol * size * min(1.0, _UNEVEN / math.sqrt(x.size)))
+            for x, size in zip(vectors, self._sizes(vectors), strict=True)
+        ]
+        if before:
+            pairs = zip(bars, before[0], vectors, strict=True)
+            bars = [np.maximum(bar, tightened(x, y)) for bar, x, y in pairs]
+        return [Estimate(x, bar) for x, bar in zip(vectors, bars, strict=True)]

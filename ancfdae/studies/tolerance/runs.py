@@ -1,0 +1,109 @@
+"""A kind of runs of the search: what it has, what it tells, what it takes to go on."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Callable, Sequence
+from typing import ClassVar, NamedTuple, final
+
+import numpy as np
+
+from ancfdae.equations import EstimatedErrors, MechanicalSystem, PlannedSystem
+from ancfdae.integrators import Integrator
+from ancfdae.numerics.arrays import Array
+from ancfdae.studies.tolerance.bars import Estimate
+
+# Work of a run without its steps.
+OF_A_RUN = 2500.0
+# Two kinds of runs contradict each other beyond so many bars: one in twenty does not hold.
+_CONTRADICTS = 3.0
+
+
+class Sample(NamedTuple):
+    """What a run gives: vectors that are wanted, what it estimates, its steps, its result.
+
+    No vectors where it did not end; the result is what it raised then.
+    """
+
+    vectors: list[Array]
+    estimated: EstimatedErrors | None
+    steps: int
+    result: object
+
+
+# Integrates; returns the sizes that errors of vectors are relative to.
+Measure = Callable[[Integrator], Sample]
+Sizes = Callable[[Sequence[Array]], Sequence[float]]
+
+
+class Runs(abc.ABC):
+    """Runs of one integrator, each aimed at the tolerance by what is known before it.
+
+    Work is counted, not timed, in microseconds of the machine on which it was measured, so that
+    the same call takes the same runs (docs/measurements.md).
+    """
+
+    name: ClassVar[str]
+
+    def __init__(
+        self, system: MechanicalSystem, t_end: float, tolerance: float, sizes: Sizes
+    ) -> None:
+        self._system, self._n, self._t_end = system, system.n_q, t_end
+        self._tolerance, self._sizes = tolerance, sizes
+        self._compiled = isinstance(system, PlannedSystem) and system.plan is not None
+        self.samples, self.estimates = list[Sample](), list[Estimate]()
+        self.error = math.inf
+
+    @property
+    @abc.abstractmethod
+    def setting(self) -> Integrator:
+        """The integrator of the next run."""
+
+    @property
+    @abc.abstractmethod
+    def work(self) -> float:
+        """What the next run takes."""
+
+    @property
+    @abc.abstractmethod
+    def left(self) -> float:
+        """What leads to the tolerance from here, where all goes on as it does."""
+
+    @property
+    @abc.abstractmethod
+    def words(self) -> str:
+        """Why its result is trusted, as far as it is."""
+
+    @abc.abstractmethod
+    def judged(self) -> list[Estimate]:
+        """Return the wanted vectors with bars; none as long as runs do not tell."""
+
+    def take(self, sample: Sample) -> None:
+        """Add a run and judge; those before one that failed are no part of a sequence."""
+        self.samples = [*self.samples, sample] if sample.vectors else []
+        self.estimates = self.judged() if sample.vectors else []
+        self.error = math.inf
+        if self.estimates:
+            bars = [x.bar for x in self.estimates]
+            self.error = self.relative(bars, [x.x for x in self.estimates])
+
+    @final
+    def relative(self, parts: Sequence[Array], of: Sequence[Array]) -> float:
+        """Return the largest norm of some vectors, relative to the sizes of others."""
+        norms = [float(np.linalg.norm(x)) for x in parts]
+        pairs = zip(norms, self._sizes(of), strict=True)
+        return max((x / size if x else 0.0 for x, size in pairs), default=0.0)
+
+    @final
+    def apart(self, other: Runs) -> float:
+        """Return how far the last run is from what the other kind of runs estimates."""
+        estimates = [y.x for y in other.estimates]
+        gaps = [x - y for x, y in zip(self.samples[-1].vectors, estimates, strict=True)]
+        return self.relative(gaps, estimates)
+
+    @final
+    def agrees(self, other: Runs) -> bool:
+        """Whether the last run is within what the other kind knows, if it knows anything."""
+        allowed = _CONTRADICTS * other.error + self._tolerance
+        return not other.estimates or self.apart(other) <= allowed
