@@ -54,7 +54,7 @@ def gradients_within(
     second = Second(*given)
     others: list[Runs] = [Fifth(second, *given)]
     if method is None or isinstance(method, Direct):
-        others.append(Eighth(second, _intervals(system, objectives, t_end), *given))
+        others.append(Eighth(second, _intervals(system, objectives, t_end), system.n_b, *given))
     reached = search(second, others, measure, tolerance)
     if not reached.reached:
         warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceMissed, stacklevel=4)

@@ -28,14 +28,12 @@ from ancfdae.sensitivity.method import Searched, UnfinishedRun
 from ancfdae.sensitivity.observables import Observable, states_of
 from ancfdae.studies.parts import instants
 from ancfdae.studies.tolerance.gradients import require_tolerance
+from ancfdae.studies.tolerance.runs import Sample
 from ancfdae.studies.tolerance.search import search
-from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Sample, Second
+from ancfdae.studies.tolerance.sequences import Eighth, Fifth, Second
 
-# Instants of a run where none are asked for: powers of two of steps meet them.
-_INSTANTS = 65
-# Share of the tolerance at which Explicit begins. At looser ones it takes steps at the limit of
-# stability, which damp waves that velocities and multipliers see, and runs agree without them.
-_FOLLOWED = 0.1
+# Instants of a run where none are asked for, and intervals of those of high order.
+_INSTANTS, _INTERVALS = 65, 64
 
 
 @final
@@ -88,16 +86,17 @@ def observed_within(
         run = uninterrupted(integrator.integrate(system, t_end, progress=progress))
         steps = run.statistics.steps
         if not run.outcome.success:
-            return Sample([], None, steps, UnfinishedRun(run), float(run.t[-1]) / t_end)
+            return Sample([], None, steps, UnfinishedRun(run))
         vectors = [_interpolated(x.value(system, states_of(run)), run, times) for x in wanted]
         return Sample(vectors, run.estimated_errors, steps, run)
 
-    second = Second(system, t_end)
-    sequences = [second, Fifth(system, t_end, second), Eighth(system, t_end, _FOLLOWED * tolerance)]
+    given = system, t_end, tolerance, _sizes
+    second = Second(*given)
+    others = [Fifth(second, *given), Eighth(second, _INTERVALS, len(times), *given)]
     with warnings.catch_warnings():
         # Coarse runs are there to be compared.
         warnings.simplefilter("ignore", StabilityWarning)
-        reached = search(sequences, measure, _sizes, tolerance)
+        reached = search(second, others, measure, tolerance)
     if not reached.reached:
         warnings.warn(f"tolerance {tolerance:g}: {reached.why}", ToleranceMissed, stacklevel=3)
     assert isinstance(reached.result, Solution)

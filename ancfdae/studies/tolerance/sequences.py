@@ -32,6 +32,8 @@ _UNSEEN = 1.2
 _PERCENT, _FEWER, _SHARE = 1e-2, 8.0, 0.25
 # Errors of Explicit over rtol, with what round-off needs; the tolerance from one run to the next.
 _PER_RTOL, _JUST, _TIGHTER = 4.0, 0.99, 30.0
+# Errors of components over the root mean square of a long vector's.
+_UNEVEN = 2.4
 # Length of its steps times the fastest motion, and the tolerance below which they are shorter.
 _STABLE, _FOLLOWED = 5.7, 1e-3
 
@@ -209,7 +211,7 @@ class Fifth(_Steps):
     @property
     def _planned(self) -> int:
         if not self.samples:
-            return max(math.ceil(self._last / 2), 4, 2 * self._taken)
+            return max(math.ceil(self._last / 2), 5, 2 * self._taken)
         return math.ceil(self._taken * self._growth(self.order, 4.0))
 
     @property
@@ -252,10 +254,11 @@ class Eighth(Runs):
     # Times as many steps as foreseen.
     _more = 1.0
 
-    def __init__(self, seer: Second, intervals: int, *of: Any) -> None:
+    def __init__(self, seer: Second, intervals: int, longest: int, *of: Any) -> None:
         super().__init__(*of)
         self._seer, self._intervals = seer, intervals
-        self._rtol = _JUST * self._tolerance / (_PER_RTOL * math.sqrt(self._system.n_b))
+        # The bars of the longest vector then make the tolerance.
+        self._rtol = _JUST * self._tolerance / (_PER_RTOL * min(math.sqrt(longest), _UNEVEN))
 
     @property
     def setting(self) -> Integrator:
@@ -311,8 +314,10 @@ class Eighth(Runs):
         vectors, *before = (x.vectors for x in self.samples[::-1])
         if not (before or self.agrees(self._seer)):
             return []
-        bars = [np.full(x.shape, _PER_RTOL * self._rtol) for x in vectors]
-        bars = [size * bar for size, bar in zip(self._sizes(vectors), bars, strict=True)]
+        bars = [
+            np.full(x.shape, _PER_RTOL * self._rtol * size * min(1.0, _UNEVEN / math.sqrt(x.size)))
+            for x, size in zip(vectors, self._sizes(vectors), strict=True)
+        ]
         if before:
             pairs = zip(bars, before[0], vectors, strict=True)
             bars = [np.maximum(bar, tightened(x, y)) for bar, x, y in pairs]
